@@ -1,0 +1,195 @@
+"""Speed of the simulation kernels, as ratios of medians of interleaved runs in one process.
+
+    python scripts/bench_kernels.py [--rounds 60] [--skip-ray]
+
+Compares the compiled loops with the same loops in C (built here with the system's compiler) and
+with `fmpy.simulate_fmu` on a reused instance, and two Ray workers with one local core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import fmpy
+import numpy as np
+from fmpy.fmi2 import FMU2Slave
+
+from workers.archive import unpack
+from workers.description import describe
+from workers.kernels.fmi2 import Component
+from workers.messages import Experiment, Input, Model, Output, Solver
+from workers.simulate import Simulator
+
+HERE = Path(__file__).parent
+FMU = HERE.parent / "configs" / "models" / "mass_spring_damper.fmu"
+STEP, COUNT = 0.005, 1001
+BATCH = 20
+PARAMETERS = ("m", "k", "c")
+VALUES = np.array([1.0, 25.0, 0.8])
+
+
+class CFmu(ctypes.Structure):
+    """`Component` as the C loops see it: the handle and the functions, without the flags."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in Component._fields[:-2]]
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--rounds", type=int, default=60)
+    arguments.add_argument("--skip-ray", action="store_true")
+    options = arguments.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        loops = compile_loops(Path(folder))
+        compare_interface("co_simulation", "fmu", loops.co_simulate, options.rounds)
+        compare_interface("model_exchange", "rk4", loops.rk4, options.rounds)
+        compare_interface("model_exchange", "dormand_prince", None, options.rounds)
+    compare_fmpy(max(3, options.rounds // 10))
+
+
+def compile_loops(folder: Path) -> ctypes.CDLL:
+    library = folder / "loops.so"
+    source = HERE / "bench_loops.c"
+    command = ["gcc", "-O2", "-shared", "-fPIC", str(source), "-o", str(library)]
+    subprocess.run(command, check=True)
+    return ctypes.CDLL(str(library))
+
+
+def signals() -> tuple[np.ndarray, np.ndarray]:
+    times = np.arange(COUNT) * STEP
+    return times, np.random.default_rng(1).normal(size=COUNT)
+
+
+def model(interface: str, solver: str) -> Model:
+    return Model(FMU.name, FMU.read_bytes(), interface, Solver(solver), PARAMETERS)  # type: ignore[arg-type]
+
+
+def simulator(interface: str, solver: str) -> Simulator:
+    times, force = signals()
+    experiment = Experiment(
+        "bench", 0.0, times[-1], (Input("F", times, force),), (Output("y", times, 0 * times),)
+    )
+    asked = model(interface, solver)
+    return Simulator(asked, describe(FMU.name, asked.archive), (experiment,))
+
+
+def compare_interface(
+    interface: str, solver: str, c_loop: Callable[..., int] | None, rounds: int
+) -> None:
+    """The kernel, and where given the same loop in C on an instance of its own."""
+    ours, theirs = simulator(interface, solver), simulator(interface, solver)
+    points = np.tile(VALUES, (BATCH, 1))
+    runs: dict[str, Callable[[], object]] = {"kernel": lambda: ours.run(0, points)}
+    if c_loop is not None:
+        c_run, c_outputs = prepare_c(theirs, c_loop)
+        runs["C"] = c_run
+    medians = interleave(runs, rounds, BATCH)
+    line = f"{interface:15s} {solver:15s} kernel {medians['kernel'] * 1e6:8.1f} us"
+    if c_loop is not None:
+        difference = np.abs(ours.run(0, points).outputs[0, :, 0] - c_outputs).max()
+        ratio = medians["kernel"] / medians["C"]
+        line += f"   C {medians['C'] * 1e6:8.1f} us   ratio {ratio:5.3f}"
+        line += f"   largest difference {difference:.1e}"
+    print(line)
+
+
+def prepare_c(
+    simulator: Simulator, c_loop: Callable[..., int]
+) -> tuple[Callable[[], None], np.ndarray]:
+    component = simulator.instance.component
+    fmu = CFmu(*[getattr(component, name) for name in Component._fields[:-2]])
+    ready = simulator.installed(0)
+    times, force = signals()
+    outputs = np.zeros(COUNT)
+    states = 2
+
+    def pointer(array: np.ndarray) -> ctypes.c_void_p:
+        return ctypes.c_void_p(array.ctypes.data)
+
+    def run() -> None:
+        for _ in range(BATCH):
+            status = c_loop(
+                ctypes.byref(fmu),
+                pointer(ready.references.start_reals),
+                ctypes.c_size_t(len(VALUES)),
+                pointer(VALUES),
+                ctypes.c_uint32(int(ready.references.inputs[0])),
+                ctypes.c_uint32(int(ready.references.outputs[0])),
+                pointer(times),
+                pointer(force),
+                ctypes.c_size_t(COUNT),
+                pointer(outputs),
+                ctypes.c_size_t(states),
+            )
+            if status >= 2:
+                sys.exit(f"the loop in C failed with status {status}")
+
+    run()
+    return run, outputs
+
+
+def compare_fmpy(rounds: int) -> None:
+    """`fmpy.simulate_fmu` in co-simulation with instance and description reused."""
+    ours = simulator("co_simulation", "fmu")
+    asked = model("co_simulation", "fmu")
+    folder = str(unpack(asked.name, asked.archive, asked.archive_hash))
+    description = fmpy.read_model_description(folder)
+    instance = FMU2Slave(
+        guid=description.guid,
+        modelIdentifier=description.coSimulation.modelIdentifier,
+        unzipDirectory=folder,
+    )
+    instance.instantiate()
+    times, force = signals()
+    table = np.zeros(COUNT, dtype=[("time", float), ("F", float)])
+    table["time"], table["F"] = times, force
+
+    def run_fmpy() -> None:
+        instance.reset()
+        fmpy.simulate_fmu(
+            folder,
+            model_description=description,
+            fmu_instance=instance,
+            fmi_type="CoSimulation",
+            start_values=dict(zip(PARAMETERS, VALUES, strict=True)),
+            input=table,
+            output=["y"],
+            stop_time=times[-1],
+            output_interval=STEP,
+        )
+
+    points = np.tile(VALUES, (BATCH, 1))
+    medians = interleave({"kernel": lambda: ours.run(0, points)}, rounds, BATCH)
+    medians |= interleave({"fmpy": run_fmpy}, rounds, 1)
+    print(
+        f"co_simulation   one simulation  kernel {medians['kernel'] * 1e6:8.1f} us   "
+        f"fmpy.simulate_fmu, instance reused {medians['fmpy'] * 1e3:.2f} ms   "
+        f"ratio {medians['fmpy'] / medians['kernel']:.0f}"
+    )
+
+
+def interleave(
+    runs: dict[str, Callable[[], object]], rounds: int, simulations: int
+) -> dict[str, float]:
+    """Median seconds a simulation of each run, measured in turns."""
+    seconds: dict[str, list[float]] = {name: [] for name in runs}
+    for run in runs.values():
+        run()
+    for _ in range(rounds):
+        for name, run in runs.items():
+            begin = time.perf_counter()
+            run()
+            seconds[name].append((time.perf_counter() - begin) / simulations)
+    return {name: statistics.median(measured) for name, measured in seconds.items()}
+
+
+if __name__ == "__main__":
+    main()

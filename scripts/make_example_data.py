@@ -1,0 +1,126 @@
+"""Write the measurements of the mass-spring-damper example.
+
+The equations are written here once more, apart from the FMU, and solved to a much tighter
+tolerance, so that an estimate from these data also checks the FMU. The noise is reproducible.
+
+    python scripts/make_example_data.py
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+DATA = Path(__file__).resolve().parent.parent / "configs" / "data" / "mass_spring_damper"
+
+MASS, STIFFNESS, DAMPING = 1.2, 30.0, 0.6  # kg, N/m, N.s/m
+SAMPLES, INTERVAL = 500, 0.02  # -, s
+NOISE = 0.01  # standard deviation, relative to that of the position
+SEED = 20240
+
+Array = NDArray[np.float64]
+Waveform = Callable[[Array, np.random.Generator], Array]
+
+
+def multisine(time: Array, random: np.random.Generator) -> Array:
+    """Return a sum of sines from 0.2 Hz to 2 Hz with random phases."""
+    frequencies = np.arange(0.2, 2.01, 0.2)
+    phases = random.uniform(0.0, 2.0 * np.pi, frequencies.size)
+    return np.asarray(np.sin(2.0 * np.pi * np.outer(time, frequencies) + phases).sum(axis=1))
+
+
+def held_steps(time: Array, random: np.random.Generator) -> Array:
+    """Return random levels, each held for 1.25 s."""
+    levels = random.uniform(-6.0, 6.0, 8)
+    return np.asarray(levels[(time // 1.25).astype(int)])
+
+
+def chirp(time: Array, _: np.random.Generator) -> Array:
+    """Return a sine that sweeps linearly from 0.1 Hz to 2 Hz."""
+    duration = SAMPLES * INTERVAL
+    return np.asarray(4.0 * np.sin(2.0 * np.pi * (0.1 + 0.95 * time / duration) * time))
+
+
+def binary_sequence(time: Array, random: np.random.Generator) -> Array:
+    """Return a pseudo-random binary sequence that may change every 0.3 s."""
+    signs = random.choice([-3.0, 3.0], 40)
+    return np.asarray(signs[(time // 0.3).astype(int)])
+
+
+def no_force(time: Array, _: np.random.Generator) -> Array:
+    """Return no force: the mass is released and left alone."""
+    return np.zeros_like(time)
+
+
+EXPERIMENTS: list[tuple[Waveform, float]] = [  # waveform and initial position in m
+    (multisine, 0.0),
+    (held_steps, 0.0),
+    (chirp, 0.0),
+    (binary_sequence, 0.0),
+    (no_force, 0.15),
+]
+
+
+def positions(time: Array, force: Array, initial: float) -> Array:
+    """Solve the equations of motion under a force that is linear between its samples.
+
+    Parameters
+    ----------
+    time, force : ndarray
+        The samples of the force.
+    initial : float
+        The initial position; the mass starts at rest.
+
+    Returns
+    -------
+    ndarray
+        The position at each time.
+    """
+    state, path = np.array([initial, 0.0]), [initial]
+    for n in range(time.size - 1):  # the force has a kink at every sample
+
+        def rate(t: float, x: Array, n: int = n) -> list[float]:
+            applied = np.interp(t, time[n : n + 2], force[n : n + 2])
+            return [x[1], (applied - STIFFNESS * x[0] - DAMPING * x[1]) / MASS]
+
+        span = (time[n], time[n + 1])
+        state = solve_ivp(rate, span, state, method="DOP853", rtol=1e-11, atol=1e-14).y[:, -1]
+        path.append(state[0])
+    return np.array(path)
+
+
+def six_digits(values: Array) -> list[str]:
+    """Write numbers with six significant digits."""
+    return [f"{value:.6g}" for value in values]
+
+
+def write(path: Path, columns: dict[str, list[str]]) -> None:
+    """Write a table of texts as CSV."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+
+
+def main() -> None:
+    """Write all experiments and print their paths."""
+    DATA.mkdir(parents=True, exist_ok=True)
+    time = np.round(INTERVAL * np.arange(SAMPLES), 2)
+    for number, (waveform, initial) in enumerate(EXPERIMENTS, start=1):
+        random = np.random.default_rng([SEED, number])
+        force_text = six_digits(waveform(time, random))
+        true = positions(time, np.array(force_text, dtype=float), initial)
+        measured = true + random.normal(0.0, NOISE * true.std(), SAMPLES)
+        columns = {"time": six_digits(time), "force": force_text, "position": six_digits(measured)}
+        path = DATA / f"exp{number}.csv"
+        write(path, columns)
+        print(path.relative_to(DATA.parents[2]).as_posix())
+
+
+if __name__ == "__main__":
+    main()

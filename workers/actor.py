@@ -1,0 +1,24 @@
+"""The thin Ray shell around an evaluator."""
+
+from __future__ import annotations
+
+import ray
+
+from workers.evaluate import Evaluator
+from workers.messages import Batch, Experiment, Model, Outcome
+
+
+@ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)
+class Worker:
+    """An actor that holds a loaded FMU. It is never restarted by Ray: the pool replaces it."""
+
+    def __init__(self, model: Model, experiments: tuple[Experiment, ...], name: str) -> None:
+        self._evaluator = Evaluator(model, experiments, name)
+
+    def ready(self) -> bool:
+        """Return once the FMU is loaded; raise what went wrong otherwise."""
+        return True
+
+    def evaluate(self, batch: Batch) -> list[Outcome]:
+        """Answer a batch of tasks."""
+        return self._evaluator.evaluate(batch)

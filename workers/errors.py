@@ -1,0 +1,11 @@
+"""The root of all exceptions of this project, and those that a worker can raise."""
+
+from __future__ import annotations
+
+
+class ClusterEstError(Exception):
+    """Something a user can mend. Its text says where, what it must be, what it is, what to do."""
+
+
+class ModelError(ClusterEstError):
+    """The FMU cannot be read, unpacked, loaded or run, or does not have what was asked of it."""

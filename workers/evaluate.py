@@ -1,0 +1,120 @@
+"""Tasks in, outcomes out. A failed simulation is an outcome like any other; nothing raises."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from workers.description import describe
+from workers.kernels import failure
+from workers.messages import (
+    Batch,
+    Experiment,
+    FloatArray,
+    IntArray,
+    Model,
+    Outcome,
+    Status,
+    Trajectory,
+    Want,
+)
+from workers.residuals.measured_times import MeasuredTimes
+from workers.simulate import Installed, Record, Simulator
+
+MAX_VALUES = 4_000_000
+"""Simulated values that are kept at once: 32 MB, however long the experiments are."""
+
+
+class Evaluator:
+    """Everything that one worker needs to answer tasks: a loaded FMU and its experiments.
+
+    Parameters
+    ----------
+    model, experiments
+        What tasks refer to.
+    name
+        What outcomes call this worker.
+
+    Raises
+    ------
+    ModelError
+        If the FMU cannot be loaded on this machine or lacks a variable.
+    """
+
+    def __init__(self, model: Model, experiments: Sequence[Experiment], name: str) -> None:
+        description = describe(model.name, model.archive)
+        self._simulator = Simulator(model, description, tuple(experiments))
+        self._experiments = tuple(experiments)
+        self._residuals = MeasuredTimes()
+        self._name = name
+
+    def evaluate(self, batch: Batch) -> list[Outcome]:
+        """Answer every task of a batch, in its order."""
+        answers: dict[int, Outcome] = {}
+        for experiment in np.unique(batch.experiments):
+            chosen = np.flatnonzero(batch.experiments == experiment)
+            for part in self._parts(int(experiment), chosen):
+                ids, values = batch.ids[part], batch.values[part]
+                outcomes = self._simulate(int(experiment), ids, values, batch.want)
+                answers.update(zip(part.tolist(), outcomes, strict=True))
+        return [answers[i] for i in range(len(batch.ids))]
+
+    def close(self) -> None:
+        """Free the FMU."""
+        self._simulator.close()
+
+    def _parts(self, experiment: int, chosen: IntArray) -> list[IntArray]:
+        """Cut a batch so that its outputs fit into memory."""
+        ready = self._simulator.installed(experiment)
+        size = max(1, len(ready.grid.times) * len(ready.outputs))
+        most = max(1, MAX_VALUES // size)
+        return [chosen[first : first + most] for first in range(0, len(chosen), most)]
+
+    def _simulate(
+        self, experiment: int, ids: IntArray, values: FloatArray, want: Want
+    ) -> list[Outcome]:
+        ready = self._simulator.installed(experiment)
+        begin = time.perf_counter()
+        record = self._simulator.run(experiment, values)
+        residuals = self._residuals.residuals(ready.grid, record.outputs)
+        seconds = (time.perf_counter() - begin) / len(ids)
+        finite = np.isfinite(residuals).all(axis=1)
+        return [
+            self._outcome(task, ready, record, p, residuals[p], bool(finite[p]), want, seconds)
+            for p, task in enumerate(ids.tolist())
+        ]
+
+    def _outcome(
+        self,
+        task: int,
+        ready: Installed,
+        record: Record,
+        p: int,
+        residuals: FloatArray,
+        finite: bool,
+        want: Want,
+        seconds: float,
+    ) -> Outcome:
+        if record.codes[p] != failure.FINISHED:
+            status, message = Status.SOLVER_FAILURE, record.messages[p]
+        elif not finite:
+            status, message = Status.NOT_FINITE, _where_not_finite(ready, record.outputs[p])
+        else:
+            wanted = want == "trajectory"
+            trajectory = (
+                Trajectory(ready.outputs, ready.grid.times, record.outputs[p]) if wanted else None
+            )
+            return Outcome(
+                task, Status.OK, residuals, trajectory, seconds=seconds, worker=self._name
+            )
+        return Outcome(task, status, message=message, seconds=seconds, worker=self._name)
+
+
+def _where_not_finite(ready: Installed, outputs: FloatArray) -> str:
+    row, column = np.argwhere(~np.isfinite(outputs))[0]
+    return (
+        f"output {ready.outputs[column]!r} is {outputs[row, column]} from "
+        f"t = {ready.grid.times[row]:.9g} s on"
+    )

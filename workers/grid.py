@@ -1,0 +1,78 @@
+"""The times of a simulation: all inputs and all measurements of an experiment on one grid.
+
+A solver goes from one time of the grid to the next, so that it never steps across a kink of an
+input, and stands exactly on every time at which something was measured.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.messages import Experiment, FloatArray, Input, IntArray
+
+
+class Grid(NamedTuple):
+    """An experiment as the kernels see it.
+
+    Attributes
+    ----------
+    times : (n,)
+        Strictly increasing, from start to stop.
+    inputs : (n, m)
+        Each input at each time; where a held input jumps, its value after the jump.
+    slopes : (n, m)
+        The slope of each input in the interval that starts at this time; 0 where it is held.
+    gather : (k,)
+        Where each residual's simulated value stands in the flattened (n, outputs) record.
+    measured : (k,)
+        Measured values, output after output.
+    sigmas : (k,)
+        Standard deviation of each.
+    """
+
+    times: FloatArray
+    inputs: FloatArray
+    slopes: FloatArray
+    gather: IntArray
+    measured: FloatArray
+    sigmas: FloatArray
+
+
+def build_grid(experiment: Experiment) -> Grid:
+    """Lay all signals of an experiment on one grid."""
+    start, stop = experiment.start, experiment.stop
+    knots = [signal.times for signal in (*experiment.inputs, *experiment.outputs)]
+    times = np.unique(np.concatenate([*knots, [start, stop]]))
+    times = times[(times >= start) & (times <= stop)]
+    inputs = [_sample(given, times) for given in experiment.inputs]
+    width = len(experiment.outputs)
+    gather = [
+        np.searchsorted(times, output.times) * width + column
+        for column, output in enumerate(experiment.outputs)
+    ]
+    return Grid(
+        times=times,
+        inputs=_columns([value for value, _ in inputs], len(times)),
+        slopes=_columns([slope for _, slope in inputs], len(times)),
+        gather=np.concatenate([np.zeros(0, np.intp), *gather]),
+        measured=np.concatenate([np.zeros(0), *(output.values for output in experiment.outputs)]),
+        sigmas=np.concatenate(
+            [np.zeros(0), *(np.full(len(o.times), o.sigma) for o in experiment.outputs)]
+        ),
+    )
+
+
+def _sample(given: Input, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The input at each time of the grid, and its slope in the interval that follows."""
+    if given.interpolation == "linear":
+        at = np.interp(times, given.times, given.values)
+        return at, np.append(np.diff(at) / np.diff(times), 0.0)
+    latest = np.searchsorted(given.times, times, side="right") - 1
+    at = given.values[np.maximum(latest, 0)]
+    return at, np.zeros_like(at)
+
+
+def _columns(columns: list[FloatArray], rows: int) -> FloatArray:
+    return np.ascontiguousarray(np.column_stack(columns)) if columns else np.zeros((rows, 0))

@@ -1,0 +1,35 @@
+"""What a kernel reports when a simulation does not reach its end."""
+
+from __future__ import annotations
+
+from workers.kernels.calling import inlined
+
+FINISHED = 0
+INITIALISATION = 1
+STEP = 2
+OUTPUT = 3
+STEP_TOO_SMALL = 4
+TOO_MANY_STEPS = 5
+NOT_FINITE = 6
+EVENT = 7
+TERMINATED = 8
+
+SENTENCES = {
+    INITIALISATION: "the FMU could not be initialised",
+    STEP: "the FMU could not go on",
+    OUTPUT: "the FMU could not compute its outputs",
+    STEP_TOO_SMALL: "no step was short enough for the tolerance",
+    TOO_MANY_STEPS: "the limit on the number of steps was reached",
+    NOT_FINITE: "an output became infinite or not a number",
+    EVENT: "the FMU asked for an event, which this solver does not handle",
+    TERMINATED: "the FMU ended the simulation by itself",
+}
+
+FATAL = 100
+"""Added to a code after status fatal: nothing may be asked of this instance any more."""
+
+
+@inlined
+def failed(code, status):  # type: ignore[no-untyped-def]
+    """The code of a call that brought no result."""
+    return code + FATAL if status >= 4 else code

@@ -1,0 +1,275 @@
+"""The protocol between coordinator and worker: frozen, arrays and strings only.
+
+The coordinator installs a `Model` and its `Experiment`s once on every worker and then sends `Task`s
+(one point, one experiment). The worker answers each with an `Outcome`, failures included.
+"""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[Any]
+Interface = Literal["model_exchange", "co_simulation"]
+SolverName = Literal["dormand_prince", "rk4", "fmu"]
+Interpolation = Literal["linear", "hold"]
+Role = Literal["train", "test"]
+Want = Literal["residuals", "trajectory"]
+Value = float | int | bool
+
+
+@dataclass(frozen=True)
+class Solver:
+    """How one simulation is integrated.
+
+    Attributes
+    ----------
+    name
+        "dormand_prince" or "rk4" for model exchange; "fmu" for co-simulation, where the FMU brings
+        its own.
+    step
+        Seconds. The step of "rk4", the longest step of "dormand_prince", the longest communication
+        step of "fmu". None: one step from each time in the data to the next ("rk4", "fmu"), no
+        limit ("dormand_prince").
+    rtol, atol
+        Tolerances of the error of one step; `atol` is in units of each state's nominal value.
+        For "fmu", `rtol` is handed to the FMU, None leaves the choice to it.
+    max_steps
+        Steps after which a simulation counts as failed.
+    """
+
+    name: SolverName
+    step: float | None = None
+    rtol: float | None = None
+    atol: float | None = None
+    max_steps: int = 1_000_000
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a worker simulates: an FMU and how to integrate it.
+
+    Attributes
+    ----------
+    name
+        The file's name, for messages.
+    archive
+        The bytes of the FMU, so that a worker on another machine needs no file.
+    interface, solver
+        Which of the FMU's interfaces, and how.
+    parameters
+        Names of the variables that every task's `values` are for, in that order.
+    """
+
+    name: str
+    archive: bytes = field(repr=False)
+    interface: Interface
+    solver: Solver
+    parameters: tuple[str, ...]
+
+    @cached_property
+    def archive_hash(self) -> str:
+        """SHA-256 of the FMU, the name of its unpacked folder."""
+        return hashlib.sha256(self.archive).hexdigest()
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of everything that makes a simulation's result, but values and experiment."""
+        return content_hash(
+            [self.archive_hash, self.interface, repr(self.solver), *self.parameters]
+        )
+
+
+@dataclass(frozen=True)
+class Input:
+    """A measured signal that drives an input variable of the FMU.
+
+    Before its first and after its last sample the signal keeps that sample's value.
+    """
+
+    variable: str
+    times: FloatArray = field(repr=False)
+    values: FloatArray = field(repr=False)
+    interpolation: Interpolation = "linear"
+
+
+@dataclass(frozen=True)
+class Output:
+    """A measured signal that an output variable of the FMU should follow; no NaN in it."""
+
+    variable: str
+    times: FloatArray = field(repr=False)
+    values: FloatArray = field(repr=False)
+    sigma: float = 1.0
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One measured run, as a worker needs it.
+
+    Attributes
+    ----------
+    id
+        Name, unique in a problem.
+    start, stop
+        Simulated interval in seconds. Every output's times lie in it.
+    inputs, outputs
+        The measured signals.
+    values
+        Known start values of this run by variable name, written before initialisation.
+    role, groups
+        Labels for the coordinator: whether the parameters are estimated from this run ("train") or
+        only tested on it ("test"), and which group it belongs to under each key. No result depends
+        on them.
+    """
+
+    id: str
+    start: float
+    stop: float
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    values: tuple[tuple[str, Value], ...] = ()
+    role: Role = "train"
+    groups: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of residuals."""
+        return sum(len(output.times) for output in self.outputs)
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of everything in here that a result depends on."""
+        signals: list[str | bytes] = [repr((self.start, self.stop, self.values))]
+        for given in self.inputs:
+            signals += [given.variable, given.interpolation]
+            signals += [given.times.tobytes(), given.values.tobytes()]
+        for output in self.outputs:
+            signals += [output.variable, repr(output.sigma)]
+            signals += [output.times.tobytes(), output.values.tobytes()]
+        return content_hash(signals)
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One point and one experiment: the unit of distribution.
+
+    Attributes
+    ----------
+    id
+        Chosen by the coordinator; the outcome repeats it.
+    experiment
+        Index into the installed experiments.
+    values
+        Physical values of `Model.parameters`.
+    want
+        "residuals", or "trajectory" for the outputs at every time of the simulation's grid too.
+    """
+
+    id: int
+    experiment: int
+    values: FloatArray
+    want: Want = "residuals"
+
+
+class Status(enum.StrEnum):
+    """How a task ended. A member's text is what a person reads."""
+
+    OK = "ok"
+    SOLVER_FAILURE = "solver failure"
+    NOT_FINITE = "not finite"
+    TIMEOUT = "timeout"
+    CRASH = "crash"
+    LOST_WORKER = "lost worker"
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Simulated outputs, `values[i, j]` being `variables[j]` at `times[i]`."""
+
+    variables: tuple[str, ...]
+    times: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The answer to a task.
+
+    Attributes
+    ----------
+    task
+        The id of the task.
+    status, message
+        Anything but OK comes with a sentence that says what happened, where and at which time.
+    residuals
+        (measured - simulated) / sigma, output after output; None unless `status` is OK.
+    trajectory
+        Only where the task wanted it.
+    seconds
+        What this simulation cost: its share of the batch that it ran in.
+    worker
+        Who ran it.
+    """
+
+    task: int
+    status: Status
+    residuals: FloatArray | None = None
+    trajectory: Trajectory | None = None
+    message: str = ""
+    seconds: float = 0.0
+    worker: str = ""
+
+    @property
+    def ok(self) -> bool:
+        return self.status is Status.OK
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Tasks on their way to a worker, as columns: cheap to send.
+
+    Attributes
+    ----------
+    ids, experiments : (n,)
+    values : (n, k)
+    want
+        What every task of the batch wants.
+    """
+
+    ids: IntArray
+    experiments: IntArray
+    values: FloatArray
+    want: Want
+
+    @classmethod
+    def of(cls, tasks: Sequence[Task]) -> Batch:
+        """Pack tasks that all want the same."""
+        return cls(
+            ids=np.array([task.id for task in tasks], np.int64),
+            experiments=np.array([task.experiment for task in tasks], np.int64),
+            values=np.array([task.values for task in tasks], np.float64),
+            want=tasks[0].want,
+        )
+
+    def tasks(self) -> list[Task]:
+        rows = zip(self.ids.tolist(), self.experiments.tolist(), self.values, strict=True)
+        return [Task(i, experiment, values, self.want) for i, experiment, values in rows]
+
+
+def content_hash(parts: Iterable[str | bytes]) -> str:
+    """SHA-256 over parts, each preceded by its length so that no two lists collide."""
+    digest = hashlib.sha256()
+    for part in parts:
+        data = part.encode() if isinstance(part, str) else part
+        digest.update(len(data).to_bytes(8, "little"))
+        digest.update(data)
+    return digest.hexdigest()

@@ -1,0 +1,1 @@
+"""From simulated outputs to residuals: one file a kind."""
