@@ -14,6 +14,7 @@ from __future__ import annotations
 from math import isfinite, sqrt
 
 import numpy as np
+
 from workers.kernels.calling import inlined, kernel
 from workers.kernels.failure import FINISHED, OUTPUT, STEP, STEP_TOO_SMALL, TOO_MANY_STEPS, failed
 from workers.kernels.fmi2 import DISCARD, ERROR, get_derivatives

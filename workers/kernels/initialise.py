@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-
 from workers.kernels.calling import inlined
 from workers.kernels.fmi2 import (
     DISCARD,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from workers.kernels.calling import inlined
 from workers.kernels.failure import EVENT, FINISHED, INITIALISATION, STEP, TERMINATED, failed
 from workers.kernels.fmi2 import (

@@ -1,0 +1,103 @@
+"""The command line: check, fit, show, simulate.
+
+Exit codes: 0 done; 1 ran, but did not reach a solution; 2 bad input, with a sentence; 130
+interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from cluster_est.errors import ClusterEstError
+
+DONE, NO_SOLUTION, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code."""
+    options = _parser().parse_args(arguments)
+    errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+    try:
+        code: int = options.run(options)
+    except ClusterEstError as error:
+        errors.print(f"cluster-est: {error}")
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        errors.print("cluster-est: interrupted")
+        return INTERRUPTED
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="cluster-est",
+        description="Estimate the parameters and initial states of an FMU from many measured "
+        "experiments at once.",
+        epilog="KEY=VALUE overrides a key of the config, as in method.options.trials=8. "
+        "Exit codes: 0 done, 1 no solution, 2 bad input, 130 interrupted.",
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    check = _command(commands, "check", "read config, data and FMU, and run each experiment once")
+    check.set_defaults(run=_check)
+
+    fit = _command(commands, "fit", "estimate the parameters")
+    fit.add_argument("--out", type=Path, required=True, help="folder to write the run to")
+    fit.add_argument("--overwrite", action="store_true", help="replace the run in that folder")
+    fit.set_defaults(run=_fit)
+
+    simulate = _command(commands, "simulate", "simulate every experiment at the start values")
+    simulate.add_argument(
+        "--out", type=Path, required=True, help="table to write: .parquet, .feather or .csv"
+    )
+    simulate.add_argument(
+        "--run", dest="run_folder", type=Path, help="take the values from this run's estimates"
+    )
+    simulate.set_defaults(run=_simulate)
+
+    show = commands.add_parser("show", help="print a run's parameters and errors")
+    show.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    show.set_defaults(run=_show)
+    return parser
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, summary: str
+) -> argparse.ArgumentParser:
+    command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:])
+    command.add_argument("config", metavar="CONFIG", type=Path, help="the TOML file")
+    command.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides of keys")
+    return command
+
+
+def _check(options: argparse.Namespace) -> int:
+    from cluster_est.commands import check
+
+    return check(options.config, options.overrides)
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from cluster_est.commands import fit
+
+    return fit(options.config, options.overrides, options.out, overwrite=options.overwrite)
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from cluster_est.commands import simulate
+
+    return simulate(options.config, options.overrides, options.out, options.run_folder)
+
+
+def _show(options: argparse.Namespace) -> int:
+    from cluster_est.commands import show
+
+    return show(options.run_folder)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,48 @@
+"""The exceptions of cluster-est.
+
+All derive from one, and each text says where, what it must be, what it is and what to do::
+
+    ClusterEstError
+    |-- ConfigError       a config file or a key=value argument
+    |-- DataError         a measured table
+    |-- ProblemError      parameters, experiments and methods that do not fit together
+    |-- ModelError        the FMU: unreadable, not for this platform, lacks a variable
+    |-- RunFolderError    a run folder that cannot be written or read
+    `-- ExecutorError     no workers to be had
+
+A simulation that fails is none of these: it is an `Outcome` with a status and a message.
+"""
+
+from __future__ import annotations
+
+from workers.errors import ClusterEstError, ModelError
+
+__all__ = [
+    "ClusterEstError",
+    "ConfigError",
+    "DataError",
+    "ExecutorError",
+    "ModelError",
+    "ProblemError",
+    "RunFolderError",
+]
+
+
+class ConfigError(ClusterEstError):
+    """A config file or a key=value argument says something that it cannot say."""
+
+
+class DataError(ClusterEstError):
+    """A measured table cannot be read or holds something that is no measurement."""
+
+
+class ProblemError(ClusterEstError):
+    """Parameters, experiments and methods do not fit together."""
+
+
+class RunFolderError(ClusterEstError):
+    """A run folder cannot be written or read."""
+
+
+class ExecutorError(ClusterEstError):
+    """There are no workers to be had."""

@@ -1,0 +1,26 @@
+"""Executors: where tasks run. One file an executor.
+
+A new executor is one file with a subclass of `Executor` and one line here. They are imported only
+when they are used, because Ray takes a second to import.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from cluster_est.executors.base import Executor
+
+EXECUTORS = {
+    "local": "cluster_est.executors.local:LocalExecutor",
+    "ray": "cluster_est.executors.ray_pool:RayPool",
+}
+
+
+def executor_class(name: str) -> type[Executor]:
+    """Import an executor by the name that the config calls it."""
+    module, _, attribute = EXECUTORS[name].partition(":")
+    found: type[Executor] = getattr(import_module(module), attribute)
+    return found
+
+
+__all__ = ["EXECUTORS", "Executor", "executor_class"]

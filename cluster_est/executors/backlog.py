@@ -1,0 +1,58 @@
+"""Tasks that wait for a worker, handed out in batches that are worth the trip."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+
+from workers.messages import Batch, Outcome, Task
+
+BATCH_SECONDS = 0.03
+FIRST_GUESS = 0.005
+MEMORY = 0.2
+"""Weight of the newest observation in the running mean of a simulation's seconds."""
+
+
+class Backlog:
+    """A queue of tasks that knows how long a simulation of each experiment takes.
+
+    Parameters
+    ----------
+    shares
+        Into how many batches the whole queue is cut at least, so that no worker waits while
+        another holds everything.
+    """
+
+    def __init__(self, shares: int) -> None:
+        self._tasks: deque[Task] = deque()
+        self._seconds: dict[int, float] = {}
+        self._shares = shares
+
+    def __len__(self) -> int:
+        return len(self._tasks)
+
+    def add(self, tasks: Iterable[Task]) -> None:
+        self._tasks.extend(tasks)
+
+    def add_first(self, tasks: Sequence[Task]) -> None:
+        """Put tasks back at the front."""
+        self._tasks.extendleft(reversed(tasks))
+
+    def take(self) -> Batch:
+        """Remove the next batch: about 30 ms of work, all of it wanting the same."""
+        most = max(1, -(-len(self._tasks) // self._shares))
+        batch: list[Task] = []
+        seconds = 0.0
+        while self._tasks and len(batch) < most and seconds < BATCH_SECONDS:
+            if batch and self._tasks[0].want != batch[0].want:
+                break
+            task = self._tasks.popleft()
+            batch.append(task)
+            seconds += self._seconds.get(task.experiment, FIRST_GUESS)
+        return Batch.of(batch)
+
+    def learn(self, batch: Batch, outcomes: Sequence[Outcome]) -> None:
+        """Remember how long the simulations of a batch took."""
+        for experiment, outcome in zip(batch.experiments.tolist(), outcomes, strict=True):
+            known = self._seconds.get(experiment, outcome.seconds)
+            self._seconds[experiment] = known + MEMORY * (outcome.seconds - known)

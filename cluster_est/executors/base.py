@@ -1,0 +1,80 @@
+"""The contract of an executor: where tasks run."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from types import TracebackType
+from typing import ClassVar, Self
+
+from workers.messages import Experiment, Model, Outcome, Task
+
+
+class Executor(ABC):
+    """Takes tasks and gives back one outcome for each, in any order.
+
+    Used as a context manager. It never raises for a simulation that fails, and it changes no bit of
+    a result: what a task answers must not depend on where and with which others it ran.
+    """
+
+    name: ClassVar[str]
+    """What the config calls it."""
+
+    workers: int
+    """How many simulations run at the same time."""
+
+    @classmethod
+    @abstractmethod
+    def open(
+        cls,
+        model: Model,
+        experiments: tuple[Experiment, ...],
+        workers: int | None,
+        address: str | None,
+    ) -> Self:
+        """Start workers and install the model and its experiments on each.
+
+        Parameters
+        ----------
+        model, experiments
+            What tasks refer to.
+        workers
+            How many; None for the executor's default.
+        address
+            Of a cluster, for executors that have one.
+
+        Raises
+        ------
+        ModelError
+            If the FMU cannot be loaded where it should run.
+        ExecutorError
+            If there are no workers to be had.
+        """
+
+    @abstractmethod
+    def submit(self, tasks: Sequence[Task]) -> None:
+        """Queue tasks. Returns at once."""
+
+    @abstractmethod
+    def completed(self) -> list[Outcome]:
+        """Wait until at least one task is done; give back all that are. Empty if none is queued."""
+
+    @property
+    @abstractmethod
+    def busy(self) -> int:
+        """How many workers have something to do."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop the workers. Tasks that are still queued are forgotten."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()

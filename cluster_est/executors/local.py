@@ -1,0 +1,96 @@
+"""Simulations in this process, in threads: the compiled loops release the interpreter's lock."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from typing import ClassVar, Self
+
+from cluster_est.executors.backlog import Backlog
+from cluster_est.executors.base import Executor
+from workers.description import describe
+from workers.evaluate import Evaluator
+from workers.messages import Batch, Experiment, Model, Outcome, Task
+
+
+class LocalExecutor(Executor):
+    """One thread for each worker, each with an instance of the FMU; with one worker, no thread.
+
+    The default, for fits that take seconds. An FMU that crashes takes this process with it, and not
+    every FMU allows several instances in one process: `ray` has neither weakness.
+    """
+
+    name: ClassVar[str] = "local"
+
+    def __init__(self, evaluators: Sequence[Evaluator]) -> None:
+        self.workers = len(evaluators)
+        self._evaluators = list(evaluators)
+        self._idle: queue.SimpleQueue[Evaluator] = queue.SimpleQueue()
+        for evaluator in evaluators:
+            self._idle.put(evaluator)
+        self._backlog = Backlog(shares=2 * self.workers)
+        self._threads = ThreadPoolExecutor(self.workers) if self.workers > 1 else None
+        self._running: dict[Future[list[Outcome]], Batch] = {}
+
+    @classmethod
+    def open(
+        cls,
+        model: Model,
+        experiments: tuple[Experiment, ...],
+        workers: int | None,
+        address: str | None,  # noqa: ARG003
+    ) -> Self:
+        count = workers or 1
+        if count > 1 and describe(model.name, model.archive).once_per_process:
+            count = 1
+        return cls([Evaluator(model, experiments, f"local-{i}") for i in range(count)])
+
+    def submit(self, tasks: Sequence[Task]) -> None:
+        self._backlog.add(tasks)
+        self._fill()
+
+    def completed(self) -> list[Outcome]:
+        if self._threads is None:
+            return self._evaluate_here() if self._backlog else []
+        if not self._running:
+            return []
+        done, _ = wait(self._running, return_when=FIRST_COMPLETED)
+        outcomes: list[Outcome] = []
+        for future in done:
+            batch = self._running.pop(future)
+            answers = future.result()
+            self._backlog.learn(batch, answers)
+            outcomes += answers
+        self._fill()
+        return outcomes
+
+    @property
+    def busy(self) -> int:
+        if self._threads is None:
+            return min(1, len(self._backlog))
+        return min(self.workers, len(self._running))
+
+    def close(self) -> None:
+        if self._threads is not None:
+            self._threads.shutdown(cancel_futures=True)
+        for evaluator in self._evaluators:
+            evaluator.close()
+
+    def _fill(self) -> None:
+        while self._threads is not None and self._backlog and len(self._running) < self.workers:
+            batch = self._backlog.take()
+            self._running[self._threads.submit(self._evaluate, batch)] = batch
+
+    def _evaluate_here(self) -> list[Outcome]:
+        batch = self._backlog.take()
+        outcomes = self._evaluators[0].evaluate(batch)
+        self._backlog.learn(batch, outcomes)
+        return outcomes
+
+    def _evaluate(self, batch: Batch) -> list[Outcome]:
+        evaluator = self._idle.get()
+        try:
+            return evaluator.evaluate(batch)
+        finally:
+            self._idle.put(evaluator)

@@ -1,0 +1,184 @@
+"""Simulations in Ray actors, one for each core, on this machine or a cluster.
+
+Two batches are in flight for each actor, so that it never waits for the coordinator. An actor that
+dies is replaced, and its tasks are asked again in halves until the one that killed it stands alone:
+that one becomes an outcome with the status "crash".
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+from collections.abc import Sequence
+from typing import Any, ClassVar, Self
+
+import ray
+from ray.exceptions import RayActorError, RayError, RayTaskError
+
+from cluster_est.errors import ExecutorError, ModelError
+from cluster_est.executors.backlog import Backlog
+from cluster_est.executors.base import Executor
+from workers.actor import Worker
+from workers.messages import Batch, Experiment, Model, Outcome, Status, Task
+
+IN_FLIGHT = 2
+
+
+class RayPool(Executor):
+    """A pool of Ray actors. For slow or dangerous FMUs, many cores, and clusters."""
+
+    name: ClassVar[str] = "ray"
+
+    def __init__(
+        self,
+        model: Model,
+        experiments: tuple[Experiment, ...],
+        workers: int,
+        *,
+        owns_ray: bool,
+    ) -> None:
+        self.workers = workers
+        self._owns_ray = owns_ray
+        self._model = ray.put(model)
+        self._experiments = ray.put(experiments)
+        self._backlog = Backlog(shares=IN_FLIGHT * workers)
+        self._actors: dict[str, Any] = {}
+        self._flying: dict[Any, tuple[str, Batch]] = {}
+        self._lost: list[Outcome] = []
+        self._started = 0
+        for _ in range(workers):
+            self._start_actor()
+
+    @classmethod
+    def open(
+        cls,
+        model: Model,
+        experiments: tuple[Experiment, ...],
+        workers: int | None,
+        address: str | None,
+    ) -> Self:
+        owns_ray = not ray.is_initialized()
+        if owns_ray:
+            _connect(workers, address)
+        count = workers or int(ray.cluster_resources().get("CPU", 1))
+        pool = cls(model, experiments, count, owns_ray=owns_ray)
+        try:
+            ray.get([actor.ready.remote() for actor in pool._actors.values()])
+        except (RayError, ModelError) as error:
+            pool.close()
+            raise _why_not_started(error) from error
+        return pool
+
+    def submit(self, tasks: Sequence[Task]) -> None:
+        self._backlog.add(tasks)
+        self._fill()
+
+    def completed(self) -> list[Outcome]:
+        if not self._flying:
+            return self._take_lost()
+        done, _ = ray.wait(list(self._flying), num_returns=1)
+        also, _ = ray.wait(list(self._flying), num_returns=len(self._flying), timeout=0)
+        outcomes: list[Outcome] = []
+        for reference in dict.fromkeys([*done, *also]):
+            if reference in self._flying:
+                outcomes += self._collect(reference)
+        self._fill()
+        return outcomes + self._take_lost()
+
+    @property
+    def busy(self) -> int:
+        return len({name for name, _ in self._flying.values()})
+
+    def close(self) -> None:
+        for actor in self._actors.values():
+            ray.kill(actor)
+        self._actors.clear()
+        self._flying.clear()
+        if self._owns_ray:
+            ray.shutdown()
+
+    def _start_actor(self) -> None:
+        name = f"ray-{self._started}"
+        self._started += 1
+        self._actors[name] = Worker.remote(self._model, self._experiments, name)
+
+    def _fill(self) -> None:
+        """Give every actor its share of what waits, those with the least in flight first."""
+        load = dict.fromkeys(self._actors, 0)
+        for name, _ in self._flying.values():
+            load[name] = load.get(name, 0) + 1
+        for level in range(IN_FLIGHT):
+            for name, actor in self._actors.items():
+                if self._backlog and load[name] <= level:
+                    batch = self._backlog.take()
+                    self._flying[actor.evaluate.remote(batch)] = (name, batch)
+                    load[name] += 1
+
+    def _collect(self, reference: Any) -> list[Outcome]:
+        name, batch = self._flying.pop(reference)
+        try:
+            outcomes: list[Outcome] = ray.get(reference)
+        except RayActorError as error:
+            self._replace(name)
+            self._ask_again(batch, str(error))
+            return []
+        self._backlog.learn(batch, outcomes)
+        return outcomes
+
+    def _replace(self, name: str) -> None:
+        if self._actors.pop(name, None) is not None:
+            self._start_actor()
+
+    def _ask_again(self, batch: Batch, reason: str) -> None:
+        """Resubmit the halves of a batch that was lost; what is alone has killed the worker."""
+        tasks = batch.tasks()
+        if len(tasks) == 1:
+            line = (reason.splitlines() or ["the process ended"])[0]
+            message = f"the worker process died during this simulation ({line})"
+            self._lost.append(Outcome(tasks[0].id, Status.CRASH, message=message))
+            return
+        middle = len(tasks) // 2
+        for half in (tasks[:middle], tasks[middle:]):
+            name = min(self._actors, key=lambda n: sum(n == m for m, _ in self._flying.values()))
+            part = Batch.of(half)
+            self._flying[self._actors[name].evaluate.remote(part)] = (name, part)
+
+    def _take_lost(self) -> list[Outcome]:
+        lost, self._lost = self._lost, []
+        return lost
+
+
+def _connect(workers: int | None, address: str | None) -> None:
+    """Join a cluster, or start Ray on this machine alone."""
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    local = address in (None, "", "local")
+    try:
+        ray.init(
+            address="local" if local else address,
+            num_cpus=workers if local else None,
+            include_dashboard=False if local else None,
+            logging_level=logging.ERROR,
+            log_to_driver=False,
+        )
+    except (ConnectionError, RuntimeError, ValueError, RayError) as error:
+        line = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ExecutorError(
+            f"executor.address: no Ray cluster answers at {address!r} ({line}); start one, or "
+            "remove the key to use this machine"
+        ) from error
+
+
+def _why_not_started(error: Exception) -> Exception:
+    """The model's own error where there is one, else a sentence around Ray's."""
+    cause: BaseException | None = error
+    with contextlib.suppress(AttributeError):
+        cause = error.cause if isinstance(error, RayTaskError) else error
+    if isinstance(cause, ModelError):
+        return ModelError(str(cause))
+    text = str(error)
+    marker = "ModelError: "
+    if marker in text:
+        return ModelError(text.split(marker, 1)[1].splitlines()[0])
+    line = (text.splitlines() or [type(error).__name__])[0]
+    return ExecutorError(f"executor: the workers did not start ({line})")

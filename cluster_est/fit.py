@@ -1,0 +1,236 @@
+"""The recipe of a fit."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cluster_est.errors import ProblemError
+from cluster_est.executors import Executor, executor_class
+from cluster_est.methods.base import Method, Solution
+from cluster_est.methods.least_squares import LeastSquares
+from cluster_est.problem import Problem
+from cluster_est.result import Estimate, Result, Simulation, output_errors
+from cluster_est.runner import Budget, Record, Runner, SearchRequest, Show
+from cluster_est.space import Space, make_space
+from cluster_est.uncertainty import Interval, intervals
+
+
+@dataclass(frozen=True)
+class Resources:
+    """Where a fit runs and how long it may take.
+
+    Attributes
+    ----------
+    executor
+        "local" or "ray".
+    workers
+        None for one with "local", and every core of the cluster with "ray".
+    address
+        Of a Ray cluster; None for this machine alone.
+    budget
+        When to stop.
+    """
+
+    executor: str = "local"
+    workers: int | None = None
+    address: str | None = None
+    budget: Budget = field(default_factory=Budget)
+
+
+def fit(
+    problem: Problem,
+    method: Method | None = None,
+    resources: Resources | None = None,
+    seed: int = 0,
+    record: Record | None = None,
+    show: Show | None = None,
+) -> Result:
+    """Estimate all parameters of a problem from its training experiments, together.
+
+    Values that belong to test records alone are then estimated on those; everything shared stays
+    as the training experiments gave it.
+
+    Parameters
+    ----------
+    problem
+        Model, parameters and experiments.
+    method
+        What picks the points; least squares if None.
+    resources
+        Where simulations run, and the budget.
+    seed
+        Starts the method's random generator.
+    record, show
+        Called for each simulation and whenever something came back; see `Runner`.
+
+    Raises
+    ------
+    ModelError, ProblemError, ExecutorError
+        If model, experiments, method and machine do not fit together.
+    """
+    method = method or LeastSquares()
+    resources = resources or Resources()
+    begin = time.monotonic()
+    description = problem.describe()
+    train = make_space(problem, problem.indices("train"))
+    check_method(method, train)
+    with open_executor(problem, resources) as executor:
+        runner = Runner(executor, resources.budget, record, show)
+        before = _simulate_all(runner, problem, {})
+        (solution,) = runner.run([SearchRequest("train", method, train, seed)])
+        test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
+        test_solution = _fit_test_records(runner, method, test, seed)
+        known = train.estimates(solution.x)
+        if test_solution is not None:
+            known |= test.estimates(test_solution.x)
+        after = _simulate_all(runner, problem, known)
+    units = {name: variable.unit for name, variable in description.variables.items()}
+    estimates = _estimates(train, solution, "train", units) + _fixed(problem, units)
+    if test_solution is not None:
+        estimates += _estimates(test, test_solution, "test", units)
+    return Result(
+        problem=problem,
+        estimates=tuple(estimates),
+        solution=solution,
+        test_solution=test_solution,
+        cost_before=_cost(problem, before),
+        cost=_cost(problem, after),
+        errors=output_errors(problem, before, after, units),
+        simulations=tuple(after),
+        evaluations=runner.evaluations,
+        simulated=runner.simulations,
+        failures=runner.failures,
+        seconds=time.monotonic() - begin,
+    )
+
+
+def simulate(
+    problem: Problem, resources: Resources | None = None, values: dict[str, float] | None = None
+) -> list[Simulation]:
+    """Simulate every experiment once, at the start values or at values given by label."""
+    problem.describe()
+    with open_executor(problem, resources or Resources()) as executor:
+        return _simulate_all(Runner(executor), problem, values or {})
+
+
+def open_executor(problem: Problem, resources: Resources) -> Executor:
+    """Start the workers for a problem."""
+    kind = executor_class(resources.executor)
+    return kind.open(problem.model, problem.experiments, resources.workers, resources.address)
+
+
+def check_method(method: Method, space: Space) -> None:
+    """Refuse a method that cannot solve this problem.
+
+    Raises
+    ------
+    ProblemError
+        If there is nothing to estimate, or the method needs another cost.
+    """
+    if space.size == 0:
+        raise ProblemError(
+            "parameters: at least one must be free to be estimated from the training experiments, "
+            "but all are fixed or known; to simulate only, use: cluster-est simulate"
+        )
+    cost = space.problem.cost
+    if method.needs_sum_of_squares and not cost.sum_of_squares:
+        raise ProblemError(
+            f"method.name: {method.name} needs a cost that is a sum of squares but cost.name is "
+            f"{cost.name!r}; choose another of the two"
+        )
+
+
+def _fit_test_records(runner: Runner, method: Method, space: Space, seed: int) -> Solution | None:
+    """Estimate what belongs to test records alone. None if there is nothing to estimate."""
+    if space.size == 0:
+        return None
+    (solution,) = runner.run([SearchRequest("test", method, space, seed)])
+    return solution
+
+
+def _simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> list[Simulation]:
+    everything = tuple(range(len(problem.experiments)))
+    space = make_space(problem, everything, known)
+    name = "after" if known else "before"
+    outcomes = runner.simulate(space.physical(space.start), everything, "trajectory", name)
+    return [Simulation(e, outcome) for e, outcome in zip(everything, outcomes, strict=True)]
+
+
+def _cost(problem: Problem, simulations: list[Simulation]) -> float:
+    """The cost of the training experiments; NaN if one of them failed."""
+    chosen = [s for s in simulations if problem.experiments[s.experiment].role == "train"]
+    residuals = [s.outcome.residuals for s in chosen if s.outcome.residuals is not None]
+    if len(residuals) < len(chosen):
+        return np.nan
+    return problem.cost.value(np.concatenate(residuals))
+
+
+def _estimates(
+    space: Space, solution: Solution, role: str, units: dict[str, str]
+) -> list[Estimate]:
+    steps = solution.difference_steps
+    found = intervals(space, solution)
+    return [
+        _estimate(space, solution, i, found[i], role, units, np.nan if steps is None else steps[i])
+        for i in range(space.size)
+    ]
+
+
+def _estimate(
+    space: Space,
+    solution: Solution,
+    i: int,
+    interval: Interval,
+    role: str,
+    units: dict[str, str],
+    difference_step: float,
+) -> Estimate:
+    unknown = space.unknowns[i]
+    parameter = unknown.parameter
+    _, _, scope = unknown.label.partition("[")
+    return Estimate(
+        label=unknown.label,
+        parameter=parameter.name,
+        variable=parameter.target,
+        unit=parameter.unit or units.get(parameter.target, ""),
+        scope=scope.removesuffix("]") or "shared",
+        value=unknown.to_physical(float(solution.x[i])),
+        start=unknown.start,
+        lower=parameter.lower,
+        upper=parameter.upper,
+        scale=parameter.scale,
+        at_bound=interval.at_bound,
+        std_error=interval.std_error,
+        lower95=interval.lower95,
+        upper95=interval.upper95,
+        difference_step=float(difference_step),
+        estimated_on=role,
+    )
+
+
+def _fixed(problem: Problem, units: dict[str, str]) -> list[Estimate]:
+    return [
+        Estimate(
+            label=p.name,
+            parameter=p.name,
+            variable=p.target,
+            unit=p.unit or units.get(p.target, ""),
+            scope="shared",
+            value=p.start,
+            start=p.start,
+            lower=p.lower,
+            upper=p.upper,
+            scale=p.scale,
+            at_bound="",
+            std_error=np.nan,
+            lower95=np.nan,
+            upper95=np.nan,
+            difference_step=np.nan,
+            estimated_on="known",
+        )
+        for p in problem.parameters
+        if p.fixed
+    ]

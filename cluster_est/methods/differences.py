@@ -1,0 +1,129 @@
+"""Derivatives of the residuals by finite differences, one point for each colour of unknowns.
+
+The error of a forward difference is the sum of the simulation's noise over the step and of the
+curvature times the step; it is smallest where the relative step is the square root of the relative
+noise, for a central difference the cube root (P. E. Gill, W. Murray, M. H. Wright, Practical
+Optimization (1981), section 8.6). The noise of a simulation is not that of a double: an adaptive
+solver's result jumps by a part of its tolerance whenever its number of steps changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cluster_est.methods.base import Evaluation, Points, Progress
+from cluster_est.space import Space
+from workers.messages import FloatArray, Solver
+
+Scheme = Literal["forward", "central"]
+NOISE_OF_TOLERANCE = 1e-3
+"""Part of an adaptive solver's tolerance by which its result jumps."""
+NOISE_FIXED = 1e-14
+NOISE_UNKNOWN = 1e-11
+"""Of a co-simulation FMU, whose solver nobody sees."""
+
+
+@dataclass(frozen=True)
+class Jacobian:
+    """Derivatives at a point.
+
+    Attributes
+    ----------
+    matrix : (residuals, unknowns)
+        Zero in the columns of frozen unknowns.
+    frozen : (unknowns,)
+        Unknowns whose derivative could not be computed because a simulation failed.
+    steps : (unknowns,)
+        What was added to each unknown.
+    """
+
+    matrix: FloatArray
+    frozen: npt.NDArray[np.bool_]
+    steps: FloatArray
+
+
+def relative_noise(solver: Solver) -> float:
+    """How large the noise of a simulation is, relative to its result."""
+    if solver.name == "rk4":
+        return NOISE_FIXED
+    if solver.name == "dormand_prince":
+        return max(NOISE_FIXED, NOISE_OF_TOLERANCE * (solver.rtol or 1e-8))
+    return max(NOISE_UNKNOWN, NOISE_OF_TOLERANCE * (solver.rtol or 0.0))
+
+
+def difference_steps(space: Space, x: FloatArray, scheme: Scheme, relative: float) -> FloatArray:
+    """A step for each unknown, with the sign that keeps forward differences within the bounds.
+
+    A relative step of 0 takes the one that suits the simulation's noise.
+    """
+    if relative <= 0.0:
+        noise = relative_noise(space.problem.model.solver)
+        relative = noise ** (0.5 if scheme == "forward" else 1.0 / 3.0)
+    logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
+    size = np.where(logarithmic, 1.0, np.maximum(np.abs(x), space.typical))
+    room = np.maximum(space.upper - x, x - space.lower)
+    steps = np.minimum(relative * size, 0.5 * room)
+    steps = (x + steps) - x
+    return np.where(x + steps > space.upper, -steps, steps)
+
+
+def jacobian(
+    space: Space,
+    x: FloatArray,
+    at: Evaluation,
+    scheme: Scheme,
+    relative_step: float,
+    progress: Progress | None,
+) -> Generator[Points, list[Evaluation], Jacobian]:
+    """Ask for the points of a Jacobian and assemble it.
+
+    Parameters
+    ----------
+    space, x, at
+        The point and its evaluation.
+    scheme
+        "forward" costs one evaluation for each colour, "central" two.
+    relative_step
+        0 for the step that suits the solver.
+    """
+    steps = difference_steps(space, x, scheme, relative_step)
+    ahead = np.tile(x, (len(space.colours), 1))
+    behind = ahead.copy()
+    for colour, members in enumerate(space.colours):
+        ahead[colour, members] += steps[members]
+        behind[colour, members] -= steps[members]
+    if scheme == "forward":
+        forward = yield Points(ahead, "jacobian", progress)
+        return _assemble(space, steps, forward, [at] * len(forward))
+    behind = np.clip(behind, space.lower, space.upper)
+    both = yield Points(np.vstack([ahead, behind]), "jacobian_central", progress)
+    return _assemble(space, steps, both[: len(ahead)], both[len(ahead) :], ahead - behind)
+
+
+def _assemble(
+    space: Space,
+    steps: FloatArray,
+    ahead: list[Evaluation],
+    behind: list[Evaluation],
+    widths: FloatArray | None = None,
+) -> Jacobian:
+    """Take each unknown's column from the experiments that it acts on, in its colour's point."""
+    matrix = np.zeros((space.rows[-1].stop if space.rows else 0, space.size))
+    frozen = np.zeros(space.size, dtype=bool)
+    for colour, members in enumerate(space.colours):
+        for i in members.tolist():
+            width = steps[i] if widths is None else widths[colour, i]
+            for e in space.unknowns[i].experiments:
+                high = ahead[colour].outcomes[e].residuals
+                low = behind[colour].outcomes[e].residuals
+                if high is None or low is None or width == 0.0:
+                    frozen[i] = True
+                else:
+                    matrix[space.rows[e], i] = (high - low) / width
+    matrix[:, frozen] = 0.0
+    return Jacobian(matrix, frozen, steps)

@@ -1,0 +1,153 @@
+"""Tables for a terminal."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+from rich.console import Console
+from rich.table import Table
+
+from cluster_est.errors import RunFolderError
+from cluster_est.methods.base import Method
+from cluster_est.problem import Problem
+from cluster_est.result import Simulation
+from cluster_est.space import make_space
+
+
+def print_run(console: Console, run_folder: Path) -> None:
+    """A run's outcome, parameters and errors.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no run.
+    """
+    facts = _read_facts(run_folder)
+    console.print(f"run {run_folder}: {facts['status']}", markup=False, highlight=False)
+    if facts.get("message"):
+        console.print(f"  {facts['message']}", markup=False, highlight=False)
+    if facts.get("evaluations") is not None:
+        console.print(
+            f"  cost {_number(facts['cost_before'])} -> {_number(facts['cost'])} in "
+            f"{facts['iterations']} iterations, {facts['evaluations']} evaluations, "
+            f"{facts['simulations']} simulations ({facts['failures']} failed), "
+            f"{facts['seconds']:.1f} s",
+            highlight=False,
+        )
+    tables = [run_folder / f"{name}.parquet" for name in ("parameters", "errors")]
+    if all(path.is_file() for path in tables):
+        _print_parameters(console, pq.read_table(tables[0]).to_pylist())
+        _print_errors(console, pq.read_table(tables[1]).to_pylist())
+        console.print(f"tables: {run_folder}/*.parquet", markup=False, highlight=False)
+
+
+def print_check(
+    console: Console, problem: Problem, method: Method, simulations: list[Simulation]
+) -> None:
+    """What `check` found: model, unknowns, experiments and one simulation of each."""
+    model = problem.model
+    console.print(
+        f"{model.name}: {model.interface.replace('_', ' ')}, solver {model.solver.name}; "
+        f"method {method.name}",
+        markup=False,
+        highlight=False,
+    )
+    train = make_space(problem, problem.indices("train"))
+    console.print(
+        f"{train.size} unknowns; a forward Jacobian costs {len(train.colours)} points x "
+        f"{len(train.experiments)} experiments",
+        highlight=False,
+    )
+    rows = []
+    for simulation in simulations:
+        experiment, outcome = problem.experiments[simulation.experiment], simulation.outcome
+        rows.append(
+            (
+                experiment.id,
+                experiment.role,
+                f"{experiment.start:g} .. {experiment.stop:g}",
+                str(experiment.size),
+                _number(outcome.seconds * 1e3),
+                outcome.message or str(outcome.status),
+            )
+        )
+    _print(console, ["experiment", "role", "seconds", "samples", "ms", "simulated"], rows)
+
+
+def _read_facts(run_folder: Path) -> dict[str, Any]:
+    path = run_folder / "run.json"
+    if not path.is_file():
+        raise RunFolderError(f"{run_folder}: must be the folder of a run but has no run.json")
+    try:
+        facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        facts["status"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise RunFolderError(f"{path}: is damaged ({error}); run again") from error
+    return facts
+
+
+def _print_parameters(console: Console, rows: list[dict[str, Any]]) -> None:
+    header = ["parameter", "value", "95 % interval", "unit", "start", "on", ""]
+    _print(
+        console,
+        header,
+        [
+            (
+                row["label"],
+                _number(row["value"]),
+                _interval(row),
+                row["unit"],
+                _number(row["start"]),
+                row["estimated_on"],
+                f"at its {row['at_bound']} bound" if row["at_bound"] else "",
+            )
+            for row in rows
+        ],
+    )
+
+
+def _print_errors(console: Console, rows: list[dict[str, Any]]) -> None:
+    header = ["experiment", "role", "output", "samples", "RMSE before", "after", "unit", "relative"]
+    _print(
+        console,
+        header,
+        [
+            (
+                row["experiment"],
+                row["role"],
+                row["output"],
+                str(row["samples"]),
+                _number(row["rmse_before"]),
+                _number(row["rmse_after"]),
+                row["unit"],
+                f"{100 * row['relative_after']:.3g} %",
+            )
+            for row in rows
+        ],
+    )
+
+
+def _print(console: Console, header: list[str], rows: Iterable[Iterable[str]]) -> None:
+    table = Table(box=None, pad_edge=False, show_edge=False)
+    for name in header:
+        table.add_column(name, no_wrap=name != "simulated")
+    for row in rows:
+        table.add_row(*(cell.replace("[", r"\[") for cell in row))
+    console.print()
+    console.print(table, highlight=False)
+
+
+def _number(value: float | None) -> str:
+    return "failed" if value is None or math.isnan(value) else f"{value:.6g}"
+
+
+def _interval(row: dict[str, Any]) -> str:
+    low, high = row["lower95"], row["upper95"]
+    if row["estimated_on"] == "known" or row["at_bound"]:
+        return ""
+    return "not determined" if math.isnan(low) else f"{low:.5g} .. {high:.5g}"

@@ -1,0 +1,178 @@
+"""What is to be estimated, from which experiments, with which model."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Literal
+
+from cluster_est.costs.base import Cost
+from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.errors import ProblemError
+from workers.description import Description, describe, nearest
+from workers.messages import Experiment, Model
+
+Scale = Literal["linear", "log"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A value to estimate: a parameter of the model or an initial state.
+
+    Attributes
+    ----------
+    name
+        What the user calls it.
+    start
+        Where the estimation starts; the value itself if `fixed`.
+    lower, upper
+        Bounds, in the same physical unit as `start`.
+    scale
+        "log" for a positive value whose order of magnitude is in doubt: methods then see its
+        logarithm.
+    fixed
+        Keep it at `start`.
+    variable
+        The FMU's name for it; `name` if empty.
+    per
+        None: one value for all experiments. "experiment": one for each. "group:KEY": one for each
+        label that the experiments have under KEY.
+    unit
+        For tables; filled in from the FMU if empty.
+    """
+
+    name: str
+    start: float
+    lower: float = -math.inf
+    upper: float = math.inf
+    scale: Scale = "linear"
+    fixed: bool = False
+    variable: str = ""
+    per: str | None = None
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"parameters.{self.name}"
+        if not math.isfinite(self.start):
+            raise ProblemError(f"{where}.start: must be a finite number but is {self.start}")
+        if not self.lower < self.upper:
+            raise ProblemError(
+                f"{where}.bounds: the lower bound must be below the upper one but they are "
+                f"[{self.lower:g}, {self.upper:g}]; to keep a value use fixed = true"
+            )
+        if not self.lower <= self.start <= self.upper:
+            raise ProblemError(
+                f"{where}.start: must lie in its bounds [{self.lower:g}, {self.upper:g}] but is "
+                f"{self.start:g}; move the start or widen the bounds"
+            )
+        if self.scale == "log" and (self.start <= 0.0 or self.upper <= 0.0):
+            raise ProblemError(
+                f"{where}.scale: a log scale needs a positive start and bounds but the start is "
+                f'{self.start:g}; use scale = "linear" or positive values'
+            )
+        if self.per is not None and self.per != "experiment" and not self.per.startswith("group"):
+            raise ProblemError(
+                f'{where}.per: must be "experiment" or "group:KEY" but is {self.per!r}'
+            )
+
+    @property
+    def target(self) -> str:
+        """The FMU's variable."""
+        return self.variable or self.name
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One joint estimation: a model, what to estimate in it, and from what.
+
+    Raises
+    ------
+    ProblemError
+        If names repeat, or experiments and parameters contradict each other.
+    """
+
+    model: Model
+    parameters: tuple[Parameter, ...]
+    experiments: tuple[Experiment, ...]
+    cost: Cost = field(default_factory=SumSquared)
+
+    def __post_init__(self) -> None:
+        _refuse_repeated("experiment id", [e.id for e in self.experiments])
+        _refuse_repeated("parameter", [p.name for p in self.parameters])
+        _refuse_repeated("variable", [p.target for p in self.parameters])
+        if tuple(p.target for p in self.parameters) != self.model.parameters:
+            raise ProblemError("the model's parameters must be the problem's, in the same order")
+        if not any(e.role == "train" for e in self.experiments):
+            raise ProblemError(
+                'experiments: at least one must have role = "train" but none has; parameters '
+                "are estimated from those"
+            )
+        for experiment in self.experiments:
+            if experiment.size == 0:
+                raise ProblemError(
+                    f"experiment {experiment.id!r}: must have at least one measured value between "
+                    f"{experiment.start:g} and {experiment.stop:g} s but has none"
+                )
+
+    def indices(self, role: str) -> tuple[int, ...]:
+        """Which experiments have this role."""
+        return tuple(i for i, e in enumerate(self.experiments) if e.role == role)
+
+    def describe(self) -> Description:
+        """Read the FMU's description and check every name against it.
+
+        Raises
+        ------
+        ModelError, ProblemError
+            If the FMU lacks a variable or does not allow it to be used in this way.
+        """
+        description = describe(self.model.name, self.model.archive)
+        check_variables(self, description)
+        return description
+
+
+def check_variables(problem: Problem, description: Description) -> None:
+    """Check that the FMU has every variable and lets it be used as the problem wants."""
+    for parameter in problem.parameters:
+        _check_start(description, parameter.target, f"parameters.{parameter.name}", real=True)
+    for experiment in problem.experiments:
+        where = f"experiment {experiment.id!r}"
+        for name, _ in experiment.values:
+            _check_start(description, name, f"{where}.values", real=False)
+        for given in experiment.inputs:
+            variable = description.variable(given.variable, f"{where}.inputs")
+            if variable.causality != "input":
+                inputs = [v.name for v in description.inputs()]
+                raise ProblemError(
+                    f"{where}.inputs: {given.variable!r} must be an input of {description.file} "
+                    f"but is a {variable.causality}{nearest(given.variable, inputs)}"
+                )
+        for output in experiment.outputs:
+            variable = description.variable(output.variable, f"{where}.outputs")
+            if variable.kind != "real":
+                raise ProblemError(
+                    f"{where}.outputs: {output.variable!r} must be a real variable of "
+                    f"{description.file} but is of type {variable.kind}"
+                )
+
+
+def _check_start(description: Description, name: str, where: str, *, real: bool) -> None:
+    variable = description.variable(name, where)
+    if not variable.settable:
+        raise ProblemError(
+            f"{where}: {name!r} must be a variable whose start value can be set, but "
+            f"{description.file} computes it ({variable.causality}); choose a parameter or an "
+            "initial state"
+        )
+    if real and variable.kind != "real":
+        raise ProblemError(
+            f"{where}: {name!r} must be a real variable to be estimated but is of type "
+            f"{variable.kind}; give it as a known value instead"
+        )
+
+
+def _refuse_repeated(what: str, names: list[str]) -> None:
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    if repeated:
+        raise ProblemError(f"each {what} must appear once but {repeated[0]!r} appears twice")

@@ -1,0 +1,277 @@
+"""The run folder: everything that a run leaves behind, as Arrow tables and two text files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import platform
+import shutil
+import sys
+import time
+from collections import defaultdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluster_est.errors import RunFolderError
+from cluster_est.evaluation_log import EvaluationLog
+from cluster_est.methods.base import Progress
+from cluster_est.problem import Problem
+from cluster_est.result import Result, Simulation
+from cluster_est.runner import Origin, Snapshot
+from workers.messages import Outcome, content_hash
+
+LIBRARIES = ("cluster-est", "fmpy", "numba", "numpy", "pyarrow", "ray", "scipy")
+FORMAT = "1"
+
+
+class RunFolder:
+    """Writes a run while it goes on.
+
+    Parameters
+    ----------
+    path
+        Must not hold a run yet, unless `overwrite`.
+    problem
+        What is run.
+    config_text
+        The resolved config as TOML.
+    config_hash
+        Hash of what determines the result.
+    seed
+        Of the method.
+
+    Raises
+    ------
+    RunFolderError
+        If the folder holds something already or cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        problem: Problem,
+        config_text: str,
+        config_hash: str,
+        seed: int,
+        *,
+        overwrite: bool = False,
+    ) -> None:
+        check_free(path, overwrite=overwrite)
+        self.path = path
+        self._problem, self._seed = problem, seed
+        self._metadata = {"cluster_est.config_hash": config_hash, "cluster_est.format": FORMAT}
+        self._config_hash = config_hash
+        self._iterations: list[dict[str, Any]] = []
+        self._seen: dict[str, Progress] = {}
+        self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+        self._begin = time.time()
+        if overwrite and path.exists():
+            _remove_run(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            (path / "config.toml").write_text(config_text, encoding="utf-8")
+        except OSError as error:
+            raise RunFolderError(f"{path}: cannot be written ({error}); choose another") from error
+        experiments = [(e.id, e.key) for e in problem.experiments]
+        self._log = EvaluationLog(
+            path / "evaluations", problem.model.key, experiments, self._metadata
+        )
+        self._write_status("running", {})
+
+    def record(self, origin: Origin, outcome: Outcome) -> None:
+        """Log one simulation."""
+        self._log.record(origin, outcome)
+        worker = self._workers[outcome.worker]
+        worker["simulations"] += 1
+        worker["failures"] += not outcome.ok
+        worker["busy_seconds"] += outcome.seconds
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Keep a line of the iteration table when an iteration has ended."""
+        progress = snapshot.progress
+        if self._seen.get(snapshot.search) != progress and np.isfinite(progress.cost):
+            self._seen[snapshot.search] = progress
+            row = {"search": snapshot.search, **dataclasses.asdict(progress)}
+            self._iterations.append(row | {"evaluations": snapshot.evaluations})
+
+    def write(self, result: Result) -> None:
+        """Write all tables at the end of a run."""
+        self._log.close()
+        table = self._table
+        table("parameters", [dataclasses.asdict(e) for e in result.estimates])
+        table("errors", [dataclasses.asdict(e) for e in result.errors])
+        self._write_iterations(result)
+        rows = [{"worker": name, **numbers} for name, numbers in sorted(self._workers.items())]
+        table("workers", [row | {"seconds": result.seconds} for row in rows])
+        self._write_table("residuals", residual_table(result.problem, result.simulations))
+        self._write_table("trajectories", trajectory_table(result.problem, result.simulations))
+        self._write_status(_status(result), _numbers(result))
+
+    def abandon(self, reason: str) -> None:
+        """Close the log of a run that ended with an error, and say so."""
+        self._log.close()
+        self._write_status("failed", {"message": reason})
+
+    def _write_iterations(self, result: Result) -> None:
+        """The iterations, and each search's end as its last row."""
+        rows = [{**row, "ending": ""} for row in self._iterations]
+        solutions = {"train": result.solution, "test": result.test_solution}
+        for name, solution in solutions.items():
+            if solution is not None:
+                last = Progress(solution.iterations, solution.cost)
+                rows.append(
+                    {
+                        "search": name,
+                        **dataclasses.asdict(last),
+                        "evaluations": result.evaluations,
+                        "ending": solution.ending.name.lower(),
+                    }
+                )
+        self._table("searches", rows)
+
+    def _table(self, name: str, rows: list[dict[str, Any]]) -> None:
+        self._write_table(name, pa.Table.from_pylist(rows) if rows else pa.table({}))
+
+    def _write_table(self, name: str, table: pa.Table) -> None:
+        metadata = {**(table.schema.metadata or {}), **self._metadata}
+        partial = self.path / f".{name}.parquet"
+        pq.write_table(table.replace_schema_metadata(metadata), partial)
+        partial.rename(self.path / f"{name}.parquet")
+
+    def _write_status(self, status: str, numbers: dict[str, Any]) -> None:
+        facts = {
+            "format": FORMAT,
+            "status": status,
+            "verdict": None,
+            **numbers,
+            "seed": self._seed,
+            "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._begin)),
+            "config_hash": self._config_hash,
+            "fmu": {
+                "name": self._problem.model.name,
+                "sha256": self._problem.model.archive_hash,
+                "interface": self._problem.model.interface,
+                "solver": self._problem.model.solver.name,
+            },
+            "experiments": {e.id: e.key for e in self._problem.experiments},
+            "versions": versions(),
+        }
+        partial = self.path / ".run.json"
+        partial.write_text(json.dumps(_finite(facts), indent=2) + "\n", encoding="utf-8")
+        partial.rename(self.path / "run.json")
+
+
+def check_free(path: Path, *, overwrite: bool) -> None:
+    """Refuse a folder that holds something, before anything is computed.
+
+    Raises
+    ------
+    RunFolderError
+        If it is a file, or holds a run and `overwrite` is false, or holds something else.
+    """
+    if path.exists() and not path.is_dir():
+        raise RunFolderError(f"{path}: must be a folder but is a file; choose another --out")
+    if not path.is_dir() or not any(path.iterdir()):
+        return
+    if not (path / "run.json").is_file():
+        raise RunFolderError(f"{path}: must be new or empty but holds other files; choose another")
+    if not overwrite:
+        raise RunFolderError(
+            f"{path}: holds a run already; choose another --out, or replace it with --overwrite"
+        )
+
+
+def residual_table(problem: Problem, simulations: tuple[Simulation, ...]) -> pa.Table:
+    """Measured, simulated and residual at each measured time."""
+    columns: dict[str, list[Any]] = defaultdict(list)
+    for simulation in simulations:
+        residuals = simulation.outcome.residuals
+        experiment = problem.experiments[simulation.experiment]
+        first = 0
+        for output in experiment.outputs:
+            count = len(output.times)
+            part = np.full(count, np.nan) if residuals is None else residuals[first : first + count]
+            first += count
+            columns["experiment"].append(np.full(count, experiment.id))
+            columns["role"].append(np.full(count, experiment.role))
+            columns["output"].append(np.full(count, output.variable))
+            columns["time"].append(output.times)
+            columns["measured"].append(output.values)
+            columns["simulated"].append(output.values - part * output.sigma)
+            columns["residual"].append(part)
+    return pa.table({name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def trajectory_table(problem: Problem, simulations: tuple[Simulation, ...]) -> pa.Table:
+    """Simulated outputs at every time of each experiment's grid."""
+    columns: dict[str, list[Any]] = defaultdict(list)
+    for simulation in simulations:
+        trajectory = simulation.outcome.trajectory
+        if trajectory is None:
+            continue
+        experiment = problem.experiments[simulation.experiment]
+        for j, variable in enumerate(trajectory.variables):
+            columns["experiment"].append(np.full(len(trajectory.times), experiment.id))
+            columns["output"].append(np.full(len(trajectory.times), variable))
+            columns["time"].append(trajectory.times)
+            columns["simulated"].append(trajectory.values[:, j])
+    return pa.table({name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a result may depend on."""
+    found = {"python": platform.python_version(), "platform": sys.platform}
+    for library in LIBRARIES:
+        try:
+            found[library] = version(library)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def hash_config(parts: dict[str, Any]) -> str:
+    """Hash of a config without where and for how long it runs, which change no result."""
+    kept = {k: v for k, v in parts.items() if k not in ("executor", "budget")}
+    return content_hash([json.dumps(kept, sort_keys=True, default=str)])
+
+
+def _status(result: Result) -> str:
+    if result.interrupted:
+        return "interrupted"
+    return "done" if result.success else "not converged"
+
+
+def _numbers(result: Result) -> dict[str, Any]:
+    return {
+        "ending": result.solution.ending.name.lower(),
+        "message": result.solution.message or str(result.solution.ending),
+        "cost_before": result.cost_before,
+        "cost": result.cost,
+        "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
+        "iterations": result.solution.iterations,
+        "evaluations": result.evaluations,
+        "simulations": result.simulated,
+        "failures": result.failures,
+        "seconds": result.seconds,
+    }
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN: null stands for it."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def _remove_run(path: Path) -> None:
+    """Remove what a run wrote, and nothing else."""
+    shutil.rmtree(path / "evaluations", ignore_errors=True)
+    for file in [*path.glob("*.parquet"), path / "run.json", path / "config.toml"]:
+        file.unlink(missing_ok=True)
