@@ -6,10 +6,11 @@ from cluster_est.build import build_problem
 from cluster_est.config import parse_config, read_config
 from cluster_est.data import read_table
 from cluster_est.errors import ClusterEstError
-from cluster_est.fit import Resources, fit, simulate
+from cluster_est.fit import fit, simulate
 from cluster_est.methods.least_squares import LeastSquares
 from cluster_est.methods.scipy_least_squares import ScipyLeastSquares
 from cluster_est.problem import Parameter, Problem
+from cluster_est.resources import Resources
 from cluster_est.result import Estimate, OutputError, Result
 from cluster_est.runner import Budget
 from workers.messages import Experiment, Input, Model, Output, Solver

@@ -12,9 +12,9 @@ from cluster_est.config import Config, ExperimentSection, InputSection, find_fil
 from cluster_est.costs import COSTS
 from cluster_est.data import Table, check_times, read_table
 from cluster_est.errors import ConfigError, DataError, ModelError
-from cluster_est.fit import Resources
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.problem import Parameter, Problem
+from cluster_est.resources import Resources
 from cluster_est.runner import Budget
 from workers.description import Description, describe, nearest
 from workers.messages import (
@@ -216,7 +216,7 @@ class _Reader:
         else:
             used = [*section.outputs.values()]
             count = len(self._column(used[0])) if used else 0
-            times = np.arange(count) * float(section.sample_time or 1.0)
+            times = np.arange(count, dtype=np.float64) * (section.sample_time or 1.0)
         if len(times) < 2:
             raise DataError(
                 f"{self._where}: must use at least two rows of {self._table.path} but uses "

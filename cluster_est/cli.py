@@ -20,7 +20,7 @@ DONE, NO_SOLUTION, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
-    options = _parser().parse_args(arguments)
+    options = _parse(arguments)
     errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
     try:
         code: int = options.run(options)
@@ -31,6 +31,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         errors.print("cluster-est: interrupted")
         return INTERRUPTED
     return code
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Parse, with key=value arguments anywhere, before and after the options."""
+    parser = _parser()
+    options, rest = parser.parse_known_args(arguments)
+    for argument in rest:
+        if argument.startswith("-") or "=" not in argument or "overrides" not in options:
+            parser.error(f"unrecognized argument: {argument}; overrides are written key=value")
+    if rest:
+        options.overrides = [*options.overrides, *rest]
+    return options
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -13,12 +13,13 @@ from rich.console import Console
 from cluster_est.build import build_method, build_problem, build_resources
 from cluster_est.config import Config, read_config
 from cluster_est.errors import ClusterEstError, RunFolderError
-from cluster_est.fit import Resources, check_method
+from cluster_est.fit import check_method
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
 from cluster_est.printing import print_check, print_run
 from cluster_est.problem import Problem
 from cluster_est.progress import ProgressLine
+from cluster_est.resources import Resources
 from cluster_est.run_folder import (
     RunFolder,
     check_free,

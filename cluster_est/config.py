@@ -150,10 +150,10 @@ class Config(_Section):
         default_factory=dict, description="known values of all experiments, by FMU name"
     )
     experiments: list[ExperimentSection] = Field(min_length=1, description="measured runs")
-    cost: CostSection = Field(default_factory=CostSection, description="what is minimised")
-    method: MethodSection = Field(default_factory=MethodSection, description="how")
-    executor: ExecutorSection = Field(default_factory=ExecutorSection, description="where")
-    budget: BudgetSection = Field(default_factory=BudgetSection, description="for how long")
+    cost: CostSection = Field(CostSection(), description="what is minimised")
+    method: MethodSection = Field(MethodSection(), description="how")
+    executor: ExecutorSection = Field(ExecutorSection(), description="where")
+    budget: BudgetSection = Field(BudgetSection(), description="for how long")
 
 
 def read_config(path: Path, overrides: list[str] | None = None) -> Config:
@@ -287,7 +287,7 @@ def _section(parts: list[str]) -> type[BaseModel] | None:
     if parts[0] == "parameters":
         return ParameterSection
     if parts[0] == "experiments":
-        nested = {"columns": ColumnSection, "inputs": InputSection}
+        nested: dict[str, type[BaseModel]] = {"columns": ColumnSection, "inputs": InputSection}
         return nested.get(parts[2], ExperimentSection) if len(parts) > 2 else ExperimentSection
     return named.get(parts[0])
 

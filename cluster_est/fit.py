@@ -3,41 +3,18 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.executors import Executor, executor_class
 from cluster_est.methods.base import Method, Solution
 from cluster_est.methods.least_squares import LeastSquares
 from cluster_est.problem import Problem
+from cluster_est.resources import Resources, open_executor
 from cluster_est.result import Estimate, Result, Simulation, output_errors
-from cluster_est.runner import Budget, Record, Runner, SearchRequest, Show
+from cluster_est.runner import Record, Runner, SearchRequest, Show
 from cluster_est.space import Space, make_space
 from cluster_est.uncertainty import Interval, intervals
-
-
-@dataclass(frozen=True)
-class Resources:
-    """Where a fit runs and how long it may take.
-
-    Attributes
-    ----------
-    executor
-        "local" or "ray".
-    workers
-        None for one with "local", and every core of the cluster with "ray".
-    address
-        Of a Ray cluster; None for this machine alone.
-    budget
-        When to stop.
-    """
-
-    executor: str = "local"
-    workers: int | None = None
-    address: str | None = None
-    budget: Budget = field(default_factory=Budget)
 
 
 def fit(
@@ -114,12 +91,6 @@ def simulate(
     problem.describe()
     with open_executor(problem, resources or Resources()) as executor:
         return _simulate_all(Runner(executor), problem, values or {})
-
-
-def open_executor(problem: Problem, resources: Resources) -> Executor:
-    """Start the workers for a problem."""
-    kind = executor_class(resources.executor)
-    return kind.open(problem.model, problem.experiments, resources.workers, resources.address)
 
 
 def check_method(method: Method, space: Space) -> None:

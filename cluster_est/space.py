@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -109,7 +110,7 @@ class Space:
         """Where each experiment's residuals stand in the residuals of a point."""
         sizes = [self.problem.experiments[e].size for e in self.experiments]
         ends = np.cumsum([0, *sizes]).tolist()
-        return tuple(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        return tuple(slice(a, b) for a, b in pairwise(ends))
 
     @cached_property
     def acts_on(self) -> npt.NDArray[np.bool_]:

@@ -80,9 +80,9 @@ class Evaluator:
         record = self._simulator.run(experiment, values)
         residuals = self._residuals.residuals(ready.grid, record.outputs)
         seconds = (time.perf_counter() - begin) / len(ids)
-        finite = np.isfinite(residuals).all(axis=1)
+        finite = [bool(np.isfinite(row).all()) for row in residuals]
         return [
-            self._outcome(task, ready, record, p, residuals[p], bool(finite[p]), want, seconds)
+            self._outcome(task, ready, record, p, residuals[p], finite[p], want, seconds)
             for p, task in enumerate(ids.tolist())
         ]
 

@@ -109,9 +109,9 @@ class Instance:
         exchange = self._model.interface == "model_exchange"
         used = _BOTH | (_ONLY_MODEL_EXCHANGE if exchange else _ONLY_CO_SIMULATION)
         unused = _ONLY_CO_SIMULATION if exchange else _ONLY_MODEL_EXCHANGE
-        handle = self._fmu.component
+        handle: int = self._fmu.component
         return Component(
-            handle=handle.value if isinstance(handle, c_void_p) else int(handle),
+            handle=int(handle),
             interpolates_inputs=self._description.interpolates_inputs,
             completes_steps=self._description.completes_steps,
             **{field: _address(self._fmu.dll, name) for field, name in used.items()},

@@ -43,7 +43,8 @@ class Grid(NamedTuple):
 def build_grid(experiment: Experiment) -> Grid:
     """Lay all signals of an experiment on one grid."""
     start, stop = experiment.start, experiment.stop
-    knots = [signal.times for signal in (*experiment.inputs, *experiment.outputs)]
+    knots = [given.times for given in experiment.inputs]
+    knots += [output.times for output in experiment.outputs]
     times = np.unique(np.concatenate([*knots, [start, stop]]))
     times = times[(times >= start) & (times <= stop)]
     inputs = [_sample(given, times) for given in experiment.inputs]

@@ -39,7 +39,7 @@ class LocalExecutor(Executor):
         model: Model,
         experiments: tuple[Experiment, ...],
         workers: int | None,
-        address: str | None,  # noqa: ARG003
+        address: str | None,
     ) -> Self:
         count = workers or 1
         if count > 1 and describe(model.name, model.archive).once_per_process:

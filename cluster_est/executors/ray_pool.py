@@ -101,7 +101,9 @@ class RayPool(Executor):
     def _start_actor(self) -> None:
         name = f"ray-{self._started}"
         self._started += 1
-        self._actors[name] = Worker.remote(self._model, self._experiments, name)
+        self._actors[name] = Worker.remote(  # type: ignore[attr-defined]
+            self._model, self._experiments, name
+        )
 
     def _fill(self) -> None:
         """Give every actor its share of what waits, those with the least in flight first."""

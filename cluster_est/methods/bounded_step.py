@@ -34,7 +34,8 @@ class StepSolver:
         lower: FloatArray,
         upper: FloatArray,
     ) -> None:
-        self._triangle = np.linalg.qr(np.column_stack([matrix, residuals]), mode="r")
+        joined = np.column_stack([matrix, residuals])
+        self._triangle = np.asarray(np.linalg.qr(joined, mode="r"), np.float64)
         self._scale, self._lower, self._upper = scale, lower, upper
 
     def step(self, damping: float) -> FloatArray:

@@ -73,7 +73,7 @@ class LeastSquares(Method):
     differences: Literal["auto", "forward", "central"] = "auto"
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:  # noqa: ARG002
+    def search(self, space: Space, generator: np.random.Generator) -> Search:
         x = space.start
         (at,) = yield Points(x[None, :], "start", Progress(0, np.nan))
         if not at.ok:

@@ -19,7 +19,7 @@ FAILED_RESIDUAL = 1e100
 """SciPy knows no failed evaluation: it is told of a residual so large that it shortens its step."""
 
 
-class _StartFailed(Exception):
+class _StartFailedError(Exception):
     pass
 
 
@@ -53,7 +53,7 @@ class ScipyLeastSquares(Method):
     differences: Literal["forward", "central"] = "forward"
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:  # noqa: ARG002
+    def search(self, space: Space, generator: np.random.Generator) -> Search:
         bounded = np.isfinite(space.lower).any() or np.isfinite(space.upper).any()
         if self.algorithm == "lm" and bounded:
             raise ProblemError(
@@ -86,7 +86,7 @@ class ScipyLeastSquares(Method):
                 x_scale="jac",
                 max_nfev=self.max_evaluations or None,
             )
-        except _StartFailed as failure:
+        except _StartFailedError as failure:
             return Solution(space.start, np.nan, Ending.START_FAILED, str(failure))
         return Solution(
             x=result.x,
@@ -115,7 +115,7 @@ class _Known:
             purpose = "start" if first else "trial"
             (at,) = self._ask(Points(x[None, :].copy(), purpose, self.progress))
             if first and not at.ok:
-                raise _StartFailed(at.reason)
+                raise _StartFailedError(at.reason)
             self._x, self._at = x.copy(), at
             if at.ok and not at.cost >= self.progress.cost:
                 self.progress = Progress(0 if first else self.progress.iteration + 1, at.cost)

@@ -55,7 +55,7 @@ def dormand_prince_batch(  # type: ignore[no-untyped-def]
 @kernel
 def _dormand_prince(c, references, constants, settings, grid, point, work, record):  # type: ignore[no-untyped-def]
     times, k = grid.times, work.stages
-    code = start(c, references, constants, settings, grid, point, work)
+    code = start(c, references, constants, grid, point, work)
     if code != FINISHED:
         return code, times[0]
     proposed, steps_left = 0.0, settings.max_steps

@@ -1,4 +1,4 @@
-"""From a used instance to one at the start of a simulation, in the order of the FMI 2.0 standard."""
+"""From a used instance to the start of a simulation, in the order of the FMI 2.0 standard."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ MAX_EVENT_ITERATIONS = 100
 
 
 @inlined
-def start(c, references, constants, settings, grid, point, work):  # type: ignore[no-untyped-def]
+def start(c, references, constants, grid, point, work):  # type: ignore[no-untyped-def]
     """Initialise, iterate the initial event to its end, and fetch the states."""
     status = initialise(c, references, constants, point, grid.inputs[0], 0.0, grid.times[0])
     info = work.event_info

@@ -37,7 +37,7 @@ def rk4_batch(c, references, constants, settings, grid, points, work, outputs, c
 @kernel
 def _rk4(c, references, constants, settings, grid, point, work, record):  # type: ignore[no-untyped-def]
     times, states = grid.times, work.states
-    code = start(c, references, constants, settings, grid, point, work)
+    code = start(c, references, constants, grid, point, work)
     if code != FINISHED:
         return code, times[0]
     for i in range(len(times)):

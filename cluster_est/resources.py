@@ -1,0 +1,37 @@
+"""Where a run happens, and for how long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from cluster_est.executors import Executor, executor_class
+from cluster_est.problem import Problem
+from cluster_est.runner import Budget
+
+
+@dataclass(frozen=True)
+class Resources:
+    """Where a fit runs and how long it may take.
+
+    Attributes
+    ----------
+    executor
+        "local" or "ray".
+    workers
+        None for one with "local", and every core of the cluster with "ray".
+    address
+        Of a Ray cluster; None for this machine alone.
+    budget
+        When to stop.
+    """
+
+    executor: str = "local"
+    workers: int | None = None
+    address: str | None = None
+    budget: Budget = field(default_factory=Budget)
+
+
+def open_executor(problem: Problem, resources: Resources) -> Executor:
+    """Start the workers for a problem."""
+    kind = executor_class(resources.executor)
+    return kind.open(problem.model, problem.experiments, resources.workers, resources.address)
