@@ -114,7 +114,7 @@ class EvaluationLog:
 
     def _batch(self) -> pa.RecordBatch:
         origins, outcomes = zip(*self._rows, strict=True)
-        sums = [np.nan if o.residuals is None else float(np.dot(o.residuals, o.residuals))
+        sums = [np.nan if o.residuals is None else float(np.add.reduce(o.residuals**2))
                 for o in outcomes]  # fmt: skip
         names = [self._experiments[origin.experiment] for origin in origins]
         keys = [

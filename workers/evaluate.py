@@ -78,7 +78,8 @@ class Evaluator:
         ready = self._simulator.installed(experiment)
         begin = time.perf_counter()
         record = self._simulator.run(experiment, values)
-        residuals = self._residuals.residuals(ready.grid, record.outputs)
+        with np.errstate(over="ignore"):  # what overflows has a status of its own
+            residuals = self._residuals.residuals(ready.grid, record.outputs)
         seconds = (time.perf_counter() - begin) / len(ids)
         finite = [bool(np.isfinite(row).all()) for row in residuals]
         return [
@@ -113,6 +114,8 @@ class Evaluator:
 
 
 def _where_not_finite(ready: Installed, outputs: FloatArray) -> str:
+    if np.isfinite(outputs).all():
+        return "the outputs are finite but too large for their residuals to be"
     row, column = np.argwhere(~np.isfinite(outputs))[0]
     return (
         f"output {ready.outputs[column]!r} is {outputs[row, column]} from "

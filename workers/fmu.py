@@ -65,6 +65,7 @@ class Instance:
         _check_platform(description)
         self._folder = unpack(model.name, model.archive, model.archive_hash)
         self.log: deque[str] = deque(maxlen=20)
+        self._freed = False
         self._fmu = self._load()
         self.component = self._addresses()
 
@@ -77,9 +78,11 @@ class Instance:
         self.component = self._addresses()
 
     def free(self) -> None:
-        """Free the instance and unload its library."""
+        """Free the instance and unload its library. Again does nothing: it would be freed twice."""
         with _loading:
-            self._fmu.freeInstance()
+            if not self._freed:
+                self._freed = True
+                self._fmu.freeInstance()
 
     def _load(self) -> FMU2Model | FMU2Slave:
         raw = self._description.raw

@@ -93,13 +93,18 @@ class Simulator:
         messages = [""] * len(rows)
         tried = 0
         while tried < len(rows):
-            left = slice(tried, None)
+            self.instance.log.clear()
+            first, left = tried, slice(tried, None)
             tried += self._call(ready, rows[left], outputs[left], codes[left], stopped_at[left])
             last = tried - 1
-            if codes[last] != failure.FINISHED:
+            if codes[last] == failure.FINISHED:
+                break
+            if codes[last] >= failure.FATAL:
+                self.instance.renew()
+            if last > first and self.instance.log:
+                tried = last  # again, alone: its neighbours may have said some of this
+            else:
                 messages[last] = self._explain(int(codes[last]), float(stopped_at[last]))
-                if codes[last] >= failure.FATAL:
-                    self.instance.renew()
         return Record(outputs, messages, codes)
 
     def close(self) -> None:
@@ -129,7 +134,6 @@ class Simulator:
 
     def _explain(self, code: int, time: float) -> str:
         said = " | ".join(dict.fromkeys(self.instance.log))
-        self.instance.log.clear()
         sentence = f"{failure.SENTENCES[code % failure.FATAL]} at t = {time:.9g} s"
         return f"{sentence}; it said: {said}" if said else sentence
 

@@ -1,8 +1,8 @@
 """Simulations in Ray actors, one for each core, on this machine or a cluster.
 
 Two batches are in flight for each actor, so that it never waits for the coordinator. An actor that
-dies is replaced, and its tasks are asked again in halves until the one that killed it stands alone:
-that one becomes an outcome with the status "crash".
+dies is replaced, and each task that it had is asked again with nothing else in flight on the same
+actor: the one that kills its actor even then becomes an outcome with the status "crash".
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+from collections import Counter, deque
 from collections.abc import Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import ray
 from ray.exceptions import RayActorError, RayError, RayTaskError
@@ -23,6 +24,14 @@ from workers.actor import Worker
 from workers.messages import Batch, Experiment, Model, Outcome, Status, Task
 
 IN_FLIGHT = 2
+
+
+class _Flight(NamedTuple):
+    """A batch on an actor. If `alone`, nothing else is in flight there and it has one task."""
+
+    actor: str
+    batch: Batch
+    alone: bool
 
 
 class RayPool(Executor):
@@ -44,8 +53,8 @@ class RayPool(Executor):
         self._experiments = ray.put(experiments)
         self._backlog = Backlog(shares=IN_FLIGHT * workers)
         self._actors: dict[str, Any] = {}
-        self._flying: dict[Any, tuple[str, Batch]] = {}
-        self._lost: list[Outcome] = []
+        self._flying: dict[Any, _Flight] = {}
+        self._suspects: deque[Task] = deque()
         self._started = 0
         for _ in range(workers):
             self._start_actor()
@@ -75,20 +84,18 @@ class RayPool(Executor):
         self._fill()
 
     def completed(self) -> list[Outcome]:
-        if not self._flying:
-            return self._take_lost()
-        done, _ = ray.wait(list(self._flying), num_returns=1)
-        also, _ = ray.wait(list(self._flying), num_returns=len(self._flying), timeout=0)
         outcomes: list[Outcome] = []
-        for reference in dict.fromkeys([*done, *also]):
-            if reference in self._flying:
+        while self._flying and not outcomes:
+            done, _ = ray.wait(list(self._flying), num_returns=1)
+            also, _ = ray.wait(list(self._flying), num_returns=len(self._flying), timeout=0)
+            for reference in dict.fromkeys([*done, *also]):
                 outcomes += self._collect(reference)
-        self._fill()
-        return outcomes + self._take_lost()
+            self._fill()
+        return outcomes
 
     @property
     def busy(self) -> int:
-        return len({name for name, _ in self._flying.values()})
+        return len({flight.actor for flight in self._flying.values()})
 
     def close(self) -> None:
         for actor in self._actors.values():
@@ -96,6 +103,7 @@ class RayPool(Executor):
         self._actors.clear()
         self._flying.clear()
         if self._owns_ray:
+            self._owns_ray = False
             ray.shutdown()
 
     def _start_actor(self) -> None:
@@ -106,49 +114,47 @@ class RayPool(Executor):
         )
 
     def _fill(self) -> None:
-        """Give every actor its share of what waits, those with the least in flight first."""
-        load = dict.fromkeys(self._actors, 0)
-        for name, _ in self._flying.values():
-            load[name] = load.get(name, 0) + 1
+        """Give idle actors one suspect each, and all others their share of what waits."""
+        load = Counter(flight.actor for flight in self._flying.values())
+        for name in self._actors:
+            if self._suspects and not load[name]:
+                self._send(name, Batch.of([self._suspects.popleft()]), alone=True)
+        reserved = {flight.actor for flight in self._flying.values() if flight.alone}
         for level in range(IN_FLIGHT):
-            for name, actor in self._actors.items():
-                if self._backlog and load[name] <= level:
-                    batch = self._backlog.take()
-                    self._flying[actor.evaluate.remote(batch)] = (name, batch)
+            for name in self._actors:
+                if self._backlog and load[name] <= level and name not in reserved:
+                    self._send(name, self._backlog.take(), alone=False)
                     load[name] += 1
 
+    def _send(self, name: str, batch: Batch, *, alone: bool) -> None:
+        reference = self._actors[name].evaluate.remote(batch)
+        self._flying[reference] = _Flight(name, batch, alone)
+
     def _collect(self, reference: Any) -> list[Outcome]:
-        name, batch = self._flying.pop(reference)
+        flight = self._flying.pop(reference)
         try:
             outcomes: list[Outcome] = ray.get(reference)
         except RayActorError as error:
-            self._replace(name)
-            self._ask_again(batch, str(error))
+            self._replace(flight.actor)
+            if flight.alone:
+                return [_crash(flight.batch, error)]
+            self._suspects += flight.batch.tasks()
             return []
-        self._backlog.learn(batch, outcomes)
+        self._backlog.learn(flight.batch, outcomes)
         return outcomes
 
     def _replace(self, name: str) -> None:
-        if self._actors.pop(name, None) is not None:
+        """Start another actor instead of a dead one, which is killed in case it only seems dead."""
+        actor = self._actors.pop(name, None)
+        if actor is not None:
+            ray.kill(actor)
             self._start_actor()
 
-    def _ask_again(self, batch: Batch, reason: str) -> None:
-        """Resubmit the halves of a batch that was lost; what is alone has killed the worker."""
-        tasks = batch.tasks()
-        if len(tasks) == 1:
-            line = (reason.splitlines() or ["the process ended"])[0]
-            message = f"the worker process died during this simulation ({line})"
-            self._lost.append(Outcome(tasks[0].id, Status.CRASH, message=message))
-            return
-        middle = len(tasks) // 2
-        for half in (tasks[:middle], tasks[middle:]):
-            name = min(self._actors, key=lambda n: sum(n == m for m, _ in self._flying.values()))
-            part = Batch.of(half)
-            self._flying[self._actors[name].evaluate.remote(part)] = (name, part)
 
-    def _take_lost(self) -> list[Outcome]:
-        lost, self._lost = self._lost, []
-        return lost
+def _crash(batch: Batch, error: RayActorError) -> Outcome:
+    line = (str(error).splitlines() or ["the process ended"])[0]
+    message = f"the worker process died during this simulation ({line})"
+    return Outcome(int(batch.ids[0]), Status.CRASH, message=message)
 
 
 def _connect(workers: int | None, address: str | None) -> None:

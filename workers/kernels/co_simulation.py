@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from math import ceil
-
 from workers.kernels.calling import inlined, kernel
-from workers.kernels.failure import FINISHED, INITIALISATION, OUTPUT, STEP, failed
+from workers.kernels.failure import (
+    FINISHED,
+    INITIALISATION,
+    OUTPUT,
+    STEP,
+    TOO_MANY_STEPS,
+    failed,
+)
 from workers.kernels.fmi2 import (
     DISCARD,
     do_step,
@@ -13,7 +18,7 @@ from workers.kernels.fmi2 import (
     set_real,
     set_real_input_derivatives,
 )
-from workers.kernels.initialise import initialise
+from workers.kernels.initialise import initialise, n_steps
 
 
 @kernel
@@ -53,6 +58,7 @@ def _co_simulate(c, references, constants, settings, grid, point, work, record):
     status = initialise(c, references, constants, point, grid.inputs[0], tolerance, times[0])
     if status >= DISCARD:
         return failed(INITIALISATION, status), times[0]
+    steps_left = settings.max_steps
     for i in range(len(times)):
         if grid.inputs.shape[1] > 0:
             status = set_real(c, references.inputs, grid.inputs[i])
@@ -60,22 +66,26 @@ def _co_simulate(c, references, constants, settings, grid, point, work, record):
             status = get_real(c, references.outputs, record[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), times[i]
-        if i + 1 < len(times):
-            status = _advance(c, references, settings, grid, i, work)
+        if i + 1 == len(times):
+            break
+        steps = n_steps(times[i + 1] - times[i], settings.step, steps_left)
+        if steps > steps_left:
+            return TOO_MANY_STEPS, times[i]
+        steps_left -= steps
+        status = _advance(c, references, grid, i, steps, work)
         if status >= DISCARD:
             return failed(STEP, status), times[i]
     return FINISHED, times[-1]
 
 
 @inlined
-def _advance(c, references, settings, grid, i, work):  # type: ignore[no-untyped-def]
+def _advance(c, references, grid, i, steps, work):  # type: ignore[no-untyped-def]
     """From one time of the grid to the next, in equal communication steps.
 
     An FMU that interpolates its inputs is told their slopes. Any other holds each at what it is at
     the start of a step: where that is too coarse, `Solver.step` shortens the steps.
     """
     start, length = grid.times[i], grid.times[i + 1] - grid.times[i]
-    steps = max(1, ceil(length / settings.step - 1e-9)) if settings.step > 0.0 else 1
     step = length / steps
     status = 0
     for s in range(steps):

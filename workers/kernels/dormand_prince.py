@@ -83,7 +83,11 @@ def _advance(c, references, settings, grid, i, proposed, steps_left, work):  # t
     """From grid time i to the next. Returns (code, time, step to try next, steps left)."""
     time, last = grid.times[i], grid.times[i + 1]
     shortest = 16.0 * np.finfo(np.float64).eps * max(abs(time), abs(last))
+    if not proposed >= shortest:  # or not a number, after an overflow: a step of 0 would never end
+        proposed = shortest
     while True:
+        if steps_left <= 0:
+            return TOO_MANY_STEPS, time, proposed, steps_left
         if settings.step > 0.0:
             proposed = min(proposed, settings.step)
         remaining = last - time
@@ -93,8 +97,6 @@ def _advance(c, references, settings, grid, i, proposed, steps_left, work):  # t
         steps_left -= 1
         if status >= ERROR:
             return failed(STEP, status), time, proposed, steps_left
-        if steps_left <= 0:
-            return TOO_MANY_STEPS, time, proposed, steps_left
         if status >= DISCARD or not error <= 1.0:
             proposed = step * _factor(status, error)
             if proposed < shortest:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import ceil
 from typing import NamedTuple
 
 from workers.kernels.calling import inlined
@@ -29,6 +30,15 @@ class Settings(NamedTuple):
     atols: FloatArray
     max_steps: int
     fmu_tolerance: float
+
+
+@inlined
+def n_steps(length, longest, limit):  # type: ignore[no-untyped-def]
+    """Into how many equal steps an interval is cut; more than `limit` is `limit` + 1."""
+    if longest <= 0.0:
+        return 1
+    needed = length / longest - 1e-9
+    return max(1, ceil(needed)) if needed < limit else limit + 1
 
 
 @inlined

@@ -8,11 +8,10 @@ Reference: W. Kutta, Zeitschrift fuer Mathematik und Physik 46 (1901) 435-453.
 
 from __future__ import annotations
 
-from math import ceil
-
 from workers.kernels.calling import inlined, kernel
-from workers.kernels.failure import FINISHED, OUTPUT, STEP, failed
+from workers.kernels.failure import FINISHED, OUTPUT, STEP, TOO_MANY_STEPS, failed
 from workers.kernels.fmi2 import DISCARD, get_derivatives
+from workers.kernels.initialise import n_steps
 from workers.kernels.model_exchange import (
     complete_step,
     derivative,
@@ -40,6 +39,7 @@ def _rk4(c, references, constants, settings, grid, point, work, record):  # type
     code = start(c, references, constants, grid, point, work)
     if code != FINISHED:
         return code, times[0]
+    steps_left = settings.max_steps
     for i in range(len(times)):
         status = record_outputs(c, references, grid, i, states, record[i])
         if status >= DISCARD:
@@ -47,7 +47,10 @@ def _rk4(c, references, constants, settings, grid, point, work, record):  # type
         if i + 1 == len(times):
             break
         length = times[i + 1] - times[i]
-        steps = max(1, ceil(length / settings.step - 1e-9)) if settings.step > 0.0 else 1
+        steps = n_steps(length, settings.step, steps_left)
+        if steps > steps_left:
+            return TOO_MANY_STEPS, times[i]
+        steps_left -= steps
         step = length / steps
         for s in range(steps):
             time = times[i] + s * step

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from workers.grid import Grid
 from workers.messages import FloatArray
 from workers.residuals.base import ResidualKind
@@ -15,5 +17,6 @@ class MeasuredTimes(ResidualKind):
     """
 
     def residuals(self, grid: Grid, outputs: FloatArray) -> FloatArray:
-        simulated = outputs.reshape(len(outputs), -1)[:, grid.gather]
+        # take keeps each point's row contiguous: sums over strided rows round differently
+        simulated = np.take(outputs.reshape(len(outputs), -1), grid.gather, axis=1)
         return (grid.measured - simulated) / grid.sigmas
