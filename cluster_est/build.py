@@ -8,25 +8,33 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from cluster_est.config import Config, ExperimentSection, InputSection, find_file
+from cluster_est.config import Config, ExperimentSection
 from cluster_est.costs import COSTS
-from cluster_est.data import Table, check_times, read_table
-from cluster_est.errors import ConfigError, DataError, ModelError
+from cluster_est.data import Table, read_table
+from cluster_est.errors import ConfigError, ModelError
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.problem import Parameter, Problem
+from cluster_est.reading import Reader, find_file
 from cluster_est.resources import Resources
 from cluster_est.runner import Budget
+from cluster_est.sentences import shown
 from workers.description import Description, describe, nearest
 from workers.messages import (
     Experiment,
-    FloatArray,
-    Input,
     Interface,
     Model,
     Output,
     Solver,
     SolverName,
+    Value,
 )
+
+_OPTION_TYPES: dict[Any, tuple[Any, str]] = {
+    float: ((int, float), "a number"),
+    int: (int, "a whole number"),
+    bool: (bool, "true or false"),
+    str: (str, "text in quotes"),
+}
 
 
 def build_problem(config: Config, base: Path) -> Problem:
@@ -69,7 +77,7 @@ def build_problem(config: Config, base: Path) -> Problem:
     tables: dict[Path, Table] = {}
     experiments = tuple(_experiment(e, config, base, tables) for e in config.experiments)
     problem = Problem(model, parameters, experiments, COSTS[config.cost.name]())
-    problem.describe()
+    _check_roles(problem, problem.describe())
     return problem
 
 
@@ -107,19 +115,26 @@ def _check_option(where: str, value: Any, hint: Any, least: float | None) -> Non
     if get_origin(hint) is Literal:
         if value not in get_args(hint):
             choices = ", ".join(repr(choice) for choice in get_args(hint))
-            raise ConfigError(f"{where}: must be one of {choices} but is {value!r}")
+            raise ConfigError(f"{where}: must be one of {choices} but is {shown(value)}")
         return
-    allowed = (int, float) if hint is float else hint
+    allowed, called = _OPTION_TYPES.get(hint, (hint, hint.__name__))
     if not isinstance(value, allowed) or isinstance(value, bool) is not (hint is bool):
-        raise ConfigError(f"{where}: must be of type {hint.__name__} but is {value!r}")
+        raise ConfigError(f"{where}: must be {called} but is {shown(value)}")
+    if hint is not str and not abs(value) < (1e300 if hint is float else 2**63):
+        raise ConfigError(f"{where}: must be finite and of a usual size but is {shown(value)}")
     if least is not None and not value >= least:
-        raise ConfigError(f"{where}: must be at least {least:g} but is {value!r}")
+        raise ConfigError(f"{where}: must be at least {least:g} but is {shown(value)}")
 
 
 def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     path = find_file(config.model.fmu, base, config.data_folders, "model.fmu")
-    archive = path.read_bytes()
+    try:
+        archive = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"model.fmu: {path} cannot be read ({error.strerror})") from error
     description = describe(path.name, archive)
+    for name in config.values:
+        description.variable(name, "values")
     interface = _interface(config, description)
     return Model(path.name, archive, interface, _solver(config, description, interface), targets)
 
@@ -164,7 +179,7 @@ def _experiment(
     path = find_file(section.data, base, config.data_folders, f"{where}.data")
     if path not in tables:
         tables[path] = read_table(path, where)
-    reader = _Reader(tables[path], section, where)
+    reader = Reader(tables[path], section, where)
     times = reader.times()
     outputs = [reader.output(times, variable) for variable in section.outputs]
     start = float(times[0]) if section.start is None else section.start
@@ -172,102 +187,60 @@ def _experiment(
     stop = float(last) if section.stop is None else section.stop
     if not start < stop:
         raise ConfigError(
-            f"{where}: start must be before stop but they are {start:g} and {stop:g} s"
+            f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one, or "
+            "leave both to the data"
         )
-    groups = {"": section.group} if isinstance(section.group, str) else section.group
     return Experiment(
         id=section.id,
         start=start,
         stop=stop,
-        inputs=tuple(reader.input(times, name, given) for name, given in section.inputs.items()),
+        inputs=tuple(reader.input(times, name) for name in section.inputs),
         outputs=tuple(_within(output, start, stop, section.windows) for output in outputs),
         values=tuple((config.values | section.values).items()),
         role=section.role,
-        groups=tuple(groups.items()),
+        groups=tuple(section.group.items()),
     )
 
 
-class _Reader:
-    """Columns of one experiment: the rows that it uses, scaled as it says."""
-
-    def __init__(self, table: Table, section: ExperimentSection, where: str) -> None:
-        self._table, self._section, self._where = table, section, where
-        for name in section.columns:
-            if name not in table.columns:
-                raise DataError(
-                    f"{where}.columns: {table.path} has no column {name!r}"
-                    f"{nearest(name, table.columns)}"
-                )
-        for name in section.sigma:
-            if name not in section.outputs:
+def _check_roles(problem: Problem, description: Description) -> None:
+    """Refuse variables that are given twice, and values that their type cannot hold."""
+    targets = {p.target: p.name for p in problem.parameters}
+    for experiment in problem.experiments:
+        where = f"experiment {experiment.id!r}"
+        driven = [given.variable for given in experiment.inputs]
+        for name in driven:
+            if name in targets:
                 raise ConfigError(
-                    f"{where}.sigma: {name!r} is none of its outputs"
-                    f"{nearest(name, section.outputs)}"
+                    f"{where}.inputs.{name}: must not be estimated too but is "
+                    f"parameters.{targets[name]}; remove one of the two"
                 )
-        for name, sigma in section.sigma.items():
-            if not (sigma > 0.0 and np.isfinite(sigma)):
-                raise ConfigError(f"{where}.sigma.{name}: must be positive but is {sigma:g}")
-
-    def times(self) -> FloatArray:
-        """The time of each used row."""
-        section = self._section
-        if section.time is not None:
-            times = self._column(section.time)
-        else:
-            used = [*section.outputs.values()]
-            count = len(self._column(used[0])) if used else 0
-            times = np.arange(count, dtype=np.float64) * (section.sample_time or 1.0)
-        if len(times) < 2:
-            raise DataError(
-                f"{self._where}: must use at least two rows of {self._table.path} but uses "
-                f"{len(times)}; check rows"
-            )
-        first = self._table.first_row + (section.rows[0] if section.rows else 0)
-        check_times(times, f"{self._where}: {self._table.path}, column {section.time!r}", first)
-        return times
-
-    def input(self, times: FloatArray, variable: str, given: str | InputSection) -> Input:
-        column = given if isinstance(given, str) else given.column
-        values = self._values(times, column)
-        known = np.isfinite(values)
-        if not known.any():
-            raise DataError(
-                f"{self._where}.inputs.{variable}: column {column!r} of {self._table.path} must "
-                "hold at least one number but is empty"
-            )
-        interpolation = "linear" if isinstance(given, str) else given.interpolation
-        return Input(variable, times[known], values[known], interpolation)
-
-    def output(self, times: FloatArray, variable: str) -> Output:
-        values = self._values(times, self._section.outputs[variable])
-        measured = np.isfinite(values)
-        sigma = self._section.sigma.get(variable, 1.0)
-        return Output(variable, times[measured], values[measured], sigma)
-
-    def _values(self, times: FloatArray, name: str) -> FloatArray:
-        values = self._column(name)
-        if len(values) != len(times):
-            raise DataError(
-                f"{self._where}: column {name!r} of {self._table.path} must have as many rows as "
-                f"the time, {len(times)}, but has {len(values)}"
-            )
-        return values
-
-    def _column(self, name: str) -> FloatArray:
-        values = self._table.numbers(name, self._where)
-        if self._section.rows is not None:
-            first, last = self._section.rows
-            if not 0 <= first < last <= len(values):
+        for name, value in experiment.values:
+            if name in driven:
                 raise ConfigError(
-                    f"{self._where}.rows: must lie within the {len(values)} rows of "
-                    f"{self._table.path} but is [{first}, {last}]"
+                    f"{where}.values.{name}: must not be an input of the same experiment but is; "
+                    "remove one of the two"
                 )
-            values = values[first:last]
-        change = self._section.columns.get(name)
-        if change is None:
-            return values
-        mean = float(np.nanmean(values)) if change.demean else 0.0
-        return (values - mean) * change.factor + change.offset
+            _check_value(f"{where}.values.{name}", description.variables[name].kind, value)
+        for output in experiment.outputs:
+            causality = description.variables[output.variable].causality
+            if causality in ("parameter", "input", "independent"):
+                raise ConfigError(
+                    f"{where}.outputs.{output.variable}: must be a variable that "
+                    f"{description.file} computes but is of causality {causality!r}; choose an "
+                    "output or a local variable"
+                )
+
+
+def _check_value(where: str, kind: str, value: Value) -> None:
+    truth = isinstance(value, bool)
+    whole = not truth and float(value).is_integer() and abs(value) < 2**31
+    fits = {"real": not truth, "integer": whole, "boolean": truth or value in (0, 1)}
+    if not fits.get(kind, True):
+        must = {"integer": "a whole number of 32 bits", "boolean": "true or false"}
+        raise ConfigError(
+            f"{where}: must be {must.get(kind, 'a number')}, because the variable is of type "
+            f"{kind}, but is {shown(value)}"
+        )
 
 
 def _within(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 import pyarrow as pa
 import pyarrow.csv
@@ -12,7 +15,7 @@ from rich.console import Console
 
 from cluster_est.build import build_method, build_problem, build_resources
 from cluster_est.config import Config, read_config
-from cluster_est.errors import ClusterEstError, RunFolderError
+from cluster_est.errors import RunFolderError
 from cluster_est.fit import check_method
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
@@ -20,6 +23,7 @@ from cluster_est.printing import print_check, print_run
 from cluster_est.problem import Problem
 from cluster_est.progress import ProgressLine
 from cluster_est.resources import Resources
+from cluster_est.result import Result
 from cluster_est.run_folder import (
     RunFolder,
     check_free,
@@ -55,33 +59,15 @@ def fit(path: Path, overrides: list[str], out: Path, *, overwrite: bool) -> int:
     check_method(method, make_space(problem, problem.indices("train")))
     make_space(problem, problem.indices("test"))
     check_free(out, overwrite=overwrite)
-    folder: RunFolder | None = None
-
-    def record(origin: Origin, outcome: Outcome) -> None:
-        nonlocal folder
-        if folder is None:  # the workers have started: from here on there is something to keep
-            folder = _open_folder(out, problem, config, overwrite=overwrite)
-        folder.record(origin, outcome)
-
-    with ProgressLine(Console(stderr=True), resources.budget) as line:
+    keeper = _Keeper(lambda: _open_folder(out, problem, config, overwrite=overwrite))
+    with ProgressLine(Console(stderr=True), resources.budget) as line, keeper:
 
         def show(snapshot: Snapshot) -> None:
             line.show(snapshot)
-            if folder is not None:
-                folder.show(snapshot)
+            keeper.show(snapshot)
 
-        try:
-            result = run_fit(problem, method, resources, config.method.seed, record, show)
-        except ClusterEstError as error:
-            if folder is not None:
-                folder.abandon(str(error))
-            raise
-        except KeyboardInterrupt:
-            if folder is not None:
-                folder.abandon("interrupted before the search had begun")
-            raise
-    if folder is not None:
-        folder.write(result)
+        result = run_fit(problem, method, resources, config.method.seed, keeper.record, show)
+        keeper.write(result)
     print_run(Console(), out)
     if result.interrupted:
         return INTERRUPTED
@@ -129,6 +115,40 @@ def read_estimates(run_folder: Path) -> dict[str, float]:
         raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
     rows = pa.parquet.read_table(path).to_pylist()
     return {row["label"]: row["value"] for row in rows if row["estimated_on"] != "known"}
+
+
+class _Keeper:
+    """Opens the run folder with the first simulation, so that bad input leaves nothing behind."""
+
+    def __init__(self, open_folder: Callable[[], RunFolder]) -> None:
+        self._open_folder = open_folder
+        self._folder: RunFolder | None = None
+
+    def record(self, origin: Origin, outcome: Outcome) -> None:
+        if self._folder is None:
+            self._folder = self._open_folder()
+        self._folder.record(origin, outcome)
+
+    def show(self, snapshot: Snapshot) -> None:
+        if self._folder is not None:
+            self._folder.show(snapshot)
+
+    def write(self, result: Result) -> None:
+        if self._folder is not None:
+            self._folder.write(result)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Say in the run folder how a run ended that did not end by itself."""
+        if self._folder is not None and error is not None:
+            self._folder.abandon(str(error) or type(error).__name__)
 
 
 def _open_folder(out: Path, problem: Problem, config: Config, *, overwrite: bool) -> RunFolder:

@@ -16,16 +16,18 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import fmpy
 import numpy as np
 from fmpy.fmi2 import FMU2Slave
 
+from cluster_est.executors import Executor, executor_class
 from workers.archive import unpack
 from workers.description import describe
 from workers.kernels.fmi2 import Component
-from workers.messages import Experiment, Input, Model, Output, Solver
+from workers.messages import Experiment, Input, Model, Output, Solver, Task
 from workers.simulate import Simulator
 
 HERE = Path(__file__).parent
@@ -53,6 +55,8 @@ def main() -> None:
         compare_interface("model_exchange", "rk4", loops.rk4, options.rounds)
         compare_interface("model_exchange", "dormand_prince", None, options.rounds)
     compare_fmpy(max(3, options.rounds // 10))
+    if not options.skip_ray:
+        compare_ray(max(3, options.rounds // 10))
 
 
 def compile_loops(folder: Path) -> ctypes.CDLL:
@@ -73,12 +77,14 @@ def model(interface: str, solver: str) -> Model:
 
 
 def simulator(interface: str, solver: str) -> Simulator:
-    times, force = signals()
-    experiment = Experiment(
-        "bench", 0.0, times[-1], (Input("F", times, force),), (Output("y", times, 0 * times),)
-    )
     asked = model(interface, solver)
-    return Simulator(asked, describe(FMU.name, asked.archive), (experiment,))
+    return Simulator(asked, describe(FMU.name, asked.archive), (experiment(),))
+
+
+def experiment() -> Experiment:
+    times, force = signals()
+    inputs, outputs = (Input("F", times, force),), (Output("y", times, 0 * times),)
+    return Experiment("bench", 0.0, float(times[-1]), inputs, outputs)
 
 
 def compare_interface(
@@ -174,6 +180,35 @@ def compare_fmpy(rounds: int) -> None:
         f"fmpy.simulate_fmu, instance reused {medians['fmpy'] * 1e3:.2f} ms   "
         f"ratio {medians['fmpy'] / medians['kernel']:.0f}"
     )
+
+
+def compare_ray(rounds: int) -> None:
+    """Two Ray workers against one local core, through the executors that a fit uses."""
+    for label, step, simulations in (("50 us", STEP, 6000), ("5 ms", STEP / 60.0, 240)):
+        asked = replace(model("model_exchange", "rk4"), solver=Solver("rk4", step=step))
+        experiments = (experiment(),)
+        with (
+            executor_class("local").open(asked, experiments, 1, None) as local,
+            executor_class("ray").open(asked, experiments, 2, None) as ray_pool,
+        ):
+            runs = {
+                "local": lambda e=local, n=simulations: answer(e, n),
+                "ray": lambda e=ray_pool, n=simulations: answer(e, n),
+            }
+            medians = interleave(runs, rounds, simulations)
+        print(
+            f"{label:>5s} simulation  one local core {1.0 / medians['local']:8.0f}/s   "
+            f"two Ray workers {1.0 / medians['ray']:8.0f}/s   "
+            f"ratio {medians['local'] / medians['ray']:.2f}"
+        )
+
+
+def answer(executor: Executor, simulations: int) -> None:
+    """Have an executor answer as many tasks."""
+    executor.submit([Task(i, 0, VALUES) for i in range(simulations)])
+    answered = 0
+    while answered < simulations:
+        answered += len(executor.completed())
 
 
 def interleave(

@@ -15,7 +15,9 @@ def position(
 ) -> np.ndarray:
     """Displacement at equally spaced times, with the force linear between them."""
     step = times[1] - times[0]
-    system = np.array([[0.0, 1.0, 0.0, 0.0], [-k / m, -c / m, 1.0 / m, 0.0], [0, 0, 0, 1.0], [0] * 4])
+    system = np.array(
+        [[0.0, 1.0, 0.0, 0.0], [-k / m, -c / m, 1.0 / m, 0.0], [0, 0, 0, 1.0], [0] * 4]
+    )
     forward = expm(system * step)
     slopes = np.append(np.diff(force) / step, 0.0)
     state = np.array([x0, v0])

@@ -6,8 +6,10 @@ import io
 import os
 import shutil
 import stat
+import struct
 import tempfile
 import zipfile
+import zlib
 from pathlib import Path, PurePosixPath
 
 import platformdirs
@@ -15,8 +17,16 @@ import platformdirs
 from workers.errors import ModelError
 
 MAX_UNPACKED_BYTES = 4 * 2**30
-MAX_RATIO = 1000
-"""Unpacked over packed size. Text in FMUs reaches 50; only a zip bomb comes near a thousand."""
+MAX_RATIO = 200
+"""Unpacked over packed size. Text in FMUs reaches 50, a zip bomb of zeros a thousand."""
+
+HARMLESS_BYTES = 64 * 2**20
+"""Unpacked size below which the ratio does not matter."""
+
+DAMAGED = (
+    zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, ValueError
+)  # fmt: skip
+"""What zipfile raises for damaged, encrypted or unknown content."""
 
 
 def unpack(name: str, archive: bytes, archive_hash: str) -> Path:
@@ -37,22 +47,32 @@ def unpack(name: str, archive: bytes, archive_hash: str) -> Path:
     Raises
     ------
     ModelError
-        If it is no zip file, if a path in it leaves the folder, or if it is suspiciously large.
+        If it is no zip file, if a path in it leaves the folder, if it is suspiciously large, or if
+        the cache folder cannot be written.
     """
     home = Path(os.environ.get("CLUSTER_EST_CACHE") or platformdirs.user_cache_dir("cluster-est"))
     target = home / "fmus" / archive_hash
     if target.is_dir():
         return target
     with open_archive(name, archive) as opened:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        private = Path(tempfile.mkdtemp(prefix="unpacking-", dir=target.parent))
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            private = Path(tempfile.mkdtemp(prefix="unpacking-", dir=target.parent))
+        except OSError as error:
+            raise ModelError(
+                f"{name}: cannot be unpacked into {target.parent} ({error.strerror}); set "
+                "CLUSTER_EST_CACHE to a folder that can be written"
+            ) from error
         try:
             opened.extractall(private)
             private.rename(target)
-        except OSError:
-            if not target.is_dir():
-                raise
-        except (zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
+        except OSError as error:
+            if not target.is_dir():  # no other process was faster
+                raise ModelError(
+                    f"{name}: cannot be unpacked into {target.parent} ({error.strerror}); make "
+                    "room there, or export the FMU again"
+                ) from error
+        except DAMAGED as error:
             raise ModelError(f"{name}: cannot be unpacked ({error}); export it again") from error
         finally:
             shutil.rmtree(private, ignore_errors=True)
@@ -63,7 +83,7 @@ def open_archive(name: str, archive: bytes) -> zipfile.ZipFile:
     """Open an FMU's zip file and check every entry before anything is written."""
     try:
         opened = zipfile.ZipFile(io.BytesIO(archive))
-    except (zipfile.BadZipFile, ValueError, OSError) as error:
+    except (*DAMAGED, OSError) as error:
         raise ModelError(
             f"{name}: must be an FMU, which is a zip file, but is not ({error}); export it again"
         ) from error
@@ -71,7 +91,7 @@ def open_archive(name: str, archive: bytes) -> zipfile.ZipFile:
     for entry in entries:
         _check_entry(name, entry)
     unpacked = sum(entry.file_size for entry in entries)
-    if unpacked > MAX_UNPACKED_BYTES or unpacked > MAX_RATIO * max(len(archive), 1024):
+    if unpacked > MAX_UNPACKED_BYTES or unpacked > max(HARMLESS_BYTES, MAX_RATIO * len(archive)):
         raise ModelError(
             f"{name}: would unpack to {unpacked / 2**20:.0f} MiB from {len(archive) / 2**20:.1f} "
             "MiB, which is no ordinary FMU; nothing was unpacked"

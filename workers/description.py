@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import difflib
 import io
+import math
+import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
+from xml.etree import ElementTree
 
 import fmpy
 from fmpy.model_description import ModelDescription, ScalarVariable, read_model_description
 
-from workers.archive import open_archive
+from workers.archive import DAMAGED, open_archive
 from workers.errors import ModelError
 from workers.messages import Interface
+
+XML = "modelDescription.xml"
 
 Kind = Literal["real", "integer", "boolean", "string"]
 
@@ -106,24 +111,45 @@ def describe(file: str, archive: bytes) -> Description:
     """
     with open_archive(file, archive) as opened:
         names = opened.namelist()
-    if "modelDescription.xml" not in names:
-        raise ModelError(
-            f"{file}: must hold a modelDescription.xml but does not, so it is no FMU; "
-            "export the model as an FMU"
-        )
+        if XML not in names:
+            raise ModelError(
+                f"{file}: must hold a {XML} but does not, so it is no FMU; export the model as an "
+                "FMU"
+            )
+        _check_version(file, opened)
     try:
         raw = read_model_description(io.BytesIO(archive), validate=False)
+        return _describe(file, names, raw)
+    except ModelError:
+        raise
     except Exception as error:  # fmpy raises bare exceptions of every kind here
         raise ModelError(
-            f"{file}: its modelDescription.xml cannot be read ({_first_line(error)}); "
-            "export it again"
+            f"{file}: its {XML} must follow the FMI standard but does not "
+            f"({type(error).__name__}: {_first_line(error)}); export it again"
         ) from error
-    if raw.fmiVersion != "2.0":
+
+
+def _check_version(file: str, opened: zipfile.ZipFile) -> None:
+    """Look at the root alone: what follows it depends on the version."""
+    try:
+        with opened.open(XML) as stream:
+            _, root = next(ElementTree.iterparse(stream, events=["start"]))
+    except (ElementTree.ParseError, LookupError, *DAMAGED, OSError) as error:
         raise ModelError(
-            f"{file}: must be an FMU of FMI version 2.0 but is of {raw.fmiVersion}; "
-            "export it as FMI 2.0"
+            f"{file}: its {XML} must be XML but cannot be read ({_first_line(error)}); export it "
+            "again"
+        ) from error
+    if root.tag != "fmiModelDescription":
+        raise ModelError(
+            f"{file}: its {XML} must describe a model, as <fmiModelDescription>, but describes "
+            f"<{root.tag}>; export the model as an FMU"
         )
-    return _describe(file, names, raw)
+    version = root.get("fmiVersion")
+    if version != "2.0":
+        has = f"is of {version}" if version else "names no version"
+        raise ModelError(
+            f"{file}: must be an FMU of FMI version 2.0 but {has}; export it as FMI 2.0"
+        )
 
 
 def _describe(file: str, names: list[str], raw: ModelDescription) -> Description:
@@ -138,8 +164,9 @@ def _describe(file: str, names: list[str], raw: ModelDescription) -> Description
             f"{file}: must offer model exchange or co-simulation but offers neither; "
             "export it with one of them"
         )
-    binaries = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
     types = [i for i in (exchange, simulation) if i is not None]
+    _check_names(file, raw.guid, [t.modelIdentifier for t in types])
+    binaries = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
     experiment = raw.defaultExperiment
     step = experiment.stepSize if experiment is not None else None
     return Description(
@@ -158,6 +185,14 @@ def _describe(file: str, names: list[str], raw: ModelDescription) -> Description
         default_step=None if step is None else float(step),
         raw=raw,
     )
+
+
+def _check_names(file: str, guid: str | None, identifiers: list[str | None]) -> None:
+    """The names that loading needs; an identifier names a file, so it must not name a folder."""
+    plain = all(i and set(i).isdisjoint("/\\") for i in identifiers)
+    if not guid or not plain:
+        key, has = ("guid", guid) if plain else ("plain modelIdentifier", identifiers)
+        raise ModelError(f"{file}: its {XML} must have a {key} but has {has}; export it again")
 
 
 def _variable(raw: ScalarVariable) -> Variable:
@@ -187,9 +222,10 @@ def _settable(raw: ScalarVariable) -> bool:
 
 def _number(text: object) -> float | None:
     try:
-        return float(str(text))
+        number = float(str(text))
     except ValueError:
         return None
+    return number if math.isfinite(number) else None
 
 
 def _first_line(error: BaseException) -> str:

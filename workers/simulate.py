@@ -99,12 +99,12 @@ class Simulator:
             last = tried - 1
             if codes[last] == failure.FINISHED:
                 break
-            if codes[last] >= failure.FATAL:
-                self.instance.renew()
             if last > first and self.instance.log:
                 tried = last  # again, alone: its neighbours may have said some of this
             else:
                 messages[last] = self._explain(int(codes[last]), float(stopped_at[last]))
+            if codes[last] >= failure.FATAL:
+                self.instance.renew()
         return Record(outputs, messages, codes)
 
     def close(self) -> None:

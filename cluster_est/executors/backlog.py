@@ -34,9 +34,8 @@ class Backlog:
     def add(self, tasks: Iterable[Task]) -> None:
         self._tasks.extend(tasks)
 
-    def add_first(self, tasks: Sequence[Task]) -> None:
-        """Put tasks back at the front."""
-        self._tasks.extendleft(reversed(tasks))
+    def clear(self) -> None:
+        self._tasks.clear()
 
     def take(self) -> Batch:
         """Remove the next batch: about 30 ms of work, all of it wanting the same."""

@@ -74,6 +74,8 @@ class LocalExecutor(Executor):
     def close(self) -> None:
         if self._threads is not None:
             self._threads.shutdown(cancel_futures=True)
+        self._running.clear()
+        self._backlog.clear()
         for evaluator in self._evaluators:
             evaluator.close()
 

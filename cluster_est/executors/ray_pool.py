@@ -102,6 +102,8 @@ class RayPool(Executor):
             ray.kill(actor)
         self._actors.clear()
         self._flying.clear()
+        self._suspects.clear()
+        self._backlog.clear()
         if self._owns_ray:
             self._owns_ray = False
             ray.shutdown()

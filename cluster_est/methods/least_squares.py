@@ -87,7 +87,8 @@ class LeastSquares(Method):
             state, ending = yield from self._iterate(space, state, derivatives)
             if ending is None:
                 continue
-            if ending in (Ending.CONVERGED, Ending.STALLED) and self._refine(scheme, space):
+            refine = self.differences == "auto" and scheme == "forward"
+            if refine and ending in (Ending.CONVERGED, Ending.STALLED):
                 scheme = "central"
                 state = replace(state, damping=min(state.damping, 1e-3))
                 continue
@@ -100,16 +101,12 @@ class LeastSquares(Method):
                 difference_steps=derivatives.steps,
             )
 
-    def _refine(self, scheme: Scheme, space: Space) -> bool:
-        """Whether to go on with central differences."""
-        return self.differences == "auto" and scheme == "forward" and space.size > 0
-
     def _iterate(
         self, space: Space, state: _State, derivatives: Jacobian
     ) -> Generator[Points, list[Evaluation], tuple[_State, Ending | None]]:
         """From a Jacobian to the next point. Returns the new state, and why to stop if so."""
         matrix, residuals = derivatives.matrix, state.at.residuals
-        if derivatives.frozen.all() and space.size > 0:
+        if derivatives.frozen.all():
             return state, Ending.DERIVATIVES_FAILED
         if state.at.cost == 0.0:
             return state, Ending.PERFECT
@@ -132,10 +129,9 @@ class LeastSquares(Method):
     ) -> Generator[Points, list[Evaluation], tuple[_State, Ending | None]]:
         """Try steps, with ever more damping, until one lowers the cost or none ever will."""
         damping = state.damping
+        bolder = min(1, self.trials - 1)
         while True:
-            dampings = damping * DAMPING_RATIO ** np.arange(-1.0, self.trials - 1.0)
-            if self.trials == 1:
-                dampings = np.array([damping])
+            dampings = damping * DAMPING_RATIO ** (np.arange(float(self.trials)) - bolder)
             steps = [solver.step(d) for d in dampings]
             points = np.clip(state.x + steps, space.lower, space.upper)
             if self._negligible(space, state, solver, steps[0]):
@@ -144,7 +140,7 @@ class LeastSquares(Method):
             best = _best(tried)
             if best is not None and tried[best].cost < state.at.cost:
                 return self._accept(space, state, solver, points[best], tried[best], dampings[best])
-            damping = dampings[-1] * DAMPING_RATIO * (1.0 if self.trials == 1 else DAMPING_RATIO)
+            damping = dampings[-1] * DAMPING_RATIO ** (1 + bolder)
             if damping > LARGEST_DAMPING:
                 return state, Ending.STALLED
 
@@ -161,8 +157,8 @@ class LeastSquares(Method):
         expected = state.at.cost - solver.predicted_cost(step)
         gained = state.at.cost - at.cost
         trusted = gained > 0.25 * expected
-        if self.trials == 1:
-            damping = damping / DAMPING_RATIO if trusted else damping
+        if self.trials == 1 and trusted:
+            damping /= DAMPING_RATIO
         progress = Progress(
             state.progress.iteration + 1,
             at.cost,

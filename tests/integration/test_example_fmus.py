@@ -26,6 +26,7 @@ MODELS = ROOT / "configs" / "models"
 
 Array = NDArray[np.float64]
 Equations = Callable[[Array, list[float], list[float]], list[float]]
+Reading = Callable[[Array, list[float], list[float]], float]
 
 
 def mass_spring_damper(x: Array, u: list[float], p: list[float]) -> list[float]:
@@ -57,6 +58,79 @@ def thermal_two_node(x: Array, u: list[float], p: list[float]) -> list[float]:
     return [(power - inner) / c_core, (inner - outer) / c_case]
 
 
+def pendulum(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (angle, speed), (inertia, gravity, friction) = x, p
+    return [speed, (u[0] - gravity * np.sin(angle) - friction * speed) / inertia]
+
+
+def dc_motor(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (current, speed), (r, ind, k, inertia, friction) = x, p
+    return [(u[0] - r * current - k * speed) / ind, (k * current - friction * speed) / inertia]
+
+
+def two_mass_drive(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (twist, motor, load), (j_motor, j_load, stiffness, damping, b_motor, b_load) = x, p
+    shaft = stiffness * twist + damping * (motor - load)
+    return [
+        motor - load,
+        (u[0] - shaft - b_motor * motor) / j_motor,
+        (shaft - b_load * load) / j_load,
+    ]
+
+
+def quarter_car(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (body, v_body, wheel, v_wheel), (m_body, m_wheel, spring, damper, tyre) = x, p
+    upward = spring * (wheel - body) + damper * (v_wheel - v_body)
+    return [v_body, upward / m_body, v_wheel, (tyre * (u[0] - wheel) - upward) / m_wheel]
+
+
+def body_acceleration(x: Array, u: list[float], p: list[float]) -> float:
+    return quarter_car(x, u, p)[1]
+
+
+def suspension_travel(x: Array, u: list[float], p: list[float]) -> float:
+    return float(x[0] - x[2])
+
+
+def room(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (air, wall), (power, outdoors) = x, u
+    c_air, c_wall, r_inner, r_outer = p
+    inner, outer = (air - wall) / r_inner, (wall - outdoors) / r_outer
+    return [(power - inner) / c_air, (inner - outer) / c_wall]
+
+
+def battery(x: Array, u: list[float], p: list[float]) -> list[float]:
+    capacity, _, r1, c1 = p
+    return [-u[0] / capacity, u[0] / c1 - x[1] / (r1 * c1)]
+
+
+def terminal_voltage(x: Array, u: list[float], p: list[float]) -> float:
+    (soc, v1), r0 = x, p[1]
+    at_rest = 3.45 + 0.45 * soc + 0.25 * soc**3 - 0.35 * np.exp(-18.0 * soc)
+    return float(at_rest - r0 * u[0] - v1)
+
+
+def stirred_tank_reactor(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (c, temperature), (flow, coolant) = x, u
+    volume, k_350, activation, c_feed, t_feed, rise, cooling = p
+    rate = k_350 * c * np.exp(activation / 350.0 - activation / temperature)
+    exchange = cooling * (coolant - temperature)
+    return [
+        flow / volume * (c_feed - c) - rate,
+        flow / volume * (t_feed - temperature) + rise * rate + exchange,
+    ]
+
+
+def silverbox(x: Array, u: list[float], p: list[float]) -> list[float]:
+    mass, damping, stiffness = p
+    return [x[1], (u[0] - damping * x[1] - stiffness * x[0]) / mass]
+
+
+def emps(x: Array, u: list[float], p: list[float]) -> list[float]:
+    mass, friction = p
+    return [x[1], (u[0] - friction * x[1]) / mass]
+
+
 @dataclass(frozen=True)
 class Scenario:
     """One experiment on a model, with values away from the FMU's own start values."""
@@ -65,7 +139,7 @@ class Scenario:
     parameters: dict[str, float]
     states: dict[str, float]
     inputs: dict[str, tuple[float, float]]  # mean and amplitude
-    outputs: dict[str, int]  # the states that are measured
+    outputs: dict[str, int | Reading]  # a state that is measured, or how to compute one value
     step: float
 
 
@@ -111,6 +185,93 @@ SCENARIOS = {
         {"P": (8.0, 5.0), "T_ambient": (20.0, 5.0)},
         {"y_core": 0, "y_case": 1},
         10.0,
+    ),
+    "pendulum": Scenario(
+        pendulum,
+        {"J": 0.12, "G": 1.8, "b": 0.05},
+        {"angle": 0.4, "speed": -1.0},
+        {"torque": (0.2, 0.8)},
+        {"y": 0},
+        0.04,
+    ),
+    "dc_motor": Scenario(
+        dc_motor,
+        {"R": 1.2, "L": 8e-3, "K": 0.06, "J": 6e-4, "b": 3e-4},
+        {"i": 0.3, "w": 20.0},
+        {"V": (2.0, 5.0)},
+        {"current": 0, "speed": 1},
+        4e-3,
+    ),
+    "two_mass_drive": Scenario(
+        two_mass_drive,
+        {
+            "J_motor": 0.025,
+            "J_load": 0.04,
+            "k_shaft": 25.0,
+            "d_shaft": 0.04,
+            "b_motor": 0.02,
+            "b_load": 0.03,
+        },
+        {"twist": 0.02, "w_motor": 5.0, "w_load": 4.0},
+        {"torque": (0.3, 2.0)},
+        {"motor_speed": 1, "load_speed": 2},
+        0.01,
+    ),
+    "quarter_car": Scenario(
+        quarter_car,
+        {"m_body": 320.0, "m_wheel": 35.0, "k_spring": 1.8e4, "c_damper": 1.2e3, "k_tyre": 1.8e5},
+        {"z_body": 0.02, "v_body": -0.1, "z_wheel": 0.01, "v_wheel": 0.05},
+        {"road": (0.0, 0.04)},
+        {"acceleration": body_acceleration, "travel": suspension_travel},
+        0.02,
+    ),
+    "room": Scenario(
+        room,
+        {"C_room": 5e6, "C_wall": 2.5e7, "R_room_wall": 5e-3, "R_wall_out": 7e-3},
+        {"T_room": 18.0, "T_wall": 12.0},
+        {"P": (1500.0, 1000.0), "T_out": (3.0, 6.0)},
+        {"y": 0},
+        900.0,
+    ),
+    "battery": Scenario(
+        battery,
+        {"Q": 7000.0, "R0": 0.06, "R1": 0.025, "C1": 3500.0},
+        {"soc": 0.7, "v1": 0.01},
+        {"current": (0.5, 1.5)},
+        {"voltage": terminal_voltage},
+        10.0,
+    ),
+    "stirred_tank_reactor": Scenario(
+        stirred_tank_reactor,
+        {
+            "volume": 0.11,
+            "k_350": 0.013,
+            "E_R": 8600.0,
+            "c_feed": 950.0,
+            "T_feed": 347.0,
+            "rise": 0.09,
+            "cooling": 0.033,
+        },
+        {"c": 480.0, "T": 343.0},
+        {"flow": (1.6e-3, 4e-4), "T_coolant": (324.0, 5.0)},
+        {"concentration": 0, "temperature": 1},
+        5.0,
+    ),
+    "silverbox": Scenario(
+        silverbox,
+        {"m": 5.2e-6, "d": 2.5e-4, "k": 1.05},
+        {"y": 0.05, "v": 10.0},
+        {"V1": (0.01, 0.1)},
+        {"V2": 0},
+        1.6384e-3,
+    ),
+    "emps": Scenario(
+        emps,
+        {"M": 90.0, "Fv": 230.0},
+        {"q": 0.05, "v": 0.02},
+        {"force": (2.0, 60.0)},
+        {"position": 0, "velocity": 1},
+        1e-3,
     ),
 }
 
@@ -165,15 +326,17 @@ def simulate_linear(slave: Any, scenario: Scenario) -> dict[str, Array]:
     known = references(slave)
     starts = {**scenario.parameters, **scenario.states}
     inputs, outputs = ([known[n] for n in names] for names in (scenario.inputs, scenario.outputs))
-    slave.setReal([known[n] for n in starts], list(starts.values()))
-    initialise(slave)
     time, values = sampled_inputs(scenario)
+    slave.setReal([known[n] for n in starts], list(starts.values()))
+    slave.setReal(inputs, values[0].tolist())
+    initialise(slave)
     rows = [slave.getReal(outputs)]
     for n in range(SAMPLES - 1):
         slave.setReal(inputs, values[n].tolist())
         slope = (values[n + 1] - values[n]) / scenario.step
         slave.setRealInputDerivatives(inputs, [1] * len(inputs), slope.tolist())
         slave.doStep(time[n], time[n + 1] - time[n])
+        slave.setReal(inputs, values[n + 1].tolist())
         rows.append(slave.getReal(outputs))
     return dict(zip(scenario.outputs, np.array(rows).T, strict=True))
 
@@ -193,8 +356,18 @@ def reference(scenario: Scenario, linear: bool) -> dict[str, Array]:
         span = (time[n], time[n + 1])
         x = solve_ivp(rate, span, x, method="DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
         trajectory.append(x)
-    states = np.array(trajectory)
-    return {name: states[:, i] for name, i in scenario.outputs.items()}
+    if not linear:  # at the end of a step its own inputs still hold
+        inputs = np.vstack([inputs[:1], inputs[:-1]])
+    rows = list(zip(trajectory, inputs, strict=True))
+    return {
+        name: np.array([reading(how, x, u, parameters) for x, u in rows])
+        for name, how in scenario.outputs.items()
+    }
+
+
+def reading(how: int | Reading, x: Array, u: Array, parameters: list[float]) -> float:
+    """Return one value of an output."""
+    return float(x[how]) if isinstance(how, int) else how(x, u.tolist(), parameters)
 
 
 @pytest.fixture(scope="module")
@@ -341,20 +514,65 @@ def test_input_is_unchanged_by_its_derivative(name: str, slave: Any) -> None:
     scenario, known = SCENARIOS[name], references(slave)
     inputs = [known[i] for i in scenario.inputs]
     initialise(slave)
-    slave.setReal(inputs, [1.0] * len(inputs))
-    slave.setRealInputDerivatives(inputs, [1] * len(inputs), [0.5] * len(inputs))
+    means = [mean for mean, _ in scenario.inputs.values()]
+    slopes = [amplitude / scenario.step for _, amplitude in scenario.inputs.values()]
+    slave.setReal(inputs, means)
+    slave.setRealInputDerivatives(inputs, [1] * len(inputs), slopes)
     slave.doStep(0.0, scenario.step)
-    assert slave.getReal(inputs) == [1.0] * len(inputs)
+    assert slave.getReal(inputs) == means
 
 
 def test_refuses_what_must_not_be_set(name: str, slave: Any) -> None:
     scenario, known = SCENARIOS[name], references(slave)
     initialise(slave)
     computed = next(n for n in known if n.startswith("der("))
-    forbidden = [next(iter(scenario.states)), next(iter(scenario.parameters)), computed, "time"]
+    fixed = set(scenario.parameters) - set(tunable(slave))
+    forbidden = [next(iter(scenario.states)), *fixed, computed, "time"]
     for variable in [*forbidden, *scenario.outputs]:
         with pytest.raises(FMICallException):
             slave.setReal([known[variable]], [1.0])
+
+
+def tunable(slave: Any) -> list[str]:
+    """Return the parameters that may change while the model runs."""
+    description = fmpy.read_model_description(slave.unzipDirectory)
+    return [v.name for v in description.modelVariables if v.variability == "tunable"]
+
+
+def derivatives(slave: Any, scenario: Scenario) -> list[float]:
+    """Return the rates of the states, in the states' order."""
+    known = references(slave)
+    return list(slave.getReal([known[f"der({state})"] for state in scenario.states]))
+
+
+def test_tunable_parameters_take_effect_between_steps(name: str, slave: Any) -> None:
+    scenario, known = SCENARIOS[name], references(slave)
+    given = {**scenario.parameters, **scenario.states}
+    inputs = [mean + amplitude for mean, amplitude in scenario.inputs.values()]
+    slave.setReal([known[n] for n in given], list(given.values()))
+    slave.setReal([known[n] for n in scenario.inputs], inputs)
+    initialise(slave)
+    slave.doStep(0.0, scenario.step)
+    x = np.array(slave.getReal([known[n] for n in scenario.states]))
+    for parameter in tunable(slave):
+        changed = {**scenario.parameters, parameter: 1.1 * scenario.parameters[parameter]}
+        slave.setReal([known[parameter]], [changed[parameter]])
+        expected = scenario.equations(x, inputs, list(changed.values()))
+        np.testing.assert_allclose(derivatives(slave, scenario), expected, rtol=1e-9, atol=1e-12)
+        slave.setReal([known[parameter]], [scenario.parameters[parameter]])
+
+
+def test_tunable_parameters_may_be_set_in_continuous_time(name: str, archive: Path) -> None:
+    scenario, folder = SCENARIOS[name], fmpy.extract(str(archive))
+    description = fmpy.read_model_description(folder)
+    model = fmpy.instantiate_fmu(folder, description, fmi_type="ModelExchange")
+    known = references(model)
+    initialise(model)
+    model.enterContinuousTimeMode()
+    for parameter in tunable(model):
+        model.setReal([known[parameter]], [scenario.parameters[parameter]])
+        assert model.getReal([known[parameter]]) == [scenario.parameters[parameter]]
+    model.freeInstance()
 
 
 def test_refuses_an_unknown_value_reference(slave: Any, messages: list[str]) -> None:

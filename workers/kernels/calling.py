@@ -6,20 +6,48 @@ disk. An address is only an integer: it is turned into a function pointer inside
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import platformdirs
 from llvmlite import ir
-from numba import njit
+from numba import config, njit
 from numba.core import types
 from numba.extending import intrinsic
 
-kernel = njit(nogil=True, cache=True, _nrt=False)
-"""Compiles a loop, and without reference counting: atomic counters around every call would cost
-several times the call. Nothing can be allocated inside; numba refuses to compile it."""
-
 inlined = njit(inline="always")
 """Compiles a helper into each loop that uses it."""
+
+
+def _cache_folder() -> Path:
+    """A folder that belongs to this version of the loops and all their helpers.
+
+    numba takes its cached code for a loop as long as the loop's own file is unchanged, whatever
+    has happened to helpers from other files that are compiled into it.
+    """
+    sources = [file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py"))]
+    digest = hashlib.sha256(b"\0".join(sources)).hexdigest()[:16]
+    home = config.CACHE_DIR or platformdirs.user_cache_dir("cluster-est")
+    return Path(home) / "kernels" / digest
+
+
+_CACHE_FOLDER = str(_cache_folder())
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a loop, and without reference counting.
+
+    Atomic counters around every call would cost several times the call. Nothing can be allocated
+    inside; numba refuses to compile it.
+    """
+    before = config.CACHE_DIR
+    config.CACHE_DIR = _CACHE_FOLDER  # read while decorating, and other users of numba keep theirs
+    try:
+        return njit(nogil=True, cache=True, _nrt=False)(function)
+    finally:
+        config.CACHE_DIR = before
 
 
 def c_function(returns: Any, *arguments: Any) -> Callable[..., Any]:

@@ -89,7 +89,7 @@ def _advance(c, references, grid, i, steps, work):  # type: ignore[no-untyped-de
     step = length / steps
     status = 0
     for s in range(steps):
-        if s > 0 and len(work.inputs) > 0:
+        if s > 0 and status < DISCARD and len(work.inputs) > 0:
             for j in range(len(work.inputs)):
                 work.inputs[j] = grid.inputs[i, j] + s * step * grid.slopes[i, j]
             status = max(status, set_real(c, references.inputs, work.inputs))

@@ -45,19 +45,20 @@ def n_steps(length, longest, limit):  # type: ignore[no-untyped-def]
 def initialise(c, references, constants, values, inputs, tolerance, start):  # type: ignore[no-untyped-def]
     """Reset, write every start value, initialise. Returns the worst status.
 
-    Everything is written after each reset, because some FMUs do not reset their parameters.
+    Everything is written after each reset, because some FMUs do not reset their parameters. After a
+    failure nothing more is called: the standard forbids it.
     """
     worst = reset(c)
-    if len(values) > 0:
+    if worst < DISCARD and len(values) > 0:
         worst = max(worst, set_real(c, references.start_reals, values))
-    if len(constants.integers) > 0:
+    if worst < DISCARD and len(constants.integers) > 0:
         worst = max(worst, set_integer(c, references.start_integers, constants.integers))
-    if len(constants.booleans) > 0:
+    if worst < DISCARD and len(constants.booleans) > 0:
         worst = max(worst, set_boolean(c, references.start_booleans, constants.booleans))
-    if worst >= DISCARD:
-        return worst
-    worst = max(worst, setup_experiment(c, tolerance, start))
-    worst = max(worst, enter_initialization_mode(c))
+    if worst < DISCARD:
+        worst = max(worst, setup_experiment(c, tolerance, start))
+    if worst < DISCARD:
+        worst = max(worst, enter_initialization_mode(c))
     if worst < DISCARD and len(inputs) > 0:
         worst = max(worst, set_real(c, references.inputs, inputs))
     if worst < DISCARD:

@@ -45,8 +45,10 @@ def start(c, references, constants, grid, point, work):  # type: ignore[no-untyp
 @inlined
 def go_to(c, references, time, states, inputs):  # type: ignore[no-untyped-def]
     """Tell the FMU where it is. Returns the worst status."""
-    status = max(set_time(c, time), set_continuous_states(c, states))
-    if len(inputs) > 0:
+    status = set_time(c, time)
+    if status < DISCARD:
+        status = max(status, set_continuous_states(c, states))
+    if status < DISCARD and len(inputs) > 0:
         status = max(status, set_real(c, references.inputs, inputs))
     return status
 
@@ -56,14 +58,15 @@ def derivative(c, references, grid, i, time, states, work, result):  # type: ign
     """dx/dt at a time in the interval after grid time i. Returns the worst status."""
     for j in range(len(work.inputs)):
         work.inputs[j] = grid.inputs[i, j] + (time - grid.times[i]) * grid.slopes[i, j]
-    return max(go_to(c, references, time, states, work.inputs), get_derivatives(c, result))
+    status = go_to(c, references, time, states, work.inputs)
+    return max(status, get_derivatives(c, result)) if status < DISCARD else status
 
 
 @inlined
 def record_outputs(c, references, grid, i, states, record):  # type: ignore[no-untyped-def]
     """The outputs at grid time i, to which the FMU is moved. Returns the worst status."""
     status = go_to(c, references, grid.times[i], states, grid.inputs[i])
-    return max(status, get_real(c, references.outputs, record))
+    return max(status, get_real(c, references.outputs, record)) if status < DISCARD else status
 
 
 @inlined

@@ -79,6 +79,6 @@ def _step(c, references, grid, i, time, step, moved, work):  # type: ignore[no-u
             status = derivative(c, references, grid, i, time + reach, trial, work, k[stage])
     for j in range(len(x)):
         x[j] += step / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
-    if c.completes_steps:
+    if c.completes_steps and status < DISCARD:
         status = max(status, go_to(c, references, time + step, x, work.inputs))
     return status

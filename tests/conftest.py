@@ -1,0 +1,44 @@
+"""What several tests share: a cache folder of their own, and small FMUs that misbehave."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import fmpy
+import pytest
+from build_fmus import build
+from hypothesis import settings
+
+settings.register_profile("project", deadline=None, derandomize=True)
+settings.load_profile("project")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Unpack FMUs into a folder of this session, not into the user's cache."""
+    folder = tmp_path_factory.mktemp("cache")
+    before = os.environ.get("CLUSTER_EST_CACHE")
+    os.environ["CLUSTER_EST_CACHE"] = str(folder)
+    yield folder
+    if before is None:
+        del os.environ["CLUSTER_EST_CACHE"]
+    else:
+        os.environ["CLUSTER_EST_CACHE"] = before
+
+
+@pytest.fixture(scope="session")
+def built_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], bytes]:
+    """Give the FMU of a folder in `tests/models`, built once a session."""
+    if shutil.which("cc") is None or fmpy.platform != "linux64":
+        pytest.skip("building with the system's compiler needs cc on a 64-bit Linux")
+    folder = tmp_path_factory.mktemp("fmus")
+    models = Path(__file__).parent / "models"
+
+    def give(name: str) -> bytes:
+        path = folder / f"{name}.fmu"
+        return (path if path.exists() else build(models / name, folder)).read_bytes()
+
+    return give

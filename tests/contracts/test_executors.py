@@ -1,0 +1,224 @@
+"""What every executor promises. A new one joins by a line in `OPENERS`."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import ray
+from reference_models import MODELS, REFERENCES, sampled_experiment
+
+from cluster_est.executors import EXECUTORS, Executor, executor_class
+from workers.errors import ModelError
+from workers.evaluate import Evaluator
+from workers.messages import (
+    Batch,
+    Experiment,
+    Input,
+    Model,
+    Outcome,
+    Output,
+    Solver,
+    Status,
+    Task,
+    Want,
+)
+
+OPENERS = {"local-1": ("local", 1), "local-3": ("local", 3), "ray-2": ("ray", 2)}
+
+SPRING = Model(
+    "mass.fmu",
+    (MODELS / "mass_spring_damper.fmu").read_bytes(),
+    "model_exchange",
+    Solver("dormand_prince"),
+    ("m", "k"),
+)
+EXPERIMENTS: tuple[Experiment, ...] = tuple(
+    sampled_experiment(REFERENCES["mass_spring_damper"], "linear", seed) for seed in range(4)
+)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """An executor that is open, and how to open another one like it."""
+
+    executor: Executor
+    open: Callable[[Model, tuple[Experiment, ...]], Executor]
+
+
+@pytest.fixture(scope="module")
+def ray_started(cache_folder: object) -> Iterator[None]:
+    """One Ray for all tests, with processors enough for several pools at the same time."""
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    ray.init(
+        address="local",
+        num_cpus=8,
+        include_dashboard=False,
+        logging_level=logging.ERROR,
+        log_to_driver=False,
+    )
+    yield
+    ray.shutdown()
+
+
+@pytest.fixture(scope="module", params=list(OPENERS))
+def setup(request: pytest.FixtureRequest) -> Iterator[Setup]:
+    name, workers = OPENERS[request.param]
+    if name == "ray":
+        request.getfixturevalue("ray_started")
+
+    def open_one(model: Model, experiments: tuple[Experiment, ...]) -> Executor:
+        return executor_class(name).open(model, experiments, workers, None)
+
+    with open_one(SPRING, EXPERIMENTS) as executor:
+        yield Setup(executor, open_one)
+
+
+def make_tasks(count: int, want: Want = "residuals", first: int = 0) -> list[Task]:
+    """Tasks on all experiments in no order, some of which fail."""
+    generator = np.random.default_rng(count)
+    masses, stiffnesses = generator.uniform([[-0.2], [10.0]], [[3.0], [80.0]], (2, count))
+    which = generator.integers(0, len(EXPERIMENTS), count)
+    return [
+        Task(first + i, int(which[i]), np.array([masses[i], stiffnesses[i]]), want)
+        for i in range(count)
+    ]
+
+
+def gather(executor: Executor, tasks: Sequence[Task]) -> dict[int, Outcome]:
+    """Submit tasks and wait for an outcome of each; refuse any that comes twice."""
+    executor.submit(tasks)
+    outcomes: list[Outcome] = []
+    while len(outcomes) < len(tasks):
+        some = executor.completed()
+        assert some, "nothing was completed although tasks are queued"
+        outcomes += some
+    assert Counter(o.task for o in outcomes) == Counter(t.id for t in tasks)
+    assert executor.completed() == []
+    return {outcome.task: outcome for outcome in outcomes}
+
+
+def same(outcome: Outcome, expected: Outcome) -> bool:
+    """Whether two outcomes agree in every bit that must not depend on where they come from."""
+    arrays = [
+        b"".join(
+            array.tobytes()
+            for array in (
+                o.residuals,
+                o.trajectory and o.trajectory.times,
+                o.trajectory and o.trajectory.values,
+            )
+            if array is not None
+        )
+        for o in (outcome, expected)
+    ]
+    words = [(o.task, o.status, o.message, o.trajectory is None) for o in (outcome, expected)]
+    return arrays[0] == arrays[1] and words[0] == words[1]
+
+
+def check(outcomes: dict[int, Outcome], tasks: Sequence[Task]) -> None:
+    """Compare with an evaluator's answers to the tasks, one at a time."""
+    evaluator = Evaluator(SPRING, EXPERIMENTS, "reference")
+    for task in tasks:
+        (expected,) = evaluator.evaluate(Batch.of([task]))
+        assert same(outcomes[task.id], expected), (outcomes[task.id], expected)
+    evaluator.close()
+
+
+def test_every_executor_is_tested() -> None:
+    assert {name for name, _ in OPENERS.values()} == set(EXECUTORS)
+
+
+class TestContract:
+    def test_many_tasks_are_answered_once_each_and_bit_for_bit(self, setup: Setup) -> None:
+        tasks = make_tasks(2000)
+        outcomes = gather(setup.executor, tasks)
+        check(outcomes, tasks)
+        failed = [o for o in outcomes.values() if not o.ok]
+        assert 0 < len(failed) < len(tasks) / 2
+        assert all(o.status is Status.SOLVER_FAILURE and "mass" in o.message for o in failed)
+
+    def test_mixed_wants_are_answered_as_wanted(self, setup: Setup) -> None:
+        tasks = make_tasks(30) + make_tasks(30, "trajectory", first=50)
+        tasks = [tasks[i] for i in np.random.default_rng(0).permutation(len(tasks))]
+        outcomes = gather(setup.executor, tasks)
+        check(outcomes, tasks)
+        for task in tasks:
+            outcome = outcomes[task.id]
+            assert (outcome.trajectory is not None) == (outcome.ok and task.want == "trajectory")
+
+    def test_tasks_may_be_submitted_while_others_run(self, setup: Setup) -> None:
+        tasks, found = make_tasks(90), {}
+        setup.executor.submit(tasks[:30])
+        for later in (tasks[30:60], tasks[60:]):
+            found |= {outcome.task: outcome for outcome in setup.executor.completed()}
+            setup.executor.submit(later)
+        while len(found) < len(tasks):
+            found |= {outcome.task: outcome for outcome in setup.executor.completed()}
+        check(found, tasks)
+
+    def test_nothing_submitted_is_nothing_completed(self, setup: Setup) -> None:
+        setup.executor.submit([])
+        assert setup.executor.completed() == []
+        assert setup.executor.busy == 0
+
+    def test_busy_counts_workers(self, setup: Setup) -> None:
+        tasks = make_tasks(20)
+        setup.executor.submit(tasks)
+        assert 1 <= setup.executor.busy <= setup.executor.workers
+        found = 0
+        while found < len(tasks):
+            found += len(setup.executor.completed())
+        assert setup.executor.busy == 0
+
+    def test_close_forgets_what_is_queued_and_may_be_called_twice(self, setup: Setup) -> None:
+        with setup.open(SPRING, EXPERIMENTS[:1]) as executor:
+            executor.submit([Task(i, 0, np.array([1.0, 30.0])) for i in range(50)])
+            executor.close()
+            assert executor.completed() == []
+            assert executor.busy == 0
+        executor.close()
+
+    @pytest.mark.parametrize(
+        ("name", "parameters", "said"),
+        [("no_fmu", ("m", "k"), "must be an FMU"), ("mass", ("m", "kk"), "no variable 'kk'")],
+    )
+    def test_model_that_cannot_be_loaded_is_a_model_error(
+        self, setup: Setup, name: str, parameters: tuple[str, ...], said: str
+    ) -> None:
+        archive = b"not a zip file" if name == "no_fmu" else SPRING.archive
+        model = Model(f"{name}.fmu", archive, SPRING.interface, SPRING.solver, parameters)
+        with pytest.raises(ModelError, match=said) as caught:
+            setup.open(model, EXPERIMENTS)
+        assert type(caught.value) is ModelError
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("setup", ["ray-2"], indirect=True)
+def test_task_that_aborts_its_process_is_a_crash_and_spares_all_others(
+    setup: Setup, built_fmu: Callable[[str], bytes]
+) -> None:
+    times = np.linspace(0.0, 2.0, 9)
+    inputs = (Input("u", times, np.sin(times)),)
+    experiment = Experiment("e", 0.0, 2.0, inputs, (Output("y", times, np.zeros(9)),))
+    model = Model("crashes.fmu", built_fmu("crashes"), "co_simulation", Solver("fmu"), ("rate",))
+    evaluator = Evaluator(model, [experiment], "reference")
+    with setup.open(model, (experiment,)) as executor:
+        for count, killers in ((40, {17, 18}), (4, {0})):
+            rates = np.linspace(0.1, 1.9, count)
+            rates[list(killers)] = 3.0
+            tasks = [Task(i, 0, np.array([rate])) for i, rate in enumerate(rates)]
+            for i, outcome in gather(executor, tasks).items():
+                if i in killers:
+                    assert outcome.status is Status.CRASH
+                    assert outcome.message.startswith("the worker process died during this")
+                    assert outcome.residuals is None
+                else:
+                    assert same(outcome, evaluator.evaluate(Batch.of([tasks[i]]))[0])
+            assert executor.busy == 0
+    evaluator.close()

@@ -1,0 +1,153 @@
+"""Parameters become unknowns, unknowns become values of experiments, and colours share work."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cluster_est.errors import ProblemError
+from cluster_est.problem import Parameter, Problem
+from cluster_est.space import Space, make_space
+from workers.messages import Experiment, Model, Output, Solver
+
+PER = [None, "experiment", "group:rig", "group:day"]
+
+
+def make_problem(
+    parameters: list[Parameter], experiments: int, known: dict[int, dict[str, float]] | None = None
+) -> Problem:
+    """A problem whose model is never loaded; experiment i has i + 1 residuals and two groups."""
+    names = tuple(p.target for p in parameters)
+    model = Model("none.fmu", b"", "model_exchange", Solver("rk4"), names)
+    runs = [
+        Experiment(
+            f"e{i}",
+            0.0,
+            1.0,
+            (),
+            (Output("y", np.linspace(0.0, 1.0, i + 1), np.zeros(i + 1)),),
+            values=tuple((known or {}).get(i, {}).items()),
+            groups=(("rig", "AB"[i % 2]), ("day", f"d{i // 3}")),
+        )
+        for i in range(experiments)
+    ]
+    return Problem(model, tuple(parameters), tuple(runs))
+
+
+@st.composite
+def spaces(draw: st.DrawFn) -> Space:
+    count = draw(st.integers(1, 8))
+    kinds = draw(st.lists(st.sampled_from(PER), min_size=1, max_size=6))
+    parameters = [
+        Parameter(
+            f"p{i}", 1.0 + i, 0.1, 100.0, draw(st.sampled_from(["linear", "log"])), per=per,
+            fixed=draw(st.integers(0, 4)) == 0,
+        )
+        for i, per in enumerate(kinds)
+    ]  # fmt: skip
+    known = {
+        e: {f"p{i}": 50.0 + e for i in range(len(kinds)) if draw(st.integers(0, 4)) == 0}
+        for e in range(count)
+    }
+    chosen = draw(st.sets(st.integers(0, count - 1), min_size=1))
+    return make_space(make_problem(parameters, count, known), tuple(sorted(chosen)))
+
+
+@given(spaces())
+def test_unknowns_of_a_colour_share_no_experiment_and_each_has_one(space: Space) -> None:
+    members = np.concatenate([np.zeros(0, int), *space.colours])
+    assert sorted(members) == list(range(space.size))
+    for colour in space.colours:
+        assert (space.acts_on[colour].sum(axis=0) <= 1).all()
+
+
+@given(spaces())
+def test_unknown_moves_just_its_own_experiments(space: Space) -> None:
+    before = space.physical(space.start)
+    for i, unknown in enumerate(space.unknowns):
+        x = space.start.copy()
+        x[i] += 0.5
+        moved = space.physical(x) != before
+        assert moved[:, unknown.column].tolist() == space.acts_on[i].tolist()
+        assert moved.sum() == space.acts_on[i].sum()
+
+
+@given(spaces())
+def test_values_are_known_or_the_starts(space: Space) -> None:
+    physical = space.physical(space.start)
+    assert physical.shape == (len(space.experiments), len(space.problem.parameters))
+    for row, e in zip(physical, space.experiments, strict=True):
+        known = dict(space.problem.experiments[e].values)
+        expected = [known.get(p.target, p.start) for p in space.problem.parameters]
+        np.testing.assert_allclose(row, expected, rtol=1e-15)
+
+
+@given(spaces())
+def test_unknowns_are_named_after_what_they_are_for(space: Space) -> None:
+    labels = [u.label for u in space.unknowns]
+    assert len(set(labels)) == len(labels)
+    for unknown in space.unknowns:
+        runs = [space.problem.experiments[space.experiments[e]] for e in unknown.experiments]
+        per = unknown.parameter.per
+        for run in runs:
+            scope = {None: "", "experiment": f"[{run.id}]"}.get(per)
+            if scope is None:
+                scope = f"[{dict(run.groups)[str(per).removeprefix('group:')]}]"
+            assert unknown.label == unknown.parameter.name + scope
+        assert not unknown.parameter.fixed
+        assert all(unknown.parameter.target not in dict(run.values) for run in runs)
+
+
+@given(spaces())
+def test_values_given_by_label_are_kept_instead_of_searched(space: Space) -> None:
+    given_values = {u.label: 2.0 + i for i, u in enumerate(space.unknowns) if i % 2 == 0}
+    fewer = make_space(space.problem, space.experiments, given_values)
+    left = [u.label for u in space.unknowns if u.label not in given_values]
+    assert [u.label for u in fewer.unknowns] == left
+    x = space.start.copy()
+    for i, unknown in enumerate(space.unknowns):
+        if unknown.label in given_values:
+            x[i] = unknown.to_search(given_values[unknown.label])
+    np.testing.assert_allclose(fewer.physical(fewer.start), space.physical(x), rtol=1e-15)
+
+
+@given(st.floats(1e-300, 1e300))
+def test_log_scale_goes_there_and_back(value: float) -> None:
+    parameter = Parameter("p", value, 0.0, scale="log")
+    space = make_space(make_problem([parameter], 1), (0,))
+    assert space.start[0] == math.log(value)
+    assert space.lower[0] == -math.inf
+    assert space.upper[0] == math.inf
+    np.testing.assert_allclose(space.physical(space.start)[0, 0], value, rtol=1e-12)
+    assert space.estimates(space.start)["p"] == space.physical(space.start)[0, 0]
+
+
+def test_local_unknowns_cost_as_many_colours_as_one_experiment_has() -> None:
+    shared = [Parameter(name, 1.0) for name in "mkc"]
+    local = [Parameter(name, 1.0, per="experiment") for name in ("x0", "v0")]
+    space = make_space(make_problem([*shared, *local], 20), tuple(range(20)))
+    assert space.size == 3 + 2 * 20
+    assert len(space.colours) == 5
+
+
+def test_groups_of_one_key_share_a_colour() -> None:
+    parameters = [Parameter("k", 1.0), Parameter("b", 1.0, per="group:rig")]
+    space = make_space(make_problem(parameters, 6), tuple(range(6)))
+    assert [u.label for u in space.unknowns] == ["k", "b[A]", "b[B]"]
+    assert [u.experiments for u in space.unknowns[1:]] == [(0, 2, 4), (1, 3, 5)]
+    assert len(space.colours) == 2
+
+
+def test_experiment_without_the_group_that_a_parameter_needs_is_refused() -> None:
+    problem = make_problem([Parameter("b", 1.0, per="group:operator")], 2)
+    with pytest.raises(ProblemError, match=r"experiment 'e0'.group: must have the key 'operator'"):
+        make_space(problem, (0, 1))
+
+
+def test_residuals_stand_experiment_after_experiment() -> None:
+    space = make_space(make_problem([Parameter("k", 1.0)], 5), (1, 3, 4))
+    assert space.rows == (slice(0, 2), slice(2, 6), slice(6, 11))

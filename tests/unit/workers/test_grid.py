@@ -1,0 +1,143 @@
+"""The grid of an experiment holds every time that matters, and every signal as it was measured."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from workers.grid import build_grid
+from workers.messages import Experiment, FloatArray, Input, Output
+
+START, STOP = -1.0, 3.0
+
+values = st.floats(-1e3, 1e3)
+
+
+def moments(first: float, last: float, least: int) -> st.SearchStrategy[list[float]]:
+    """Times on a lattice that is fine but far above rounding, so that slopes stay meaningful."""
+    ticks = st.integers(int(first * 1024), int(last * 1024))
+    return st.lists(ticks, min_size=least, max_size=12, unique=True).map(
+        lambda found: [tick / 1024 for tick in sorted(found)]
+    )
+
+
+@st.composite
+def inputs(draw: st.DrawFn) -> Input:
+    """A signal that may start before or after the experiment, and end before or after it."""
+    times = draw(moments(START - 1.0, STOP + 1.0, 1))
+    samples = draw(st.lists(values, min_size=len(times), max_size=len(times)))
+    kind = draw(st.sampled_from(["linear", "hold"]))
+    return Input("u", np.array(times), np.array(samples), kind)
+
+
+@st.composite
+def outputs(draw: st.DrawFn) -> Output:
+    times = draw(moments(START, STOP, 0))
+    samples = draw(st.lists(values, min_size=len(times), max_size=len(times)))
+    return Output("y", np.array(times), np.array(samples), draw(st.floats(0.1, 10.0)))
+
+
+experiments = st.builds(
+    lambda given, measured: Experiment("e", START, STOP, tuple(given), tuple(measured)),
+    st.lists(inputs(), max_size=3),
+    st.lists(outputs(), max_size=3),
+)
+
+
+def signal(given: Input, at: FloatArray) -> FloatArray:
+    """The signal at some times, one by one and from its definition."""
+    if given.interpolation == "linear":
+        return np.interp(at, given.times, given.values)
+    latest = [given.values[given.times <= t] for t in at]
+    return np.array([before[-1] if len(before) else given.values[0] for before in latest])
+
+
+@given(experiments)
+def test_times_increase_from_start_to_stop_and_hold_all_that_was_measured(
+    experiment: Experiment,
+) -> None:
+    grid = build_grid(experiment)
+    assert (grid.times[0], grid.times[-1]) == (START, STOP)
+    assert (np.diff(grid.times) > 0.0).all()
+    for output in experiment.outputs:
+        assert np.isin(output.times, grid.times).all()
+    for given_input in experiment.inputs:
+        inside = given_input.times[(given_input.times >= START) & (given_input.times <= STOP)]
+        assert np.isin(inside, grid.times).all()
+
+
+@given(experiments)
+def test_inputs_keep_their_samples_at_their_knots(experiment: Experiment) -> None:
+    grid = build_grid(experiment)
+    for column, given_input in enumerate(experiment.inputs):
+        at = np.searchsorted(grid.times, given_input.times)
+        inside = (given_input.times >= START) & (given_input.times <= STOP)
+        np.testing.assert_array_equal(
+            grid.inputs[at[inside], column], given_input.values[inside], strict=True
+        )
+
+
+@given(experiments, st.floats(0.0, 0.999))
+def test_value_and_slope_reconstruct_a_signal_between_knots(
+    experiment: Experiment, part: float
+) -> None:
+    grid = build_grid(experiment)
+    lengths = part * np.diff(grid.times)
+    between = grid.times[:-1] + lengths
+    for column, given_input in enumerate(experiment.inputs):
+        rebuilt = grid.inputs[:-1, column] + lengths * grid.slopes[:-1, column]
+        np.testing.assert_allclose(rebuilt, signal(given_input, between), rtol=0, atol=1e-9)
+
+
+@given(experiments)
+def test_held_inputs_are_right_continuous(experiment: Experiment) -> None:
+    grid = build_grid(experiment)
+    for column, given_input in enumerate(experiment.inputs):
+        if given_input.interpolation == "hold":
+            assert (grid.slopes[:, column] == 0.0).all()
+            np.testing.assert_array_equal(
+                grid.inputs[:, column], signal(given_input, grid.times), strict=True
+            )
+
+
+@given(experiments)
+def test_inputs_keep_their_end_values_outside_their_samples(experiment: Experiment) -> None:
+    grid = build_grid(experiment)
+    for column, given_input in enumerate(experiment.inputs):
+        early = grid.times < given_input.times[0]
+        late = grid.times >= given_input.times[-1]
+        assert (grid.inputs[early, column] == given_input.values[0]).all()
+        assert (grid.inputs[late, column] == given_input.values[-1]).all()
+        assert (grid.slopes[late, column] == 0.0).all()
+
+
+@given(experiments)
+def test_gather_picks_each_output_at_its_own_times(experiment: Experiment) -> None:
+    grid = build_grid(experiment)
+    width = len(experiment.outputs)
+    record = np.empty((len(grid.times), width, 2))
+    record[:, :, 0] = grid.times[:, None]
+    record[:, :, 1] = np.arange(width)
+    picked = record.reshape(-1, 2)[grid.gather]
+    expected = [(t, c) for c, output in enumerate(experiment.outputs) for t in output.times]
+    np.testing.assert_array_equal(picked, np.array(expected).reshape(-1, 2))
+    for found, name in ((grid.measured, "values"), (grid.sigmas, "sigma")):
+        whole = [np.full(len(o.times), getattr(o, name)) for o in experiment.outputs]
+        np.testing.assert_array_equal(found, np.concatenate([np.zeros(0), *whole]))
+
+
+def test_shapes_without_inputs() -> None:
+    output = Output("y", np.array([0.0, 1.0]), np.zeros(2))
+    grid = build_grid(Experiment("e", START, STOP, (), (output,)))
+    np.testing.assert_array_equal(grid.times, [START, 0.0, 1.0, STOP])
+    assert grid.inputs.shape == grid.slopes.shape == (4, 0)
+
+
+def test_jump_of_a_held_input_stands_after_it_and_a_linear_kink_on_it() -> None:
+    held = Input("a", np.array([0.0, 1.0]), np.array([1.0, 5.0]), "hold")
+    linear = Input("b", np.array([0.0, 2.0]), np.array([0.0, 4.0]))
+    grid = build_grid(Experiment("e", 0.0, 3.0, (held, linear), ()))
+    np.testing.assert_array_equal(grid.times, [0.0, 1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(grid.inputs, [[1, 0], [5, 2], [5, 4], [5, 4]])
+    np.testing.assert_array_equal(grid.slopes, [[0, 2], [0, 2], [0, 0], [0, 0]])
