@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Method, Solution
+from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.least_squares import LeastSquares
 from cluster_est.problem import Problem
 from cluster_est.resources import Resources, open_executor
@@ -59,7 +59,8 @@ def fit(
         before = _simulate_all(runner, problem, {})
         (solution,) = runner.run([SearchRequest("train", method, train, seed)])
         test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
-        test_solution = _fit_test_records(runner, method, test, seed)
+        stopped = solution.ending is Ending.INTERRUPTED
+        test_solution = None if stopped else _fit_test_records(runner, method, test, seed)
         known = train.estimates(solution.x)
         if test_solution is not None:
             known |= test.estimates(test_solution.x)

@@ -166,12 +166,16 @@ class Runner:
         for row, experiment in zip(values, experiments, strict=True):
             origin = Origin(name, 0, want, experiment, row)
             tasks.append(self._task(origin, want))
+        own = {task.id for task in tasks}
         answers: dict[int, Outcome] = {}
         self._executor.submit(tasks)
         while len(answers) < len(tasks):
             for outcome in self._executor.completed():
-                self._note(self._origins.pop(outcome.task), outcome)
-                answers[outcome.task] = outcome
+                if outcome.task in own:
+                    self._note(self._origins.pop(outcome.task), outcome)
+                    answers[outcome.task] = outcome
+                else:  # left over from a search that was ended from outside
+                    self._receive(outcome)
         return [answers[task.id] for task in tasks]
 
     def _open(self, request: SearchRequest) -> _Active:

@@ -57,7 +57,10 @@ class Unknown:
         return math.log(physical) if physical > 0.0 else -math.inf
 
     def to_physical(self, searched: float) -> float:
-        return math.exp(searched) if self.log else searched
+        if not self.log:
+            return searched
+        # the exponential of a bound's logarithm may lie just outside the bound
+        return min(max(math.exp(searched), self.parameter.lower), self.parameter.upper)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Classical test functions as problems: an executor that computes residuals instead of simulating."""
+"""Classical test functions as problems: an executor computes residuals instead of simulating."""
 
 from __future__ import annotations
 

@@ -152,12 +152,15 @@ def install(model: Model, description: Description, experiment: Experiment) -> I
     integers = [(n, int(v)) for n, v in known if _kind(description, n, where) == "integer"]
     booleans = [(n, int(bool(v))) for n, v in known if _kind(description, n, where) == "boolean"]
     outputs = tuple(output.variable for output in experiment.outputs)
+    grid = build_grid(experiment)
+    if model.interface == "co_simulation" and not description.variable_steps:
+        _check_equal_steps(model, description, grid, where)
 
     def references(names: list[str]) -> IntArray:
         return np.array([description.variable(n, where).reference for n in names], np.uint32)
 
     return Installed(
-        grid=build_grid(experiment),
+        grid=grid,
         outputs=outputs,
         references=References(
             start_reals=references([*model.parameters, *(n for n, _ in reals)]),
@@ -172,6 +175,26 @@ def install(model: Model, description: Description, experiment: Experiment) -> I
         ),
         known=np.array([v for _, v in reals], np.float64),
     )
+
+
+def _check_equal_steps(model: Model, description: Description, grid: Grid, where: str) -> None:
+    """Refuse a grid that an FMU with a fixed communication step cannot stand on.
+
+    The loops cut each interval of the grid into equal steps of at most `Solver.step`; here they
+    must all come out the same.
+    """
+    intervals = np.diff(grid.times)
+    step = model.solver.step or float(intervals.min())
+    steps = intervals / step
+    if np.abs(steps - np.round(steps)).max() > 1e-6 or steps.min() < 0.5:
+        usual = description.default_step
+        advice = f" (its own default is {usual:g} s)" if usual else ""
+        raise ModelError(
+            f"{where}: {description.file} needs one communication step of fixed length, but the "
+            f"times of inputs and measurements are {intervals.min():g} to {intervals.max():g} s "
+            f"apart and no multiples of {step:g} s; set model.step to a divisor of them all"
+            f"{advice}, or resample the data"
+        )
 
 
 def _kind(description: Description, name: str, where: str) -> str:

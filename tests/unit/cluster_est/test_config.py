@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import re
 import tomllib
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from spoiled import INF, NAN, REMOVED, spoiled_tree, valid_tree, write_input
+from spoiled import INF, NAN, REMOVED, mutate, spoiled_tree, valid_tree, write_input
 
 from cluster_est import parse_config, read_config
 from cluster_est.errors import ClusterEstError, ConfigError
@@ -239,12 +238,6 @@ def test_overrides_reach_into_lists_and_quoted_keys(tmp_path):
     assert config.model.solver == "rk4"
 
 
-VALUES = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5),
-    st.lists(st.integers(0, 3), max_size=3), st.dictionaries(st.text(max_size=3), st.floats()),
-)  # fmt: skip
-
-
 @settings(max_examples=200)
 @given(st.data(), st.randoms(use_true_random=False))
 def test_any_tree_is_parsed_or_refused_with_a_sentence(data, chance):
@@ -255,24 +248,3 @@ def test_any_tree_is_parsed_or_refused_with_a_sentence(data, chance):
         parse_config(tree, "c.toml")
     except ClusterEstError as error:
         assert str(error).startswith("c.toml: ")  # noqa: PT017
-
-
-def mutate(tree: Any, chance: random.Random, data: st.DataObject) -> None:
-    """Drop, rename or retype something in a tree."""
-    while True:
-        keys = list(tree) if isinstance(tree, dict) else list(range(len(tree)))
-        if not keys:
-            return
-        key = chance.choice(keys)
-        if not isinstance(tree[key], dict | list) or chance.random() < 0.3:
-            break
-        tree = tree[key]
-    action = chance.choice(["drop", "rename", "retype", "add"])
-    if action == "drop" or (action == "rename" and isinstance(tree, list)):
-        del tree[key]
-    elif action == "rename":
-        tree[data.draw(st.text(max_size=4))] = tree.pop(key)
-    elif action == "retype" or isinstance(tree, list):
-        tree[key] = data.draw(VALUES)
-    else:
-        tree[data.draw(st.text(max_size=4))] = data.draw(VALUES)

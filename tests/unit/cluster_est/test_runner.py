@@ -269,11 +269,6 @@ def test_interrupt_ends_all_searches_with_their_best_points(seed: int, call: int
     assert long.closed
 
 
-@pytest.mark.xfail(
-    reason="simulate() counts outcomes of an interrupted search among its own",
-    raises=KeyError,
-    strict=True,
-)
 @given(st.integers(0, 2**32 - 1))
 def test_simulations_after_an_interrupt_are_not_confused_with_those_left_over(seed: int) -> None:
     runner = Runner(FakeExecutor(seed, interrupt_at(0)))
