@@ -19,7 +19,7 @@ from cluster_est.errors import RunFolderError
 from cluster_est.fit import check_method
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
-from cluster_est.printing import print_check, print_run
+from cluster_est.printing import print_check, print_run, read_run_table
 from cluster_est.problem import Problem
 from cluster_est.progress import ProgressLine
 from cluster_est.resources import Resources
@@ -78,6 +78,8 @@ def simulate(path: Path, overrides: list[str], out: Path, run_folder: Path | Non
     """Simulate every experiment and write one table of trajectories."""
     config = read_config(path, overrides)
     writer = _table_writer(out)
+    if out.is_dir():
+        raise RunFolderError(f"--out: {out} must be a file but is a folder; choose another")
     problem = build_problem(config, path.parent)
     values = read_estimates(run_folder) if run_folder is not None else {}
     simulations = run_simulate(problem, build_resources(config), values)
@@ -96,8 +98,11 @@ def simulate(path: Path, overrides: list[str], out: Path, run_folder: Path | Non
     measured = residual_table(problem, good).drop_columns(["simulated", "role"])
     table = trajectory_table(problem, good).join(measured, ["experiment", "output", "time"])
     order = [("experiment", "ascending"), ("output", "ascending"), ("time", "ascending")]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    writer(table.sort_by(order), out)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        writer(table.sort_by(order), out)
+    except OSError as error:
+        raise RunFolderError(f"--out: {out} cannot be written ({error}); choose another") from error
     Console(soft_wrap=True).print(f"{out}: {table.num_rows} rows", markup=False, highlight=False)
     return DONE if len(good) == len(simulations) else NO_SOLUTION
 
@@ -113,8 +118,9 @@ def read_estimates(run_folder: Path) -> dict[str, float]:
     path = run_folder / "parameters.parquet"
     if not path.is_file():
         raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
-    rows = pa.parquet.read_table(path).to_pylist()
-    return {row["label"]: row["value"] for row in rows if row["estimated_on"] != "known"}
+    return {
+        row["label"]: row["value"] for row in read_run_table(path) if row["estimated_on"] != "known"
+    }
 
 
 class _Keeper:

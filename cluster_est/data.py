@@ -188,11 +188,15 @@ def _lines(path: Path, delimiter: str) -> Iterator[tuple[int, list[str]]]:
 def _read_parquet(path: Path) -> Table:
     # read_table would make columns of a folder's name like "run=3"
     with pa.parquet.ParquetFile(path) as opened:
-        return _named(path, opened.read())
+        table = opened.read()
+    table.validate(full=True)
+    return _named(path, table)
 
 
 def _read_feather(path: Path) -> Table:
-    return _named(path, pa.feather.read_table(path, memory_map=False))
+    table = pa.feather.read_table(path, memory_map=False)
+    table.validate(full=True)
+    return _named(path, table)
 
 
 def _read_mat(path: Path) -> Table:

@@ -113,6 +113,7 @@ def check_method(method: Method, space: Space) -> None:
             f"method.name: {method.name} needs a cost that is a sum of squares but cost.name is "
             f"{cost.name!r}; choose another of the two"
         )
+    method.check(space)
 
 
 def _fit_test_records(runner: Runner, method: Method, space: Space, seed: int) -> Solution | None:

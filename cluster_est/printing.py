@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.console import Console
 from rich.table import Table
@@ -28,22 +29,37 @@ def print_run(console: Console, run_folder: Path) -> None:
         If there is no run.
     """
     facts = _read_facts(run_folder)
-    console.print(f"run {run_folder}: {facts['status']}", markup=False, highlight=False)
+    _say(console, f"run {run_folder}: {facts['status']}")
     if facts.get("message"):
-        console.print(f"  {facts['message']}", markup=False, highlight=False)
-    if facts.get("evaluations") is not None:
-        console.print(
+        _say(console, f"  {facts['message']}")
+    if {"cost_before", "cost", "iterations", "evaluations", "simulations"} <= facts.keys():
+        _say(
+            console,
             f"  cost {_number(facts['cost_before'])} -> {_number(facts['cost'])} in "
             f"{facts['iterations']} iterations, {facts['evaluations']} evaluations, "
             f"{facts['simulations']} simulations ({facts['failures']} failed), "
             f"{facts['seconds']:.1f} s",
-            highlight=False,
         )
     tables = [run_folder / f"{name}.parquet" for name in ("parameters", "errors")]
     if all(path.is_file() for path in tables):
-        _print_parameters(console, pq.read_table(tables[0]).to_pylist())
-        _print_errors(console, pq.read_table(tables[1]).to_pylist())
-        console.print(f"tables: {run_folder}/*.parquet", markup=False, highlight=False)
+        _print_parameters(console, read_run_table(tables[0]))
+        _print_errors(console, read_run_table(tables[1]))
+        _say(console, f"tables: {run_folder}/*.parquet")
+
+
+def read_run_table(path: Path) -> list[dict[str, Any]]:
+    """The rows of one of a run's tables.
+
+    Raises
+    ------
+    RunFolderError
+        If it is damaged.
+    """
+    try:
+        rows: list[dict[str, Any]] = pq.read_table(path).to_pylist()
+    except (pa.ArrowException, OSError) as error:
+        raise RunFolderError(f"{path}: is damaged ({error}); run again") from error
+    return rows
 
 
 def print_check(
@@ -51,17 +67,16 @@ def print_check(
 ) -> None:
     """What `check` found: model, unknowns, experiments and one simulation of each."""
     model = problem.model
-    console.print(
+    _say(
+        console,
         f"{model.name}: {model.interface.replace('_', ' ')}, solver {model.solver.name}; "
         f"method {method.name}",
-        markup=False,
-        highlight=False,
     )
     train = make_space(problem, problem.indices("train"))
-    console.print(
+    _say(
+        console,
         f"{train.size} unknowns; a forward Jacobian costs {len(train.colours)} points x "
         f"{len(train.experiments)} experiments",
-        highlight=False,
     )
     rows = []
     for simulation in simulations:
@@ -140,6 +155,11 @@ def _print(console: Console, header: list[str], rows: Iterable[Iterable[str]]) -
         table.add_row(*(cell.replace("[", r"\[") for cell in row))
     console.print()
     console.print(table, highlight=False)
+
+
+def _say(console: Console, text: str) -> None:
+    """One line, however narrow the terminal."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def _number(value: float | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import Literal
@@ -71,7 +72,9 @@ class Parameter:
                 f"{where}.scale: a log scale needs a positive start and bounds but the start is "
                 f'{self.start:g}; use scale = "linear" or positive values'
             )
-        if self.per is not None and self.per != "experiment" and not self.per.startswith("group"):
+        if self.per not in (None, "experiment", "group") and not re.fullmatch(
+            "group:.+", self.per or ""
+        ):
             raise ProblemError(
                 f'{where}.per: must be "experiment" or "group:KEY" but is {self.per!r}'
             )
@@ -146,7 +149,7 @@ def check_variables(problem: Problem, description: Description) -> None:
                 inputs = [v.name for v in description.inputs()]
                 raise ProblemError(
                     f"{where}.inputs: {given.variable!r} must be an input of {description.file} "
-                    f"but is a {variable.causality}{nearest(given.variable, inputs)}"
+                    f"but is of causality {variable.causality!r}{nearest(given.variable, inputs)}"
                 )
         for output in experiment.outputs:
             variable = description.variable(output.variable, f"{where}.outputs")
@@ -175,4 +178,6 @@ def _check_start(description: Description, name: str, where: str, *, real: bool)
 def _refuse_repeated(what: str, names: list[str]) -> None:
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
-        raise ProblemError(f"each {what} must appear once but {repeated[0]!r} appears twice")
+        raise ProblemError(
+            f"{what} {repeated[0]!r}: must appear once but appears twice; rename or remove one"
+        )

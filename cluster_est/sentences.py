@@ -136,7 +136,8 @@ def _path(parts: Sequence[int | str], raw: dict[str, Any]) -> str:
             name = entry.get("id") if isinstance(entry, dict) else None
             text += f"[{name!r}]" if isinstance(name, str) and name else f"[{part}]"
         else:
-            text += f".{part}" if text else part
+            name = part if part.isprintable() else repr(part)
+            text += f".{name}" if text else name
     return text
 
 

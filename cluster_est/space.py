@@ -198,8 +198,9 @@ def _label(parameter: Parameter, experiment: Experiment) -> str:
     label = groups.get(key, groups.get(""))
     if label is None:
         raise ProblemError(
-            f"experiment {experiment.id!r}.group: must have the key {key!r}, because "
-            f"parameters.{parameter.name} has a value for each, but has not{nearest(key, groups)}"
+            f"experiment {experiment.id!r}: must belong to a group, because "
+            f"parameters.{parameter.name} is per {parameter.per!r}, but does not; add "
+            f'group = {{ {key} = "..." }}' + (nearest(key, groups) if groups else "")
         )
     return f"{parameter.name}[{label}]"
 

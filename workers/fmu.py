@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import itertools
+import os
 import threading
 import weakref
 from collections import deque
+from collections.abc import Iterator
 from ctypes import c_void_p
 
 from fmpy.fmi2 import FMU2Model, FMU2Slave
@@ -92,7 +95,7 @@ class Instance:
         name = f"{interface.modelIdentifier}-{next(_serial)}"
         _logs[name] = self.log
         try:
-            with _loading:  # loading changes the process's working folder for a moment
+            with _loading, _same_folder():
                 fmu = make(
                     guid=raw.guid,
                     modelIdentifier=interface.modelIdentifier,
@@ -101,7 +104,7 @@ class Instance:
                 )
                 fmu.instantiate(callbacks=_callbacks, loggingOn=False)
         except Exception as error:  # fmpy raises bare exceptions here
-            said = f" It said: {self.log[-1]}" if self.log else ""
+            said = f" It said: {self.log[-1].rstrip('.')}." if self.log else ""
             raise ModelError(
                 f"{self._model.name}: cannot be loaded and instantiated ({error}).{said} "
                 "Check that it runs on this machine and that everything it needs is installed"
@@ -120,6 +123,16 @@ class Instance:
             **{field: _address(self._fmu.dll, name) for field, name in used.items()},
             **dict.fromkeys(unused, 0),
         )
+
+
+@contextlib.contextmanager
+def _same_folder() -> Iterator[None]:
+    """Come back to the working folder, which fmpy leaves while it loads a library."""
+    before = os.getcwd()
+    try:
+        yield
+    finally:
+        os.chdir(before)
 
 
 def _address(library: ctypes.CDLL, name: str) -> int:

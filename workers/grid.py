@@ -69,7 +69,8 @@ def _sample(given: Input, times: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The input at each time of the grid, and its slope in the interval that follows."""
     if given.interpolation == "linear":
         at = np.interp(times, given.times, given.values)
-        return at, np.append(np.diff(at) / np.diff(times), 0.0)
+        with np.errstate(over="ignore", invalid="ignore"):  # absurd slopes fail as simulations
+            return at, np.append(np.diff(at) / np.diff(times), 0.0)
     latest = np.searchsorted(given.times, times, side="right") - 1
     at = given.values[np.maximum(latest, 0)]
     return at, np.zeros_like(at)

@@ -156,6 +156,15 @@ class Method(ABC):
     needs_sum_of_squares: ClassVar[bool]
     """Whether it works on residuals rather than on a cost of any kind."""
 
+    def check(self, space: Space) -> None:  # noqa: B027 - a method may have nothing to refuse
+        """Refuse, before anything is simulated, a space that this method cannot search.
+
+        Raises
+        ------
+        ProblemError
+            With what to change. The default accepts every space.
+        """
+
     @abstractmethod
     def search(self, space: Space, generator: np.random.Generator) -> Search:
         """Start a search.

@@ -53,13 +53,15 @@ class ScipyLeastSquares(Method):
     differences: Literal["forward", "central"] = "forward"
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def check(self, space: Space) -> None:
         bounded = np.isfinite(space.lower).any() or np.isfinite(space.upper).any()
         if self.algorithm == "lm" and bounded:
             raise ProblemError(
                 'method.options.algorithm: "lm" cannot keep bounds but a parameter has some; use '
                 '"trf" or remove them'
             )
+
+    def search(self, space: Space, generator: np.random.Generator) -> Search:
         return search_in_thread(lambda ask: self._solve(space, ask))
 
     def _solve(self, space: Space, ask: Ask) -> Solution:

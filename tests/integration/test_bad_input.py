@@ -77,7 +77,10 @@ def refused(run: Run, arguments: list[str], *phrases: str, lines: int = 1) -> No
         ({f"{A}.outputs": REMOVED}, ["experiments['a'].outputs is missing; add it"]),
         ({"parameters.m.start": "1"}, ["must be a number but is '1'; remove the quotes"]),
         ({"parameters.m.start": 20}, ["parameters.m.start: must lie in its bounds"]),
-        ({"parameters.m.per": "group:cell"}, ["'a'.group: must have the key 'cell'"]),
+        (
+            {"parameters.m.per": "group:cell"},
+            ["experiment 'a': must belong to a group", "group = { cell ="],
+        ),
         ({"parameters.mm": {"start": 1.0}}, ["has no variable 'mm'; did you mean 'm'?"]),
         ({f"{A}.time": "tme"}, ["a.csv has no column 'tme'; did you mean 'time'?"]),
         ({f"{A}.data": "b.csv"}, ["there is no file 'b.csv'; looked for b.csv; check the name"]),
@@ -85,6 +88,10 @@ def refused(run: Run, arguments: list[str], *phrases: str, lines: int = 1) -> No
         ({f"{A}.windows": [[2, 1]]}, ["must be [from, to] with from before to"]),
         ({f"{A}.sigma": {"y": 0}}, ["sigma.y: must be greater than 0 but is 0"]),
         ({"method.options": {"trails": 3}}, ["has no such option; did you mean 'trials'?"]),
+        (
+            {"method": {"name": "scipy_least_squares", "options": {"algorithm": "lm"}}},
+            ["method.options.algorithm", "cannot keep bounds"],
+        ),
         ({"parameters": {}}, ["parameters: at least one must be free to be estimated"]),
         ({"parameters.m.fixed": True, "parameters.k.fixed": True}, ["at least one must be free"]),
     ],

@@ -14,7 +14,7 @@ fmi2Status model_equations(Model *m)
     M(der_v_body) = -suspension / M(m_body);
     M(der_z_wheel) = M(v_wheel);
     M(der_v_wheel) = (suspension - tyre) / M(m_wheel);
-    M(acceleration) = M(der_v_body);
+    M(velocity) = M(v_body);
     M(travel) = stretch;
     return fmi2OK;
 }

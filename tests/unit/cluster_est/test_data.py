@@ -160,6 +160,14 @@ def test_a_repeated_column_of_a_parquet_is_refused_only_where_it_is_used(tmp_pat
     assert len(read_table(path, "here").numbers("y", "here")) == 3
 
 
+@pytest.mark.parametrize("ending", [".parquet", ".feather"])
+def test_damaged_text_in_a_file_is_refused(tmp_path, ending):
+    buffers = [None, pa.py_buffer(np.array([0, 1, 2, 3], np.int32)), pa.py_buffer(b"1\xff3")]
+    bad = pa.Array.from_buffers(pa.string(), 3, buffers)
+    message = refusal(write(tmp_path, pa.table({"t": bad}), ending))
+    assert "that can be read but is not" in message
+
+
 def test_a_folder_named_like_a_partition_adds_no_column(tmp_path):
     folder = tmp_path / "run=3"
     folder.mkdir()

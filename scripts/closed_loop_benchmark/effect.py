@@ -1,0 +1,137 @@
+"""An undeclared effect: what it is called, where it acts and its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from closed_loop_benchmark.system import System
+
+WEAKER_WHEN_LARGER = {"saturation": -0.3, "rate_limit": -0.5}
+"""Forms whose first number is a limit: the power of the size that it is multiplied by."""
+
+
+class Name(NamedTuple):
+    """What a method should answer.
+
+    Attributes
+    ----------
+    form
+        "coulomb", "dead_zone" and so on.
+    site
+        "der(STATE)", "input INPUT", "output OUTPUT", "parameter NAME" or "pair STATE,STATE".
+    variable
+        What the form is a function of, if that is not the site itself. "a-b" is a difference.
+    """
+
+    form: str
+    site: str
+    variable: str = ""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect that the FMU lacks.
+
+    Attributes
+    ----------
+    label
+        Short name, unique in a system.
+    form, site, variable
+        See `Name`.
+    numbers
+        Of the form; the first is its strength.
+    second
+        The other variable of a product.
+    weights
+        For a pair: what the form is multiplied by in each of the two rates.
+    also
+        Other names for the very same model, besides those that `names` finds.
+    """
+
+    label: str
+    form: str
+    site: str
+    numbers: tuple[float, ...]
+    variable: str = ""
+    second: str = ""
+    weights: tuple[float, ...] = (1.0,)
+    also: tuple[Name, ...] = field(default=(), repr=False)
+
+    @property
+    def kind(self) -> str:
+        """One of "der", "pair", "input", "output" and "parameter"."""
+        return "der" if self.site.startswith("der(") else self.site.split()[0]
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """The states, or the input, output or parameter, that the effect acts on."""
+        inner = self.site[4:-1] if self.kind == "der" else self.site.split()[1]
+        return tuple(inner.split(","))
+
+    def scaled(self, size: float) -> Effect:
+        """Return the same effect, `size` times as strong."""
+        power = WEAKER_WHEN_LARGER.get(self.form, 1.0)
+        first, *others = self.numbers
+        return replace(self, numbers=(first * size**power, *others))
+
+
+ON_INPUT_AND_RATE = {
+    "bias": "constant",
+    "drift": "drift",
+    "gain": "linear",
+    "square": "square",
+    "cubic": "cubic",
+    "asymmetry": "hinge",
+    "saturation": "end_stop",
+    "product": "product",
+    "linear": "linear",
+}
+"""A form at an input, and the form at the one rate that it drives which is the same model."""
+
+SYNONYMS = [{"viscous", "linear"}, {"end_stop", "gap"}, {"gap", "joint"}]
+"""Forms at one site that are the same function, or are once a declared stiffness is refitted."""
+
+
+def names(effect: Effect, system: System) -> tuple[Name, ...]:
+    """Return the canonical name of an effect and its algebraic aliases.
+
+    These follow from the equations alone. Whether more candidates cannot be told apart on the
+    data at hand is to be found numerically.
+
+    Parameters
+    ----------
+    effect
+        The effect.
+    system
+        The system that lacks it.
+
+    Returns
+    -------
+    tuple of Name
+        The canonical name first.
+    """
+    canonical = Name(effect.form, effect.site, effect.variable)
+    found = [canonical, *effect.also]
+    found += [alias for name in list(found) for alias in _across_input(name, system)]
+    found += [alias for name in list(found) for alias in _synonyms(name)]
+    return tuple(dict.fromkeys(found))
+
+
+def _across_input(name: Name, system: System) -> Iterable[Name]:
+    for given, state in system.drives:
+        source, rate = f"input {given}", f"der({state})"
+        if name.site == source and name.form in ON_INPUT_AND_RATE:
+            own = name.form not in ("bias", "drift")
+            yield Name(ON_INPUT_AND_RATE[name.form], rate, name.variable or given * own)
+        for at_input, at_rate in ON_INPUT_AND_RATE.items():
+            shifted = name.variable in ("", given) or at_input in ("product", "linear")
+            if name.site == rate and name.form == at_rate and shifted:
+                yield Name(at_input, source, "" if name.variable == given else name.variable)
+
+
+def _synonyms(name: Name) -> Iterable[Name]:
+    for group in SYNONYMS:
+        if name.form in group:
+            yield from (name._replace(form=form) for form in sorted(group - {name.form}))

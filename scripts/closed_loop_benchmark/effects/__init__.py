@@ -1,0 +1,1 @@
+"""What the FMUs lack, a file for each field of engineering, as the systems are."""

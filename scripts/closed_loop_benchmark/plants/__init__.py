@@ -1,0 +1,1 @@
+"""The systems of the benchmark, a file for each field of engineering."""

@@ -1,0 +1,165 @@
+"""Simulate a system as it truly is, without its FMU: its own equations and what the FMU lacks.
+
+All runs of a system are integrated at once by the classic Runge-Kutta method with steps much
+shorter than the sampling interval. Inputs are linear between samples. Undeclared effects at inputs
+act on the signals beforehand, those at outputs afterwards, all others on the rates and parameters
+within each step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from closed_loop_benchmark import hooks
+from closed_loop_benchmark.effect import Effect
+from closed_loop_benchmark.signal_forms import INPUT_FORMS, OUTPUT_FORMS
+from closed_loop_benchmark.system import Array, Run, System
+
+
+@dataclass(frozen=True)
+class Push:
+    """A disturbance: a signal on a rate that nobody measures.
+
+    Attributes
+    ----------
+    state
+        Its rate is pushed.
+    signal : (samples, runs)
+        Linear between the samples.
+    """
+
+    state: str
+    signal: Array
+
+
+@dataclass(frozen=True)
+class Course:
+    """Everything that drives a system, at every half of an integration step; runs come last."""
+
+    times: Array
+    inputs: Array
+    signals: Array
+    pushes: Array
+
+
+def simulate(
+    system: System,
+    runs: Sequence[Run],
+    effects: Sequence[Effect] = (),
+    pushes: Sequence[Push] = (),
+    parameters: Mapping[str, float] | None = None,
+) -> list[Array]:
+    """Return the outputs without noise at the sampling times.
+
+    Parameters
+    ----------
+    system
+        What to simulate.
+    runs
+        Inputs and true initial states.
+    effects
+        What the FMU lacks, in the order in which they act on a signal.
+    pushes
+        Disturbances.
+    parameters
+        Other values than the true ones.
+
+    Returns
+    -------
+    list of (samples, outputs)
+        One array for each run.
+    """
+    values = {**system.parameters, **system.constants, **(parameters or {})}
+    course = lay_out(system, runs, effects, pushes)
+    states, inputs, outputs = integrate(system, runs, effects, course, list(values.values()))
+    known = {
+        **dict(zip(system.states, states.swapaxes(0, 1), strict=False)),
+        **dict(zip(system.inputs, inputs.swapaxes(0, 1), strict=True)),
+        **dict(zip(system.signals, course.signals[::2].swapaxes(0, 1), strict=True)),
+    }
+    for effect in (e for e in effects if e.kind == "output"):
+        place, v = system.outputs.index(effect.targets[0]), known.get(effect.variable, np.zeros(0))
+        change = OUTPUT_FORMS[effect.form]
+        outputs[:, place] = change(effect.numbers, course.times[::2], outputs[:, place], v)
+    sampled = outputs[:: system.substeps]
+    return [sampled[:, :, r] for r in range(len(runs))]
+
+
+def lay_out(
+    system: System, runs: Sequence[Run], effects: Sequence[Effect], pushes: Sequence[Push]
+) -> Course:
+    """Refine the samples of all runs, and let the effects at inputs act."""
+    halves = 2 * system.substeps  # the integration looks at the middle of each step too
+    times = refine(system.times, halves)
+    inputs = refine(np.stack([run.inputs for run in runs], axis=-1), halves)
+    for effect in (e for e in effects if e.kind == "input" and not hooks.acts_inside(e)):
+        place, none = system.inputs.index(effect.targets[0]), np.zeros(0)
+        inputs[:, place] = INPUT_FORMS[effect.form](effect.numbers, times, inputs[:, place], none)
+    signals = refine(np.stack([run.signals for run in runs], axis=-1), halves)
+    pushed = np.zeros((len(times), len(system.states), len(runs)))
+    for push in pushes:
+        pushed[:, system.states.index(push.state)] += refine(push.signal, halves)
+    return Course(times, inputs, signals, pushed)
+
+
+def refine(samples: Array, pieces: int) -> Array:
+    """Divide each interval between two samples into pieces, along straight lines."""
+    share = (np.arange(pieces) / pieces).reshape(-1, *[1] * (samples.ndim - 1))
+    between = samples[:-1, None] + share * np.diff(samples, axis=0)[:, None]
+    flat = between.reshape((len(samples) - 1) * pieces, *samples.shape[1:])
+    return np.concatenate([flat, samples[-1:]])
+
+
+def integrate(
+    system: System,
+    runs: Sequence[Run],
+    effects: Sequence[Effect],
+    course: Course,
+    values: Sequence[float],
+) -> tuple[Array, Array, Array]:
+    """Integrate all runs together.
+
+    Returns
+    -------
+    states, inputs, outputs
+        At every step: time first, runs last. Memories of effects stand behind the states; inputs
+        are as they act on the system.
+    """
+    active = hooks.make_hooks(system, effects)
+    n_states, step = len(system.states), 2.0 * (course.times[1] - course.times[0])
+
+    def moment(place: int, x: Array) -> hooks.Moment:
+        inputs, signals = list(course.inputs[place]), course.signals[place]
+        return hooks.Moment(course.times[place], x, inputs, signals, list(values))
+
+    def flow(place: int, x: Array) -> Array:
+        found = hooks.rates(system, active, moment(place, x))
+        found[:n_states] += course.pushes[place]
+        return found
+
+    starts = [[run.starts[state] for run in runs] for state in system.states]
+    x = np.array(starts + [[0.0] * len(runs)] * len(active))
+    count = (len(course.times) + 1) // 2
+    states, inputs = np.empty((count, *x.shape)), course.inputs[::2].copy()
+    outputs = np.empty((count, len(system.outputs), len(runs)))
+    for n in range(count):
+        now = moment(2 * n, x)
+        hooks.change_inputs_and_parameters(active, now)
+        states[n] = x
+        inputs[n] = now.inputs
+        outputs[n] = system.readings(x[:n_states], now.inputs, now.parameters)
+        if n + 1 < count:
+            x = _step(flow, 2 * n, x, step)
+    return states, inputs, outputs
+
+
+def _step(flow: Callable[[int, Array], Array], place: int, x: Array, h: float) -> Array:
+    """Take one classic Runge-Kutta step, which is two places of the course."""
+    k1 = flow(place, x)
+    k2 = flow(place + 1, x + 0.5 * h * k1)
+    k3 = flow(place + 1, x + 0.5 * h * k2)
+    k4 = flow(place + 2, x + h * k3)
+    return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
