@@ -11,6 +11,7 @@ import numpy as np
 from cluster_est.config import Config, ExperimentSection
 from cluster_est.costs import COSTS
 from cluster_est.data import Table, read_table
+from cluster_est.effects import build_effects
 from cluster_est.errors import ConfigError, ModelError
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.problem import Parameter, Problem
@@ -73,10 +74,12 @@ def build_problem(config: Config, base: Path) -> Problem:
                 f"values.{name}: is also a parameter; remove one of the two, or set "
                 f"parameters.{name}.fixed = true"
             )
+    effects, coefficients = build_effects(tuple(config.effects))
     model = _model(config, base, tuple(targets))
     tables: dict[Path, Table] = {}
     experiments = tuple(_experiment(e, config, base, tables) for e in config.experiments)
-    problem = Problem(model, parameters, experiments, COSTS[config.cost.name]())
+    cost = COSTS[config.cost.name]()
+    problem = Problem(model, (*parameters, *coefficients), experiments, cost, effects)
     _check_roles(problem, problem.describe())
     return problem
 

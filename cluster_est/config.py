@@ -153,6 +153,36 @@ class ExperimentSection(_Section):
     )
 
 
+class CoefficientSection(_Section):
+    start: Finite | None = Field(
+        None, description="where the estimation starts; default: the value that does nothing"
+    )
+    bounds: Pair | None = Field(None, description="[lower, upper]; default: what physics allows")
+    scale: Literal["linear", "log"] = Field("linear", description="log: methods see ln(value)")
+    fixed: bool = Field(False, description="keep it at its start")
+    neutral: Finite | None = Field(
+        None, description="of an equation of your own: the value at which it does nothing"
+    )
+    per: str | None = Field(None, description='"experiment" or "group:KEY"; default shared')
+    unit: str = Field("", description="for tables")
+
+
+class EffectSection(_Section):
+    name: str = Field("", description="of the effect; default: its form")
+    site: str = Field(
+        description='"der(STATE)", "input NAME", "output NAME" or "parameter NAME" of the FMU'
+    )
+    form: str = Field("", description="a form of the library, such as coulomb")
+    variables: list[str] = Field(
+        default_factory=list,
+        description="states or inputs it is a function of; default: the state of der(STATE)",
+    )
+    equation: str = Field("", description="instead of form: an equation in the FMU's names")
+    parameters: dict[str, CoefficientSection] = Field(
+        default_factory=dict, description="its coefficients = { start, bounds, ... }"
+    )
+
+
 class CostSection(_Section):
     name: str = Field("sse", description="sse: sum of squared residuals")
 
@@ -193,6 +223,9 @@ class Config(_Section):
         default_factory=dict, description="known values of all experiments, by FMU name"
     )
     experiments: list[ExperimentSection] = Field(min_length=1, description="measured runs")
+    effects: list[EffectSection] = Field(
+        default_factory=list, description="terms that are added to the model"
+    )
     cost: CostSection = Field(CostSection(), description="what is minimised")
     method: MethodSection = Field(MethodSection(), description="how")
     executor: ExecutorSection = Field(ExecutorSection(), description="where")

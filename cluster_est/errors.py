@@ -6,6 +6,7 @@ All derive from one, and each text says where, what it must be, what it is and w
     |-- ConfigError       a config file or a key=value argument
     |-- DataError         a measured table
     |-- ProblemError      parameters, experiments and methods that do not fit together
+    |-- EffectError       an effect: unknown form, closed site, no equation
     |-- ModelError        the FMU: unreadable, not for this platform, lacks a variable
     |-- RunFolderError    a run folder that cannot be written or read
     `-- ExecutorError     no workers to be had
@@ -15,12 +16,13 @@ A simulation that fails is none of these: it is an `Outcome` with a status and a
 
 from __future__ import annotations
 
-from workers.errors import ClusterEstError, ModelError
+from workers.errors import ClusterEstError, EffectError, ModelError
 
 __all__ = [
     "ClusterEstError",
     "ConfigError",
     "DataError",
+    "EffectError",
     "ExecutorError",
     "ModelError",
     "ProblemError",

@@ -118,7 +118,7 @@ class EvaluationLog:
                 for o in outcomes]  # fmt: skip
         names = [self._experiments[origin.experiment] for origin in origins]
         keys = [
-            content_hash([self._model_key, key, origin.values.tobytes()])
+            content_hash([self._model_key, key, repr(origin.effects), origin.values.tobytes()])
             for origin, (_, key) in zip(origins, names, strict=True)
         ]
         columns = [

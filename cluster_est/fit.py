@@ -128,7 +128,8 @@ def _simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> 
     everything = tuple(range(len(problem.experiments)))
     space = make_space(problem, everything, known)
     name = "after" if known else "before"
-    outcomes = runner.simulate(space.physical(space.start), everything, "trajectory", name)
+    values = space.physical(space.start)
+    outcomes = runner.simulate(values, everything, "trajectory", name, problem.effects)
     return [Simulation(e, outcome) for e, outcome in zip(everything, outcomes, strict=True)]
 
 

@@ -12,7 +12,7 @@ from cluster_est.costs.base import Cost
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from workers.description import Description, describe, nearest
-from workers.messages import Experiment, Model
+from workers.messages import Effect, Experiment, Model
 
 Scale = Literal["linear", "log"]
 
@@ -89,6 +89,16 @@ class Parameter:
 class Problem:
     """One joint estimation: a model, what to estimate in it, and from what.
 
+    Attributes
+    ----------
+    model, experiments, cost
+        What is simulated, from which measurements, and what is minimised.
+    parameters
+        Those of the model, in the order of `model.parameters`, then the coefficients of the
+        effects, called "EFFECT.COEFFICIENT".
+    effects
+        Terms that are added to the model.
+
     Raises
     ------
     ProblemError
@@ -99,13 +109,20 @@ class Problem:
     parameters: tuple[Parameter, ...]
     experiments: tuple[Experiment, ...]
     cost: Cost = field(default_factory=SumSquared)
+    effects: tuple[Effect, ...] = ()
 
     def __post_init__(self) -> None:
         _refuse_repeated("experiment id", [e.id for e in self.experiments])
         _refuse_repeated("parameter", [p.name for p in self.parameters])
         _refuse_repeated("variable", [p.target for p in self.parameters])
-        if tuple(p.target for p in self.parameters) != self.model.parameters:
-            raise ProblemError("the model's parameters must be the problem's, in the same order")
+        _refuse_repeated("effect", [e.name for e in self.effects])
+        names = [f"{e.name}.{c}" for e in self.effects for c in coefficient_names(e)]
+        if [p.target for p in self.parameters] != [*self.model.parameters, *names]:
+            raise ProblemError(
+                "parameters: must be those of the model and then the coefficients of the effects, "
+                f"in the order {[*self.model.parameters, *names]}, but are "
+                f"{[p.target for p in self.parameters]}"
+            )
         if not any(e.role == "train" for e in self.experiments):
             raise ProblemError(
                 'experiments: at least one must have role = "train" but none has; parameters '
@@ -137,7 +154,8 @@ class Problem:
 
 def check_variables(problem: Problem, description: Description) -> None:
     """Check that the FMU has every variable and lets it be used as the problem wants."""
-    for parameter in problem.parameters:
+    _check_effects(problem, description)
+    for parameter in problem.parameters[: len(problem.model.parameters)]:
         _check_start(description, parameter.target, f"parameters.{parameter.name}", real=True)
     for experiment in problem.experiments:
         where = f"experiment {experiment.id!r}"
@@ -158,6 +176,23 @@ def check_variables(problem: Problem, description: Description) -> None:
                     f"{where}.outputs: {output.variable!r} must be a real variable of "
                     f"{description.file} but is of type {variable.kind}"
                 )
+
+
+def coefficient_names(effect: Effect) -> list[str]:
+    """Names of an effect's coefficients."""
+    from workers.effects.definition import coefficients  # SymPy takes long to import
+
+    return [c.name for c in coefficients(effect, f"effect {effect.name!r}")]
+
+
+def _check_effects(problem: Problem, description: Description) -> None:
+    """Resolve every effect against the FMU."""
+    if not problem.effects:
+        return
+    from workers.effects.definition import define
+
+    for effect in problem.effects:
+        define(effect, description, problem.model.interface)
 
 
 def _check_start(description: Description, name: str, where: str, *, real: bool) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from cluster_est.executors.base import Executor
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.space import Space
-from workers.messages import FloatArray, Outcome, Task, Want
+from workers.messages import Effect, FloatArray, Outcome, Task, Want
 
 MEMORY_BYTES = 64 * 2**20
 """Residuals that are remembered to answer a repeated question without simulating."""
@@ -51,6 +51,7 @@ class Origin:
     purpose: str
     experiment: int
     values: FloatArray
+    effects: tuple[Effect, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class _Active:
 
 
 _Slot = tuple[_Active, int, int]
-_Question = tuple[int, bytes]
+_Question = tuple[int, bytes, tuple[Effect, ...]]
 Record = Callable[[Origin, Outcome], None]
 Show = Callable[[Snapshot], None]
 
@@ -149,7 +150,12 @@ class Runner:
         return [search.solution for search in searches if search.solution is not None]
 
     def simulate(
-        self, values: FloatArray, experiments: Sequence[int], want: Want, name: str
+        self,
+        values: FloatArray,
+        experiments: Sequence[int],
+        want: Want,
+        name: str,
+        effects: tuple[Effect, ...] = (),
     ) -> list[Outcome]:
         """Simulate experiments once each, outside any search.
 
@@ -161,10 +167,12 @@ class Runner:
             Indices into the problem's experiments.
         want, name
             What for, and what the log calls it.
+        effects
+            What is added to the model.
         """
         tasks = []
         for row, experiment in zip(values, experiments, strict=True):
-            origin = Origin(name, 0, want, experiment, row)
+            origin = Origin(name, 0, want, experiment, row, effects)
             tasks.append(self._task(origin, want))
         own = {task.id for task in tasks}
         answers: dict[int, Outcome] = {}
@@ -218,7 +226,8 @@ class Runner:
     def _question(
         self, search: _Active, p: int, e: int, experiment: int, values: FloatArray
     ) -> Task | None:
-        question = (experiment, values.tobytes())
+        effects = search.request.space.problem.effects
+        question = (experiment, values.tobytes(), effects)
         if question in self._known:
             self._place((search, p, e), self._known[question])
             return None
@@ -227,11 +236,12 @@ class Runner:
             return None
         self._waiting[question] = [(search, p, e)]
         purpose = search.points.purpose if search.points else ""
-        origin = Origin(search.request.name, search.first + p, purpose, experiment, values)
+        evaluation = search.first + p
+        origin = Origin(search.request.name, evaluation, purpose, experiment, values, effects)
         return self._task(origin, "residuals")
 
     def _task(self, origin: Origin, want: Want) -> Task:
-        task = Task(self._next_task, origin.experiment, origin.values, want)
+        task = Task(self._next_task, origin.experiment, origin.values, want, origin.effects)
         self._next_task += 1
         self._origins[task.id] = origin
         return task
@@ -241,7 +251,7 @@ class Runner:
         if origin is None:
             return
         self._note(origin, outcome)
-        question = (origin.experiment, origin.values.tobytes())
+        question = (origin.experiment, origin.values.tobytes(), origin.effects)
         self._remember(question, outcome)
         for slot in self._waiting.pop(question, []):
             self._place(slot, outcome)

@@ -40,6 +40,7 @@ class Variable:
     kind: Kind
     causality: str
     settable: bool
+    tunable: bool = False
     unit: str = ""
     start: float | None = None
     low: float | None = None
@@ -203,6 +204,7 @@ def _variable(raw: ScalarVariable) -> Variable:
         kind=_KINDS[raw.type],
         causality=raw.causality or "local",
         settable=_settable(raw),
+        tunable=raw.causality == "parameter" and raw.variability == "tunable",
         unit=raw.unit or (declared.unit if declared is not None else None) or "",
         start=_number(raw.start),
         low=_number(raw.min if raw.min is not None else getattr(declared, "min", None)),

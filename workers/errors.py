@@ -9,3 +9,7 @@ class ClusterEstError(Exception):
 
 class ModelError(ClusterEstError):
     """The FMU cannot be read, unpacked, loaded or run, or does not have what was asked of it."""
+
+
+class EffectError(ClusterEstError):
+    """An effect that cannot be: an unknown form, a site that the FMU lacks, no equation."""

@@ -57,7 +57,7 @@ class Evaluator:
             chosen = np.flatnonzero(batch.experiments == experiment)
             for part in self._parts(int(experiment), chosen):
                 ids, values = batch.ids[part], batch.values[part]
-                outcomes = self._simulate(int(experiment), ids, values, batch.want)
+                outcomes = self._simulate(int(experiment), ids, values, batch)
                 answers.update(zip(part.tolist(), outcomes, strict=True))
         return [answers[i] for i in range(len(batch.ids))]
 
@@ -73,17 +73,17 @@ class Evaluator:
         return [chosen[first : first + most] for first in range(0, len(chosen), most)]
 
     def _simulate(
-        self, experiment: int, ids: IntArray, values: FloatArray, want: Want
+        self, experiment: int, ids: IntArray, values: FloatArray, batch: Batch
     ) -> list[Outcome]:
         ready = self._simulator.installed(experiment)
         begin = time.perf_counter()
-        record = self._simulator.run(experiment, values)
+        record = self._simulator.run(experiment, values, batch.effects)
         with np.errstate(over="ignore"):  # what overflows has a status of its own
             residuals = self._residuals.residuals(ready.grid, record.outputs)
         seconds = (time.perf_counter() - begin) / len(ids)
         finite = [bool(np.isfinite(row).all()) for row in residuals]
         return [
-            self._outcome(task, ready, record, p, residuals[p], finite[p], want, seconds)
+            self._outcome(task, ready, record, p, residuals[p], finite[p], batch.want, seconds)
             for p, task in enumerate(ids.tolist())
         ]
 

@@ -120,6 +120,7 @@ class Instance:
             handle=int(handle),
             interpolates_inputs=self._description.interpolates_inputs,
             completes_steps=self._description.completes_steps,
+            n_states=len(self._description.states) if exchange else 0,
             **{field: _address(self._fmu.dll, name) for field, name in used.items()},
             **dict.fromkeys(unused, 0),
         )

@@ -54,6 +54,35 @@ class Solver:
 
 
 @dataclass(frozen=True)
+class Effect:
+    """A term that the model lacks, around the FMU.
+
+    Attributes
+    ----------
+    name
+        Chosen by the user; its coefficients are called "NAME.COEFFICIENT".
+    site
+        "der(v)", "input F", "output y" or "parameter k".
+    form
+        Name of a form of the library; empty where `equation` says what it is.
+    variables
+        FMU names of the states and inputs (at outputs also outputs) that the form is a function of.
+    equation
+        An equation of the user's own, in the FMU's names, `t`, `s` and `coefficients`.
+    coefficients
+        (name, neutral value) of the own equation's coefficients; the neutral value is None for a
+        shape parameter.
+    """
+
+    name: str
+    site: str
+    form: str = ""
+    variables: tuple[str, ...] = ()
+    equation: str = ""
+    coefficients: tuple[tuple[str, float | None], ...] = ()
+
+
+@dataclass(frozen=True)
 class Model:
     """What a worker simulates: an FMU and how to integrate it.
 
@@ -169,15 +198,18 @@ class Task:
     experiment
         Index into the installed experiments.
     values
-        Physical values of `Model.parameters`.
+        Physical values of `Model.parameters`, then of the coefficients of each effect.
     want
         "residuals", or "trajectory" for the outputs at every time of the simulation's grid too.
+    effects
+        What is added to the model.
     """
 
     id: int
     experiment: int
     values: FloatArray
     want: Want = "residuals"
+    effects: tuple[Effect, ...] = ()
 
 
 class Status(enum.StrEnum):
@@ -241,28 +273,32 @@ class Batch:
     ----------
     ids, experiments : (n,)
     values : (n, k)
-    want
-        What every task of the batch wants.
+    want, effects
+        Of every task in the batch.
     """
 
     ids: IntArray
     experiments: IntArray
     values: FloatArray
     want: Want
+    effects: tuple[Effect, ...] = ()
 
     @classmethod
     def of(cls, tasks: Sequence[Task]) -> Batch:
-        """Pack tasks that all want the same."""
+        """Pack tasks that all want the same, with the same effects."""
         return cls(
             ids=np.array([task.id for task in tasks], np.int64),
             experiments=np.array([task.experiment for task in tasks], np.int64),
             values=np.array([task.values for task in tasks], np.float64),
             want=tasks[0].want,
+            effects=tasks[0].effects,
         )
 
     def tasks(self) -> list[Task]:
         rows = zip(self.ids.tolist(), self.experiments.tolist(), self.values, strict=True)
-        return [Task(i, experiment, values, self.want) for i, experiment, values in rows]
+        return [
+            Task(i, experiment, values, self.want, self.effects) for i, experiment, values in rows
+        ]
 
 
 def content_hash(parts: Iterable[str | bytes]) -> str:

@@ -6,17 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from workers.augment import Augmentation, Effects, augment
 from workers.description import Description
+from workers.effects.definition import Definition
 from workers.errors import ModelError
 from workers.fmu import Instance
 from workers.grid import Grid, build_grid
 from workers.kernels import failure
 from workers.kernels.co_simulation import co_simulate_batch
 from workers.kernels.dormand_prince import dormand_prince_batch
-from workers.kernels.fmi2 import Constants, References, workspace
+from workers.kernels.fmi2 import Constants, References, Workspace, workspace
+from workers.kernels.hooks import Hooks, no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
-from workers.messages import Experiment, FloatArray, IntArray, Model
+from workers.messages import Effect, Experiment, FloatArray, IntArray, Model
 
 BATCHES = {"fmu": co_simulate_batch, "rk4": rk4_batch, "dormand_prince": dormand_prince_batch}
 
@@ -52,6 +55,13 @@ class Record:
     messages: list[str]
     codes: IntArray
 
+    @classmethod
+    def empty(cls, points: int, times: int, outputs: int) -> Record:
+        """Nothing simulated yet."""
+        return cls(
+            np.full((points, times, outputs), np.nan), [""] * points, np.zeros(points, np.int64)
+        )
+
 
 class Simulator:
     """One instance of an FMU and the experiments that it can be asked to simulate.
@@ -72,65 +82,142 @@ class Simulator:
     def __init__(
         self, model: Model, description: Description, experiments: tuple[Experiment, ...]
     ) -> None:
+        self._model, self._description = model, description
+        self._experiments = experiments
         self._installed = [install(model, description, e) for e in experiments]
-        self._settings = _settings(model, description)
+        self._effects: dict[tuple[Effect, ...], Effects] = {}
+        self._augmented: dict[tuple[int, tuple[Definition, ...]], Augmentation] = {}
         self._batch = BATCHES[model.solver.name]
-        widths = {len(e.inputs) for e in experiments}
-        self._workspaces = {n: workspace(n, len(description.states)) for n in widths}
+        self._workspaces: dict[tuple[int, int, int, int], Workspace] = {}
         self.instance = Instance(model, description)
 
     def installed(self, experiment: int) -> Installed:
         return self._installed[experiment]
 
-    def run(self, experiment: int, points: FloatArray) -> Record:
-        """Simulate one experiment for many points, a row of `points` each."""
+    def run(self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()) -> Record:
+        """Simulate one experiment for many points.
+
+        Parameters
+        ----------
+        experiment
+            Index of the experiment.
+        points
+            A row for each: values of the model's parameters, then of the effects' coefficients.
+        effects
+            What is added to the model.
+
+        Raises
+        ------
+        EffectError
+            If an effect does not fit the FMU.
+        """
         ready = self._installed[experiment]
-        known = np.broadcast_to(ready.known, (len(points), len(ready.known)))
-        rows = np.hstack([points, known])
-        outputs = np.full((len(rows), len(ready.grid.times), len(ready.outputs)), np.nan)
-        codes = np.zeros(len(rows), np.int64)
-        stopped_at = np.zeros(len(rows))
-        messages = [""] * len(rows)
-        tried = 0
-        while tried < len(rows):
-            self.instance.log.clear()
-            first, left = tried, slice(tried, None)
-            tried += self._call(ready, rows[left], outputs[left], codes[left], stopped_at[left])
-            last = tried - 1
-            if codes[last] == failure.FINISHED:
-                break
-            if last > first and self.instance.log:
-                tried = last  # again, alone: its neighbours may have said some of this
-            else:
-                messages[last] = self._explain(int(codes[last]), float(stopped_at[last]))
-            if codes[last] >= failure.FATAL:
-                self.instance.renew()
-        return Record(outputs, messages, codes)
+        count = len(self._model.parameters)
+        values, coefficients = points[:, :count], points[:, count:]
+        if not effects:
+            return self._run(ready, values, no_hooks(len(points)), 0)
+        if effects not in self._effects:
+            self._effects[effects] = Effects(effects, self._description, self._model)
+        record = Record.empty(len(points), len(ready.grid.times), len(ready.outputs))
+        for rows, active in self._effects[effects].groups(coefficients):
+            part = self._run_augmented(experiment, values[rows], coefficients[rows], active)
+            record.outputs[rows], record.codes[rows] = part.outputs, part.codes
+            for row, message in zip(rows.tolist(), part.messages, strict=True):
+                record.messages[row] = message
+        return record
 
     def close(self) -> None:
         self.instance.free()
 
-    def _call(
+    def _run_augmented(
         self,
-        ready: Installed,
-        rows: FloatArray,
-        outputs: FloatArray,
-        codes: IntArray,
-        stopped_at: FloatArray,
-    ) -> int:
-        tried: int = self._batch(
-            self.instance.component,
-            ready.references,
-            ready.constants,
-            self._settings,
-            ready.grid,
-            rows,
-            self._workspaces[ready.grid.inputs.shape[1]],
-            outputs,
-            codes,
-            stopped_at,
+        experiment: int,
+        values: FloatArray,
+        coefficients: FloatArray,
+        active: list[tuple[Definition, int]],
+    ) -> Record:
+        """A group of points on which the same effects act."""
+        plain = self._installed[experiment]
+        if not active:
+            return self._run(plain, values, no_hooks(len(values)), 0)
+        key = (experiment, tuple(definition for definition, _ in active))
+        if key not in self._augmented:
+            run = self._experiments[experiment]
+            exchange = self._model.interface == "model_exchange"
+            self._augmented[key] = augment(active, run, self._description, exchange=exchange)
+        augmentation = self._augmented[key]
+        own = augmentation.inner.own_states if augmentation.inner is not None else 0
+        record = Record.empty(len(values), len(plain.grid.times), len(plain.outputs))
+        chunks = [slice(p, p + 1) for p in range(len(values))]
+        for chunk in chunks if augmentation.delays else [slice(None)]:
+            changed = augmentation.experiment
+            if augmentation.delays:
+                changed = augmentation.delayed(coefficients[chunk][0])
+            ready = install(self._model, self._description, changed, augmentation.recorded)
+            hooks = augmentation.hooks(
+                values[chunk], coefficients[chunk], self._model, self._description
+            )
+            part = self._run(ready, values[chunk], hooks, own)
+            for p, outputs in enumerate(part.outputs):
+                augmentation.act_on(ready.grid, outputs, coefficients[chunk][p])
+            kept = np.searchsorted(ready.grid.times, plain.grid.times)
+            record.outputs[chunk] = part.outputs[:, kept, : len(plain.outputs)]
+            record.codes[chunk] = part.codes
+            record.messages[chunk] = part.messages
+        return record
+
+    def _run(self, ready: Installed, values: FloatArray, hooks: Hooks, own_states: int) -> Record:
+        known = np.broadcast_to(ready.known, (len(values), len(ready.known)))
+        rows = np.hstack([values, known])
+        record = Record.empty(len(rows), len(ready.grid.times), len(ready.outputs))
+        stopped_at = np.zeros(len(rows))
+        tried = 0
+        while tried < len(rows):
+            self.instance.log.clear()
+            first, left = tried, slice(tried, None)
+            rest = hooks._replace(
+                substeps=hooks.substeps[left],
+                coefficients=hooks.coefficients[left],
+                base=hooks.base[left],
+            )
+            tried += self._batch(
+                self.instance.component,
+                ready.references,
+                ready.constants,
+                _settings(self._model, self._description, own_states),
+                rest,
+                ready.grid,
+                rows[left],
+                self._workspace(ready, hooks, own_states),
+                record.outputs[left],
+                record.codes[left],
+                stopped_at[left],
+            )
+            last = tried - 1
+            code = int(record.codes[last])
+            if code == failure.FINISHED:
+                break
+            if last > first and self.instance.log:
+                tried = last  # again, alone: its neighbours may have said some of this
+            else:
+                record.messages[last] = self._explain(code, float(stopped_at[last]))
+            if code >= failure.FATAL:
+                self.instance.renew()
+        return record
+
+    def _workspace(self, ready: Installed, hooks: Hooks, own_states: int) -> Workspace:
+        states = own_states
+        if self._model.interface == "model_exchange":
+            states += len(self._description.states)
+        sizes = (
+            ready.grid.inputs.shape[1],
+            states,
+            hooks.coefficients.shape[1],
+            hooks.base.shape[1],
         )
-        return tried
+        if sizes not in self._workspaces:
+            self._workspaces[sizes] = workspace(*sizes)
+        return self._workspaces[sizes]
 
     def _explain(self, code: int, time: float) -> str:
         said = " | ".join(dict.fromkeys(self.instance.log))
@@ -138,8 +225,15 @@ class Simulator:
         return f"{sentence}; it said: {said}" if said else sentence
 
 
-def install(model: Model, description: Description, experiment: Experiment) -> Installed:
+def install(
+    model: Model,
+    description: Description,
+    experiment: Experiment,
+    recorded: tuple[str, ...] | None = None,
+) -> Installed:
     """Lay an experiment on its grid and look up the FMU's references for it.
+
+    `recorded` are the variables to record; the experiment's outputs if None.
 
     Raises
     ------
@@ -151,7 +245,7 @@ def install(model: Model, description: Description, experiment: Experiment) -> I
     reals = [(n, float(v)) for n, v in known if _kind(description, n, where) == "real"]
     integers = [(n, int(v)) for n, v in known if _kind(description, n, where) == "integer"]
     booleans = [(n, int(bool(v))) for n, v in known if _kind(description, n, where) == "boolean"]
-    outputs = tuple(output.variable for output in experiment.outputs)
+    outputs = recorded or tuple(output.variable for output in experiment.outputs)
     grid = build_grid(experiment)
     if model.interface == "co_simulation" and not description.variable_steps:
         _check_equal_steps(model, description, grid, where)
@@ -207,11 +301,12 @@ def _kind(description: Description, name: str, where: str) -> str:
     return kind
 
 
-def _settings(model: Model, description: Description) -> Settings:
+def _settings(model: Model, description: Description, own_states: int) -> Settings:
     solver = model.solver
     rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
     atol = rtol if solver.atol is None else solver.atol
     nominals = [description.variables[name].nominal for name in description.states]
+    nominals += [1.0] * own_states
     return Settings(
         step=solver.step or 0.0,
         rtol=rtol,

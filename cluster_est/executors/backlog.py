@@ -43,7 +43,7 @@ class Backlog:
         batch: list[Task] = []
         seconds = 0.0
         while self._tasks and len(batch) < most and seconds < BATCH_SECONDS:
-            if batch and self._tasks[0].want != batch[0].want:
+            if batch and not _alike(self._tasks[0], batch[0]):
                 break
             task = self._tasks.popleft()
             batch.append(task)
@@ -55,3 +55,8 @@ class Backlog:
         for experiment, outcome in zip(batch.experiments.tolist(), outcomes, strict=True):
             known = self._seconds.get(experiment, outcome.seconds)
             self._seconds[experiment] = known + MEMORY * (outcome.seconds - known)
+
+
+def _alike(one: Task, other: Task) -> bool:
+    """Whether two tasks may travel in one batch."""
+    return one.want == other.want and one.effects == other.effects

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from closed_loop_benchmark.system import System
 
-WEAKER_WHEN_LARGER = {"saturation": -0.3, "rate_limit": -0.5}
+WEAKER_WHEN_LARGER = {"saturation": -0.15, "rate_limit": -0.3}
 """Forms whose first number is a limit: the power of the size that it is multiplied by."""
 
 
@@ -77,18 +77,27 @@ class Effect:
         return replace(self, numbers=(first * size**power, *others))
 
 
-ON_INPUT_AND_RATE = {
+PLAIN_FORMS = {
     "bias": "constant",
     "drift": "drift",
+    "linear": "linear",
+    "coulomb": "coulomb",
+    "quadratic": "quadratic",
+    "cubic": "cubic",
+    "end_stop": "end_stop",
+    "hinge": "hinge",
+    "sine": "sine",
+}
+"""A form at an input, and what it is called at the one rate that the input drives."""
+
+OWN_FORMS = {
     "gain": "linear",
     "square": "square",
     "cubic": "cubic",
     "asymmetry": "hinge",
     "saturation": "end_stop",
-    "product": "product",
-    "linear": "linear",
 }
-"""A form at an input, and the form at the one rate that it drives which is the same model."""
+"""The same for forms of an input's own value."""
 
 SYNONYMS = [{"viscous", "linear"}, {"end_stop", "gap"}, {"gap", "joint"}]
 """Forms at one site that are the same function, or are once a declared stiffness is refitted."""
@@ -112,7 +121,8 @@ def names(effect: Effect, system: System) -> tuple[Name, ...]:
     tuple of Name
         The canonical name first.
     """
-    canonical = Name(effect.form, effect.site, effect.variable)
+    variable = f"{effect.variable}*{effect.second}" if effect.second else effect.variable
+    canonical = Name(effect.form, effect.site, variable)
     found = [canonical, *effect.also]
     found += [alias for name in list(found) for alias in _across_input(name, system)]
     found += [alias for name in list(found) for alias in _synonyms(name)]
@@ -122,13 +132,15 @@ def names(effect: Effect, system: System) -> tuple[Name, ...]:
 def _across_input(name: Name, system: System) -> Iterable[Name]:
     for given, state in system.drives:
         source, rate = f"input {given}", f"der({state})"
-        if name.site == source and name.form in ON_INPUT_AND_RATE:
-            own = name.form not in ("bias", "drift")
-            yield Name(ON_INPUT_AND_RATE[name.form], rate, name.variable or given * own)
-        for at_input, at_rate in ON_INPUT_AND_RATE.items():
-            shifted = name.variable in ("", given) or at_input in ("product", "linear")
-            if name.site == rate and name.form == at_rate and shifted:
-                yield Name(at_input, source, "" if name.variable == given else name.variable)
+        if name.site == source and name.form in OWN_FORMS:
+            yield Name(OWN_FORMS[name.form], rate, given)
+        if name.site == source and name.form in PLAIN_FORMS:
+            yield Name(PLAIN_FORMS[name.form], rate, name.variable)
+        if name.site == source and name.form == "product":
+            yield Name("product", rate, f"{name.variable}*{given}")
+        for at_input, at_rate in PLAIN_FORMS.items():
+            if name.site == rate and name.form == at_rate and name.variable != given:
+                yield Name(at_input, source, name.variable)
 
 
 def _synonyms(name: Name) -> Iterable[Name]:

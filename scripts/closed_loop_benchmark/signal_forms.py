@@ -68,7 +68,7 @@ def _hold(time: Array, signal: Array, seconds: float) -> Array:
     """Return a signal that is renewed now and then only."""
     step = time[1] - time[0]
     every = max(1, round(seconds / step))
-    return signal[(np.arange(len(signal)) // every) * every]
+    return np.asarray(signal[(np.arange(len(signal)) // every) * every])
 
 
 INPUT_FORMS: dict[str, Form] = {

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Values = Sequence[Array | float]
+Values = Sequence[Array | float] | Array
 """One entry for each state, input or parameter; each a number, or one number for each run."""
 Equations = Callable[[Values, Values, Values], tuple[Array | float, ...]]
 """From states, inputs and parameters to rates or to outputs."""
@@ -78,6 +78,8 @@ class System:
         Initial states that the estimation does not know.
     start_error
         Largest relative error of the guess of an unknown initial state.
+    spreads
+        Largest relative error of a parameter's start value, where 25 % would be absurd.
     signals
         Names of measured signals that are no inputs of the FMU.
     drives
@@ -101,6 +103,7 @@ class System:
     constants: Mapping[str, float] = field(default_factory=dict)
     unknown_starts: tuple[str, ...] = ()
     start_error: float = 0.1
+    spreads: Mapping[str, float] = field(default_factory=dict)
     signals: tuple[str, ...] = ()
     drives: tuple[tuple[str, str], ...] = ()
     substeps: int = 10
@@ -114,6 +117,10 @@ class System:
     def fmu(self) -> str:
         """The file, in the folder of the example models."""
         return f"{self.name}.fmu"
+
+    def spread(self, parameter: str) -> float:
+        """Return the largest relative error of a parameter's start value."""
+        return self.spreads.get(parameter, 0.25)
 
 
 def make_run(

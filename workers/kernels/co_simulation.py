@@ -18,17 +18,20 @@ from workers.kernels.fmi2 import (
     set_real,
     set_real_input_derivatives,
 )
+from workers.kernels.hooks import before, begin, first_inputs, inside, take_inputs, take_point
 from workers.kernels.initialise import initialise, n_steps
 
 
 @kernel
 def co_simulate_batch(  # type: ignore[no-untyped-def]
-    c, references, constants, settings, grid, points, work, outputs, codes, stopped_at
+    c, references, constants, settings, hooks, grid, points, work, outputs, codes, stopped_at
 ):
     """Simulate one experiment for many points.
 
     Parameters
     ----------
+    hooks
+        Effects, see `workers.kernels.hooks`.
     points : (p, k)
         Start values of the reals, a row a point.
     outputs : (p, n, y)
@@ -43,8 +46,9 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
         can ask the FMU what it has to say about it.
     """
     for p in range(len(points)):
+        take_point(hooks, p, work)
         codes[p], stopped_at[p] = _co_simulate(
-            c, references, constants, settings, grid, points[p], work, outputs[p]
+            c, references, constants, settings, hooks, grid, points[p], work, outputs[p]
         )
         if codes[p] != FINISHED:
             return p + 1
@@ -52,16 +56,18 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _co_simulate(c, references, constants, settings, grid, point, work, record):  # type: ignore[no-untyped-def]
+def _co_simulate(c, references, constants, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
     times = grid.times
     tolerance = settings.fmu_tolerance
-    status = initialise(c, references, constants, point, grid.inputs[0], tolerance, times[0])
+    inputs = first_inputs(hooks, grid, work)
+    status = initialise(c, references, constants, point, inputs, tolerance, times[0])
     if status >= DISCARD:
         return failed(INITIALISATION, status), times[0]
+    begin(hooks, times[0], work)
     steps_left = settings.max_steps
     for i in range(len(times)):
-        if grid.inputs.shape[1] > 0:
-            status = set_real(c, references.inputs, grid.inputs[i])
+        take_inputs(grid, i, times[i], work)
+        status = _write(c, references, hooks, times[i], work)
         if status < DISCARD:
             status = get_real(c, references.outputs, record[i])
         if status >= DISCARD:
@@ -72,29 +78,74 @@ def _co_simulate(c, references, constants, settings, grid, point, work, record):
         if steps > steps_left:
             return TOO_MANY_STEPS, times[i]
         steps_left -= steps
-        status = _advance(c, references, grid, i, steps, work)
+        status = _advance(c, references, hooks, grid, i, steps, work)
         if status >= DISCARD:
             return failed(STEP, status), times[i]
     return FINISHED, times[-1]
 
 
 @inlined
-def _advance(c, references, grid, i, steps, work):  # type: ignore[no-untyped-def]
+def _write(c, references, hooks, time, work):  # type: ignore[no-untyped-def]
+    """Hand the FMU its inputs, and the parameters that effects vary. Returns the worst status."""
+    status = 0
+    if hooks.before != 0:
+        before(hooks, time, work.states, work)
+        if len(work.edited) > 0:
+            status = set_real(c, references.inputs, work.edited)
+        if status < DISCARD and len(work.varied) > 0:
+            status = max(status, set_real(c, hooks.parameters, work.varied))
+    elif len(work.inputs) > 0:
+        status = set_real(c, references.inputs, work.inputs)
+    return status
+
+
+@inlined
+def _advance(c, references, hooks, grid, i, steps, work):  # type: ignore[no-untyped-def]
     """From one time of the grid to the next, in equal communication steps.
 
     An FMU that interpolates its inputs is told their slopes. Any other holds each at what it is at
     the start of a step: where that is too coarse, `Solver.step` shortens the steps.
     """
-    start, length = grid.times[i], grid.times[i + 1] - grid.times[i]
-    step = length / steps
+    step = (grid.times[i + 1] - grid.times[i]) / steps
     status = 0
     for s in range(steps):
-        if s > 0 and status < DISCARD and len(work.inputs) > 0:
-            for j in range(len(work.inputs)):
-                work.inputs[j] = grid.inputs[i, j] + s * step * grid.slopes[i, j]
-            status = max(status, set_real(c, references.inputs, work.inputs))
+        time = grid.times[i] + s * step
+        if s > 0 and status < DISCARD:
+            take_inputs(grid, i, time, work)
+            status = _write(c, references, hooks, time, work)
+        _take_slopes(hooks, grid, i, time, step, work)
         if c.interpolates_inputs and len(work.inputs) > 0 and status < DISCARD:
-            status = set_real_input_derivatives(c, references.inputs, work.orders, grid.slopes[i])
+            status = set_real_input_derivatives(c, references.inputs, work.orders, work.slopes)
         if status < DISCARD:
-            status = do_step(c, start + s * step, step)
+            status = do_step(c, time, step)
     return status
+
+
+@inlined
+def _take_slopes(hooks, grid, i, time, step, work):  # type: ignore[no-untyped-def]
+    """How fast the inputs change during a step; the effects' own states go to the end of it."""
+    for j in range(len(work.slopes)):
+        work.slopes[j] = grid.slopes[i, j] if hooks.before == 0 else -work.edited[j] / step
+    if hooks.inside != 0:
+        part = step / work.counts[0]
+        for n in range(work.counts[0]):
+            _advance_own_states(hooks, grid, i, time + n * part, part, work)
+    if hooks.before != 0:
+        take_inputs(grid, i, time + step, work)
+        before(hooks, time + step, work.states, work)
+        for j in range(len(work.slopes)):
+            work.slopes[j] += work.edited[j] / step
+
+
+@inlined
+def _advance_own_states(hooks, grid, i, time, step, work):  # type: ignore[no-untyped-def]
+    """One classic Runge-Kutta step of the states that the effects bring along."""
+    x, trial, k = work.states, work.trial, work.stages
+    for stage in range(4):
+        reach = 0.0 if stage == 0 else (step if stage == 3 else 0.5 * step)
+        for j in range(len(x)):
+            trial[j] = x[j] + reach * k[max(stage - 1, 0), j] if stage > 0 else x[j]
+        take_inputs(grid, i, time + reach, work)
+        inside(hooks, time + reach, trial, work, k[stage])
+    for j in range(len(x)):
+        x[j] += step / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])

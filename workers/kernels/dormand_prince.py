@@ -17,8 +17,15 @@ import numpy as np
 
 from workers.kernels.calling import inlined, kernel
 from workers.kernels.failure import FINISHED, OUTPUT, STEP, STEP_TOO_SMALL, TOO_MANY_STEPS, failed
-from workers.kernels.fmi2 import DISCARD, ERROR, get_derivatives
-from workers.kernels.model_exchange import complete_step, derivative, record_outputs, start
+from workers.kernels.fmi2 import DISCARD, ERROR
+from workers.kernels.hooks import take_point
+from workers.kernels.model_exchange import (
+    complete_step,
+    derivative,
+    record_outputs,
+    slopes_here,
+    start,
+)
 
 NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
 WEIGHTS = np.array(
@@ -40,12 +47,13 @@ SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 
 @kernel
 def dormand_prince_batch(  # type: ignore[no-untyped-def]
-    c, references, constants, settings, grid, points, work, outputs, codes, stopped_at
+    c, references, constants, settings, hooks, grid, points, work, outputs, codes, stopped_at
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     for p in range(len(points)):
+        take_point(hooks, p, work)
         codes[p], stopped_at[p] = _dormand_prince(
-            c, references, constants, settings, grid, points[p], work, outputs[p]
+            c, references, constants, settings, hooks, grid, points[p], work, outputs[p]
         )
         if codes[p] != FINISHED:
             return p + 1
@@ -53,25 +61,25 @@ def dormand_prince_batch(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _dormand_prince(c, references, constants, settings, grid, point, work, record):  # type: ignore[no-untyped-def]
+def _dormand_prince(c, references, constants, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
     times, k = grid.times, work.stages
-    code = start(c, references, constants, grid, point, work)
+    code = start(c, references, constants, hooks, grid, point, work)
     if code != FINISHED:
         return code, times[0]
     proposed, steps_left = 0.0, settings.max_steps
     for i in range(len(times)):
-        status = record_outputs(c, references, grid, i, work.states, record[i])
+        status = record_outputs(c, references, hooks, grid, i, work, record[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), times[i]
         if i + 1 == len(times):
             break
-        status = get_derivatives(c, k[0])
+        status = slopes_here(c, hooks, times[i], work.states, work, k[0])
         if status >= DISCARD:
             return failed(STEP, status), times[i]
         if i == 0:
             proposed = _first_step(work.states, k[0], settings)
         code, reached, proposed, steps_left = _advance(
-            c, references, settings, grid, i, proposed, steps_left, work
+            c, references, settings, hooks, grid, i, proposed, steps_left, work
         )
         if code != FINISHED:
             return code, reached
@@ -79,7 +87,7 @@ def _dormand_prince(c, references, constants, settings, grid, point, work, recor
 
 
 @kernel
-def _advance(c, references, settings, grid, i, proposed, steps_left, work):  # type: ignore[no-untyped-def]
+def _advance(c, references, settings, hooks, grid, i, proposed, steps_left, work):  # type: ignore[no-untyped-def]
     """From grid time i to the next. Returns (code, time, step to try next, steps left)."""
     time, last = grid.times[i], grid.times[i + 1]
     shortest = 16.0 * np.finfo(np.float64).eps * max(abs(time), abs(last))
@@ -93,7 +101,7 @@ def _advance(c, references, settings, grid, i, proposed, steps_left, work):  # t
         remaining = last - time
         final = proposed >= remaining * (1.0 - 1e-10)
         step = remaining if final else min(proposed, 0.5 * remaining)
-        status, error = _try_step(c, references, settings, grid, i, time, step, work)
+        status, error = _try_step(c, references, settings, hooks, grid, i, time, step, work)
         steps_left -= 1
         if status >= ERROR:
             return failed(STEP, status), time, proposed, steps_left
@@ -114,7 +122,7 @@ def _advance(c, references, settings, grid, i, proposed, steps_left, work):  # t
 
 
 @inlined
-def _try_step(c, references, settings, grid, i, time, step, work):  # type: ignore[no-untyped-def]
+def _try_step(c, references, settings, hooks, grid, i, time, step, work):  # type: ignore[no-untyped-def]
     """Six stages after the first. Leaves the new states in `trial`; returns (status, error).
 
     The error is scaled: the step meets the tolerance if it is at most 1.
@@ -129,7 +137,7 @@ def _try_step(c, references, settings, grid, i, time, step, work):  # type: igno
             trial[j] = x[j] + step * slope
         if status < DISCARD:
             reach = time + NODES[stage] * step
-            status = max(status, derivative(c, references, grid, i, reach, trial, work, k[stage]))
+            status = derivative(c, references, hooks, grid, i, reach, trial, work, k[stage])
     total = 0.0
     for j in range(len(x)):
         estimate = 0.0

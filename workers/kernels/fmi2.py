@@ -20,6 +20,7 @@ DISCARD, ERROR = 2, 3
 class Component(NamedTuple):
     """An instance of an FMU: its handle and the addresses of its functions.
 
+    `n_states` counts the FMU's own continuous states; arrays of states may be longer.
     `interpolates_inputs` and `completes_steps` repeat the flags canInterpolateInputs and
     completedIntegratorStepNotNeeded (negated) of the model description. Functions that the
     interface does not have are 0.
@@ -45,6 +46,7 @@ class Component(NamedTuple):
     set_real_input_derivatives: int
     interpolates_inputs: bool
     completes_steps: bool
+    n_states: int
 
 
 class References(NamedTuple):
@@ -67,11 +69,19 @@ class Constants(NamedTuple):
 class Workspace(NamedTuple):
     """Memory that a simulation writes to. Reused: nothing is allocated inside a loop.
 
+    `inputs` are as measured; `edited` what effects make of them, `slopes` how fast those change,
+    `varied` the parameters that effects vary, `counts` the substeps of the effects' own states.
     `stages` holds the integrator's derivatives, a row a stage; `event_info` is the standard's
     fmi2EventInfo: five int32, four bytes of padding and a float64, here as eight int32.
     """
 
     inputs: FloatArray
+    edited: FloatArray
+    slopes: FloatArray
+    varied: FloatArray
+    coefficients: FloatArray
+    base: FloatArray
+    counts: IntArray
     orders: IntArray
     states: FloatArray
     trial: FloatArray
@@ -80,10 +90,18 @@ class Workspace(NamedTuple):
     event_info: IntArray
 
 
-def workspace(n_inputs: int, n_states: int) -> Workspace:
-    """Allocate the memory for one instance."""
+def workspace(
+    n_inputs: int, n_states: int, n_coefficients: int = 0, n_parameters: int = 0
+) -> Workspace:
+    """Allocate the memory for one instance; the last two are those of effects."""
     return Workspace(
         inputs=np.zeros(n_inputs),
+        edited=np.zeros(n_inputs),
+        slopes=np.zeros(n_inputs),
+        varied=np.zeros(n_parameters),
+        coefficients=np.zeros(n_coefficients),
+        base=np.zeros(n_parameters),
+        counts=np.ones(1, np.int64),
         orders=np.ones(n_inputs, np.int32),
         states=np.zeros(n_states),
         trial=np.zeros(n_states),
@@ -159,17 +177,17 @@ def set_time(c, time):  # type: ignore[no-untyped-def]
 
 @inlined
 def set_continuous_states(c, states):  # type: ignore[no-untyped-def]
-    return _vector(c.set_continuous_states, (c.handle, address_of(states), len(states)))
+    return _vector(c.set_continuous_states, (c.handle, address_of(states), c.n_states))
 
 
 @inlined
 def get_continuous_states(c, states):  # type: ignore[no-untyped-def]
-    return _vector(c.get_continuous_states, (c.handle, address_of(states), len(states)))
+    return _vector(c.get_continuous_states, (c.handle, address_of(states), c.n_states))
 
 
 @inlined
 def get_derivatives(c, derivatives):  # type: ignore[no-untyped-def]
-    return _vector(c.get_derivatives, (c.handle, address_of(derivatives), len(derivatives)))
+    return _vector(c.get_derivatives, (c.handle, address_of(derivatives), c.n_states))
 
 
 @inlined

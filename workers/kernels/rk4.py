@@ -10,23 +10,28 @@ from __future__ import annotations
 
 from workers.kernels.calling import inlined, kernel
 from workers.kernels.failure import FINISHED, OUTPUT, STEP, TOO_MANY_STEPS, failed
-from workers.kernels.fmi2 import DISCARD, get_derivatives
+from workers.kernels.fmi2 import DISCARD
+from workers.kernels.hooks import take_point
 from workers.kernels.initialise import n_steps
 from workers.kernels.model_exchange import (
     complete_step,
     derivative,
     go_to,
     record_outputs,
+    slopes_here,
     start,
 )
 
 
 @kernel
-def rk4_batch(c, references, constants, settings, grid, points, work, outputs, codes, stopped_at):  # type: ignore[no-untyped-def]
+def rk4_batch(  # type: ignore[no-untyped-def]
+    c, references, constants, settings, hooks, grid, points, work, outputs, codes, stopped_at
+):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     for p in range(len(points)):
+        take_point(hooks, p, work)
         codes[p], stopped_at[p] = _rk4(
-            c, references, constants, settings, grid, points[p], work, outputs[p]
+            c, references, constants, settings, hooks, grid, points[p], work, outputs[p]
         )
         if codes[p] != FINISHED:
             return p + 1
@@ -34,14 +39,14 @@ def rk4_batch(c, references, constants, settings, grid, points, work, outputs, c
 
 
 @kernel
-def _rk4(c, references, constants, settings, grid, point, work, record):  # type: ignore[no-untyped-def]
-    times, states = grid.times, work.states
-    code = start(c, references, constants, grid, point, work)
+def _rk4(c, references, constants, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
+    times = grid.times
+    code = start(c, references, constants, hooks, grid, point, work)
     if code != FINISHED:
         return code, times[0]
     steps_left = settings.max_steps
     for i in range(len(times)):
-        status = record_outputs(c, references, grid, i, states, record[i])
+        status = record_outputs(c, references, hooks, grid, i, work, record[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), times[i]
         if i + 1 == len(times):
@@ -54,7 +59,7 @@ def _rk4(c, references, constants, settings, grid, point, work, record):  # type
         step = length / steps
         for s in range(steps):
             time = times[i] + s * step
-            status = _step(c, references, grid, i, time, step, s > 0, work)
+            status = _step(c, references, hooks, grid, i, time, step, s > 0, work)
             if status >= DISCARD:
                 return failed(STEP, status), time
             code = complete_step(c, work)
@@ -64,21 +69,21 @@ def _rk4(c, references, constants, settings, grid, point, work, record):  # type
 
 
 @inlined
-def _step(c, references, grid, i, time, step, moved, work):  # type: ignore[no-untyped-def]
+def _step(c, references, hooks, grid, i, time, step, moved, work):  # type: ignore[no-untyped-def]
     """One step from `time`; at a grid time the FMU already stands there (`moved` is False)."""
     x, trial, k = work.states, work.trial, work.stages
     if moved:
-        status = derivative(c, references, grid, i, time, x, work, k[0])
+        status = derivative(c, references, hooks, grid, i, time, x, work, k[0])
     else:
-        status = get_derivatives(c, k[0])
+        status = slopes_here(c, hooks, time, x, work, k[0])
     for stage in range(1, 4):
         reach = step if stage == 3 else 0.5 * step
         for j in range(len(x)):
             trial[j] = x[j] + reach * k[stage - 1, j]
         if status < DISCARD:
-            status = derivative(c, references, grid, i, time + reach, trial, work, k[stage])
+            status = derivative(c, references, hooks, grid, i, time + reach, trial, work, k[stage])
     for j in range(len(x)):
         x[j] += step / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
     if c.completes_steps and status < DISCARD:
-        status = max(status, go_to(c, references, time + step, x, work.inputs))
+        status = max(status, go_to(c, references, hooks, time + step, x, work))
     return status

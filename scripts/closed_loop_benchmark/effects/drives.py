@@ -28,13 +28,21 @@ SINGLE: dict[str, tuple[Effect, ...]] = {
         Effect("backlash", "backlash", "input V", (0.5,)),
         Effect("speed_lag", "lag", "output speed", (0.012,)),
         Effect("current_bias", "bias", "output current", (0.2,)),
+        Effect("crosstalk", "feed_through", "output current", (0.03,), "V"),
         Effect("mains_hum", "hum", "output current", (0.15, 50.0, 0.4)),
         Effect("warm_winding", "heating", "parameter R", (0.02, 1.0, 8.0), "i"),
         Effect("iron_saturates", "square", "parameter K", (-0.003, 10.0), "i"),
     ),
     "dc_motor_belt": (
         Effect("load_coulomb", "coulomb", "der(w_load)", (-60.0, 0.05), "w_load"),
-        Effect("load_fan", "quadratic", "der(w_load)", (-0.06,), "w_load"),
+        Effect(
+            "load_fan",
+            "quadratic",
+            "der(w_load)",
+            (-0.06,),
+            "w_load",
+            also=(Name("magnitude", "parameter b_load", "w_load"),),
+        ),
         Effect(
             "slack_belt",
             "joint",
@@ -93,7 +101,7 @@ SINGLE: dict[str, tuple[Effect, ...]] = {
         Effect("backlash", "backlash", "input torque", (0.2,)),
         Effect("load_speed_lag", "lag", "output load_speed", (0.012,)),
         Effect("motor_speed_bias", "bias", "output motor_speed", (0.3,)),
-        Effect("warm_bearing", "heating", "parameter b_load", (-0.004, 2.0, 60.0), "w_load"),
+        Effect("warm_bearing", "heating", "parameter b_load", (-0.001, 2.0, 60.0), "w_load"),
         Effect("crack_grows", "drift", "parameter k_shaft", (-0.05, 2.5)),
     ),
 }

@@ -23,7 +23,7 @@ SINGLE: dict[str, tuple[Effect, ...]] = {
         Effect("clogging", "drift", "parameter k2", (-2e-4, 800.0)),
     ),
     "stirred_tank_reactor": (
-        Effect("heat_loss", "linear", "der(T)", (-2e-3,), "T"),
+        Effect("heat_loss", "linear", "der(T)", (-2e-4,), "T"),
         Effect("side_reaction", "square", "der(c)", (-3e-6,), "c"),
         Effect("fouling", "drift", "parameter cooling", (-1.5e-4, 1000.0)),
         Effect("catalyst_decays", "drift", "parameter k_350", (-1e-4, 1000.0)),
@@ -44,11 +44,11 @@ SINGLE: dict[str, tuple[Effect, ...]] = {
             (0.05,),
         ),
         Effect("charging_loss", "asymmetry", "input current", (0.06,)),
-        Effect("saturation", "saturation", "input current", (1.4,)),
+        Effect("saturation", "saturation", "input current", (1.3,)),
         Effect("logger_delay", "delay", "input current", (12.0,)),
         Effect("slow_branch", "lagged_feed_through", "output voltage", (-0.02, 400.0), "current"),
         Effect("hysteresis", "hysteresis", "output voltage", (-0.012, 250.0), "current"),
-        Effect("voltage_bias", "bias", "output voltage", (0.02,)),
+        Effect("voltage_bias", "bias", "output voltage", (0.04,)),
         Effect("voltage_drift", "drift", "output voltage", (8e-6,)),
         Effect("R0_of_charge", "linear", "parameter R0", (-0.8, 0.6), "soc"),
         Effect("R0_heats", "heating", "parameter R0", (-0.2, 500.0, 1.0), "current"),
@@ -71,7 +71,7 @@ OUTSIDE: dict[str, tuple[Effect, ...]] = {
     "cascaded_tanks": (
         Effect("slew", "rate_limit", "input u", (0.02,)),
         Effect("coarse_level", "quantisation", "output y", (0.8,)),
-        Effect("valve_jumps", "switch", "parameter k2", (-0.12, 900.0)),
+        Effect("valve_jumps", "switch", "parameter k2", (-0.12, 600.0)),
     ),
     "stirred_tank_reactor": (
         Effect("hot_spots", "wave", "der(T)", (0.06, 1.1), "T"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from closed_loop_benchmark.effect import Effect, Name
+from closed_loop_benchmark.effect import Effect
 
 SINGLE: dict[str, tuple[Effect, ...]] = {
     "thermal_two_node": (
@@ -26,6 +26,7 @@ SINGLE: dict[str, tuple[Effect, ...]] = {
     ),
     "room": (
         Effect("sun", "linear", "der(T_room)", (3e-7,), "sun"),
+        Effect("sun_on_floor", "lagged", "der(T_room)", (3e-7, 7200.0), "sun"),
         Effect("sun_on_wall", "linear", "der(T_wall)", (1.5e-7,), "sun"),
         Effect("people", "constant", "der(T_room)", (6e-5,)),
         Effect("window_opens", "hinge", "der(T_room)", (-1.2e-4, 21.5), "T_room"),
@@ -48,20 +49,12 @@ PAIRS: dict[str, tuple[tuple[str, str], ...]] = {
 
 OUTSIDE: dict[str, tuple[Effect, ...]] = {
     "thermal_two_node": (
-        Effect("door_opens", "switch", "parameter R_case_ambient", (-0.2, 2500.0)),
+        Effect("door_opens", "switch", "parameter R_case_ambient", (-0.2, 1800.0)),
         Effect("slow_logger", "sample_hold", "output y_core", (60.0,)),
     ),
     "room": (
         Effect("thermostat", "wave", "der(T_room)", (6e-5, 2.5), "T_room"),
         Effect("coarse_sensor", "quantisation", "output y", (1.0,)),
-        Effect(
-            "sun_through_tree",
-            "product",
-            "der(T_room)",
-            (3e-8,),
-            "sun",
-            "T_out",
-            also=(Name("product", "input P", "sun"),),
-        ),
+        Effect("blinds", "magnet", "der(T_room)", (6e-7, 250.0), "sun"),
     ),
 }

@@ -29,9 +29,9 @@ def cell_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
     return [
         run("held steps", "train", 0.5 + 1.6 * wave.held(time, random, 200.0), 0.85),
-        run("binary", "train", 0.2 + 1.0 * wave.binary(time, random, 120.0), 0.7),
+        run("binary", "train", 0.2 + 0.6 * wave.binary(time, random, 120.0), 0.7),
         run("ramps", "train", -0.3 + 1.2 * wave.ramps(time, random, 150.0), 0.4),
-        run("pulses", "train", 2.2 * (wave.binary(time, random, 100.0) > 0) - 0.4, 0.9),
+        run("pulses", "train", 0.7 + 1.1 * wave.binary(time, random, 100.0), 0.9),
         run("triangle", "test", 0.3 + 1.6 * wave.triangle(time, 700.0), 0.75),
         run("noise", "test", 0.1 + 0.8 * wave.noise(time, random, 2e-3), 0.6),
     ]

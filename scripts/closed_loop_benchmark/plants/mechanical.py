@@ -59,12 +59,12 @@ def pendulum_runs(time: Array, random: np.random.Generator) -> list[Run]:
     """Excite around the swing at 0.7 Hz, up to about one radian."""
     rest, swung = {"angle": 0.0, "speed": 0.0}, {"angle": 0.5, "speed": 0.0}
     return [
-        make_run("multisine", "train", [0.6 * wave.multisine(time, random, 0.1, 1.5)], rest),
-        make_run("held steps", "train", [1.2 * wave.held(time, random, 1.2)], rest),
+        make_run("multisine", "train", [0.45 * wave.multisine(time, random, 0.1, 1.5)], rest),
+        make_run("held steps", "train", [0.9 * wave.held(time, random, 1.2)], rest),
         make_run("chirp", "train", [0.3 * wave.chirp(time, 0.1, 1.5)], swung),
-        make_run("binary", "train", [0.35 * wave.binary(time, random, 0.4)], rest),
-        make_run("triangle", "test", [0.8 * wave.triangle(time, 2.9)], rest),
-        make_run("noise", "test", [0.5 * wave.noise(time, random, 0.9)], swung),
+        make_run("binary", "train", [0.25 * wave.binary(time, random, 0.3)], rest),
+        make_run("triangle", "test", [0.6 * wave.triangle(time, 2.9)], rest),
+        make_run("noise", "test", [0.35 * wave.noise(time, random, 0.9)], swung),
     ]
 
 

@@ -117,6 +117,7 @@ STIRRED_TANK_REACTOR = System(
         "cooling": 0.032,
     },
     constants={"volume": 0.1},
+    spreads={"k_350": 0.1, "E_R": 0.05, "c_feed": 0.1, "T_feed": 0.01, "rise": 0.1},
     rates=reactor_rates,
     readings=reactor_readings,
     interval=5.0,

@@ -85,7 +85,7 @@ def room_runs(time: Array, random: np.random.Generator) -> list[Run]:
         run("binary", "train", 1700.0 + 1300.0 * wave.binary(time, random, 7200.0), 4.0, 13.0),
         run("held steps", "train", 1800.0 + 1800.0 * wave.held(time, random, 14400.0), 2.0, 14.0),
         run("ramps", "train", 1200.0 + 900.0 * wave.ramps(time, random, 10800.0), 8.0, 15.0),
-        run("off and on", "train", 2200.0 * (wave.binary(time, random, 21600.0) > 0), 6.0, 16.0),
+        run("off and on", "train", 1100.0 * (1.0 + wave.binary(time, random, 21600.0)), 6.0, 16.0),
         run("triangle", "test", 1500.0 + 1200.0 * wave.triangle(time, 50000.0), 5.0, 14.0),
         run("gentle steps", "test", 1300.0 + 800.0 * wave.held(time, random, 9000.0), 7.0, 15.0),
     ]

@@ -20,11 +20,15 @@ SECTIONS = {
     "experiments": config.ExperimentSection,
     "experiments.inputs.F": config.InputSection,
     "experiments.columns.force": config.ColumnSection,
+    "effects": config.EffectSection,
+    "effects.parameters.k": config.CoefficientSection,
     "cost": config.CostSection,
     "method": config.MethodSection,
     "executor": config.ExecutorSection,
     "budget": config.BudgetSection,
 }
+SHOWN = ("time", "effects", "form")
+"""Keys of which the reference has to show an example: one of several is needed."""
 
 
 def tree(*, everything: bool) -> dict:
@@ -51,7 +55,7 @@ def test_every_key_stands_in_the_reference(path, section):
 def test_defaults_are_those_of_the_code(path, section):
     table = at(tree(everything=False), path)
     for name, field in section.model_fields.items():
-        if field.is_required() or isinstance(table.get(name), dict) or name == "time":
+        if field.is_required() or isinstance(table.get(name), dict) or name in SHOWN:
             continue
         default = field.get_default(call_default_factory=True)
         if isinstance(default, BaseModel | dict):
@@ -68,4 +72,5 @@ def test_method_options_are_those_of_least_squares():
 def test_the_reference_is_a_config_that_works():
     parse_config(tree(everything=False), "reference")
     problem = build_problem(read_config(REFERENCE), REFERENCE.parent)
-    assert [p.name for p in problem.parameters] == ["m"]
+    names = [p.name for p in problem.parameters]
+    assert names == ["m", "coulomb.k", "coulomb.width"]

@@ -17,6 +17,7 @@ from workers.kernels import failure
 from workers.kernels.co_simulation import co_simulate_batch
 from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.fmi2 import Component, Constants, References, workspace
+from workers.kernels.hooks import no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
 from workers.messages import Experiment, FloatArray, Output
@@ -59,10 +60,11 @@ class FakeFmu:
         addresses = [ctypes.cast(function, c_void_p).value or 0 for function in self._kept]
         unused = set(Component._fields) - set(SIGNATURES)
         return Component(
-            **dict.fromkeys(unused - {"interpolates_inputs", "completes_steps"}, 0),
+            **dict.fromkeys(unused - {"interpolates_inputs", "completes_steps", "n_states"}, 0),
             **dict(zip(SIGNATURES, addresses, strict=True)),
             interpolates_inputs=False,
             completes_steps=completes_steps,
+            n_states=1,
         )
 
     def _counting(self, name: str) -> Callable[..., int]:
@@ -134,6 +136,7 @@ def run(
         References(none, none, none, none, one),
         Constants(np.zeros(0, np.int32), np.zeros(0, np.int32)),
         Settings(0.05 if solver == "rk4" else 0.0, 1e-8, np.array([1e-8]), 3000, 0.0),
+        no_hooks(1),
         grid(),
         np.zeros((1, 0)),
         workspace(0, 1),

@@ -1,0 +1,170 @@
+"""The cases of the benchmark, and the data of each.
+
+    from closed_loop_benchmark.data import make
+    from closed_loop_benchmark.scenarios import all_scenarios
+
+    data = make(all_scenarios()[0])
+
+A case is deterministic: its seed follows from its name.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from closed_loop_benchmark.disturbances import DISTURBANCES, Disturbance
+from closed_loop_benchmark.effect import Effect, Name, names
+from closed_loop_benchmark.effects import OUTSIDE, PAIRS, SINGLE
+from closed_loop_benchmark.system import Split
+from closed_loop_benchmark.systems import SYSTEMS
+
+Kind = Literal["single", "pair", "clean", "coloured", "outside", "disturbance"]
+SIZES = (0.05, 0.25, 1.0)
+"""The smallest leaves some effects close to the noise, or lost in it."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of a sensor.
+
+    Attributes
+    ----------
+    share
+        Standard deviation, as a share of that of the output over all training runs.
+    correlation
+        Between one sample and the next: 0 is white noise, else AR(1).
+    """
+
+    share: float
+    correlation: float = 0.0
+
+
+WHITE = (Noise(0.01), Noise(0.02))
+COLOURED = (Noise(0.01, 0.5), Noise(0.01, 0.8))
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One case of the benchmark.
+
+    Attributes
+    ----------
+    name
+        Unique.
+    system
+        Name of the system.
+    kind
+        "single" and "pair": effects that a library should have, in white noise. "coloured": one of
+        those in AR(1) noise. "clean": nothing is missing, the noise white or not. "outside": an
+        effect that no library has. "disturbance": a push that nothing measured explains.
+    effects
+        What the FMU lacks, at its full size.
+    accepted
+        For each effect its canonical name and the names of the same model. For an effect outside
+        the library there is no right name: its entry is only what it is called here.
+    size
+        What the effects' strengths have been multiplied by.
+    noise, seed, split
+        The noise, the random generator's seed, and whether methods may be tuned on the case.
+    disturbance
+        What pushes, if anything does.
+    """
+
+    name: str
+    system: str
+    kind: Kind
+    effects: tuple[Effect, ...]
+    accepted: tuple[tuple[Name, ...], ...]
+    size: float
+    noise: Noise
+    seed: int
+    split: Split
+    disturbance: Disturbance | None = None
+
+
+def scenario(
+    system: str,
+    kind: Kind,
+    label: str,
+    noise: Noise,
+    effects: Sequence[Effect] = (),
+    size: float = 1.0,
+    disturbance: Disturbance | None = None,
+) -> Scenario:
+    """Make a case; its name and with it its seed follow from all else."""
+    name = f"{system}/{kind}/{label}"
+    scaled = tuple(effect.scaled(size) for effect in effects)
+    accepted = tuple(names(effect, SYSTEMS[system]) for effect in scaled)
+    seed, split = zlib.crc32(name.encode()), SYSTEMS[system].split
+    return Scenario(name, system, kind, scaled, accepted, size, noise, seed, split, disturbance)
+
+
+def singles(sizes: Iterable[float] = SIZES) -> list[Scenario]:
+    """One effect in white noise, in several sizes."""
+    return [
+        scenario(system, "single", f"{effect.label} x{size}", WHITE[n % 2], [effect], size)
+        for system, effects in SINGLE.items()
+        for n, effect in enumerate(effects)
+        for size in sizes
+    ]
+
+
+def pairs(sizes: Iterable[float] = (1.0,)) -> list[Scenario]:
+    """Two effects at once."""
+    found = []
+    for system, labels in PAIRS.items():
+        effects = {effect.label: effect for effect in SINGLE[system]}
+        for two in labels:
+            both = [effects[label] for label in two]
+            found += [
+                scenario(system, "pair", f"{'+'.join(two)} x{size}", WHITE[0], both, size)
+                for size in sizes
+            ]
+    return found
+
+
+def coloured(sizes: Iterable[float] = (0.25,)) -> list[Scenario]:
+    """Every fourth effect, in noise that is correlated."""
+    return [
+        scenario(system, "coloured", f"{effect.label} x{size}", COLOURED[n % 2], [effect], size)
+        for system, effects in SINGLE.items()
+        for n, effect in enumerate(effects[::4])
+        for size in sizes
+    ]
+
+
+def outside(sizes: Iterable[float] = (1.0,)) -> list[Scenario]:
+    """Effects that no library of forms has."""
+    return [
+        scenario(system, "outside", f"{effect.label} x{size}", WHITE[0], [effect], size)
+        for system, effects in OUTSIDE.items()
+        for effect in effects
+        for size in sizes
+    ]
+
+
+def disturbed() -> list[Scenario]:
+    """Pushes that nobody measures."""
+    return [
+        scenario(system, "disturbance", one.label, WHITE[0], disturbance=one)
+        for system, disturbances in DISTURBANCES.items()
+        for one in disturbances
+    ]
+
+
+def clean(repeats: int = 7) -> list[Scenario]:
+    """Return cases in which nothing is missing: so often in each kind of noise, for each system."""
+    return [
+        scenario(system, "clean", f"{noise.share} {noise.correlation} {number}", noise)
+        for system in SYSTEMS
+        for noise in (*WHITE, *COLOURED)
+        for number in range(repeats)
+    ]
+
+
+def all_scenarios() -> list[Scenario]:
+    """Return the whole benchmark."""
+    return [*singles(), *pairs(), *coloured(), *outside(), *disturbed(), *clean()]

@@ -1,0 +1,87 @@
+"""SymPy equations as compiled C-callable functions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sympy as sp
+from numba import carray, cfunc
+from numba.core import types
+from sympy.printing.pycode import pycode
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """`target[index] = value`, or `+=`."""
+
+    target: str
+    index: int
+    value: sp.Expr
+    add: bool = False
+
+
+def compile_function(
+    arrays: Sequence[str],
+    places: Mapping[sp.Symbol, tuple[str, int]],
+    assignments: Sequence[Assignment],
+    time: sp.Symbol,
+) -> Any:
+    """Compile assignments to a C function ``int f(double t, double *a, double *b, ...)``.
+
+    Parameters
+    ----------
+    arrays
+        Names of the pointer arguments, in order.
+    places
+        Where each symbol of the equations stands: (array, index).
+    assignments
+        What the function does. All values are read before anything is written.
+    time
+        The symbol of the first argument.
+
+    Returns
+    -------
+    numba cfunc
+        Its `address` is what compiled loops call. Keep it: the code lives as long as the object.
+    """
+    text = _source(arrays, places, assignments, time)
+    scope: dict[str, Any] = {"carray": carray, "math": __import__("math")}
+    exec(compile(text, "<effect>", "exec"), scope)  # printed by SymPy from a checked syntax tree
+    pointers = [types.CPointer(types.float64)] * len(arrays)  # type: ignore[attr-defined]
+    return cfunc(types.int32(types.float64, *pointers))(scope["effect"])
+
+
+def _source(
+    arrays: Sequence[str],
+    places: Mapping[sp.Symbol, tuple[str, int]],
+    assignments: Sequence[Assignment],
+    time: sp.Symbol,
+) -> str:
+    """The function as Python text, common parts computed once."""
+    sizes = dict.fromkeys(arrays, 1)
+    for array, index in [*places.values(), *((a.target, a.index) for a in assignments)]:
+        sizes[array] = max(sizes[array], index + 1)
+    used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
+    locals_: dict[sp.Symbol, sp.Symbol] = {time: sp.Symbol("t", real=True)}
+    lines = [f"{name} = carray({name}_, {size})" for name, size in sizes.items()]
+    for number, symbol in enumerate(sorted(used - {time}, key=str)):
+        array, index = places[symbol]
+        locals_[symbol] = sp.Symbol(f"s{number}", real=True)
+        lines.append(f"s{number} = {array}[{index}]")
+    values = [a.value.xreplace(locals_) for a in assignments]
+    common, reduced = sp.cse(values, symbols=sp.numbered_symbols("c"))
+    lines += [f"{symbol} = {_print(value)}" for symbol, value in common]
+    lines += [f"r{i} = {_print(value)}" for i, value in enumerate(reduced)]
+    for i, assignment in enumerate(assignments):
+        lines.append(
+            f"{assignment.target}[{assignment.index}] {'+=' if assignment.add else '='} r{i}"
+        )
+    header = ", ".join(f"{name}_" for name in arrays)
+    return "\n    ".join([f"def effect(t, {header}):", *lines, "return 0"]) + "\n"
+
+
+def _print(value: sp.Expr) -> str:
+    """Python text of an expression, a power of a half as a square root."""
+    return str(pycode(value, fully_qualified_modules=True))
