@@ -184,7 +184,7 @@ def compare_fmpy(rounds: int) -> None:
 
 def compare_ray(rounds: int) -> None:
     """Two Ray workers against one local core, through the executors that a fit uses."""
-    for label, step, simulations in (("50 us", STEP, 6000), ("5 ms", STEP / 60.0, 240)):
+    for label, step, simulations in (("50 us", STEP, 6000), ("5 ms", STEP / 60.0, 600)):
         asked = replace(model("model_exchange", "rk4"), solver=Solver("rk4", step=step))
         experiments = (experiment(),)
         with (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ray
 
 from workers.evaluate import Evaluator
-from workers.messages import Batch, Experiment, Model, Outcome
+from workers.messages import Answers, Batch, Experiment, Model
 
 
 @ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)
@@ -19,6 +19,6 @@ class Worker:
         """Return once the FMU is loaded; raise what went wrong otherwise."""
         return True
 
-    def evaluate(self, batch: Batch) -> list[Outcome]:
+    def evaluate(self, batch: Batch) -> Answers:
         """Answer a batch of tasks."""
-        return self._evaluator.evaluate(batch)
+        return Answers.of(self._evaluator.evaluate(batch))

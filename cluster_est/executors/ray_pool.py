@@ -21,7 +21,7 @@ from cluster_est.errors import ExecutorError, ModelError
 from cluster_est.executors.backlog import Backlog
 from cluster_est.executors.base import Executor
 from workers.actor import Worker
-from workers.messages import Batch, Experiment, Model, Outcome, Status, Task
+from workers.messages import Answers, Batch, Experiment, Model, Outcome, Status, Task
 
 IN_FLIGHT = 2
 
@@ -51,7 +51,7 @@ class RayPool(Executor):
         self._owns_ray = owns_ray
         self._model = ray.put(model)
         self._experiments = ray.put(experiments)
-        self._backlog = Backlog(shares=IN_FLIGHT * workers)
+        self._backlog = Backlog(shares=2 * IN_FLIGHT * workers)
         self._actors: dict[str, Any] = {}
         self._flying: dict[Any, _Flight] = {}
         self._suspects: deque[Task] = deque()
@@ -135,13 +135,14 @@ class RayPool(Executor):
     def _collect(self, reference: Any) -> list[Outcome]:
         flight = self._flying.pop(reference)
         try:
-            outcomes: list[Outcome] = ray.get(reference)
+            answers: Answers = ray.get(reference)
         except RayActorError as error:
             self._replace(flight.actor)
             if flight.alone:
                 return [_crash(flight.batch, error)]
             self._suspects += flight.batch.tasks()
             return []
+        outcomes = answers.outcomes()
         self._backlog.learn(flight.batch, outcomes)
         return outcomes
 

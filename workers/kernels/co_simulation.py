@@ -66,10 +66,7 @@ def _co_simulate(c, references, constants, settings, hooks, grid, point, work, r
     begin(hooks, times[0], work)
     steps_left = settings.max_steps
     for i in range(len(times)):
-        take_inputs(grid, i, times[i], work)
-        status = _write(c, references, hooks, times[i], work)
-        if status < DISCARD:
-            status = get_real(c, references.outputs, record[i])
+        status = _exchange(c, references, hooks, grid, i, work, record[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), times[i]
         if i + 1 == len(times):
@@ -78,29 +75,28 @@ def _co_simulate(c, references, constants, settings, hooks, grid, point, work, r
         if steps > steps_left:
             return TOO_MANY_STEPS, times[i]
         steps_left -= steps
-        status = _advance(c, references, hooks, grid, i, steps, work)
+        if hooks.before != 0:
+            status = _advance_with_effects(c, references, hooks, grid, i, steps, work)
+        else:
+            status = _advance(c, references, grid, i, steps, work)
         if status >= DISCARD:
             return failed(STEP, status), times[i]
     return FINISHED, times[-1]
 
 
 @inlined
-def _write(c, references, hooks, time, work):  # type: ignore[no-untyped-def]
-    """Hand the FMU its inputs, and the parameters that effects vary. Returns the worst status."""
+def _exchange(c, references, hooks, grid, i, work, outputs):  # type: ignore[no-untyped-def]
+    """Set the inputs of grid time i and read the outputs. Returns the worst status."""
     status = 0
     if hooks.before != 0:
-        before(hooks, time, work.states, work)
-        if len(work.edited) > 0:
-            status = set_real(c, references.inputs, work.edited)
-        if status < DISCARD and len(work.varied) > 0:
-            status = max(status, set_real(c, hooks.parameters, work.varied))
+        status = _write_edited(c, references, hooks, grid, i, grid.times[i], work)
     elif len(work.inputs) > 0:
-        status = set_real(c, references.inputs, work.inputs)
-    return status
+        status = set_real(c, references.inputs, grid.inputs[i])
+    return max(status, get_real(c, references.outputs, outputs)) if status < DISCARD else status
 
 
 @inlined
-def _advance(c, references, hooks, grid, i, steps, work):  # type: ignore[no-untyped-def]
+def _advance(c, references, grid, i, steps, work):  # type: ignore[no-untyped-def]
     """From one time of the grid to the next, in equal communication steps.
 
     An FMU that interpolates its inputs is told their slopes. Any other holds each at what it is at
@@ -109,10 +105,25 @@ def _advance(c, references, hooks, grid, i, steps, work):  # type: ignore[no-unt
     step = (grid.times[i + 1] - grid.times[i]) / steps
     status = 0
     for s in range(steps):
+        if s > 0 and status < DISCARD and len(work.inputs) > 0:
+            take_inputs(grid, i, grid.times[i] + s * step, work)
+            status = max(status, set_real(c, references.inputs, work.inputs))
+        if c.interpolates_inputs and len(work.inputs) > 0 and status < DISCARD:
+            status = set_real_input_derivatives(c, references.inputs, work.orders, grid.slopes[i])
+        if status < DISCARD:
+            status = do_step(c, grid.times[i] + s * step, step)
+    return status
+
+
+@kernel
+def _advance_with_effects(c, references, hooks, grid, i, steps, work):  # type: ignore[no-untyped-def]
+    """The same where effects edit inputs or parameters, which count as linear within a step."""
+    step = (grid.times[i + 1] - grid.times[i]) / steps
+    status = 0
+    for s in range(steps):
         time = grid.times[i] + s * step
         if s > 0 and status < DISCARD:
-            take_inputs(grid, i, time, work)
-            status = _write(c, references, hooks, time, work)
+            status = _write_edited(c, references, hooks, grid, i, time, work)
         _take_slopes(hooks, grid, i, time, step, work)
         if c.interpolates_inputs and len(work.inputs) > 0 and status < DISCARD:
             status = set_real_input_derivatives(c, references.inputs, work.orders, work.slopes)
@@ -121,20 +132,32 @@ def _advance(c, references, hooks, grid, i, steps, work):  # type: ignore[no-unt
     return status
 
 
+@kernel
+def _write_edited(c, references, hooks, grid, i, time, work):  # type: ignore[no-untyped-def]
+    """Hand the FMU the inputs and parameters as the effects make them. Returns the worst status."""
+    take_inputs(grid, i, time, work)
+    before(hooks, time, work.states, work)
+    status = 0
+    if len(work.edited) > 0:
+        status = set_real(c, references.inputs, work.edited)
+    if status < DISCARD and len(work.varied) > 0:
+        status = max(status, set_real(c, hooks.parameters, work.varied))
+    return status
+
+
 @inlined
 def _take_slopes(hooks, grid, i, time, step, work):  # type: ignore[no-untyped-def]
-    """How fast the inputs change during a step; the effects' own states go to the end of it."""
+    """How fast the edited inputs change; the effects' own states go to the end of the step."""
     for j in range(len(work.slopes)):
-        work.slopes[j] = grid.slopes[i, j] if hooks.before == 0 else -work.edited[j] / step
+        work.slopes[j] = -work.edited[j] / step
     if hooks.inside != 0:
         part = step / work.counts[0]
         for n in range(work.counts[0]):
             _advance_own_states(hooks, grid, i, time + n * part, part, work)
-    if hooks.before != 0:
-        take_inputs(grid, i, time + step, work)
-        before(hooks, time + step, work.states, work)
-        for j in range(len(work.slopes)):
-            work.slopes[j] += work.edited[j] / step
+    take_inputs(grid, i, time + step, work)
+    before(hooks, time + step, work.states, work)
+    for j in range(len(work.slopes)):
+        work.slopes[j] += work.edited[j] / step
 
 
 @inlined
