@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from workers.augment import Augmentation, Effects, augment
 from workers.description import Description
-from workers.effects.definition import Definition
 from workers.errors import ModelError
 from workers.fmu import Instance
 from workers.grid import Grid, build_grid
@@ -20,6 +19,10 @@ from workers.kernels.hooks import Hooks, no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
 from workers.messages import Effect, Experiment, FloatArray, IntArray, Model
+
+if TYPE_CHECKING:
+    from workers.augment import Augmentation, Effects
+    from workers.effects.definition import Definition
 
 BATCHES = {"fmu": co_simulate_batch, "rk4": rk4_batch, "dormand_prince": dormand_prince_batch}
 
@@ -116,6 +119,8 @@ class Simulator:
         values, coefficients = points[:, :count], points[:, count:]
         if not effects:
             return self._run(ready, values, no_hooks(len(points)), 0)
+        from workers.augment import Effects  # SymPy takes half a second to import
+
         if effects not in self._effects:
             self._effects[effects] = Effects(effects, self._description, self._model)
         record = Record.empty(len(points), len(ready.grid.times), len(ready.outputs))
@@ -140,6 +145,8 @@ class Simulator:
         plain = self._installed[experiment]
         if not active:
             return self._run(plain, values, no_hooks(len(values)), 0)
+        from workers.augment import augment
+
         key = (experiment, tuple(definition for definition, _ in active))
         if key not in self._augmented:
             run = self._experiments[experiment]

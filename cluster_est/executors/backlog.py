@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from workers.messages import Batch, Outcome, Task
 
-BATCH_SECONDS = 0.03
+BATCH_SECONDS = 0.05
 FIRST_GUESS = 0.005
 MEMORY = 0.2
 """Weight of the newest observation in the running mean of a simulation's seconds."""
@@ -38,7 +38,7 @@ class Backlog:
         self._tasks.clear()
 
     def take(self) -> Batch:
-        """Remove the next batch: about 30 ms of work, all of it wanting the same."""
+        """Remove the next batch: about 50 ms of work, all of it wanting the same."""
         most = max(1, -(-len(self._tasks) // self._shares))
         batch: list[Task] = []
         seconds = 0.0

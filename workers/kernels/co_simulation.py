@@ -63,10 +63,22 @@ def _co_simulate(c, references, constants, settings, hooks, grid, point, work, r
     status = initialise(c, references, constants, point, inputs, tolerance, times[0])
     if status >= DISCARD:
         return failed(INITIALISATION, status), times[0]
-    begin(hooks, times[0], work)
-    steps_left = settings.max_steps
+    if hooks.before != 0:
+        begin(hooks, times[0], work)
+        return _go_with_effects(c, references, settings, hooks, grid, work, record)
+    return _go(c, references, settings, grid, work, record)
+
+
+@kernel
+def _go(c, references, settings, grid, work, record):  # type: ignore[no-untyped-def]
+    """From the first time of the grid to the last. Returns (code, time)."""
+    times, steps_left = grid.times, settings.max_steps
     for i in range(len(times)):
-        status = _exchange(c, references, hooks, grid, i, work, record[i])
+        status = 0
+        if grid.inputs.shape[1] > 0:
+            status = set_real(c, references.inputs, grid.inputs[i])
+        if status < DISCARD:
+            status = get_real(c, references.outputs, record[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), times[i]
         if i + 1 == len(times):
@@ -75,24 +87,32 @@ def _co_simulate(c, references, constants, settings, hooks, grid, point, work, r
         if steps > steps_left:
             return TOO_MANY_STEPS, times[i]
         steps_left -= steps
-        if hooks.before != 0:
-            status = _advance_with_effects(c, references, hooks, grid, i, steps, work)
-        else:
-            status = _advance(c, references, grid, i, steps, work)
+        status = _advance(c, references, grid, i, steps, work)
         if status >= DISCARD:
             return failed(STEP, status), times[i]
     return FINISHED, times[-1]
 
 
-@inlined
-def _exchange(c, references, hooks, grid, i, work, outputs):  # type: ignore[no-untyped-def]
-    """Set the inputs of grid time i and read the outputs. Returns the worst status."""
-    status = 0
-    if hooks.before != 0:
-        status = _write_edited(c, references, hooks, grid, i, grid.times[i], work)
-    elif len(work.inputs) > 0:
-        status = set_real(c, references.inputs, grid.inputs[i])
-    return max(status, get_real(c, references.outputs, outputs)) if status < DISCARD else status
+@kernel
+def _go_with_effects(c, references, settings, hooks, grid, work, record):  # type: ignore[no-untyped-def]
+    """The same where effects edit inputs or parameters; apart, so that `_go` stays lean."""
+    times, steps_left = grid.times, settings.max_steps
+    for i in range(len(times)):
+        status = _write_edited(c, references, hooks, grid, i, times[i], work)
+        if status < DISCARD:
+            status = get_real(c, references.outputs, record[i])
+        if status >= DISCARD:
+            return failed(OUTPUT, status), times[i]
+        if i + 1 == len(times):
+            break
+        steps = n_steps(times[i + 1] - times[i], settings.step, steps_left)
+        if steps > steps_left:
+            return TOO_MANY_STEPS, times[i]
+        steps_left -= steps
+        status = _advance_with_effects(c, references, hooks, grid, i, steps, work)
+        if status >= DISCARD:
+            return failed(STEP, status), times[i]
+    return FINISHED, times[-1]
 
 
 @inlined
