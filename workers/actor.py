@@ -5,7 +5,8 @@ from __future__ import annotations
 import ray
 
 from workers.evaluate import Evaluator
-from workers.messages import Answers, Batch, Experiment, Model
+from workers.messages import Experiment, Model
+from workers.wire import Answers, Batch
 
 
 @ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from workers.description import describe
+from workers.install import Installed
 from workers.kernels import failure
 from workers.messages import (
-    Batch,
     Experiment,
     FloatArray,
     IntArray,
@@ -21,7 +21,8 @@ from workers.messages import (
     Want,
 )
 from workers.residuals.measured_times import MeasuredTimes
-from workers.simulate import Installed, Record, Simulator
+from workers.simulate import Record, Simulator
+from workers.wire import Batch
 
 MAX_VALUES = 4_000_000
 """Simulated values that are kept at once: 32 MB, however long the experiments are."""

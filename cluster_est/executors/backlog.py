@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 
-from workers.messages import Batch, Outcome, Task
+from workers.messages import Outcome, Task
+from workers.wire import Batch
 
 BATCH_SECONDS = 0.05
 FIRST_GUESS = 0.005

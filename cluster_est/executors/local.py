@@ -11,7 +11,8 @@ from cluster_est.executors.backlog import Backlog
 from cluster_est.executors.base import Executor
 from workers.description import describe
 from workers.evaluate import Evaluator
-from workers.messages import Batch, Experiment, Model, Outcome, Task
+from workers.messages import Experiment, Model, Outcome, Task
+from workers.wire import Batch
 
 
 class LocalExecutor(Executor):

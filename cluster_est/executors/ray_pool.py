@@ -21,7 +21,8 @@ from cluster_est.errors import ExecutorError, ModelError
 from cluster_est.executors.backlog import Backlog
 from cluster_est.executors.base import Executor
 from workers.actor import Worker
-from workers.messages import Answers, Batch, Experiment, Model, Outcome, Status, Task
+from workers.messages import Experiment, Model, Outcome, Status, Task
+from workers.wire import Answers, Batch
 
 IN_FLIGHT = 2
 

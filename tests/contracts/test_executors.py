@@ -16,18 +16,8 @@ from reference_models import MODELS, REFERENCES, sampled_experiment
 from cluster_est.executors import EXECUTORS, Executor, executor_class
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
-from workers.messages import (
-    Batch,
-    Experiment,
-    Input,
-    Model,
-    Outcome,
-    Output,
-    Solver,
-    Status,
-    Task,
-    Want,
-)
+from workers.messages import Experiment, Input, Model, Outcome, Output, Solver, Status, Task, Want
+from workers.wire import Batch
 
 OPENERS = {"local-1": ("local", 1), "local-3": ("local", 3), "ray-2": ("ray", 2)}
 

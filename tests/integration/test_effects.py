@@ -15,7 +15,8 @@ from workers.effects.forms import FORMS
 from workers.effects.site import Site, open_sites
 from workers.errors import EffectError
 from workers.evaluate import Evaluator
-from workers.messages import Batch, Effect, Task
+from workers.messages import Effect, Task
+from workers.wire import Batch
 
 EXACT = Solver("dormand_prince", rtol=1e-10)
 CO_SIMULATION = Solver("fmu", step=0.002)

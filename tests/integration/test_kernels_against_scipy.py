@@ -11,7 +11,6 @@ from reference_models import MODELS, REFERENCES, sampled_experiment, solve
 
 from workers.evaluate import Evaluator
 from workers.messages import (
-    Batch,
     Experiment,
     FloatArray,
     Input,
@@ -24,6 +23,7 @@ from workers.messages import (
     Status,
     Task,
 )
+from workers.wire import Batch
 
 NAMES = sorted(REFERENCES)
 INTERFACES: dict[str, Interface] = {

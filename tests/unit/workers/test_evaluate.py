@@ -17,7 +17,6 @@ from workers import evaluate
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.messages import (
-    Batch,
     Experiment,
     FloatArray,
     Input,
@@ -30,6 +29,7 @@ from workers.messages import (
     Task,
     Want,
 )
+from workers.wire import Batch
 
 SOLVERS: dict[str, tuple[Interface, Solver]] = {
     "dormand_prince": ("model_exchange", Solver("dormand_prince")),

@@ -10,8 +10,8 @@ from problems import FMU
 
 from workers.description import describe
 from workers.errors import ModelError
+from workers.install import install
 from workers.messages import Experiment, Model, Output, Solver
-from workers.simulate import install
 
 DESCRIPTION = replace(describe(FMU.name, FMU.read_bytes()), variable_steps=False)
 

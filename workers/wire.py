@@ -1,0 +1,115 @@
+"""Tasks and outcomes on their way between machines: as columns, which are cheap to send."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from workers.messages import (
+    Effect,
+    FloatArray,
+    IntArray,
+    Outcome,
+    Status,
+    Task,
+    Trajectory,
+    Want,
+)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Tasks on their way to a worker, as columns: cheap to send.
+
+    Attributes
+    ----------
+    ids, experiments : (n,)
+    values : (n, k)
+    want, effects
+        Of every task in the batch.
+    """
+
+    ids: IntArray
+    experiments: IntArray
+    values: FloatArray
+    want: Want
+    effects: tuple[Effect, ...] = ()
+
+    @classmethod
+    def of(cls, tasks: Sequence[Task]) -> Batch:
+        """Pack tasks that all want the same, with the same effects."""
+        return cls(
+            ids=np.array([task.id for task in tasks], np.int64),
+            experiments=np.array([task.experiment for task in tasks], np.int64),
+            values=np.array([task.values for task in tasks], np.float64),
+            want=tasks[0].want,
+            effects=tasks[0].effects,
+        )
+
+    def tasks(self) -> list[Task]:
+        rows = zip(self.ids.tolist(), self.experiments.tolist(), self.values, strict=True)
+        return [
+            Task(i, experiment, values, self.want, self.effects) for i, experiment, values in rows
+        ]
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Outcomes on their way back, as columns: one array to send instead of one for each outcome.
+
+    Attributes
+    ----------
+    ids, lengths, seconds : (n,)
+        Of each outcome; a length of -1 stands for no residuals.
+    residuals
+        Those of all outcomes, one after the other.
+    failures
+        (status, message) by position, where it is not OK.
+    trajectories
+        By position, where there is one.
+    worker
+        Who ran them.
+    """
+
+    ids: IntArray
+    lengths: IntArray
+    residuals: FloatArray
+    seconds: FloatArray
+    failures: dict[int, tuple[Status, str]]
+    trajectories: dict[int, Trajectory]
+    worker: str
+
+    @classmethod
+    def of(cls, outcomes: Sequence[Outcome]) -> Answers:
+        """Pack the outcomes of one worker."""
+        kept = [o.residuals for o in outcomes if o.residuals is not None]
+        pairs = list(enumerate(outcomes))
+        return cls(
+            ids=np.array([o.task for o in outcomes], np.int64),
+            lengths=np.array(
+                [-1 if o.residuals is None else len(o.residuals) for o in outcomes], np.int64
+            ),
+            residuals=np.concatenate([np.zeros(0), *kept]),
+            seconds=np.array([o.seconds for o in outcomes]),
+            failures={i: (o.status, o.message) for i, o in pairs if not o.ok},
+            trajectories={i: o.trajectory for i, o in pairs if o.trajectory is not None},
+            worker=outcomes[0].worker if outcomes else "",
+        )
+
+    def outcomes(self) -> list[Outcome]:
+        """Unpack; the residuals are views of one array."""
+        ends = np.cumsum(np.maximum(self.lengths, 0)).tolist()
+        columns = zip(
+            self.ids.tolist(), self.lengths.tolist(), ends, self.seconds.tolist(), strict=True
+        )
+        found = []
+        for i, (task, length, end, seconds) in enumerate(columns):
+            status, message = self.failures.get(i, (Status.OK, ""))
+            residuals = None if length < 0 else self.residuals[end - length : end]
+            trajectory = self.trajectories.get(i)
+            found.append(
+                Outcome(task, status, residuals, trajectory, message, seconds, self.worker)
+            )
+        return found
