@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from measured import measured
 from problems import ROOT
 from scipy.integrate import solve_ivp
 
 from cluster_est.cli import main
 
-PLACES = [Path(os.environ.get("CLUSTER_EST_DATA", "/nowhere")), ROOT.parent / "shared" / "data"]
 FILE = "cascaded_tanks/dataBenchmark.csv"
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    if not any((place / FILE).is_file() for place in PLACES):
-        pytest.skip(f"the measured tanks are not here; put {FILE} below $CLUSTER_EST_DATA")
+    measured(FILE)
     folder = tmp_path_factory.mktemp("tanks") / "run"
     config = ROOT / "configs" / "cascaded_tanks.toml"
     assert main(["fit", str(config), "--out", str(folder)]) == 0
@@ -45,8 +41,7 @@ def test_simulated_levels_are_those_of_scipy(run):
     values = {r["label"]: r["value"] for r in pq.read_table(run / "parameters.parquet").to_pylist()}
     rows = pq.read_table(run / "residuals.parquet").to_pylist()
     simulated = [row["simulated"] for row in rows if row["experiment"] == "Est"][:100]
-    place = next(p for p in PLACES if (p / FILE).is_file())
-    pump = np.genfromtxt(place / FILE, delimiter=",", skip_header=1, usecols=0)
+    pump = np.genfromtxt(measured(FILE), delimiter=",", skip_header=1, usecols=0)
     levels, lower = np.array([values["h1"], values["h2"]]), [values["h2"]]
     for k in range(99):
 
