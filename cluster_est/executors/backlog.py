@@ -9,6 +9,8 @@ from workers.messages import Outcome, Task
 from workers.wire import Batch
 
 BATCH_SECONDS = 0.05
+LEAST_SECONDS = 0.005
+"""A batch of less is not worth the trip, even if other workers are idle."""
 FIRST_GUESS = 0.005
 MEMORY = 0.2
 """Weight of the newest observation in the running mean of a simulation's seconds."""
@@ -43,7 +45,7 @@ class Backlog:
         most = max(1, -(-len(self._tasks) // self._shares))
         batch: list[Task] = []
         seconds = 0.0
-        while self._tasks and len(batch) < most and seconds < BATCH_SECONDS:
+        while self._tasks and seconds < (BATCH_SECONDS if len(batch) < most else LEAST_SECONDS):
             if batch and not _alike(self._tasks[0], batch[0]):
                 break
             task = self._tasks.popleft()
