@@ -12,7 +12,7 @@ from workers.effects.compiled import Inner, compile_inner
 from workers.effects.definition import Definition, define
 from workers.effects.outputs import act_on_record
 from workers.errors import EffectError
-from workers.grid import Grid, build_grid
+from workers.grid import Grid
 from workers.kernels.hooks import Hooks, no_hooks
 from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Model
 
@@ -45,9 +45,14 @@ class Augmentation:
         return tuple(given.variable for given in self.experiment.inputs)
 
     def hooks(
-        self, points: FloatArray, coefficients: FloatArray, model: Model, description: Description
+        self,
+        grid: Grid,
+        points: FloatArray,
+        coefficients: FloatArray,
+        model: Model,
+        description: Description,
     ) -> Hooks:
-        """What the loops call, for a batch of points."""
+        """What the loops call, for a batch of points on a grid."""
         if self.inner is None:
             return no_hooks(len(points))
         base = [self._base(name, points, model, description) for name in self.inner.parameters]
@@ -57,7 +62,7 @@ class Augmentation:
             before=self.inner.before.address if self.inner.before else 0,
             inside=self.inner.inside.address if self.inner.inside else 0,
             parameters=np.array(references, np.uint32),
-            substeps=self._substeps(coefficients),
+            substeps=self._substeps(grid, coefficients),
             coefficients=np.ascontiguousarray(coefficients),
             base=np.ascontiguousarray(np.column_stack(base))
             if base
@@ -86,10 +91,9 @@ class Augmentation:
                 own = coefficients[position : position + len(definition.coefficients)]
                 act_on_record(definition, own, grid, record, self.recorded, self.inputs)
 
-    def _substeps(self, coefficients: FloatArray) -> IntArray:
+    def _substeps(self, grid: Grid, coefficients: FloatArray) -> IntArray:
         """Of each point, for own states that are integrated between communication points."""
-        times = build_grid(self.experiment).times
-        longest = float(np.diff(times).max())
+        longest = float(np.diff(grid.times).max())
         counts = np.ones(len(coefficients), np.int64)
         for definition, position in zip(self.definitions, self.positions, strict=True):
             if definition.states and definition.site.kind != "output":

@@ -77,7 +77,9 @@ class Simulator:
         self._experiments = experiments
         self._installed = [install(model, description, e) for e in experiments]
         self._effects: dict[tuple[Effect, ...], Effects] = {}
-        self._augmented: dict[tuple[int, tuple[Definition, ...]], Augmentation] = {}
+        self._augmented: dict[
+            tuple[int, tuple[tuple[Definition, int], ...]], tuple[Augmentation, Installed]
+        ] = {}
         self._batch = BATCHES[model.solver.name]
         self._workspaces: dict[tuple[int, int, int, int], Workspace] = {}
         self.instance = Instance(model, description)
@@ -133,24 +135,16 @@ class Simulator:
         plain = self._installed[experiment]
         if not active:
             return self._run(plain, values, no_hooks(len(values)), 0)
-        from workers.augment import augment
-
-        key = (experiment, tuple(definition for definition, _ in active))
-        if key not in self._augmented:
-            run = self._experiments[experiment]
-            exchange = self._model.interface == "model_exchange"
-            self._augmented[key] = augment(active, run, self._description, exchange=exchange)
-        augmentation = self._augmented[key]
+        augmentation, ready = self._augment(experiment, active)
         own = augmentation.inner.own_states if augmentation.inner is not None else 0
         record = Record.empty(len(values), len(plain.grid.times), len(plain.outputs))
         chunks = [slice(p, p + 1) for p in range(len(values))]
         for chunk in chunks if augmentation.delays else [slice(None)]:
-            changed = augmentation.experiment
             if augmentation.delays:
-                changed = augmentation.delayed(coefficients[chunk][0])
-            ready = install(self._model, self._description, changed, augmentation.recorded)
+                delayed = augmentation.delayed(coefficients[chunk][0])
+                ready = install(self._model, self._description, delayed, augmentation.recorded)
             hooks = augmentation.hooks(
-                values[chunk], coefficients[chunk], self._model, self._description
+                ready.grid, values[chunk], coefficients[chunk], self._model, self._description
             )
             part = self._run(ready, values[chunk], hooks, own)
             for p, outputs in enumerate(part.outputs):
@@ -161,11 +155,28 @@ class Simulator:
             record.messages[chunk] = part.messages
         return record
 
+    def _augment(
+        self, experiment: int, active: list[tuple[Definition, int]]
+    ) -> tuple[Augmentation, Installed]:
+        """Prepare an experiment for the effects that act on it, once."""
+        key = (experiment, tuple(active))
+        if key not in self._augmented:
+            from workers.augment import augment
+
+            run = self._experiments[experiment]
+            exchange = self._model.interface == "model_exchange"
+            made = augment(active, run, self._description, exchange=exchange)
+            ready = install(self._model, self._description, made.experiment, made.recorded)
+            self._augmented[key] = made, ready
+        return self._augmented[key]
+
     def _run(self, ready: Installed, values: FloatArray, hooks: Hooks, own_states: int) -> Record:
         known = np.broadcast_to(ready.known, (len(values), len(ready.known)))
         rows = np.hstack([values, known])
         record = Record.empty(len(rows), len(ready.grid.times), len(ready.outputs))
         stopped_at = np.zeros(len(rows))
+        settings = _settings(self._model, self._description, own_states)
+        work = self._workspace(ready, hooks, own_states)
         tried = 0
         while tried < len(rows):
             self.instance.log.clear()
@@ -179,11 +190,11 @@ class Simulator:
                 self.instance.component,
                 ready.references,
                 ready.constants,
-                _settings(self._model, self._description, own_states),
+                settings,
                 rest,
                 ready.grid,
                 rows[left],
-                self._workspace(ready, hooks, own_states),
+                work,
                 record.outputs[left],
                 record.codes[left],
                 stopped_at[left],

@@ -189,6 +189,22 @@ def test_effects_combine():
     np.testing.assert_allclose(result, 0.9 * solve(slope)[:, 0], atol=1e-8)
 
 
+def test_effects_of_different_tasks_keep_their_own_coefficients():
+    """One worker, asked for an effect alone and then behind another that is neutral."""
+    bias, drag = Effect("a", "input F", "bias"), Effect("b", "der(v)", "quadratic")
+    evaluator = Evaluator(model(), (experiment(),), "w")
+
+    def ask(effects, coefficients):
+        values = np.array([M, K, C, *coefficients])
+        (outcome,) = evaluator.evaluate(Batch.of([Task(0, 0, values, "trajectory", effects)]))
+        return outcome.trajectory.values.tobytes()
+
+    alone = ask((drag,), (0.7,))
+    assert ask((bias, drag), (0.0, 0.7)) == alone
+    assert ask((drag, bias), (0.7, 0.0)) == alone
+    evaluator.close()
+
+
 def test_an_equation_of_the_users_own():
     effect = Effect(
         "own",

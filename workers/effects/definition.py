@@ -11,7 +11,7 @@ import sympy as sp
 
 from workers.description import Description
 from workers.effects.expression import parse
-from workers.effects.forms import Coefficient, Form, OwnState, form
+from workers.effects.forms import Coefficient, Form, form
 from workers.effects.site import Site, check_site, parse_site
 from workers.errors import EffectError
 from workers.messages import Effect, FloatArray, Interface
@@ -171,6 +171,3 @@ def _placeholders(
         if name not in variables:
             parse(name, variables, f"{where}: variables")
     return dict(zip(("v", "w"), (variables[name] for name in given), strict=False))
-
-
-__all__ = ["SIGNAL", "TIME", "Definition", "OwnState", "coefficients", "define", "variable_symbol"]
