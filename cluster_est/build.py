@@ -202,6 +202,7 @@ def _experiment(
         values=tuple((config.values | section.values).items()),
         role=section.role,
         groups=tuple(section.group.items()),
+        signals=tuple(reader.signal(times, name) for name in section.signals),
     )
 
 

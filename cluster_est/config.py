@@ -133,6 +133,11 @@ class ExperimentSection(_Section):
     outputs: dict[str, str] = Field(
         min_length=1, description="FMU output = column; empty cells: not measured"
     )
+    signals: dict[str, Annotated[InputSection, BeforeValidator(_input)]] = Field(
+        default_factory=dict,
+        description="name = column, or { column, interpolation }: measured, but no input of the "
+        "FMU; effects may depend on it",
+    )
     sigma: dict[str, Annotated[Finite, Field(gt=0.0)]] = Field(
         default_factory=dict, description="FMU output = standard deviation of its noise; default 1"
     )
@@ -170,12 +175,14 @@ class CoefficientSection(_Section):
 class EffectSection(_Section):
     name: str = Field("", description="of the effect; default: its form")
     site: str = Field(
-        description='"der(STATE)", "input NAME", "output NAME" or "parameter NAME" of the FMU'
+        description='"der(STATE)", "pair STATE,STATE", "input NAME", "output NAME" or '
+        '"parameter NAME" of the FMU'
     )
     form: str = Field("", description="a form of the library, such as coulomb")
     variables: list[str] = Field(
         default_factory=list,
-        description="states or inputs it is a function of; default: the state of der(STATE)",
+        description="states, inputs or signals it is a function of, or differences like "
+        '"x - z"; default: the state of der(STATE), or the difference of a pair',
     )
     equation: str = Field("", description="instead of form: an equation in the FMU's names")
     parameters: dict[str, CoefficientSection] = Field(

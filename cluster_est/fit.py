@@ -54,18 +54,49 @@ def fit(
     description = problem.describe()
     train = make_space(problem, problem.indices("train"))
     check_method(method, train)
+    units = {name: variable.unit for name, variable in description.variables.items()}
     with open_executor(problem, resources) as executor:
         runner = Runner(executor, resources.budget, record, show)
-        before = _simulate_all(runner, problem, {})
+        before = simulate_all(runner, problem, {})
         (solution,) = runner.run([SearchRequest("train", method, train, seed)])
-        test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
-        stopped = solution.ending is Ending.INTERRUPTED
-        test_solution = None if stopped else _fit_test_records(runner, method, test, seed)
-        known = train.estimates(solution.x)
-        if test_solution is not None:
-            known |= test.estimates(test_solution.x)
-        after = _simulate_all(runner, problem, known)
-    units = {name: variable.unit for name, variable in description.variables.items()}
+        return complete(runner, train, solution, method, before, units, seed, begin)
+
+
+def complete(
+    runner: Runner,
+    train: Space,
+    solution: Solution,
+    method: Method,
+    before: list[Simulation],
+    units: dict[str, str],
+    seed: int,
+    begin: float,
+) -> Result:
+    """What a search on the training experiments means: test records, errors, intervals.
+
+    Parameters
+    ----------
+    runner
+        Where the simulations run that this still needs.
+    train, solution
+        The search's space and what it found there.
+    method
+        For what belongs to test records alone.
+    before
+        Every experiment at the start values.
+    units
+        Of the FMU's variables.
+    seed, begin
+        Of the run; `begin` is a reading of the monotonic clock.
+    """
+    problem = train.problem
+    test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
+    stopped = solution.ending is Ending.INTERRUPTED
+    test_solution = None if stopped else _fit_test_records(runner, method, test, seed)
+    known = train.estimates(solution.x)
+    if test_solution is not None:
+        known |= test.estimates(test_solution.x)
+    after = simulate_all(runner, problem, known)
     estimates = _estimates(train, solution, "train", units) + _fixed(problem, units)
     if test_solution is not None:
         estimates += _estimates(test, test_solution, "test", units)
@@ -91,7 +122,7 @@ def simulate(
     """Simulate every experiment once, at the start values or at values given by label."""
     problem.describe()
     with open_executor(problem, resources or Resources()) as executor:
-        return _simulate_all(Runner(executor), problem, values or {})
+        return simulate_all(Runner(executor), problem, values or {})
 
 
 def check_method(method: Method, space: Space) -> None:
@@ -124,7 +155,8 @@ def _fit_test_records(runner: Runner, method: Method, space: Space, seed: int) -
     return solution
 
 
-def _simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> list[Simulation]:
+def simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> list[Simulation]:
+    """Every experiment once, at values given by label, else at the start values."""
     everything = tuple(range(len(problem.experiments)))
     space = make_space(problem, everything, known)
     name = "after" if known else "before"

@@ -154,6 +154,8 @@ class Problem:
 
 def check_variables(problem: Problem, description: Description) -> None:
     """Check that the FMU has every variable and lets it be used as the problem wants."""
+    for experiment in problem.experiments:
+        _check_signals(experiment, description)
     _check_effects(problem, description)
     for parameter in problem.parameters[: len(problem.model.parameters)]:
         _check_start(description, parameter.target, f"parameters.{parameter.name}", real=True)
@@ -186,13 +188,40 @@ def coefficient_names(effect: Effect) -> list[str]:
 
 
 def _check_effects(problem: Problem, description: Description) -> None:
-    """Resolve every effect against the FMU."""
+    """Resolve every effect against the FMU and the signals of every experiment."""
     if not problem.effects:
         return
     from workers.effects.definition import define
 
+    named = [tuple(given.variable for given in e.signals) for e in problem.experiments]
+    every = tuple(dict.fromkeys(name for names in named for name in names))
     for effect in problem.effects:
-        define(effect, description, problem.model.interface)
+        uses = define(effect, description, problem.model.interface, every).uses
+        for experiment, names in zip(problem.experiments, named, strict=True):
+            for name in uses:
+                if name in every and name not in names:
+                    raise ProblemError(
+                        f"experiment {experiment.id!r}.signals: must have {name!r}, on which "
+                        f"effect {effect.name!r} depends, but has not{nearest(name, names)}"
+                    )
+
+
+def _check_signals(experiment: Experiment, description: Description) -> None:
+    """Refuse signals whose names mean something else already."""
+    where = f"experiment {experiment.id!r}.signals"
+    for given in experiment.signals:
+        name = given.variable
+        if name in description.variables:
+            raise ProblemError(
+                f"{where}.{name}: must not be the name of a variable of {description.file} but "
+                "is; choose another, or put it under inputs if it is an input of the model"
+            )
+        if name in ("t", "s"):
+            raise ProblemError(
+                f"{where}.{name}: must not be named t or s, which are the time and the signal at "
+                "an effect's site; choose another name"
+            )
+    _refuse_repeated(where, [given.variable for given in experiment.signals])
 
 
 def _check_start(description: Description, name: str, where: str, *, real: bool) -> None:

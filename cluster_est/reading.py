@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cluster_est.config import ExperimentSection
+from cluster_est.config import ExperimentSection, InputSection
 from cluster_est.data import Table
 from cluster_est.errors import ConfigError, DataError
 from workers.description import nearest
@@ -88,10 +88,11 @@ class Reader:
 
     def input(self, times: FloatArray, variable: str) -> Input:
         """A signal that drives the model, without the rows where it was not measured."""
-        given = self._section.inputs[variable]
-        values = self._values(times, given.column, f"inputs.{variable}")
-        known = np.isfinite(values)
-        return Input(variable, times[known], values[known], given.interpolation)
+        return self._driving(times, variable, self._section.inputs[variable], "inputs")
+
+    def signal(self, times: FloatArray, name: str) -> Input:
+        """A measured signal that only effects depend on, likewise."""
+        return self._driving(times, name, self._section.signals[name], "signals")
 
     def output(self, times: FloatArray, variable: str) -> Output:
         """A signal that the model should follow, where it was measured."""
@@ -99,6 +100,11 @@ class Reader:
         measured = np.isfinite(values)
         sigma = self._section.sigma.get(variable, 1.0)
         return Output(variable, times[measured], values[measured], sigma)
+
+    def _driving(self, times: FloatArray, name: str, given: InputSection, key: str) -> Input:
+        values = self._values(times, given.column, f"{key}.{name}")
+        known = np.isfinite(values)
+        return Input(name, times[known], values[known], given.interpolation)
 
     def _values(self, times: FloatArray, name: str, key: str) -> FloatArray:
         values = self._column(name)

@@ -153,7 +153,10 @@ class Space:
 
 
 def make_space(
-    problem: Problem, experiments: tuple[int, ...], known: Mapping[str, float] | None = None
+    problem: Problem,
+    experiments: tuple[int, ...],
+    known: Mapping[str, float] | None = None,
+    starts: Mapping[str, float] | None = None,
 ) -> Space:
     """Expand parameters into unknowns, over some of the experiments.
 
@@ -166,8 +169,10 @@ def make_space(
     known
         Physical values by label: those are kept, not searched. This is how test experiments get
         the shared values that the training experiments gave.
+    starts
+        Physical values by label that the search starts from, instead of the parameters' own.
     """
-    known = known or {}
+    known, starts = known or {}, starts or {}
     chosen = [problem.experiments[e] for e in experiments]
     base = np.empty((len(chosen), len(problem.parameters)))
     unknowns: list[Unknown] = []
@@ -182,9 +187,8 @@ def make_space(
             if label in known:
                 base[positions, column] = known[label]
             else:
-                unknowns.append(
-                    Unknown(label, parameter, column, tuple(positions), parameter.start)
-                )
+                start = starts.get(label, parameter.start)
+                unknowns.append(Unknown(label, parameter, column, tuple(positions), start))
     return Space(problem, experiments, tuple(unknowns), base)
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from workers.description import Description
+from workers.description import Description, nearest
 from workers.effects.compiled import Inner, compile_inner
 from workers.effects.definition import Definition, define
+from workers.effects.memory import MEMORIES
 from workers.effects.outputs import act_on_record
 from workers.errors import EffectError
 from workers.grid import Grid
@@ -26,8 +27,8 @@ class Augmentation:
     definitions, positions
         The effects, and where the coefficients of each begin among those of the task.
     experiment
-        The experiment with a constant signal for each input that an effect needs and the data do
-        not drive.
+        The experiment with a constant for each input that an effect needs and the data do not
+        drive, and of its measured signals only those that are needed.
     recorded
         The experiment's outputs, and what else effects at outputs depend on.
     inner
@@ -43,6 +44,11 @@ class Augmentation:
     @property
     def inputs(self) -> tuple[str, ...]:
         return tuple(given.variable for given in self.experiment.inputs)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the grid's columns: the FMU's inputs, then signals."""
+        return _columns(self.experiment)
 
     def hooks(
         self,
@@ -69,27 +75,28 @@ class Augmentation:
             else np.zeros((len(points), 0)),
         )
 
-    def delayed(self, coefficients: FloatArray) -> Experiment:
-        """The experiment with each delayed input shifted in time, for one point."""
+    def remembered(self, coefficients: FloatArray) -> Experiment:
+        """The experiment with the inputs that effects change as a whole, for one point."""
         inputs = list(self.experiment.inputs)
         for definition, position in zip(self.definitions, self.positions, strict=True):
-            if definition.site.kind == "input" and definition.form.delay:
+            if _remembers(definition):
                 which = self.inputs.index(definition.site.target)
-                shifted = inputs[which].times + float(coefficients[position])
-                inputs[which] = replace(inputs[which], times=shifted)
+                change, old = MEMORIES[definition.form.memory], inputs[which]
+                times, values = change(old.times, old.values, float(coefficients[position]))
+                inputs[which] = replace(old, times=times, values=values)
         return replace(self.experiment, inputs=tuple(inputs))
 
     @property
-    def delays(self) -> bool:
-        """Whether an input is delayed, so that each point has a grid of its own."""
-        return any(d.site.kind == "input" and d.form.delay for d in self.definitions)
+    def remembers(self) -> bool:
+        """Whether an input is changed as a whole, so that each point has a grid of its own."""
+        return any(_remembers(d) for d in self.definitions)
 
     def act_on(self, grid: Grid, record: FloatArray, coefficients: FloatArray) -> None:
         """Let the effects at outputs act on one point's record."""
         for definition, position in zip(self.definitions, self.positions, strict=True):
             if definition.site.kind == "output":
                 own = coefficients[position : position + len(definition.coefficients)]
-                act_on_record(definition, own, grid, record, self.recorded, self.inputs)
+                act_on_record(definition, own, grid, record, self.recorded, self.columns)
 
     def _substeps(self, grid: Grid, coefficients: FloatArray) -> IntArray:
         """Of each point, for own states that are integrated between communication points."""
@@ -131,38 +138,62 @@ def augment(
         Whether the FMU's own states are in the array of states (model exchange).
     """
     outputs = tuple(output.variable for output in experiment.outputs)
-    driven = {given.variable for given in experiment.inputs}
-    extra_inputs: list[Input] = []
-    extra_outputs: list[str] = []
-    for definition, _ in definitions:
-        needed = [*definition.uses]
-        if definition.site.kind in ("input", "output"):
-            needed.append(definition.site.target)
-        for name in needed:
-            if description.variables[name].causality == "input":
-                if name not in driven:
-                    driven.add(name)
-                    extra_inputs.append(_constant(name, experiment, description))
-            elif definition.site.kind == "output" and name not in (*outputs, *extra_outputs):
-                extra_outputs.append(name)
-    widened = replace(experiment, inputs=(*experiment.inputs, *extra_inputs))
-    names = tuple(given.variable for given in widened.inputs)
-    acting = [
-        (d, p) for d, p in definitions
-        if d.site.kind != "output" and not (d.site.kind == "input" and d.form.delay)
-    ]  # fmt: skip
+    known = [definition for definition, _ in definitions]
+    widened = _widened(known, experiment, description)
+    extra = [n for d in known if d.site.kind == "output" for n in _needed(d)]
+    extra = [n for n in extra if n not in (*_columns(widened), *outputs)]
+    acting = [(d, p) for d, p in definitions if d.site.kind != "output" and not _remembers(d)]
     inner = None
     if acting:
         states = description.states if exchange else ()
-        inner = compile_inner(
-            tuple(d for d, _ in acting), tuple(p for _, p in acting), states, names
-        )
+        chosen, positions = zip(*acting, strict=True)
+        inner = compile_inner(chosen, positions, states, _columns(widened))
     return Augmentation(
-        definitions=tuple(d for d, _ in definitions),
+        definitions=tuple(known),
         positions=tuple(p for _, p in definitions),
         experiment=widened,
-        recorded=(*outputs, *extra_outputs),
+        recorded=(*outputs, *dict.fromkeys(extra)),
         inner=inner,
+    )
+
+
+def _remembers(definition: Definition) -> bool:
+    """Whether it changes an input as a whole."""
+    return definition.site.kind == "input" and bool(definition.form.memory)
+
+
+def _columns(experiment: Experiment) -> tuple[str, ...]:
+    return tuple(given.variable for given in (*experiment.inputs, *experiment.signals))
+
+
+def _needed(definition: Definition) -> tuple[str, ...]:
+    """What an effect depends on, with the signal that it takes the place of."""
+    if definition.site.kind in ("input", "output"):
+        return (*definition.uses, definition.site.target)
+    return definition.uses
+
+
+def _widened(
+    definitions: Sequence[Definition], experiment: Experiment, description: Description
+) -> Experiment:
+    """The experiment with all that effects depend on, and no signal beside."""
+    needed = dict.fromkeys(name for d in definitions for name in _needed(d))
+    signals = {given.variable: given for given in experiment.signals}
+    driven = [given.variable for given in experiment.inputs]
+    constants = []
+    for name in needed:
+        variable = description.variables.get(name)
+        if variable is None and name not in signals:
+            raise EffectError(
+                f"experiment {experiment.id!r}: an effect needs the signal {name!r}, which it "
+                f"must have under signals{nearest(name, signals)}"
+            )
+        if variable is not None and variable.causality == "input" and name not in driven:
+            constants.append(_constant(name, experiment, description))
+    return replace(
+        experiment,
+        inputs=(*experiment.inputs, *constants),
+        signals=tuple(given for name, given in signals.items() if name in needed),
     )
 
 
@@ -179,10 +210,16 @@ def _constant(name: str, experiment: Experiment, description: Description) -> In
 
 
 class Effects:
-    """The effects of a batch of tasks, resolved against one FMU."""
+    """The effects of a batch of tasks, resolved against one FMU and the measured signals."""
 
-    def __init__(self, effects: Sequence[Effect], description: Description, model: Model) -> None:
-        self._definitions = [define(e, description, model.interface) for e in effects]
+    def __init__(
+        self,
+        effects: Sequence[Effect],
+        description: Description,
+        model: Model,
+        signals: tuple[str, ...] = (),
+    ) -> None:
+        self._definitions = [define(e, description, model.interface, signals) for e in effects]
         sizes = [len(d.coefficients) for d in self._definitions]
         self._positions = np.cumsum([0, *sizes])[:-1].tolist()
 

@@ -14,6 +14,7 @@ from workers.messages import (
     Experiment,
     FloatArray,
     IntArray,
+    Linearisation,
     Model,
     Outcome,
     Status,
@@ -78,7 +79,9 @@ class Evaluator:
     ) -> list[Outcome]:
         ready = self._simulator.installed(experiment)
         begin = time.perf_counter()
-        record = self._simulator.run(experiment, values, batch.effects)
+        linear = batch.want == "linearisation"
+        run = self._simulator.linearise if linear else self._simulator.run
+        record = run(experiment, values, batch.effects)
         with np.errstate(over="ignore"):  # what overflows has a status of its own
             residuals = self._residuals.residuals(ready.grid, record.outputs)
         seconds = (time.perf_counter() - begin) / len(ids)
@@ -103,13 +106,21 @@ class Evaluator:
             status, message = Status.SOLVER_FAILURE, record.messages[p]
         elif not finite:
             status, message = Status.NOT_FINITE, _where_not_finite(ready, record.outputs[p])
+        elif (said := _where_not_linear(record.linearisations.get(p))) is not None:
+            status, message = Status.NOT_FINITE, said
         else:
             wanted = want == "trajectory"
             trajectory = (
                 Trajectory(ready.outputs, ready.grid.times, record.outputs[p]) if wanted else None
             )
             return Outcome(
-                task, Status.OK, residuals, trajectory, seconds=seconds, worker=self._name
+                task,
+                Status.OK,
+                residuals,
+                trajectory,
+                seconds=seconds,
+                worker=self._name,
+                linearisation=record.linearisations.get(p),
             )
         return Outcome(task, status, message=message, seconds=seconds, worker=self._name)
 
@@ -122,3 +133,26 @@ def _where_not_finite(ready: Installed, outputs: FloatArray) -> str:
         f"output {ready.outputs[column]!r} is {outputs[row, column]} from "
         f"t = {ready.grid.times[row]:.9g} s on"
     )
+
+
+def _where_not_linear(found: Linearisation | None) -> str | None:
+    """A sentence if a derivative is not finite."""
+    if found is None:
+        return None
+    slopes, outputs = tuple(f"der({name})" for name in found.state_names), found.output_names
+    named = [
+        (found.A, slopes, found.state_names),
+        (found.B, slopes, found.input_names),
+        (found.P, slopes, found.parameter_names),
+        (found.C, outputs, found.state_names),
+        (found.D, outputs, found.input_names),
+        (found.Q, outputs, found.parameter_names),
+    ]
+    for matrix, rows, names in named:
+        if not np.isfinite(matrix).all():
+            at, row, column = np.argwhere(~np.isfinite(matrix))[0]
+            return (
+                f"the derivative of {rows[row]!r} by {names[column]!r} is "
+                f"{matrix[at, row, column]} at t = {found.times[at]:.9g} s"
+            )
+    return None

@@ -21,9 +21,9 @@ class Grid(NamedTuple):
     times : (n,)
         Strictly increasing, from start to stop.
     inputs : (n, m)
-        Each input at each time; where a held input jumps, its value after the jump.
+        Each input, then each signal, at each time; where a held one jumps, its value after it.
     slopes : (n, m)
-        The slope of each input in the interval that starts at this time; 0 where it is held.
+        The slope of each in the interval that starts at this time; 0 where it is held.
     gather : (k,)
         Where each residual's simulated value stands in the flattened (n, outputs) record.
     measured : (k,)
@@ -41,13 +41,14 @@ class Grid(NamedTuple):
 
 
 def build_grid(experiment: Experiment) -> Grid:
-    """Lay all signals of an experiment on one grid."""
+    """Lay an experiment's inputs, its signals and its measured times on one grid."""
     start, stop = experiment.start, experiment.stop
-    knots = [given.times for given in experiment.inputs]
+    driving = (*experiment.inputs, *experiment.signals)
+    knots = [given.times for given in driving]
     knots += [output.times for output in experiment.outputs]
     times = np.unique(np.concatenate([*knots, [start, stop]]))
     times = times[(times >= start) & (times <= stop)]
-    inputs = [_sample(given, times) for given in experiment.inputs]
+    inputs = [_sample(given, times) for given in driving]
     width = len(experiment.outputs)
     gather = [
         np.searchsorted(times, output.times) * width + column

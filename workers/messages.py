@@ -22,7 +22,7 @@ Interface = Literal["model_exchange", "co_simulation"]
 SolverName = Literal["dormand_prince", "rk4", "fmu"]
 Interpolation = Literal["linear", "hold"]
 Role = Literal["train", "test"]
-Want = Literal["residuals", "trajectory"]
+Want = Literal["residuals", "trajectory", "linearisation"]
 Value = float | int | bool
 
 
@@ -62,11 +62,12 @@ class Effect:
     name
         Chosen by the user; its coefficients are called "NAME.COEFFICIENT".
     site
-        "der(v)", "input F", "output y" or "parameter k".
+        "der(v)", "pair v,w", "input F", "output y" or "parameter k".
     form
         Name of a form of the library; empty where `equation` says what it is.
     variables
-        FMU names of the states and inputs (at outputs also outputs) that the form is a function of.
+        What the form is a function of: states, inputs and measured signals by name (at outputs
+        also outputs), or the difference of two, "v - w".
     equation
         An equation of the user's own, in the FMU's names, `t`, `s` and `coefficients`.
     coefficients
@@ -158,6 +159,8 @@ class Experiment:
         Labels for the coordinator: whether the parameters are estimated from this run ("train") or
         only tested on it ("test"), and which group it belongs to under each key. No result depends
         on them.
+    signals
+        Measured signals that the model has no input for; effects may depend on them by name.
     """
 
     id: str
@@ -168,6 +171,7 @@ class Experiment:
     values: tuple[tuple[str, Value], ...] = ()
     role: Role = "train"
     groups: tuple[tuple[str, str], ...] = ()
+    signals: tuple[Input, ...] = ()
 
     @property
     def size(self) -> int:
@@ -178,7 +182,7 @@ class Experiment:
     def key(self) -> str:
         """Hash of everything in here that a result depends on."""
         signals: list[str | bytes] = [repr((self.start, self.stop, self.values))]
-        for given in self.inputs:
+        for given in (*self.inputs, *self.signals):
             signals += [given.variable, given.interpolation]
             signals += [given.times.tobytes(), given.values.tobytes()]
         for output in self.outputs:
@@ -200,7 +204,8 @@ class Task:
     values
         Physical values of `Model.parameters`, then of the coefficients of each effect.
     want
-        "residuals", or "trajectory" for the outputs at every time of the simulation's grid too.
+        "residuals"; "trajectory" for the outputs at every time of the simulation's grid too; or
+        "linearisation" for the model's derivatives there (model exchange only).
     effects
         What is added to the model.
     """
@@ -233,6 +238,60 @@ class Trajectory:
 
 
 @dataclass(frozen=True, slots=True)
+class Linearisation:
+    """The model with its effects, linear around one simulation: dx/dt = f(t, x, u, p), y = g(...).
+
+    With it, the response to any small forcing follows from a linear time-varying system, without
+    another simulation.
+
+    States are the FMU's, then those of the effects ("EFFECT:STATE"). Inputs are all real inputs of
+    the FMU but those that a parameter sets, the experiment's first; the derivatives are by an input
+    *as it reaches the FMU*, behind all effects. Parameters are the tunable ones of
+    `Model.parameters`; the derivatives are by the value that holds at that time, where an effect
+    varies it. The derivatives are central differences, one-sided at a bound that the FMU declares.
+
+    Effects at outputs act on the record afterwards. `outputs` has them; `plain_outputs`, C, D and Q
+    do not. What a delay or backlash makes of an input is in `inputs` already. Where effects bring
+    times of their own, those between the times of the experiment's grid are left out.
+
+    Attributes
+    ----------
+    times : (n,)
+        The grid.
+    states, slopes : (n, x)
+        x and f.
+    inputs, edited : (n, u)
+        Inputs before and after the effects.
+    outputs, plain_outputs : (n, y)
+        With effects at outputs, and without: the experiment's outputs.
+    A, B, P : (n, x, x), (n, x, u), (n, x, p)
+        df/dx, df/du, df/dp.
+    C, D, Q : (n, y, x), (n, y, u), (n, y, p)
+        dg/dx, dg/du, dg/dp.
+    state_names, input_names, output_names, parameter_names
+        What the axes stand for.
+    """
+
+    times: FloatArray
+    states: FloatArray
+    slopes: FloatArray
+    inputs: FloatArray
+    edited: FloatArray
+    outputs: FloatArray
+    plain_outputs: FloatArray
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    P: FloatArray
+    Q: FloatArray
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    parameter_names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Outcome:
     """The answer to a task.
 
@@ -244,7 +303,7 @@ class Outcome:
         Anything but OK comes with a sentence that says what happened, where and at which time.
     residuals
         (measured - simulated) / sigma, output after output; None unless `status` is OK.
-    trajectory
+    trajectory, linearisation
         Only where the task wanted it.
     seconds
         What this simulation cost: its share of the batch that it ran in.
@@ -259,6 +318,7 @@ class Outcome:
     message: str = ""
     seconds: float = 0.0
     worker: str = ""
+    linearisation: Linearisation | None = None
 
     @property
     def ok(self) -> bool:

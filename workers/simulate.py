@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from workers.description import Description
+from workers.errors import ModelError
 from workers.fmu import Instance
 from workers.install import Installed, install
-from workers.kernels import failure
+from workers.kernels import failure, linearise
 from workers.kernels.co_simulation import co_simulate_batch
 from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.fmi2 import Workspace, workspace
 from workers.kernels.hooks import Hooks, no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
-from workers.messages import Effect, Experiment, FloatArray, IntArray, Model
+from workers.messages import Effect, Experiment, FloatArray, IntArray, Linearisation, Model
 
 if TYPE_CHECKING:
     from workers.augment import Augmentation, Effects
     from workers.effects.definition import Definition
+    from workers.linearise import Prepared
 
 BATCHES = {"fmu": co_simulate_batch, "rk4": rk4_batch, "dormand_prince": dormand_prince_batch}
 
@@ -40,11 +43,14 @@ class Record:
         Empty where a simulation reached its end, else a sentence.
     codes : (points,)
         See `workers.kernels.failure`.
+    linearisations
+        By point, where that was asked for and the simulation reached its end.
     """
 
     outputs: FloatArray
     messages: list[str]
     codes: IntArray
+    linearisations: dict[int, Linearisation] = field(default_factory=dict)
 
     @classmethod
     def empty(cls, points: int, times: int, outputs: int) -> Record:
@@ -75,11 +81,14 @@ class Simulator:
     ) -> None:
         self._model, self._description = model, description
         self._experiments = experiments
-        self._installed = [install(model, description, e) for e in experiments]
+        plain = [replace(e, signals=()) for e in experiments]  # they act through effects alone
+        self._installed = [install(model, description, e) for e in plain]
+        self._signals = tuple(dict.fromkeys(s.variable for e in experiments for s in e.signals))
         self._effects: dict[tuple[Effect, ...], Effects] = {}
         self._augmented: dict[
             tuple[int, tuple[tuple[Definition, int], ...]], tuple[Augmentation, Installed]
         ] = {}
+        self._prepared: dict[tuple[int, tuple[tuple[Definition, int], ...], int], Prepared] = {}
         self._batch = BATCHES[model.solver.name]
         self._workspaces: dict[tuple[int, int, int, int], Workspace] = {}
         self.instance = Instance(model, description)
@@ -109,20 +118,65 @@ class Simulator:
         values, coefficients = points[:, :count], points[:, count:]
         if not effects:
             return self._run(ready, values, no_hooks(len(points)), 0)
-        from workers.augment import Effects  # SymPy takes half a second to import
-
-        if effects not in self._effects:
-            self._effects[effects] = Effects(effects, self._description, self._model)
         record = Record.empty(len(points), len(ready.grid.times), len(ready.outputs))
-        for rows, active in self._effects[effects].groups(coefficients):
+        for rows, active in self._resolved(effects).groups(coefficients):
             part = self._run_augmented(experiment, values[rows], coefficients[rows], active)
             record.outputs[rows], record.codes[rows] = part.outputs, part.codes
             for row, message in zip(rows.tolist(), part.messages, strict=True):
                 record.messages[row] = message
         return record
 
+    def linearise(
+        self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
+    ) -> Record:
+        """Do the same, and take the derivatives of the model and its effects on the way.
+
+        Raises
+        ------
+        ModelError
+            In co-simulation.
+        """
+        if self._model.interface != "model_exchange":
+            raise ModelError(
+                f"{self._model.name}: a linearisation needs the states and their derivatives, "
+                "which an FMU gives in model exchange only; set model.interface to "
+                '"model_exchange", but it is "co_simulation"'
+            )
+        plain = self._installed[experiment]
+        record = Record.empty(len(points), len(plain.grid.times), len(plain.outputs))
+        for p, point in enumerate(points):
+            prepared = self._prepare(experiment, point, effects)
+            made = prepared.at(point)
+            own = len(prepared.own_states)
+            part = self._run(made.ready, made.values, made.hooks, own, made)
+            record.codes[p], record.messages[p] = part.codes[0], part.messages[0]
+            if part.codes[0] == failure.FINISHED:
+                record.linearisations[p] = made.result(part.outputs[0], plain)
+                record.outputs[p] = record.linearisations[p].outputs
+        return record
+
     def close(self) -> None:
         self.instance.free()
+
+    def _resolved(self, effects: tuple[Effect, ...]) -> Effects:
+        from workers.augment import Effects  # SymPy takes half a second to import
+
+        if effects not in self._effects:
+            self._effects[effects] = Effects(effects, self._description, self._model, self._signals)
+        return self._effects[effects]
+
+    def _prepare(self, experiment: int, point: FloatArray, effects: tuple[Effect, ...]) -> Prepared:
+        """Prepare an experiment to be linearised with the effects that act at a point, once."""
+        from workers.linearise import prepare
+
+        coefficients = point[None, len(self._model.parameters) :]
+        ((_, active),) = self._resolved(effects).groups(coefficients)
+        count = coefficients.shape[1]
+        key = (experiment, tuple(active), count)
+        if key not in self._prepared:
+            run = self._experiments[experiment]
+            self._prepared[key] = prepare(self._model, self._description, run, active, count)
+        return self._prepared[key]
 
     def _run_augmented(
         self,
@@ -139,10 +193,10 @@ class Simulator:
         own = augmentation.inner.own_states if augmentation.inner is not None else 0
         record = Record.empty(len(values), len(plain.grid.times), len(plain.outputs))
         chunks = [slice(p, p + 1) for p in range(len(values))]
-        for chunk in chunks if augmentation.delays else [slice(None)]:
-            if augmentation.delays:
-                delayed = augmentation.delayed(coefficients[chunk][0])
-                ready = install(self._model, self._description, delayed, augmentation.recorded)
+        for chunk in chunks if augmentation.remembers else [slice(None)]:
+            if augmentation.remembers:
+                changed = augmentation.remembered(coefficients[chunk][0])
+                ready = install(self._model, self._description, changed, augmentation.recorded)
             hooks = augmentation.hooks(
                 ready.grid, values[chunk], coefficients[chunk], self._model, self._description
             )
@@ -170,13 +224,22 @@ class Simulator:
             self._augmented[key] = made, ready
         return self._augmented[key]
 
-    def _run(self, ready: Installed, values: FloatArray, hooks: Hooks, own_states: int) -> Record:
+    def _run(
+        self,
+        ready: Installed,
+        values: FloatArray,
+        hooks: Hooks,
+        own_states: int,
+        batch: Callable[..., int] | None = None,
+    ) -> Record:
         known = np.broadcast_to(ready.known, (len(values), len(ready.known)))
-        rows = np.hstack([values, known])
+        # hstack keeps columns together if its parts do; the loops need rows
+        rows = np.ascontiguousarray(np.hstack([values, known]))
         record = Record.empty(len(rows), len(ready.grid.times), len(ready.outputs))
         stopped_at = np.zeros(len(rows))
         settings = _settings(self._model, self._description, own_states)
         work = self._workspace(ready, hooks, own_states)
+        batch = self._batch if batch is None else batch
         tried = 0
         while tried < len(rows):
             self.instance.log.clear()
@@ -186,7 +249,7 @@ class Simulator:
                 coefficients=hooks.coefficients[left],
                 base=hooks.base[left],
             )
-            tried += self._batch(
+            tried += batch(
                 self.instance.component,
                 ready.references,
                 ready.constants,
@@ -227,7 +290,8 @@ class Simulator:
 
     def _explain(self, code: int, time: float) -> str:
         said = " | ".join(dict.fromkeys(self.instance.log))
-        sentence = f"{failure.SENTENCES[code % failure.FATAL]} at t = {time:.9g} s"
+        sentences = failure.SENTENCES | linearise.SENTENCES
+        sentence = f"{sentences[code % failure.FATAL]} at t = {time:.9g} s"
         return f"{sentence}; it said: {said}" if said else sentence
 
 

@@ -11,6 +11,7 @@ from workers.messages import (
     Effect,
     FloatArray,
     IntArray,
+    Linearisation,
     Outcome,
     Status,
     Task,
@@ -67,7 +68,7 @@ class Answers:
         Those of all outcomes, one after the other.
     failures
         (status, message) by position, where it is not OK.
-    trajectories
+    trajectories, linearisations
         By position, where there is one.
     worker
         Who ran them.
@@ -79,6 +80,7 @@ class Answers:
     seconds: FloatArray
     failures: dict[int, tuple[Status, str]]
     trajectories: dict[int, Trajectory]
+    linearisations: dict[int, Linearisation]
     worker: str
 
     @classmethod
@@ -95,6 +97,7 @@ class Answers:
             seconds=np.array([o.seconds for o in outcomes]),
             failures={i: (o.status, o.message) for i, o in pairs if not o.ok},
             trajectories={i: o.trajectory for i, o in pairs if o.trajectory is not None},
+            linearisations={i: o.linearisation for i, o in pairs if o.linearisation is not None},
             worker=outcomes[0].worker if outcomes else "",
         )
 
@@ -109,7 +112,17 @@ class Answers:
             status, message = self.failures.get(i, (Status.OK, ""))
             residuals = None if length < 0 else self.residuals[end - length : end]
             trajectory = self.trajectories.get(i)
+            linearisation = self.linearisations.get(i)
             found.append(
-                Outcome(task, status, residuals, trajectory, message, seconds, self.worker)
+                Outcome(
+                    task,
+                    status,
+                    residuals,
+                    trajectory,
+                    message,
+                    seconds,
+                    self.worker,
+                    linearisation,
+                )
             )
         return found

@@ -136,6 +136,8 @@ class Solution:
         d residuals / d x at `x`, where the method has it.
     difference_steps : (unknowns,) or None
         Steps of its finite differences, in search coordinates.
+    at
+        The evaluation at `x`, where the method has it.
     """
 
     x: FloatArray
@@ -145,6 +147,7 @@ class Solution:
     iterations: int = 0
     jacobian: FloatArray | None = field(default=None, repr=False)
     difference_steps: FloatArray | None = field(default=None, repr=False)
+    at: Evaluation | None = field(default=None, repr=False)
 
 
 class Method(ABC):

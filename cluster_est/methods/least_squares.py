@@ -99,6 +99,7 @@ class LeastSquares(Method):
                 iterations=state.progress.iteration,
                 jacobian=derivatives.matrix,
                 difference_steps=derivatives.steps,
+                at=state.at,
             )
 
     def _iterate(

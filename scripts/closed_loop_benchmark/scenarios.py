@@ -168,3 +168,22 @@ def clean(repeats: int = 7) -> list[Scenario]:
 def all_scenarios() -> list[Scenario]:
     """Return the whole benchmark."""
     return [*singles(), *pairs(), *coloured(), *outside(), *disturbed(), *clean()]
+
+
+SUBSET = (
+    "mass_spring_damper/single/coulomb x0.25",
+    "cascaded_tanks/single/overflow x0.25",
+    "pendulum/single/sensor_lag x1.0",
+    "dc_motor/single/dead_zone x1.0",
+    "room/single/damp_wall x1.0",
+    "battery/single/voltage_drift x1.0",
+    "pendulum/clean/0.01 0.0 0",
+    "dc_motor/clean/0.01 0.8 0",
+)
+"""Effects at a rate, twice, an output, an input, a parameter, in co-simulation; none, twice."""
+
+
+def subset() -> list[Scenario]:
+    """Return a few cases of many sorts, for a test that must not take long."""
+    known = {case.name: case for case in all_scenarios()}
+    return [known[name] for name in SUBSET]

@@ -12,7 +12,7 @@ from springs_with_effects import FORCE, START, TIMES, C, K, M, plain, pushed, so
 from cluster_est import Experiment, Input, Model, Output, Parameter, Problem, Solver, fit
 from workers.effects.definition import define
 from workers.effects.forms import FORMS
-from workers.effects.site import Site, open_sites
+from workers.effects.site import open_sites
 from workers.errors import EffectError
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Task
@@ -44,6 +44,7 @@ def simulated(effects, coefficients, solver=EXACT):
 
 
 BASE = solve(plain)
+TABLE = (1.0, 0.8, 0.9, -0.1, -0.6, -0.5, -1.2)
 DERIVATIVE = {
     "constant": ((0.5,), (), lambda t, x, f: 0.5),
     "drift": ((0.2,), (), lambda t, x, f: 0.2 * t),
@@ -53,9 +54,9 @@ DERIVATIVE = {
     "cubic": ((0.7,), (), lambda t, x, f: -0.7 * x[1] ** 3),
     "coulomb": ((0.5, 0.05), (), lambda t, x, f: -0.5 * np.tanh(x[1] / 0.05)),
     "stribeck": (
-        (0.5, 0.1, 0.05),
+        (0.5, 0.4, 0.1, 0.05),
         (),
-        lambda t, x, f: -0.5 * np.exp(-((x[1] / 0.1) ** 2)) * np.tanh(x[1] / 0.05),
+        lambda t, x, f: -(0.5 + 0.4 * np.exp(-((x[1] / 0.1) ** 2))) * np.tanh(x[1] / 0.05),
     ),
     "linear": ((-4.0,), ("x",), lambda t, x, f: -4.0 * x[0]),
     "square": ((9.0,), ("x",), lambda t, x, f: 9.0 * x[0] ** 2),
@@ -67,6 +68,12 @@ DERIVATIVE = {
         lambda t, x, f: -40.0 * (max(x[0] - 0.04, 0.0) - max(-x[0] - 0.04, 0.0)),
     ),
     "square_root": ((0.5,), ("x",), lambda t, x, f: -0.5 * np.sqrt(max(x[0], 0.0))),
+    "signed_root": ((0.5,), ("F",), lambda t, x, f: -0.5 * np.sign(f) * np.sqrt(abs(f))),
+    "table": (
+        (*TABLE, -0.2, 0.3),
+        (),
+        lambda t, x, f: np.interp(x[1], np.linspace(-0.2, 0.3, 7), TABLE),
+    ),
 }
 
 
@@ -76,7 +83,7 @@ def test_terms_at_a_state_derivative(form):
     effect = Effect("e", "der(v)", form, variables)
     truth = solve(pushed(term))[:, 0]
     # a kink of an effect is not on the grid, so the tolerance only holds step by step
-    np.testing.assert_allclose(simulated([effect], coefficients), truth, atol=2e-8)
+    np.testing.assert_allclose(simulated([effect], coefficients), truth, atol=1e-7)
 
 
 def test_dahl_friction_has_a_state_of_its_own():
@@ -135,6 +142,8 @@ OUTPUT = {
     "gain": ((0.1,), (), lambda y, v: 1.1 * y),
     "square": ((2.0,), (), lambda y, v: y + 2.0 * y**2),
     "saturation": ((0.1,), (), lambda y, v: np.clip(y, -0.1, 0.1)),
+    "clip_above": ((0.04,), (), lambda y, v: np.minimum(y, 0.04)),
+    "clip_below": ((-0.03,), (), lambda y, v: np.maximum(y, -0.03)),
     "absolute": ((0.3,), (), lambda y, v: y + 0.3 * abs(y)),
     "delay": ((0.03,), (), lambda y, v: np.interp(TIMES - 0.03, TIMES, y)),
 }
@@ -216,20 +225,28 @@ def test_an_equation_of_the_users_own():
     np.testing.assert_allclose(simulated([effect], (40.0, 0.1)), truth[:, 0], atol=1e-5)
 
 
+SITES = {
+    "derivative": "der(v)",
+    "pair": "pair x,v",
+    "input": "input F",
+    "output": "output y",
+    "parameter": "parameter c",
+}
+
+
 @pytest.mark.parametrize("solver", [EXACT, Solver("rk4", step=0.005), CO_SIMULATION])
 @pytest.mark.parametrize(("kind", "name"), FORMS)
 def test_every_form_does_nothing_when_neutral_and_something_otherwise(kind, name, solver):
-    if kind == "derivative" and solver.name == "fmu":
+    if kind in ("derivative", "pair") and solver.name == "fmu":
         pytest.skip("a co-simulation FMU keeps its state derivatives to itself")
     form = FORMS[kind, name]
-    target = {"derivative": "v", "input": "F", "output": "y", "parameter": "c"}[kind]
-    site = str(Site(kind, target))
-    variables = ("F", "F")[: form.variables]
-    if kind == "derivative" and form.variables:
-        variables = ("v", "x")[: form.variables]
-    effect = Effect("e", site, name, variables)
-    shapes = [0.03 if c.neutral is None else c.neutral for c in form.coefficients]
-    sizes = [0.03 if c.neutral in (None, float("inf")) else 0.4 for c in form.coefficients]
+    variables = (("v", "x") if kind in ("derivative", "pair") else ("F", "F"))[: form.variables]
+    effect = Effect("e", SITES[kind], name, variables)
+    known = {"low": -0.5, "limit": 0.03}
+    shapes = [known.get(c.name, 0.03) for c in form.coefficients]
+    sizes = [0.4 if c.neutral == 0.0 else s for c, s in zip(form.coefficients, shapes, strict=True)]
+    neutral = [c.neutral for c in form.coefficients]
+    shapes = [s if n is None else n for n, s in zip(neutral, shapes, strict=True)]
     without = simulated([], (), solver)
     assert simulated([effect], shapes, solver).tobytes() == without.tobytes()
     assert np.abs(simulated([effect], sizes, solver) - without).max() > 1e-6
@@ -262,6 +279,13 @@ def test_a_declared_effect_is_fitted_together_with_the_parameters():
         (Effect("e", "der(v)", "coulom"), ["no form 'coulom'", "did you mean 'coulomb'"]),
         (Effect("e", "der(v)", "product", ("x",)), ["product needs 2 but has 1"]),
         (Effect("e", "der(v)", "linear", ("z",)), ["variables", "'z'"]),
+        (Effect("e", "der(v)", "linear", ("x - z",)), ["variables", "unknown variable 'z'"]),
+        (Effect("e", "der(v)", "linear", ("2 * x",)), ["a name or the difference of two but"]),
+        (Effect("e", "pair v", "gap"), ["two different states but is 'pair v'"]),
+        (Effect("e", "pair v,v", "gap"), ["two different states but is 'pair v,v'"]),
+        (Effect("e", "pair v,q", "gap"), ["no such site der(q)", "'x', 'v'"]),
+        (Effect("e", "pair x,v", "jiont"), ["no form 'jiont'", "did you mean 'joint'"]),
+        (Effect("e", "pair x,v", equation="x"), ["must be a form at a pair", "two effects"]),
         (Effect("e", "der(v)", equation="2 *"), ["must be an equation but '2 *' is not"]),
         (Effect("e", "der(v)", equation="2 * q"), ["unknown variable 'q'"]),
         (Effect("e", "der(v)", equation="sinn(x)"), ["unknown function 'sinn'", "'sin'"]),
@@ -288,3 +312,5 @@ def test_co_simulation_closes_the_sites_at_derivatives():
     assert kinds == {"input", "output", "parameter"}
     with pytest.raises(EffectError, match=r"der\(v\) is closed.*keeps its states"):
         define(Effect("e", "der(v)", "coulomb"), description, "co_simulation")
+    with pytest.raises(EffectError, match=r"pair x,v is closed.*keeps its states"):
+        define(Effect("e", "pair x,v", "gap"), description, "co_simulation")

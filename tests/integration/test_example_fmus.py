@@ -123,8 +123,15 @@ def silverbox(x: Array, u: list[float], p: list[float]) -> list[float]:
 
 
 def emps(x: Array, u: list[float], p: list[float]) -> list[float]:
-    mass, friction = p
-    return [x[1], (u[0] - friction * x[1]) / mass]
+    mass, friction, offset, _, _, gain, lag_speed, lag_drive = p
+    (_, v, known, volts), asked = x, controller_force(x, u, p) / gain
+    push = gain * volts - friction * v - offset
+    return [v, push / mass, (v - known) / lag_speed, (asked - volts) / lag_drive]
+
+
+def controller_force(x: Array, u: list[float], p: list[float]) -> float:
+    kp, kv, gain = p[3:6]
+    return float(gain * (kv * (kp * (u[0] - x[0]) - x[2]) + u[1]))
 
 
 @dataclass(frozen=True)
@@ -263,10 +270,19 @@ SCENARIOS = {
     ),
     "emps": Scenario(
         emps,
-        {"M": 90.0, "Fv": 230.0},
-        {"q": 0.05, "v": 0.02},
-        {"force": (2.0, 60.0)},
-        {"position": 0, "velocity": 1},
+        {
+            "M": 90.0,
+            "Fv": 230.0,
+            "offset": -3.0,
+            "kp": 150.0,
+            "kv": 260.0,
+            "gtau": 34.0,
+            "lag_speed": 1.2e-3,
+            "lag_drive": 6e-4,
+        },
+        {"q": 0.05, "v": 0.02, "speed": 0.01, "u": -1.0},
+        {"qg": (0.05, 1e-3), "pulses": (0.5, 2.0)},
+        {"force": controller_force, "position": 0},
         1e-3,
     ),
 }

@@ -57,7 +57,8 @@ def compile_inner(
     positions
         Where the coefficients of each begin in the array of coefficients.
     states, inputs
-        The FMU's states and the experiment's inputs, in the order of their arrays.
+        The FMU's states, and the experiment's inputs with the signals that are used behind them,
+        in the order of their arrays.
     """
     parameters = tuple(
         dict.fromkeys(d.site.target for d in definitions if d.site.kind == "parameter")
@@ -66,7 +67,7 @@ def compile_inner(
     chain = _Chain(inputs, parameters)
     begin: list[Assignment] = []
     inside: list[Assignment] = []
-    for definition in sorted(definitions, key=lambda d: d.site.kind == "derivative"):
+    for definition in sorted(definitions, key=lambda d: d.site.at_rates):
         meaning = chain.meaning(definition)
         for symbol, start, slope in zip(
             definition.states, definition.starts, definition.derivatives, strict=True
@@ -74,15 +75,15 @@ def compile_inner(
             index = places[symbol][1]
             begin.append(Assignment("states", index, start.xreplace(meaning)))
             inside.append(Assignment("slopes", index, slope.xreplace(meaning)))
-        equation = definition.equation.xreplace(meaning)
-        if definition.site.kind == "derivative":
-            index = states.index(definition.site.target)
-            inside.append(Assignment("slopes", index, equation, add=True))
-        else:
-            chain.replace(definition, equation)
+        for target, equation in definition.parts:
+            here = equation.xreplace(meaning)
+            if definition.site.at_rates:
+                inside.append(Assignment("slopes", states.index(target), here, add=True))
+            else:
+                chain.replace(definition, here)
     before = [Assignment("edited", i, chain.inputs[n]) for i, n in enumerate(inputs)]
     before += [Assignment("varied", i, chain.parameters[n]) for i, n in enumerate(parameters)]
-    if all(d.site.kind == "derivative" for d in definitions):
+    if all(d.site.at_rates for d in definitions):
         before = []
     return Inner(
         parameters=parameters,
@@ -131,7 +132,7 @@ class _Chain:
 
     def meaning(self, definition: Definition) -> dict[sp.Symbol, sp.Expr]:
         """What the symbols of an effect's equations stand for at its site."""
-        if definition.site.kind == "derivative":
+        if definition.site.at_rates:
             return {variable_symbol(name): value for name, value in self.inputs.items()}
         return {SIGNAL: self._of(definition)[definition.site.target]}
 

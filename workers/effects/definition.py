@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,7 +12,7 @@ import sympy as sp
 
 from workers.description import Description
 from workers.effects.expression import parse
-from workers.effects.forms import Coefficient, Form, form
+from workers.effects.forms import Coefficient, Form, form, positive
 from workers.effects.site import Site, check_site, parse_site
 from workers.errors import EffectError
 from workers.messages import Effect, FloatArray, Interface
@@ -35,34 +36,41 @@ class Definition:
     ----------
     effect, site, form
         What it is and where.
-    equation
-        What is added to a derivative, or takes the place of the signal `SIGNAL`.
+    parts
+        (target, equation): what is added to the derivative of a state, or takes the place of the
+        signal `SIGNAL` of that name. Two at a pair, else one.
     coefficients
         Symbols, in the order of the form's coefficients.
     states
         Symbols of its own states; `derivatives` and `starts` belong to them.
     uses
-        FMU variables that the equations depend on.
+        FMU variables and measured signals that the equations depend on.
     """
 
     effect: Effect
     site: Site
     form: Form
-    equation: sp.Expr
+    parts: tuple[tuple[str, sp.Expr], ...]
     coefficients: tuple[sp.Symbol, ...]
     states: tuple[sp.Symbol, ...]
     derivatives: tuple[sp.Expr, ...]
     starts: tuple[sp.Expr, ...]
     uses: tuple[str, ...]
 
-    def substeps(self, values: FloatArray, step: float) -> int:
+    def substeps(
+        self, values: FloatArray, step: float, signals: Mapping[str, FloatArray] | None = None
+    ) -> int:
         """Into how many parts a step must be cut, at least, for its own states to stay stable.
 
-        Eight for each time constant, where the time constants depend on the coefficients alone.
+        Eight for each time constant, where the time constants depend on nothing but the
+        coefficients and, if these are given, the variables in `signals`.
         """
-        fastest = _fastest(self)
-        rate = abs(float(fastest(*values))) if fastest is not None else 0.0
-        return int(min(max(1.0, np.ceil(8.0 * step * rate)), MOST_SUBSTEPS))
+        given = signals or {}
+        names = tuple(name for name in self.uses if name in given)
+        with np.errstate(all="ignore"):  # a simulation that failed left NaN
+            rates = _rates(self, names)(*values, *(given[name] for name in names))
+        fastest = max((float(np.max(np.abs(rate))) for rate in rates), default=0.0)
+        return int(min(max(1.0, np.ceil(8.0 * step * fastest)), MOST_SUBSTEPS))
 
     def neutral(self, values: FloatArray) -> bool:
         """Whether it does nothing with these values of its coefficients."""
@@ -72,19 +80,30 @@ class Definition:
 
 
 @lru_cache(maxsize=512)
-def _fastest(definition: Definition) -> Callable[..., float] | None:
-    """The fastest rate of the own states, as a function of the coefficients."""
+def _rates(definition: Definition, names: tuple[str, ...]) -> Callable[..., list[FloatArray]]:
+    """The rates of the own states, as a function of the coefficients and of variables by name."""
+    symbols = (*definition.coefficients, *(variable_symbol(name) for name in names))
     pairs = zip(definition.derivatives, definition.states, strict=True)
-    rates = [sp.Abs(sp.diff(slope, state)) for slope, state in pairs]
-    known = [r for r in rates if r.free_symbols <= set(definition.coefficients)]
-    if not known:
-        return None
-    function: Callable[..., float] = sp.lambdify(definition.coefficients, sp.Max(*known), "math")
+    rates = [sp.diff(slope, state) for slope, state in pairs]
+    known = [rate for rate in rates if rate.free_symbols <= set(symbols)]
+    function: Callable[..., list[FloatArray]] = sp.lambdify(symbols, known, "numpy")
     return function
 
 
-def define(effect: Effect, description: Description, interface: Interface) -> Definition:
+def define(
+    effect: Effect,
+    description: Description,
+    interface: Interface,
+    signals: tuple[str, ...] = (),
+) -> Definition:
     """Resolve an effect.
+
+    Parameters
+    ----------
+    effect, description, interface
+        What is added, to what, and through which interface.
+    signals
+        Names of measured signals beside the FMU's inputs.
 
     Raises
     ------
@@ -94,39 +113,39 @@ def define(effect: Effect, description: Description, interface: Interface) -> De
     where = f"effect {effect.name!r}"
     site = parse_site(effect.site, f"{where}: site")
     check_site(site, description, interface, f"{where}: site")
-    chosen = _own_form(effect, site) if effect.equation else form(site.kind, effect.form, where)
-    names_there = _variables(description, site, interface)
-    variables = {name: variable_symbol(name) for name in names_there}
+    chosen = _chosen(effect, site, where)
+    known = [*_variables(description, site, interface), *signals]
+    variables = {name: variable_symbol(name) for name in known}
     names = _placeholders(effect, chosen, site, variables, where)
     own = {c.name: sp.Symbol(f"{effect.name}.{c.name}", real=True) for c in chosen.coefficients}
     states = {z.name: sp.Symbol(f"{effect.name}:{z.name}", real=True) for z in chosen.states}
     symbols = {"t": TIME, **names, **own, **states}
-    if site.kind != "derivative":
+    if not site.at_rates:
         symbols["s"] = SIGNAL
 
     def read(text: str) -> sp.Expr:
         return parse(text, symbols, f"{where}: equation")
 
-    equations = [read(chosen.equation)]
-    equations += [read(z.derivative) for z in chosen.states]
-    equations += [read(z.start) for z in chosen.states]
-    count = len(chosen.states)
-    used = set().union(*(e.free_symbols for e in equations))
+    texts = (chosen.equation, chosen.reaction) if site.other else (chosen.equation,)
+    parts = tuple((t, read(text)) for t, text in zip(site.targets, texts, strict=True))
+    derivatives = tuple(read(z.derivative) for z in chosen.states)
+    starts = tuple(read(z.start) for z in chosen.states)
+    used = set().union(*(e.free_symbols for e in (*dict(parts).values(), *derivatives, *starts)))
     return Definition(
         effect=effect,
         site=site,
         form=chosen,
-        equation=equations[0],
+        parts=parts,
         coefficients=tuple(own.values()),
         states=tuple(states.values()),
-        derivatives=tuple(equations[1 : 1 + count]),
-        starts=tuple(equations[1 + count :]),
+        derivatives=derivatives,
+        starts=starts,
         uses=tuple(name for name, symbol in variables.items() if symbol in used),
     )
 
 
 def coefficients(effect: Effect, where: str) -> tuple[Coefficient, ...]:
-    """The coefficients of an effect, without an FMU.
+    """The coefficients of an effect, without an FMU; `positive` is what holds at its site.
 
     Raises
     ------
@@ -134,8 +153,21 @@ def coefficients(effect: Effect, where: str) -> tuple[Coefficient, ...]:
         If its site cannot be read or its form is unknown.
     """
     site = parse_site(effect.site, f"{where}: site")
-    chosen = _own_form(effect, site) if effect.equation else form(site.kind, effect.form, where)
-    return chosen.coefficients
+    own = site.kind == "derivative" and effect.variables in ((), (site.target,))
+    chosen = _chosen(effect, site, where)
+    return tuple(replace(c, positive=positive(c, own=own)) for c in chosen.coefficients)
+
+
+def _chosen(effect: Effect, site: Site, where: str) -> Form:
+    """The form that an effect names, or the one that its own equation makes."""
+    if not effect.equation:
+        return form(site.kind, effect.form, where)
+    if site.kind == "pair":
+        raise EffectError(
+            f"{where}: equation: must be a form at a pair but is an equation of your own; write "
+            "two effects, one at each der(STATE)"
+        )
+    return _own_form(effect, site)
 
 
 def _own_form(effect: Effect, site: Site) -> Form:
@@ -155,19 +187,42 @@ def _variables(description: Description, site: Site, interface: Interface) -> li
 
 def _placeholders(
     effect: Effect, chosen: Form, site: Site, variables: Mapping[str, sp.Symbol], where: str
-) -> dict[str, sp.Symbol]:
+) -> dict[str, sp.Expr]:
     """`v` and `w` of a form, or every variable by its own name in an equation of the user's."""
     if effect.equation:
         return dict(variables)
     given = effect.variables
-    if not given and chosen.variables == 1 and site.kind == "derivative":
-        given = (site.target,)
+    if not given and chosen.variables == 1 and site.at_rates:
+        given = (" - ".join(site.targets),)
     if len(given) != chosen.variables:
         raise EffectError(
             f"{where}: variables: {chosen.name} needs {chosen.variables} but has {len(given)}; "
             f"name states or inputs of the FMU, like {list(variables)[:3]}"
         )
-    for name in given:
-        if name not in variables:
-            parse(name, variables, f"{where}: variables")
-    return dict(zip(("v", "w"), (variables[name] for name in given), strict=False))
+    read = [_variable(text, variables, f"{where}: variables") for text in given]
+    return dict(zip(("v", "w"), read, strict=False))
+
+
+def _variable(text: str, variables: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
+    """What stands for a variable, or for the difference of two."""
+    names = split_variable(text, variables)
+    if not names:
+        parse(text, variables, where)  # says which name is unknown
+        raise EffectError(f"{where}: must be a name or the difference of two but is {text!r}")
+    first, *second = (variables[name] for name in names)
+    return first - second[0] if second else first
+
+
+def split_variable(text: str, known: Container[str]) -> tuple[str, ...]:
+    """The name in a form's variable, the two of a difference "v - w", or none if it is neither.
+
+    Names of FMUs may hold almost any character, so only `known` ones tell what a minus is.
+    """
+    name = text.strip()
+    if name in known:
+        return (name,)
+    for sign in re.finditer("-", name):
+        pair = name[: sign.start()].strip(), name[sign.end() :].strip()
+        if all(one in known for one in pair):
+            return pair
+    return ()

@@ -2,156 +2,200 @@
 
 In an equation, `v` is the form's variable (`v` and `w` where it has two), `t` the time, `s` the
 signal at the site, and every other name one of the form's own parameters or states. At a state
-derivative the equation is what is added to it; at an input, output or parameter it is what takes
-the place of `s`. With its coefficients at their neutral values a form does nothing.
+derivative the equation is what is added to it; at a pair of derivatives it is added to the first
+and a reaction to the second; at an input, output or parameter it is what takes the place of `s`.
+With its coefficients at their neutral values a form does nothing.
 
 A form of your own is one entry here, or an expression in a config.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 from workers.description import nearest
+from workers.effects.kinds import Coefficient, Form, OwnState, SiteKind, positive
 from workers.errors import EffectError
 
-SiteKind = Literal["derivative", "input", "output", "parameter"]
-
-
-@dataclass(frozen=True)
-class Coefficient:
-    """A parameter of a form.
-
-    Attributes
-    ----------
-    name
-        As in the equation.
-    neutral
-        The value at which the effect does nothing, whatever the shape parameters are. None for a
-        shape parameter: a threshold, a width, a frequency.
-    positive
-        Whether physics wants it positive.
-    """
-
-    name: str
-    neutral: float | None = 0.0
-    positive: bool = False
-
-
-@dataclass(frozen=True)
-class OwnState:
-    """A state that a form brings along: its derivative and its value at the start."""
-
-    name: str
-    derivative: str
-    start: str
-
-
-@dataclass(frozen=True)
-class Form:
-    """One physically named effect.
-
-    Attributes
-    ----------
-    name, family
-        "coulomb", "friction".
-    kinds
-        Sites at which it makes sense.
-    equation
-        See the module's docstring.
-    coefficients
-        Its own parameters.
-    variables
-        How many variables it is a function of: 0, 1 or 2.
-    states
-        Its own states.
-    delay
-        Name of the coefficient that is a pure delay of the signal at the site; the equation then
-        is "s".
-    """
-
-    name: str
-    family: str
-    kinds: tuple[SiteKind, ...]
-    equation: str
-    coefficients: tuple[Coefficient, ...]
-    variables: int = 0
-    states: tuple[OwnState, ...] = ()
-    delay: str = ""
-
-
-def _shape(name: str) -> Coefficient:
-    return Coefficient(name, None, positive=True)
-
+__all__ = ["FORMS", "Coefficient", "Form", "OwnState", "SiteKind", "form", "positive"]
 
 _DER: tuple[SiteKind, ...] = ("derivative",)
+_PAIR: tuple[SiteKind, ...] = ("pair",)
 _IN: tuple[SiteKind, ...] = ("input",)
 _OUT: tuple[SiteKind, ...] = ("output",)
 _SIGNAL: tuple[SiteKind, ...] = ("input", "output")
 _PAR: tuple[SiteKind, ...] = ("parameter",)
-_K = (Coefficient("k"),)
-_DRAG = (Coefficient("k", positive=True),)
-_LAG = OwnState("z", "(v - z) / tau", "v")
 
-_ALL = (
+
+def _k(unit: str) -> Coefficient:
+    return Coefficient("k", unit=unit)
+
+
+def _drag(unit: str, *, name: str = "k", if_own: bool = False) -> Coefficient:
+    """A strength that takes energy out."""
+    return Coefficient(name, positive=True, if_own=if_own, unit=unit)
+
+
+def _shape(name: str, unit: str, scale: str, *grid: float) -> Coefficient:
+    return Coefficient(name, None, positive=True, scale=scale, grid=grid, unit=unit)
+
+
+def _at(unit: str, scale: str, *grid: float, held: bool = False) -> Coefficient:
+    """A place, which may be negative."""
+    return Coefficient("at", None, scale=scale, grid=grid, held=held, unit=unit)
+
+
+def _centre(unit: str, scale: str) -> Coefficient:
+    """Where a parameter has its own value: a matter of words, so nothing to be fitted."""
+    return _at(unit, scale, 1.0, held=True)
+
+
+def _limit(neutral: float, scale: str, *grid: float) -> Coefficient:
+    return Coefficient("limit", neutral, scale=scale, grid=grid, unit="site")
+
+
+def _tau(*steps: float) -> Coefficient:
+    return _shape("tau", "second", "step", *steps)
+
+
+_WIDTH = Coefficient("width", None, positive=True, scale="rms v", grid=(0.01,), held=True, unit="v")
+"""Of a switch: as narrow as a solver can still step across."""
+_WAVE = (
+    Coefficient("a", unit="site"),
+    Coefficient("b", unit="site"),
+    _shape("f", "rad / second", "spectrum", 1.0),
+)
+_BEYOND = _shape("at", "v", "max v", 0.35, 0.55, 0.75)
+_LATE = Coefficient("tau", positive=True, scale="step", grid=(1.0, 4.0, 12.0), unit="second")
+_LAG = OwnState("z", "(v - z) / tau", "v")
+_BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
+
+_HATS = 7
+_TABLE = " + ".join(
+    f"k{i + 1} * max(1 - abs({_HATS - 1} * (max(min(v, high), low) - low) / (high - low) - {i}), 0)"
+    for i in range(_HATS)
+)
+"""Piecewise linear from low to high, constant outside; k1 to k7 are its values at equal steps."""
+_TABLE_COEFFICIENTS = (
+    *(Coefficient(f"k{i + 1}", unit="site") for i in range(_HATS)),
+    Coefficient("low", None, scale="low v", grid=(1.0,), held=True, unit="v"),
+    Coefficient("high", None, scale="high v", grid=(1.0,), held=True, unit="v"),
+)
+
+
+def _between(
+    name: str,
+    family: str,
+    equation: str,
+    unit: str,
+    *shapes: Coefficient,
+    when: str = "oscillates",
+    order: float = 0.0,
+) -> Form:
+    """A force between two states: what it takes from the first it gives to the second.
+
+    Two strengths, because the FMU's states need not have the same inertia.
+    """
+    strengths = (_drag(f"site{unit}"), _drag(f"other{unit}", name="back"))
+    return Form(name, family, _PAIR, f"-k * {equation}", (*strengths, *shapes), 1,
+                reaction=f"back * {equation}", when=when, order=order)  # fmt: skip
+
+
+_RATES = (
     # loads
-    Form("constant", "load", _DER, "k", _K),
-    Form("drift", "load", _DER, "k * t", _K),
-    Form("sine", "load", _DER, "a * sin(f * t) + b * cos(f * t)",
-         (Coefficient("a"), Coefficient("b"), _shape("f"))),
+    Form("constant", "load", _DER, "k", (_k("site"),)),
+    Form("drift", "load", _DER, "k * t", (_k("site / second"),)),
+    Form("sine", "load", _DER, "a * sin(f * t) + b * cos(f * t)", _WAVE),
     # friction and drag: they take energy out where v is a velocity
-    Form("viscous", "friction", _DER, "-k * v", _DRAG, 1),
-    Form("quadratic", "drag", _DER, "-k * v * abs(v)", _DRAG, 1),
-    Form("cubic", "drag", _DER, "-k * v^3", _DRAG, 1),
-    Form("coulomb", "friction", _DER, "-k * tanh(v / width)", (*_DRAG, _shape("width")), 1),
-    Form("stribeck", "friction", _DER, "-k * exp(-(v / vs)^2) * tanh(v / width)",
-         (*_DRAG, _shape("vs"), _shape("width")), 1),
-    Form("dahl", "friction", _DER, "-k * z", (*_DRAG, _shape("x0")), 1,
-         (OwnState("z", "(v - abs(v) * z) / x0", "0"),)),
+    Form("viscous", "friction", _DER, "-k * v", (_drag("site / v"),), 1, when="own"),
+    Form("quadratic", "drag", _DER, "-k * v * abs(v)",
+         (_drag("site / v^2", if_own=True),), 1, when="oscillates"),
+    Form("cubic", "drag", _DER, "-k * v^3", (_drag("site / v^3", if_own=True),), 1, order=0.5),
+    Form("coulomb", "friction", _DER, "-k * tanh(v / width)",
+         (_drag("site"), _WIDTH), 1, when="own oscillates"),
+    Form("stribeck", "friction", _DER, "-(k + peak * exp(-(v / vs)^2)) * tanh(v / width)",
+         (_drag("site"), _drag("site", name="peak"), _shape("vs", "v", "rms v", 0.1, 0.3), _WIDTH),
+         1, when="own oscillates"),
+    Form("dahl", "friction", _DER, "-k * z",
+         (_drag("site"), _shape("x0", "travel", "travel v", 0.02, 0.1, 0.4)), 1, (_BRISTLE,),
+         when="own oscillates"),
     # couplings and stiffness
-    Form("linear", "coupling", _DER, "k * v", _K, 1),
-    Form("square", "stiffness", _DER, "k * v^2", _K, 1),
-    Form("product", "coupling", _DER, "k * v * w", _K, 2),
-    Form("lagged", "coupling", _DER, "k * z", (*_K, _shape("tau")), 1, (_LAG,)),
-    Form("hinge", "end stop", _DER, "k * max(v - at, 0)", (*_K, Coefficient("at", None)), 1),
-    Form("hinge_below", "end stop", _DER, "k * max(at - v, 0)", (*_K, Coefficient("at", None)), 1),
+    Form("linear", "coupling", _DER, "k * v", (_k("site / v"),), 1, order=0.3),
+    Form("square", "stiffness", _DER, "k * v^2", (_k("site / v^2"),), 1, order=0.5),
+    Form("product", "coupling", _DER, "k * v * w", (_k("site / (v w)"),), 2, order=0.7),
+    Form("lagged", "coupling", _DER, "k * z", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1, (_LAG,),
+         when="driven", order=0.3),
+    Form("hinge", "end stop", _DER, "k * max(v - at, 0)",
+         (_k("site / v"), _at("v", "quantile v", 0.5, 0.6, 0.7, 0.8, 0.9)), 1, order=1.0),
+    Form("hinge_below", "end stop", _DER, "k * max(at - v, 0)",
+         (_k("site / v"), _at("v", "quantile v", 0.1, 0.2, 0.3, 0.4, 0.5)), 1, order=1.0),
     Form("gap", "end stop", _DER, "-k * (max(v - at, 0) - max(-v - at, 0))",
-         (*_DRAG, _shape("at")), 1),
-    Form("square_root", "leak", _DER, "-k * sqrt(max(v, 0))", _K, 1),
-    # an input that is not what was commanded
-    Form("bias", "offset", _SIGNAL, "s + k", _K),
-    Form("drift", "offset", _SIGNAL, "s + k * t", _K),
-    Form("gain", "gain", _SIGNAL, "s * (1 + k)", _K),
-    Form("square", "nonlinearity", _SIGNAL, "s + k * s^2", _K),
-    Form("cubic", "nonlinearity", _IN, "s + k * s^3", _K),
-    Form("asymmetry", "nonlinearity", _IN, "s + k * max(s, 0)", _K),
-    Form("dead_zone", "nonlinearity", _IN, "where(abs(s) > k, s - k * sign(s), 0)", _DRAG),
-    Form("saturation", "limit", _SIGNAL, "max(min(s, limit), -limit)",
-         (Coefficient("limit", float("inf"), positive=True),)),
-    Form("product", "nonlinearity", _IN, "s + k * s * v", _K, 1),
-    Form("lag", "lag", _SIGNAL, "z", (Coefficient("tau", positive=True),), 0,
-         (OwnState("z", "(s - z) / tau", "s"),)),
-    Form("delay", "delay", _SIGNAL, "s", (Coefficient("tau", positive=True),), delay="tau"),
-    # a sensor
-    Form("absolute", "nonlinearity", _OUT, "s + k * abs(s)", _K),
-    Form("feed_through", "coupling", _OUT, "s + k * v", _K, 1),
-    Form("lagged_feed_through", "coupling", _OUT, "s + k * z", (*_K, _shape("tau")), 1, (_LAG,)),
-    Form("hum", "disturbance", _OUT, "s + a * sin(f * t) + b * cos(f * t)",
-         (Coefficient("a"), Coefficient("b"), _shape("f"))),
-    # a parameter that varies; centred, or it would hide behind the parameter itself
-    Form("drift", "variation", _PAR, "s * (1 + k * (t - at))", (*_K, Coefficient("at", None))),
-    Form("linear", "variation", _PAR, "s * (1 + k * (v - at))", (*_K, Coefficient("at", None)), 1),
-    Form("magnitude", "variation", _PAR, "s * (1 + k * (abs(v) - at))",
-         (*_K, Coefficient("at", None)), 1),
-    Form("square", "variation", _PAR, "s * (1 + k * (v^2 - at))",
-         (*_K, Coefficient("at", None)), 1),
-    Form("heating", "variation", _PAR, "s * (1 + k * (z - at))",
-         (*_K, Coefficient("at", None), _shape("tau")), 1,
-         (OwnState("z", "(v^2 - z) / tau", "0"),)),
+         (_drag("site / v"), _BEYOND), 1, when="oscillates"),
+    Form("square_root", "leak", _DER, "-k * sqrt(max(v, 0))", (_k("site / v^0.5"),), 1,
+         when="positive"),
+    Form("signed_root", "leak", _DER, "-k * sign(v) * sqrt(abs(v))",
+         (_drag("site / v^0.5", if_own=True),), 1, when="oscillates"),
+    Form("table", "table", _DER, _TABLE, _TABLE_COEFFICIENTS, 1, order=2.0),
+    # between two states
+    _between("joint", "end stop", "max(min(v, at), -at)", " / v", _BEYOND),
+    _between("gap", "end stop", "(max(v - at, 0) - max(-v - at, 0))", " / v", _BEYOND),
+    _between("linear", "coupling", "v", " / v", when="", order=0.3),
+    _between("quadratic", "drag", "v * abs(v)", " / v^2"),
+    _between("cubic", "drag", "v^3", " / v^3", when="", order=0.5),
+    _between("coulomb", "friction", "tanh(v / width)", "", _WIDTH),
+    _between("leak", "leak", "sign(v) * sqrt(abs(v))", " / v^0.5"),
 )  # fmt: skip
 
-FORMS: dict[tuple[SiteKind, str], Form] = {(kind, f.name): f for f in _ALL for kind in f.kinds}
+_SIGNALS = (
+    # an input that is not what was commanded, a sensor that does not show what it should
+    Form("bias", "offset", _SIGNAL, "s + k", (_k("site"),)),
+    Form("drift", "offset", _SIGNAL, "s + k * t", (_k("site / second"),)),
+    Form("gain", "gain", _SIGNAL, "s * (1 + k)", (_k("1"),)),
+    Form("square", "nonlinearity", _SIGNAL, "s + k * s^2", (_k("1 / site"),), order=0.5),
+    Form("cubic", "nonlinearity", _IN, "s + k * s^3", (_k("1 / site^2"),), order=0.5),
+    Form("asymmetry", "nonlinearity", _IN, "s + k * max(s, 0)", (_k("1"),), when="oscillates"),
+    Form("dead_zone", "nonlinearity", _IN, "where(abs(s) > k, s - k * sign(s), 0)",
+         (Coefficient("k", positive=True, scale="max s", grid=(0.05, 0.12, 0.25), unit="site"),),
+         when="oscillates"),
+    Form("backlash", "nonlinearity", _IN, "s",
+         (Coefficient("k", positive=True, scale="max s", grid=(0.05, 0.12, 0.25), unit="site"),),
+         memory="backlash"),
+    Form("saturation", "limit", _SIGNAL, "max(min(s, limit), -limit)",
+         (Coefficient("limit", float("inf"), positive=True, scale="max s", grid=(0.92, 0.8, 0.65),
+                      unit="site"),), when="oscillates"),
+    Form("clip_above", "limit", _OUT, "min(s, limit)",
+         (_limit(float("inf"), "range s", 0.92, 0.8, 0.65),)),
+    Form("clip_below", "limit", _OUT, "max(s, limit)",
+         (_limit(float("-inf"), "range s", 0.08, 0.2, 0.35),)),
+    Form("product", "nonlinearity", _IN, "s + k * s * v", (_k("1 / v"),), 1, order=0.7),
+    Form("lag", "lag", _SIGNAL, "z", (_LATE,), 0, (OwnState("z", "(s - z) / tau", "s"),)),
+    Form("delay", "delay", _SIGNAL, "s", (_LATE,), memory="delay"),
+    Form("absolute", "nonlinearity", _OUT, "s + k * abs(s)", (_k("1"),), when="oscillates"),
+    Form("feed_through", "coupling", _OUT, "s + k * v", (_k("site / v"),), 1, order=0.3),
+    Form("lagged_feed_through", "coupling", _OUT, "s + k * z",
+         (_k("site / v"), _tau(4.0, 15.0, 60.0)), 1, (_LAG,), when="driven", order=0.3),
+    Form("hysteresis", "memory", _OUT, "s + k * z",
+         (_k("site"), _shape("x0", "travel", "travel v", 0.1, 0.4, 1.5)), 1, (_BRISTLE,),
+         when="driven oscillates"),
+    Form("hum", "disturbance", _OUT, "s + a * sin(f * t) + b * cos(f * t)", _WAVE),
+)  # fmt: skip
+
+_VARIATIONS = (
+    # a parameter that varies; centred, or it would hide behind the parameter itself
+    Form("drift", "variation", _PAR, "s * (1 + k * (t - at))",
+         (_k("1 / second"), _centre("second", "middle t")), order=1.0),
+    Form("linear", "variation", _PAR, "s * (1 + k * (v - at))",
+         (_k("1 / v"), _centre("v", "mean v")), 1, order=1.0),
+    Form("magnitude", "variation", _PAR, "s * (1 + k * (abs(v) - at))",
+         (_k("1 / v"), _centre("v", "mean |v|")), 1, when="oscillates", order=1.0),
+    Form("square", "variation", _PAR, "s * (1 + k * (v^2 - at))",
+         (_k("1 / v^2"), _centre("v^2", "mean v^2")), 1, order=1.0),
+    Form("heating", "variation", _PAR, "s * (1 + k * (z - at))",
+         (_k("1 / v^2"), _centre("v^2", "mean v^2"), _tau(20.0, 80.0)), 1,
+         (OwnState("z", "(v^2 - z) / tau", "0"),), order=1.0),
+)  # fmt: skip
+
+FORMS: dict[tuple[SiteKind, str], Form] = {
+    (kind, f.name): f for f in (*_RATES, *_SIGNALS, *_VARIATIONS) for kind in f.kinds
+}
 """By kind of site and name."""
 
 

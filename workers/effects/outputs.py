@@ -10,6 +10,7 @@ import numpy as np
 import sympy as sp
 
 from workers.effects.definition import SIGNAL, TIME, Definition, variable_symbol
+from workers.effects.memory import MEMORIES
 from workers.effects.source import Assignment, compile_function
 from workers.grid import Grid
 from workers.kernels.record import OutputHooks, OutputWorkspace, edit_record
@@ -48,10 +49,10 @@ def act_on_record(
         Names of the record's and of the grid's columns.
     """
     column = recorded.index(definition.site.target)
-    if definition.form.delay:
-        names = [c.name for c in definition.form.coefficients]
-        delay = coefficients[names.index(definition.form.delay)]
-        record[:, column] = np.interp(grid.times - delay, grid.times, record[:, column])
+    if definition.form.memory:
+        change = MEMORIES[definition.form.memory]
+        times, values = change(grid.times, record[:, column], float(coefficients[0]))
+        record[:, column] = np.interp(grid.times, times, values)
         return
     ready = _compile(definition, recorded, inputs)
     work = OutputWorkspace(
@@ -67,7 +68,8 @@ def act_on_record(
         ready.inside.address if ready.inside else 0,
         ready.after.address,
     )
-    substeps = definition.substeps(coefficients, float(np.diff(grid.times).max()))
+    signals = dict(zip((*recorded, *inputs), (*record.T, *grid.inputs.T), strict=True))
+    substeps = definition.substeps(coefficients, float(np.diff(grid.times).max()), signals)
     own = np.ascontiguousarray(coefficients)
     edit_record(hooks, grid, record, column, own, substeps, work)
 
@@ -85,7 +87,7 @@ def _compile(
     places |= {s: ("states", i) for i, s in enumerate(definition.states)}
     begin = [Assignment("states", i, e) for i, e in enumerate(definition.starts)]
     inside = [Assignment("slopes", i, e) for i, e in enumerate(definition.derivatives)]
-    after = [Assignment("result", 0, definition.equation)]
+    after = [Assignment("result", 0, equation) for _, equation in definition.parts]
     own = bool(definition.states)
     return Compiled(
         begin=compile_function(READ, places, begin, TIME) if own else None,

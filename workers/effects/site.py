@@ -4,33 +4,52 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import combinations
 
 from workers.description import Description, nearest
-from workers.effects.forms import SiteKind
+from workers.effects.kinds import SiteKind
 from workers.errors import EffectError
 from workers.messages import Interface
 
 _PATTERNS: dict[SiteKind, str] = {
     "derivative": r"der\((.+)\)",
+    "pair": r"pair (.+)",
     "input": r"input (.+)",
     "output": r"output (.+)",
     "parameter": r"parameter (.+)",
 }
+_COMMA = re.compile(r",(?![^\[]*\])")
+"""Between two names: not one within brackets, as in "x[1,2]"."""
 
 
 @dataclass(frozen=True)
 class Site:
-    """A state derivative, an input, an output or a parameter of the FMU, by the FMU's name."""
+    """A state derivative, two of them, an input, an output or a parameter, by the FMU's names.
+
+    `other` is the second state of a pair.
+    """
 
     kind: SiteKind
     target: str
+    other: str = ""
 
     def __str__(self) -> str:
-        return f"der({self.target})" if self.kind == "derivative" else f"{self.kind} {self.target}"
+        if self.kind == "derivative":
+            return f"der({self.target})"
+        return f"{self.kind} {','.join(self.targets)}"
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        return (self.target, self.other) if self.other else (self.target,)
+
+    @property
+    def at_rates(self) -> bool:
+        """Whether an effect here is added to derivatives; elsewhere it replaces a signal."""
+        return self.kind in ("derivative", "pair")
 
 
 def parse_site(text: str, where: str) -> Site:
-    """Read "der(v)", "input F", "output y" or "parameter k".
+    """Read "der(v)", "pair v,w", "input F", "output y" or "parameter k".
 
     Raises
     ------
@@ -39,11 +58,18 @@ def parse_site(text: str, where: str) -> Site:
     """
     for kind, pattern in _PATTERNS.items():
         found = re.fullmatch(pattern, text.strip())
-        if found:
+        if found and kind != "pair":
             return Site(kind, found.group(1).strip())
+        if found:
+            names = [name.strip() for name in _COMMA.split(found.group(1))]
+            if len(names) == 2 and all(names) and names[0] != names[1]:
+                return Site(kind, *names)
+            raise EffectError(
+                f'{where}: must be "pair STATE,STATE" with two different states but is {text!r}'
+            )
     raise EffectError(
-        f'{where}: must be "der(STATE)", "input NAME", "output NAME" or "parameter NAME" but is '
-        f"{text!r}"
+        f'{where}: must be "der(STATE)", "pair STATE,STATE", "input NAME", "output NAME" or '
+        f'"parameter NAME" but is {text!r}'
     )
 
 
@@ -58,6 +84,20 @@ def open_sites(description: Description, interface: Interface) -> list[Site]:
     return sites
 
 
+def open_pairs(description: Description, interface: Interface) -> list[Site]:
+    """Every two states between which a force can be: those with one unit, like two velocities.
+
+    An effect at a pair may name any two states; these are the ones that a search should try.
+    """
+    if interface == "co_simulation":
+        return []
+    return [
+        Site("pair", a, b)
+        for a, b in combinations(description.states, 2)
+        if description.variables[a].unit == description.variables[b].unit
+    ]
+
+
 def check_site(site: Site, description: Description, interface: Interface, where: str) -> None:
     """Refuse a site that the FMU does not offer.
 
@@ -67,9 +107,11 @@ def check_site(site: Site, description: Description, interface: Interface, where
         With the sites of that kind that it does offer.
     """
     offered = open_sites(description, interface)
-    if site in offered:
+    parts = [Site("derivative", s) for s in site.targets] if site.kind == "pair" else [site]
+    missing = [part for part in parts if part not in offered]
+    if not missing:
         return
-    if site.kind == "derivative" and interface == "co_simulation":
+    if site.at_rates and interface == "co_simulation":
         raise EffectError(
             f"{where}: {site} is closed, because a co-simulation FMU keeps its states to itself; "
             'use model.interface = "model_exchange" or a site at an input, output or parameter'
@@ -79,7 +121,8 @@ def check_site(site: Site, description: Description, interface: Interface, where
             f"{where}: {site} is closed, because {description.file} does not allow "
             f"{site.target!r} to change while it runs (its variability is not tunable)"
         )
-    known = [s.target for s in offered if s.kind == site.kind]
+    known = [s.target for s in offered if s.kind == missing[0].kind]
     raise EffectError(
-        f"{where}: {description.file} has no such site {site}{nearest(site.target, known)}"
+        f"{where}: {description.file} has no such site {missing[0]}"
+        f"{nearest(missing[0].target, known)}"
     )

@@ -1,0 +1,127 @@
+"""The recipe of the closed loop: fit, detect, locate, name, add, refit, report before and after.
+
+References: score tests with the declared parameters projected out follow C. R. Rao, Proc. Cambridge
+Philos. Soc. 44 (1948) 50-57, doi:10.1017/S0305004100023987; growing a model where its residual
+points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 28 (2004) 1431-1449.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluster_est.closed_loop.naming import describe_effects, error_changes
+from cluster_est.closed_loop.prepare import open_bench
+from cluster_est.closed_loop.result import LoopResult, Verdict
+from cluster_est.closed_loop.search import Search, search
+from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.verdict import Judgement, judge
+from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
+from cluster_est.fit import complete, simulate_all
+from cluster_est.methods.least_squares import LeastSquares
+from cluster_est.problem import Problem
+from cluster_est.resources import Resources
+from cluster_est.result import Result
+from cluster_est.runner import Record, SearchRequest, Show
+
+FINAL = LeastSquares(trials=4, max_iterations=50)
+
+
+def close_loop(
+    problem: Problem,
+    resources: Resources | None = None,
+    settings: LoopSettings | None = None,
+    seed: int = 0,
+    record: Record | None = None,
+    show: Show | None = None,
+) -> LoopResult:
+    """Find what a model lacks, add it, and report the error before and after.
+
+    Parameters
+    ----------
+    problem
+        The declared model with its parameters and experiments. Experiments with role "test" choose
+        nothing; they can only take a verdict away.
+    resources
+        Where simulations run, and the budget.
+    settings
+        Thresholds and sizes.
+    seed
+        Starts every random generator; the result is the same for any number of workers.
+    record, show
+        Called for each simulation and whenever something came back; see `Runner`.
+
+    Raises
+    ------
+    ClusterEstError
+        If model, experiments and machine do not fit together, or the data cannot carry a search.
+    """
+    begin = time.monotonic()
+    settings = settings or LoopSettings()
+    with open_bench(problem, resources or Resources(), settings, seed, record, show) as bench:
+        found = search(bench, Start(bench.problem, {}))
+        judgement = judge(bench, found)
+        report = _report(bench, found, judgement, begin)
+    return replace(report, seconds=time.monotonic() - begin)
+
+
+@dataclass(frozen=True)
+class _Fits:
+    """The declared and the final model, fitted to convergence and simulated everywhere."""
+
+    before: Result
+    after: Result
+
+    @property
+    def worse(self) -> bool:
+        """Whether the held-out error has grown."""
+        old, new = self.before.rmse("test"), self.after.rmse("test")
+        return bool(np.isfinite(old) and not new <= old)
+
+
+def _report(bench: Workbench, found: Search, judgement: Judgement, begin: float) -> LoopResult:
+    """Final fits, the held-out veto, and everything in words."""
+    before = _final(bench, found.base, begin)
+    keep = judgement.verdict in (Verdict.FOUND, Verdict.PARTIAL)
+    grown = _final(bench, found.current, begin) if found.current.added else before
+    fits = _Fits(before, grown)
+    if keep and fits.worse:
+        old, new = before.rmse("test"), grown.rmse("test")
+        judgement = Judgement(
+            Verdict.UNEXPLAINED,
+            f"{judgement.reason}; but the held-out error would grow from {old:.4g} to {new:.4g} "
+            "sigma, so nothing was added",
+            judgement.closed,
+        )
+        keep = False
+    named = describe_effects(bench, found, grown)
+    after = grown if keep else before
+    return LoopResult(
+        verdict=judgement.verdict,
+        summary=judgement.reason,
+        effects=named if keep else (),
+        before=before,
+        after=after,
+        errors=error_changes(bench, found, before, after),
+        findings=found.findings,
+        rejected=() if keep else named,
+        noise=bench.noise_in_units(found.noise),
+        sites=bench.sites,
+        notes=bench.notes,
+        simulations=bench.meter.full,
+        simulated=bench.runner.simulations,
+        evaluations=bench.runner.evaluations,
+        failures=bench.runner.failures,
+        seconds=0.0,
+    )
+
+
+def _final(bench: Workbench, fitted: Fitted, begin: float) -> Result:
+    """Fit to convergence from where the search ended, and simulate every experiment."""
+    space = bench.space(fitted.start)
+    (solution,) = bench.runner.run([SearchRequest("final", FINAL, space, bench.seed)])
+    units = {n: v.unit for n, v in bench.description.variables.items()}
+    start = simulate_all(bench.runner, fitted.problem, {})
+    return complete(bench.runner, space, solution, FINAL, start, units, bench.seed, begin)

@@ -1,0 +1,108 @@
+"""What was found, in the words and numbers of a report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates import Candidate
+from cluster_est.closed_loop.name import Contender
+from cluster_est.closed_loop.result import Alternative, ErrorChange, NamedEffect
+from cluster_est.closed_loop.search import Search
+from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.result import Estimate, Result
+
+
+def describe_effects(bench: Workbench, found: Search, result: Result) -> tuple[NamedEffect, ...]:
+    """The effects of the final model, with what each cannot be told apart from."""
+    return tuple(_describe(bench, found, candidate, result) for candidate in found.current.added)
+
+
+def error_changes(
+    bench: Workbench, found: Search, before: Result, after: Result
+) -> tuple[ErrorChange, ...]:
+    """The errors of the declared and of the final model, side by side."""
+    noise = bench.noise_in_units(found.noise)
+    given = any(output.sigma != 1.0 for e in bench.problem.experiments for output in e.outputs)
+    rows = []
+    for old, new in zip(before.errors, after.errors, strict=True):
+        sigma = old.rmse_after / old.normalised_after if old.normalised_after else np.nan
+        if not given:
+            sigma = noise.get(old.output, np.nan)
+        rows.append(
+            ErrorChange(
+                experiment=old.experiment,
+                role=old.role,
+                output=old.output,
+                unit=old.unit,
+                samples=old.samples,
+                rmse_before=old.rmse_after,
+                rmse_after=new.rmse_after,
+                normalised_before=old.rmse_after / sigma,
+                normalised_after=new.rmse_after / sigma,
+            )
+        )
+    return tuple(rows)
+
+
+def _describe(bench: Workbench, found: Search, candidate: Candidate, result: Result) -> NamedEffect:
+    name = candidate.effect.name
+    won, rivals = found.rivals.get(name, (None, []))
+    return NamedEffect(
+        effect=candidate.effect,
+        family=candidate.form.family,
+        equation=candidate.equation,
+        coefficients=_coefficients(name, result),
+        alternatives=tuple(_alternative(bench, won, rival) for rival in rivals if won is not None),
+        evidence=_evidence(found, candidate),
+    )
+
+
+def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
+    return tuple(e for e in result.estimates if e.parameter.startswith(f"{name}."))
+
+
+def _alternative(bench: Workbench, won: Contender, rival: Contender) -> Alternative:
+    """A rival, and where an experiment would tell it from the winner best."""
+    candidate = rival.candidate
+    where, when, output, size = _largest_difference(bench, won.fitted, rival.fitted)
+    return Alternative(
+        site=str(candidate.site),
+        form=candidate.form.name,
+        family=candidate.form.family,
+        variables=candidate.effect.variables,
+        equation=candidate.equation,
+        criterion=float(rival.criterion - won.criterion),
+        experiment=where,
+        output=output,
+        time=when,
+        difference=size,
+    )
+
+
+def _largest_difference(
+    bench: Workbench, one: Fitted, other: Fitted
+) -> tuple[str, float, str, float]:
+    """Experiment, time, output and size of the largest difference of two models' predictions."""
+    gap = np.abs(one.residuals - other.residuals)
+    row = int(np.argmax(gap))
+    for record in bench.records.items:
+        if record.rows.start <= row < record.rows.stop:
+            experiment = bench.problem.experiments[bench.train[record.experiment]]
+            time = float(record.times[row - record.rows.start])
+            return experiment.id, time, bench.records.outputs[record.output], float(gap[row])
+    return "", np.nan, "", float(gap[row])
+
+
+def _evidence(found: Search, candidate: Candidate) -> tuple[str, ...]:
+    """Why it was added, in sentences."""
+    sentences = []
+    for finding in found.findings:
+        own = (finding.site, finding.form, finding.variables)
+        if own != (str(candidate.site), candidate.form.name, candidate.effect.variables):
+            continue
+        if finding.stage == "accepted":
+            sentences.append(
+                f"step {finding.step}: carries {finding.explained:.0%} of the residual, criterion "
+                f"falls by {-finding.criterion:.0f}"
+            )
+    return tuple(sentences)

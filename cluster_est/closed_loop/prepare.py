@@ -1,0 +1,172 @@
+"""Everything that stands ready before the loop begins: workers, rehearsals, weights, notes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.closed_loop.base_fit import BRIEF
+from cluster_est.closed_loop.noise import estimate_noise
+from cluster_est.closed_loop.records import make_records
+from cluster_est.closed_loop.rehearsal import enlarged, shortened
+from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.workbench import ENLARGED, HORIZONS, Meter, Start, Workbench
+from cluster_est.errors import ProblemError
+from cluster_est.fit import check_method
+from cluster_est.problem import Problem
+from cluster_est.resources import Resources, open_executor
+from cluster_est.runner import Record, Runner, Show
+from cluster_est.space import make_space
+from workers.description import Description, nearest
+from workers.effects.forms import FORMS
+from workers.effects.site import open_pairs, open_sites
+from workers.messages import Experiment
+
+LEAST_SAMPLES_PER_UNKNOWN = 4
+
+
+@contextmanager
+def open_bench(
+    problem: Problem,
+    resources: Resources,
+    settings: LoopSettings,
+    seed: int,
+    record: Record | None,
+    show: Show | None,
+) -> Iterator[Workbench]:
+    """Start the workers and install the experiments with their rehearsals.
+
+    Where several outputs have no sigma, a first fit gives each its own from its noise, or one
+    output's unit would decide what is found.
+    """
+    description = problem.describe()
+    _check(problem, settings, description)
+    if _unweighted(problem):
+        with _opened(problem, resources, settings, seed, description, record, show) as bench:
+            (fitted,) = bench.fit("weights", [Start(problem, {})], BRIEF)
+            if fitted is not None:
+                noise = estimate_noise(fitted.residuals, bench.records)
+                problem = _weighted(problem, dict(zip(bench.records.outputs, noise, strict=True)))
+    with _opened(problem, resources, settings, seed, description, record, show) as bench:
+        yield bench
+
+
+@contextmanager
+def _opened(
+    problem: Problem,
+    resources: Resources,
+    settings: LoopSettings,
+    seed: int,
+    description: Description,
+    record: Record | None,
+    show: Show | None,
+) -> Iterator[Workbench]:
+    train = problem.indices("train")
+    runs = [problem.experiments[e] for e in train]
+    installed = list(problem.experiments)
+    rehearsals: dict[str, tuple[int, ...]] = {}
+    for horizon in HORIZONS:
+        rehearsals[f"{horizon:.0%}"] = _install(installed, [shortened(r, horizon) for r in runs])
+    rehearsals["enlarged"] = _install(installed, [enlarged(r, ENLARGED) for r in runs])
+    everything = replace(problem, experiments=tuple(installed))
+    meter = Meter(everything.experiments, record)
+    with open_executor(everything, resources) as executor:
+        yield Workbench(
+            runner=Runner(executor, resources.budget, meter, show),
+            problem=problem,
+            description=description,
+            settings=settings,
+            seed=seed,
+            train=train,
+            records=make_records(runs),
+            rehearsals=rehearsals,
+            everything=everything,
+            meter=meter,
+            sites=_sites(problem, description),
+            notes=_notes(problem),
+        )
+
+
+def _install(installed: list[Experiment], copies: list[Experiment]) -> tuple[int, ...]:
+    first = len(installed)
+    installed += copies
+    return tuple(range(first, len(installed)))
+
+
+def _check(problem: Problem, settings: LoopSettings, description: Description) -> None:
+    """Refuse what the loop cannot work with.
+
+    Raises
+    ------
+    ProblemError
+        With what to change.
+    """
+    train = make_space(problem, problem.indices("train"))
+    check_method(BRIEF, train)
+    samples = train.rows[-1].stop
+    if samples < LEAST_SAMPLES_PER_UNKNOWN * (train.size + 1):
+        raise ProblemError(
+            f"closed loop: the training experiments must have at least "
+            f"{LEAST_SAMPLES_PER_UNKNOWN * (train.size + 1)} measured values to tell a missing "
+            f"effect from {train.size} parameters but have {samples}; add data or fix parameters"
+        )
+    known = sorted({name for _, name in FORMS})
+    for name in settings.forms:
+        if name not in known:
+            raise ProblemError(
+                f"closed_loop.effects: there is no form {name!r}{nearest(name, known)}"
+            )
+    offered = _sites(problem, description)
+    for site in settings.sites:
+        if site not in offered:
+            raise ProblemError(
+                f"closed_loop.sites: {description.file} does not offer the site {site!r}"
+                f"{nearest(site, offered)}"
+            )
+
+
+def _unweighted(problem: Problem) -> bool:
+    """Whether there are several outputs, and nobody said how exact each is."""
+    outputs = [o for e in problem.experiments for o in e.outputs]
+    return len({o.variable for o in outputs}) > 1 and all(o.sigma == 1.0 for o in outputs)
+
+
+def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:
+    experiments = []
+    for experiment in problem.experiments:
+        outputs = [
+            replace(o, sigma=float(noise[o.variable]))
+            if np.isfinite(noise.get(o.variable, np.nan)) and noise[o.variable] > 0.0
+            else o
+            for o in experiment.outputs
+        ]
+        experiments.append(replace(experiment, outputs=tuple(outputs)))
+    return replace(problem, experiments=tuple(experiments))
+
+
+def _sites(problem: Problem, description: Description) -> tuple[str, ...]:
+    interface = problem.model.interface
+    sites = [*open_sites(description, interface), *open_pairs(description, interface)]
+    return tuple(str(site) for site in sites)
+
+
+def _notes(problem: Problem) -> tuple[str, ...]:
+    notes = []
+    if not problem.indices("test"):
+        notes.append(
+            'no experiment has role = "test": nothing could veto what was found, and the errors '
+            "are those of the data that it was found on"
+        )
+    if len(problem.indices("train")) == 1:
+        notes.append(
+            "there is only one training experiment, so nothing could be predicted from the others"
+        )
+    if problem.model.interface == "co_simulation":
+        notes.append(
+            "co-simulation: state derivatives were closed; an effect inside the model can only be "
+            "seen as one at an input, an output or a parameter"
+        )
+    return tuple(notes)

@@ -1,0 +1,55 @@
+"""What the declared parameters could explain, taken out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from workers.messages import FloatArray
+
+DEPENDENT = 1e-6
+"""Smallest singular value, over the largest, of a direction that counts."""
+
+NOTHING_LEFT = 1e-12
+"""Length of a projected residual, over that before, which is the rounding of the projection."""
+
+
+class Projection:
+    """P = I - Q Q', Q an orthonormal basis of the columns of a matrix.
+
+    With the sensitivities of the residuals to the parameters as that matrix, P leaves what no small
+    change of the parameters can alter: whatever a refit would absorb is no evidence that something
+    is missing.
+
+    Parameters
+    ----------
+    matrix : (n, parameters)
+        Any units: columns are scaled to length 1 before dependent ones are dropped. It may have no
+        columns, and columns of zeros.
+
+    Attributes
+    ----------
+    basis : (n, rank)
+        Q.
+    """
+
+    def __init__(self, matrix: FloatArray) -> None:
+        lengths = np.linalg.norm(matrix, axis=0)
+        used = matrix[:, lengths > 0.0] / lengths[lengths > 0.0]
+        left, singular, _ = np.linalg.svd(used, full_matrices=False)
+        kept = singular > DEPENDENT * singular.max(initial=0.0)
+        self.basis: FloatArray = np.ascontiguousarray(left[:, kept])
+
+    @property
+    def rank(self) -> int:
+        """Number of independent columns."""
+        return int(self.basis.shape[1])
+
+    @property
+    def degrees(self) -> int:
+        """Degrees of freedom that are left, n - rank."""
+        return len(self.basis) - self.rank
+
+    def remove(self, a: FloatArray) -> FloatArray:
+        """P a, of a vector (n,) or of the columns of a matrix (n, m)."""
+        left: FloatArray = a - self.basis @ (self.basis.T @ a)
+        return left

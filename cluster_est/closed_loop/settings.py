@@ -1,0 +1,60 @@
+"""The thresholds and sizes of a closed loop, each with its default."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from cluster_est.errors import ProblemError
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """How hard to look, and what counts as evidence.
+
+    Attributes
+    ----------
+    significance
+        Largest family-wise p-value at which something counts as missing.
+    max_effects
+        How many effects may be added.
+    forms
+        Names of the forms to try, like "coulomb"; empty for the whole library.
+    sites
+        Sites to try, like "der(v)"; empty for all that the FMU offers.
+    draws
+        Monte Carlo draws of each null distribution.
+    trials
+        Candidates that are tried by one real simulation of a joint step.
+    refits
+        Of those, how many get a short refit of all parameters; a third of them a full one.
+    starts
+        Starts of the declared fit, if it does not reach the noise from its own.
+    least_gain
+        Share of the gap between error and noise that an effect must close.
+    pairs
+        Whether to try two effects at once where no single one explains the residual.
+    """
+
+    significance: float = field(default=0.01, metadata={"least": 0.0})
+    max_effects: int = field(default=3, metadata={"least": 1})
+    forms: tuple[str, ...] = ()
+    sites: tuple[str, ...] = ()
+    draws: int = field(default=2000, metadata={"least": 100})
+    trials: int = field(default=30, metadata={"least": 1})
+    refits: int = field(default=12, metadata={"least": 1})
+    starts: int = field(default=8, metadata={"least": 1})
+    least_gain: float = field(default=0.2, metadata={"least": 0.0})
+    pairs: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.significance < 1.0:
+            raise ProblemError(
+                f"closed_loop.significance: must lie between 0 and 1 but is {self.significance:g}"
+            )
+        for name in ("max_effects", "trials", "refits", "starts"):
+            if getattr(self, name) < 1:
+                raise ProblemError(
+                    f"closed_loop.{name}: must be at least 1 but is {getattr(self, name)}"
+                )
+        if self.draws < 100:
+            raise ProblemError(f"closed_loop.draws: must be at least 100 but is {self.draws}")

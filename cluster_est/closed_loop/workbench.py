@@ -1,0 +1,256 @@
+"""What every step of the loop works with: the queue, the experiments, and models fitted to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates import Candidate
+from cluster_est.closed_loop.course import Course, make_course
+from cluster_est.closed_loop.look import Look
+from cluster_est.closed_loop.records import Records
+from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import Evaluation, Method
+from cluster_est.problem import Problem
+from cluster_est.runner import Origin, Record, Runner, SearchRequest
+from cluster_est.space import Space, make_space
+from workers.description import Description
+from workers.messages import Experiment, FloatArray, Outcome
+
+HORIZONS = (0.15, 0.4)
+"""Shares of each record that a start grows through."""
+ENLARGED = 1.25
+"""How much further the inputs swing in the rehearsal for stability."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model with effects, fitted to the training experiments.
+
+    Attributes
+    ----------
+    space, x
+        The unknowns and where they stand, in search coordinates.
+    residuals : (N,)
+    jacobian : (N, unknowns)
+        Of the residuals, in search coordinates.
+    added
+        The effects that the loop has added, in order.
+    """
+
+    space: Space = field(repr=False)
+    x: FloatArray
+    residuals: FloatArray = field(repr=False)
+    jacobian: FloatArray = field(repr=False)
+    added: tuple[Candidate, ...] = ()
+
+    @property
+    def problem(self) -> Problem:
+        return self.space.problem
+
+    @property
+    def start(self) -> Start:
+        """The same model, to be fitted again from here."""
+        return Start(self.problem, self.estimates, self.added)
+
+    @property
+    def sse(self) -> float:
+        return float(np.add.reduce(self.residuals**2))
+
+    @property
+    def estimates(self) -> dict[str, float]:
+        """Physical values by label."""
+        return self.space.estimates(self.x)
+
+    def likelihood(self, records: Records) -> float:
+        """-2 log likelihood, with the variance of each output's noise estimated along."""
+        total = 0.0
+        for output in range(len(records.outputs)):
+            part = self.residuals[records.of_output(output)]
+            if len(part):
+                total += len(part) * np.log(max(float(np.mean(part**2)), 1e-300))
+        return float(total)
+
+    def criterion(self, records: Records) -> float:
+        """Bayesian information criterion (G. Schwarz, Ann. Stat. 6 (1978) 461-464)."""
+        return float(self.likelihood(records) + self.space.size * np.log(len(self.residuals)))
+
+
+@dataclass(frozen=True)
+class Start:
+    """A model to be fitted, and from where."""
+
+    problem: Problem
+    values: Mapping[str, float]
+    added: tuple[Candidate, ...] = ()
+
+    def plus(self, candidate: Candidate, values: Sequence[float]) -> Start:
+        """With one more effect, whose coefficients start from these values."""
+        problem = replace(
+            self.problem,
+            effects=(*self.problem.effects, candidate.effect),
+            parameters=(*self.problem.parameters, *candidate.parameters(values)),
+        )
+        return Start(problem, self.values, (*self.added, candidate))
+
+    def minus(self, position: int) -> Start:
+        """Without one of the effects that were added."""
+        gone = self.added[position].effect.name
+        problem = replace(
+            self.problem,
+            effects=tuple(e for e in self.problem.effects if e.name != gone),
+            parameters=tuple(
+                p for p in self.problem.parameters if not p.name.startswith(f"{gone}.")
+            ),
+        )
+        kept = tuple(c for i, c in enumerate(self.added) if i != position)
+        return Start(problem, self.values, kept)
+
+
+class Meter:
+    """Counts simulations in units of a whole experiment, and hands them on to a record.
+
+    Parameters
+    ----------
+    experiments
+        Those that are installed; what has been shortened counts for its part.
+    record
+        Called for each simulation; may be None.
+    """
+
+    def __init__(self, experiments: Sequence[Experiment], record: Record | None) -> None:
+        longest = max(e.stop - e.start for e in experiments)
+        self._parts = [(e.stop - e.start) / longest for e in experiments]
+        self._record = record
+        self.full = 0.0
+
+    def __call__(self, origin: Origin, outcome: Outcome) -> None:
+        self.full += self._parts[origin.experiment]
+        if self._record is not None:
+            self._record(origin, outcome)
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """The queue with everything that the steps of the loop share.
+
+    Attributes
+    ----------
+    runner
+        Its executor has the problem's experiments, then the rehearsals.
+    problem
+        The declared model.
+    description
+        Of its FMU.
+    settings, seed
+        Of the loop.
+    train
+        Indices of the training experiments.
+    records
+        How their residuals are stacked.
+    rehearsals
+        For each kind ("15%", "enlarged", ...), the index of each training experiment's copy.
+    everything
+        The problem with all experiments that are installed.
+    meter
+        Counts what was simulated.
+    sites, notes
+        For the report: what was open, and what a reader should know.
+    """
+
+    runner: Runner
+    problem: Problem
+    description: Description
+    settings: LoopSettings
+    seed: int
+    train: tuple[int, ...]
+    records: Records
+    rehearsals: Mapping[str, tuple[int, ...]]
+    everything: Problem
+    meter: Meter
+    sites: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        return self.records.size
+
+    @property
+    def exchange(self) -> bool:
+        return self.problem.model.interface == "model_exchange"
+
+    def noise_in_units(self, noise: FloatArray) -> dict[str, float]:
+        """The noise of each output in its own unit, from that in units of its residual."""
+        sigmas = {
+            output.variable: output.sigma
+            for e in self.train
+            for output in self.problem.experiments[e].outputs
+        }
+        pairs = zip(self.records.outputs, noise.tolist(), strict=True)
+        return {name: value * sigmas[name] for name, value in pairs}
+
+    def generator(self, stream: int) -> np.random.Generator:
+        """A generator of its own for each use, so that no use moves another."""
+        return np.random.default_rng([self.seed, stream])
+
+    def space(self, start: Start, rehearsal: str = "") -> Space:
+        """The unknowns of a model on the training experiments, or on their rehearsals."""
+        if not rehearsal:
+            return make_space(start.problem, self.train, starts=start.values)
+        experiments = self.rehearsals[rehearsal]
+        problem = replace(start.problem, experiments=self.everything.experiments)
+        values = dict(start.values)
+        for own, copy in zip(self.train, experiments, strict=True):
+            ids = [self.everything.experiments[i].id for i in (own, copy)]
+            for label, value in start.values.items():
+                if label.endswith(f"[{ids[0]}]"):
+                    values[label.replace(f"[{ids[0]}]", f"[{ids[1]}]")] = value
+        return make_space(problem, experiments, starts=values)
+
+    def fit(
+        self, name: str, starts: Sequence[Start], method: Method, rehearsal: str = ""
+    ) -> list[Fitted | None]:
+        """Fit models, all in one queue. None where one cannot be simulated."""
+        spaces = [self.space(start, rehearsal) for start in starts]
+        requests = [SearchRequest(name, method, space, self.seed) for space in spaces]
+        solutions = self.runner.run(requests)
+        fitted: list[Fitted | None] = []
+        for start, space, solution in zip(starts, spaces, solutions, strict=True):
+            if solution.at is None or solution.jacobian is None or not solution.at.ok:
+                fitted.append(None)
+                continue
+            fitted.append(
+                Fitted(space, solution.x, solution.at.residuals, solution.jacobian, start.added)
+            )
+        return fitted
+
+    def look(self, name: str, asked: Sequence[tuple[Space, FloatArray]]) -> list[list[Evaluation]]:
+        """Evaluate points of several spaces, all in one queue."""
+        looks = [Look(points, name) for _, points in asked]
+        requests = [
+            SearchRequest(name, look, space) for look, (space, _) in zip(looks, asked, strict=True)
+        ]
+        self.runner.run(requests)
+        return [look.seen for look in looks]
+
+    def courses(self, fitted: Fitted) -> list[Course]:
+        """What the training experiments do at a fit."""
+        want = "linearisation" if self.exchange else "trajectory"
+        outcomes = self.runner.simulate(
+            fitted.space.physical(fitted.x),
+            self.train,
+            want,  # type: ignore[arg-type]
+            "course",
+            fitted.problem.effects,
+        )
+        for outcome in outcomes:
+            if not outcome.ok:
+                raise ProblemError(
+                    f"closed loop: the fitted model cannot be simulated again "
+                    f"({outcome.status}: {outcome.message})"
+                )
+        pairs = zip(self.train, outcomes, strict=True)
+        return [make_course(self.problem.experiments[e], outcome) for e, outcome in pairs]

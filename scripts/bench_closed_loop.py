@@ -1,0 +1,186 @@
+"""Run the closed loop on systems that lack an effect, and score what it says against the truth.
+
+    python scripts/bench_closed_loop.py --out results.jsonl --split tune --every 10
+    python scripts/bench_closed_loop.py --out results.jsonl --page closed-loop-benchmark.md
+
+The first prints one line a case and appends to the file, one record a line; cases that are in it
+already are skipped, so a run can be continued. The second writes the tables of all that is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import time
+import traceback
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, get_args
+
+from closed_loop_benchmark.data import make
+from closed_loop_benchmark.oracle import ask
+from closed_loop_benchmark.problem import make_problem
+from closed_loop_benchmark.scenarios import Kind, Scenario, all_scenarios
+from closed_loop_benchmark.scoring import Score, blank, score
+from closed_loop_benchmark.system import Split
+from closed_loop_benchmark.systems import SYSTEMS
+from closed_loop_benchmark.table import one_line, page
+
+from cluster_est.closed_loop.loop import close_loop
+
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def main() -> None:
+    options = parse()
+    if options.page:
+        options.page.write_text(page(list(read(options.out).values())), encoding="utf-8")
+        return
+    done = read(options.out)
+    if options.again:
+        done = {name: known for name, known in done.items() if not known.error}
+    cases = [case for case in choose(options) if case.name not in done]
+    print(f"{len(cases)} cases to run, {len(done)} in {options.out} already", flush=True)
+    deadline = time.time() + options.seconds
+    with options.out.open("a", encoding="utf-8") as file:
+        for one in run(cases, options.processes, deadline):
+            file.write(one.to_json() + "\n")
+            file.flush()
+            print(one_line(one), flush=True)
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("results.jsonl"), help="file of records")
+    parser.add_argument("--page", type=Path, help="write this Markdown page and run nothing")
+    parser.add_argument("--kinds", type=names_of(get_args(Kind)), default=get_args(Kind))
+    parser.add_argument("--systems", type=names_of(tuple(SYSTEMS)), default=tuple(SYSTEMS))
+    parser.add_argument("--split", choices=get_args(Split))
+    parser.add_argument("--every", type=int, default=1, help="of the cases, spread over all sorts")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="then start no case")
+    parser.add_argument("--again", action="store_true", help="repeat cases that failed")
+    return parser.parse_args()
+
+
+def names_of(known: tuple[str, ...]) -> Any:
+    """Return a reader of names with commas between them."""
+
+    def read_names(text: str) -> tuple[str, ...]:
+        names = tuple(text.split(","))
+        for name in names:
+            if name not in known:
+                raise argparse.ArgumentTypeError(f"must be of {', '.join(known)} but is {name!r}")
+        return names
+
+    return read_names
+
+
+def read(path: Path) -> dict[str, Score]:
+    """Return the records of a file by case; of several of one case, the last."""
+    if not path.is_file():
+        return {}
+    scores = map(Score.from_json, path.read_text(encoding="utf-8").splitlines())
+    return {one.name: one for one in scores}
+
+
+def choose(options: argparse.Namespace) -> list[Scenario]:
+    """Return the cases that are asked for."""
+    cases = [
+        case
+        for case in all_scenarios()
+        if case.kind in options.kinds
+        and case.system in options.systems
+        and options.split in (None, case.split)
+    ]
+    # By seed within a system and kind: every third of the listed cases would be of one size.
+    cases.sort(key=lambda case: (case.kind, case.system, case.seed))
+    return cases[:: options.every]
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a process says: that it begins with a case, or what came of it."""
+
+    process: int
+    case: Scenario
+    score: Score | None = None
+
+
+def run(cases: Sequence[Scenario], processes: int, deadline: float) -> Iterator[Score]:
+    """Run cases in some processes, and give the score of each as it ends.
+
+    All cases of a system run in one process, which keeps what it has compiled for them. A case in
+    which a process dies has an error as its score; what that process had left is not run.
+    """
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    context = multiprocessing.get_context("spawn")
+    # Simple ones send at once: what a process says before it dies must not be lost.
+    portions, reports = context.SimpleQueue(), context.SimpleQueue()
+    for portion in divide(cases, processes):
+        portions.put(portion)
+    for _ in range(processes):
+        portions.put([])
+    workers: dict[int, BaseProcess] = {
+        n: context.Process(target=work, args=(n, portions, reports, deadline), daemon=True)
+        for n in range(processes)
+    }
+    for worker in workers.values():
+        worker.start()
+    yield from gather(workers, reports)
+
+
+def divide(cases: Sequence[Scenario], processes: int) -> list[list[Scenario]]:
+    """Divide cases by system, the largest portion first, into no less portions than processes."""
+    systems = sorted({case.system for case in cases})
+    parts = -(-processes // max(len(systems), 1))
+    whole = [[case for case in cases if case.system == system] for system in systems]
+    portions = [own[part::parts] for own in whole for part in range(parts)]
+    return sorted((p for p in portions if p), key=len, reverse=True)
+
+
+def work(number: int, portions: Any, reports: Any, deadline: float) -> None:
+    """Run portion after portion, until an empty one."""
+    while portion := portions.get():
+        for case in portion:
+            if time.time() > deadline:
+                return
+            reports.put(Report(number, case))
+            reports.put(Report(number, case, run_case(case)))
+
+
+def gather(workers: dict[int, BaseProcess], reports: Any) -> Iterator[Score]:
+    """Give the scores that arrive until all processes have ended."""
+    busy: dict[int, Scenario] = {}
+    ended = False
+    while not ended:
+        # Looked at before the queue, or the last report might come in between.
+        ended = not any(worker.is_alive() for worker in workers.values())
+        while not reports.empty():
+            report = reports.get()
+            if report.score is None:
+                busy[report.process] = report.case
+            else:
+                busy.pop(report.process, None)
+                yield report.score
+        time.sleep(0.0 if ended else 0.1)
+    for number, case in busy.items():
+        yield blank(make(case), f"the process died with exit code {workers[number].exitcode}")
+
+
+def run_case(case: Scenario) -> Score:
+    """Close the loop on a case and score it."""
+    data = make(case)
+    try:
+        problem = make_problem(data)
+        result = close_loop(problem)
+        return score(data, result, ask(data, problem))
+    except Exception:  # one bad case must not end the others, and its traceback is kept
+        return blank(data, traceback.format_exc())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""Compare what a method has named with what is truly missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from closed_loop_benchmark.effect import Name
+
+BENCHMARK_NAMES = {"clip_above": "saturation", "signed_root": "leak"}
+"""Forms of the library that the benchmark calls otherwise; a gap at a single rate is one more."""
+
+
+@dataclass(frozen=True)
+class Match:
+    """How well a true effect has been named.
+
+    Attributes
+    ----------
+    exact, alias
+        By its canonical name; by that or by another name of the same model.
+    form_and_site
+        By its canonical name, whatever the variable.
+    tied, plausible
+        Whether a right name is among what cannot be told apart from what was named: by 2 units of
+        the information criterion, or by 10.
+    site, any_site
+        Whether something was named at its site; at the site of any of its names.
+    """
+
+    exact: bool
+    alias: bool
+    form_and_site: bool
+    tied: bool
+    plausible: bool
+    site: bool
+    any_site: bool
+
+
+def normal(form: str, site: str, variables: Sequence[str] = ()) -> Name:
+    """Write a name in one way: variables sorted, and left out where they are the site's own.
+
+    Parameters
+    ----------
+    form, site, variables
+        Of an effect of the library, or of the benchmark. A difference is "a-b" or "a - b".
+
+    Returns
+    -------
+    Name
+        Equal for the same effect.
+    """
+    place, _, targets = site.partition(" ")
+    if place == "pair":
+        site = f"pair {','.join(sorted(t.strip() for t in targets.split(',')))}"
+    elif form == "gap" and site.startswith("der("):
+        form = "end_stop"
+    parts = [_difference(v) for variable in variables for v in variable.split("*") if v]
+    own = site[4:-1] if site.startswith("der(") else targets
+    if parts == [own]:
+        parts = []
+    return Name(BENCHMARK_NAMES.get(form, form), site, "*".join(sorted(parts)))
+
+
+def compare(
+    accepted: Iterable[Name], named: Sequence[Name], alternatives: Sequence[tuple[Name, float]]
+) -> Match:
+    """Compare a true effect with everything that was named.
+
+    Parameters
+    ----------
+    accepted
+        Its canonical name, then its aliases.
+    named
+        Normal names of what was added.
+    alternatives
+        Normal names of what cannot be told apart from it, and by how much they are worse.
+
+    Returns
+    -------
+    Match
+        What is right about the names.
+    """
+    right = [normal(n.form, n.site, (n.variable,)) for n in accepted]
+    first, everything = right[0], set(right)
+    tied = {*named, *(name for name, worse in alternatives if worse <= 2.0)}
+    plausible = {*tied, *(name for name, worse in alternatives if worse <= 10.0)}
+    return Match(
+        exact=first in named,
+        alias=bool(everything & set(named)),
+        form_and_site=(first.form, first.site) in {(n.form, n.site) for n in named},
+        tied=bool(everything & tied),
+        plausible=bool(everything & plausible),
+        site=first.site in {n.site for n in named},
+        any_site=bool({n.site for n in right} & {n.site for n in named}),
+    )
+
+
+def _difference(variable: str) -> str:
+    return "-".join(sorted(part.strip() for part in variable.split("-")))

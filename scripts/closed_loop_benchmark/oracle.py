@@ -1,0 +1,237 @@
+"""The true structure in the library's forms, refitted: what a perfect method would reach.
+
+The true numbers only serve as starts. An effect whose form the library lacks, or that needs a
+variable that the FMU keeps to itself, has no oracle; its likelihood ratio is then that of the truth
+itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from closed_loop_benchmark.data import Data
+from closed_loop_benchmark.effect import Effect
+from closed_loop_benchmark.problem import start_label
+from closed_loop_benchmark.refit import Refit, refit
+from cluster_est import ClusterEstError, Parameter, Problem
+from cluster_est.problem import coefficient_names
+from workers.effects.definition import coefficients
+from workers.errors import EffectError
+from workers.messages import Effect as AddedEffect
+
+Numbers = tuple[float, ...]
+Translation = Callable[[Numbers], dict[str, float]]
+
+LIBRARY_NAMES = {
+    ("der", "end_stop"): "gap",
+    ("der", "leak"): "signed_root",
+    ("output", "saturation"): "clip_above",
+}
+"""Where the library calls a form otherwise than the benchmark."""
+
+SCALES = {"limit", "tau", "width", "vs", "x0", "f"}
+"""Coefficients that are positive and of unknown magnitude."""
+
+PLAYS = {"dead_zone", "backlash"}
+"""Forms whose strength is a width, so positive too."""
+
+
+def _same(a: Numbers) -> dict[str, float]:
+    return {"k": a[0]}
+
+
+def _taken(a: Numbers) -> dict[str, float]:
+    """Return a strength that the library subtracts."""
+    return {"k": -a[0]}
+
+
+def _wave(a: Numbers) -> dict[str, float]:
+    """Return the two parts of a sine with a phase, and its angular frequency."""
+    return {
+        "a": a[0] * math.cos(a[2]),
+        "b": a[0] * math.sin(a[2]),
+        "f": 2.0 * math.pi * a[1],
+    }
+
+
+RATE: dict[str, Translation] = {
+    **dict.fromkeys(("constant", "drift", "linear", "square", "product"), _same),
+    **dict.fromkeys(("viscous", "quadratic", "cubic", "square_root", "leak"), _taken),
+    "sine": _wave,
+    "coulomb": lambda a: {"k": -a[0], "width": a[1]},
+    "stribeck": lambda a: {"k": -a[0], "peak": -a[0] * a[3], "vs": a[2], "width": a[1]},
+    "dahl": lambda a: {"k": -a[0], "x0": a[1]},
+    "end_stop": lambda a: {"k": -a[0], "at": a[1]},
+    "hinge": lambda a: {"k": a[0], "at": a[1]},
+    "lagged": lambda a: {"k": a[0], "tau": a[1]},
+}
+
+PAIR: dict[str, Translation] = {
+    **dict.fromkeys(("linear", "quadratic", "cubic", "leak"), _taken),
+    **dict.fromkeys(("gap", "joint"), lambda a: {"k": -a[0], "at": a[1]}),
+    "coulomb": lambda a: {"k": -a[0], "width": a[1]},
+}
+
+INPUT: dict[str, Translation] = {
+    **dict.fromkeys(
+        ("bias", "gain", "drift", "square", "cubic", "asymmetry", "product", *PLAYS), _same
+    ),
+    "saturation": lambda a: {"limit": a[0]},
+    **dict.fromkeys(("lag", "delay"), lambda a: {"tau": a[0]}),
+}
+
+OUTPUT: dict[str, Translation] = {
+    **dict.fromkeys(("bias", "gain", "drift", "square", "absolute", "feed_through"), _same),
+    "saturation": lambda a: {"limit": a[0]},
+    **dict.fromkeys(("lag", "delay"), lambda a: {"tau": a[0]}),
+    "lagged_feed_through": lambda a: {"k": a[0], "tau": a[1]},
+    "hysteresis": lambda a: {"k": a[0], "x0": a[1]},
+    "hum": _wave,
+}
+
+PARAMETER: dict[str, Translation] = {
+    **dict.fromkeys(("drift", "linear", "magnitude", "square"), lambda a: {"k": a[0], "at": a[1]}),
+    "heating": lambda a: {"k": a[0], "at": a[2], "tau": a[1]},
+}
+
+TRANSLATIONS = {"der": RATE, "pair": PAIR, "input": INPUT, "output": OUTPUT, "parameter": PARAMETER}
+
+
+@dataclass(frozen=True)
+class Oracle:
+    """What the true structure reaches.
+
+    Attributes
+    ----------
+    fit
+        Of the true structure; None where the library cannot express it.
+    truth
+        The truth itself, not refitted: its residuals are the noise.
+    coefficients
+        How many of the true effects' coefficients are free in the library; the numbers of the
+        truth where there is no fit.
+    reason
+        Why there is no fit.
+    """
+
+    fit: Refit | None
+    truth: Refit
+    coefficients: int = 0
+    reason: str = ""
+
+    @property
+    def best(self) -> Refit:
+        """The fit, or where there is none the truth itself."""
+        return self.fit or self.truth
+
+
+def ask(data: Data, problem: Problem) -> Oracle:
+    """Refit the true structure of a case.
+
+    Parameters
+    ----------
+    data
+        The case, with its truth.
+    problem
+        What a method is given; the effects are added to it.
+
+    Returns
+    -------
+    Oracle
+        Without a fit for effects outside the library and for disturbances.
+    """
+    truth, effects = _noise(data), data.scenario.effects
+    if data.scenario.disturbance is not None:
+        return Oracle(None, truth, reason="a disturbance has no structure")
+    try:
+        added = [translate(effect, n) for n, effect in enumerate(effects)]
+        whole = with_effects(problem, added)
+        whole.describe()
+        free = sum(count_free(effect) for effect, _ in added)
+        return Oracle(refit(whole, true_values(data)), truth, free)
+    except (KeyError, ClusterEstError, EffectError) as error:
+        numbers = sum(len(effect.numbers) for effect in effects)
+        return Oracle(None, truth, numbers, f"{type(error).__name__}: {error}")
+
+
+def translate(effect: Effect, number: int) -> tuple[AddedEffect, dict[str, float]]:
+    """Write an effect in the library's form.
+
+    Returns
+    -------
+    AddedEffect, dict of float
+        The effect, and the true value of each of its coefficients.
+
+    Raises
+    ------
+    KeyError
+        If the library has no such form.
+    """
+    values = TRANSLATIONS[effect.kind][effect.form](effect.numbers)
+    if effect.kind == "pair":
+        first, second = effect.weights
+        values |= {"k": values["k"] * first, "back": -values["k"] * second}
+    form = LIBRARY_NAMES.get((effect.kind, effect.form), effect.form)
+    variables = tuple(name for name in (effect.variable, effect.second) if name)
+    variables = tuple(name.replace("-", " - ") for name in variables)
+    return AddedEffect(f"true_{number}", effect.site, form, variables), values
+
+
+def with_effects(problem: Problem, added: list[tuple[AddedEffect, dict[str, float]]]) -> Problem:
+    """Add effects and their coefficients to a problem.
+
+    Raises
+    ------
+    KeyError
+        If an effect has other coefficients than its form in the library.
+    """
+    parameters = list(problem.parameters)
+    for effect, values in added:
+        names = coefficient_names(effect)
+        if set(names) != set(values):
+            raise KeyError(f"{effect.form} has the coefficients {names}, not {list(values)}")
+        parameters += [_coefficient(effect, name, values[name]) for name in names]
+    effects = tuple(effect for effect, _ in added)
+    return replace(problem, parameters=tuple(parameters), effects=effects)
+
+
+def count_free(effect: AddedEffect) -> int:
+    """Count the coefficients that are fitted, not held, where an effect is looked for."""
+    return sum(not c.held for c in coefficients(effect, effect.name))
+
+
+def true_values(data: Data) -> dict[str, float]:
+    """Return the true parameters and unknown initial states by label."""
+    starts = {
+        start_label(state, number, run): run.true_starts[state]
+        for number, run in enumerate(data.experiments)
+        for state in data.system.unknown_starts
+    }
+    return {**data.true_parameters, **starts}
+
+
+def _coefficient(effect: AddedEffect, name: str, value: float) -> Parameter:
+    label = f"{effect.name}.{name}"
+    if name in SCALES or effect.form in PLAYS:
+        return Parameter(label, value, value / 10.0, value * 10.0, "log")
+    # Where a varying parameter has its own value is a convention: it hides in the parameter.
+    convention = name == "at" and effect.site.startswith("parameter")
+    reach = 20.0 * abs(value)
+    return Parameter(label, value, value - reach, value + reach, fixed=convention)
+
+
+def _noise(data: Data) -> Refit:
+    """Return how far the data are from the truth, which nobody can know better."""
+    squares: Mapping[str, list[float]] = {"train": [], "test": []}
+    sizes = {"train": 0, "test": 0}
+    for run in data.experiments:
+        residuals = (run.outputs - run.true_outputs) / data.sigma
+        squares[run.role].append(float(np.sum(residuals**2)))
+        sizes[run.role] += residuals.size
+    sums = {role: sum(found) for role, found in squares.items()}
+    train, test = (float(np.sqrt(sums[role] / sizes[role])) for role in ("train", "test"))
+    return Refit(sums["train"], train, test, {})

@@ -1,0 +1,231 @@
+"""Score what a closed loop says of a case against the truth: one record for each case."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from closed_loop_benchmark.data import Data
+from closed_loop_benchmark.effect import Name
+from closed_loop_benchmark.naming import compare, normal
+from closed_loop_benchmark.oracle import Oracle, count_free
+from closed_loop_benchmark.problem import run_name
+from closed_loop_benchmark.refit import refit
+from cluster_est import Problem
+from cluster_est.closed_loop.result import LoopResult, NamedEffect, Verdict
+from cluster_est.result import Result
+
+SAME_MODEL = 0.1
+"""Two structures are the same model on the data if their outputs differ by less, in sigmas."""
+
+REMARKABLE = (Verdict.FOUND, Verdict.PARTIAL, Verdict.UNEXPLAINED)
+
+
+@dataclass(frozen=True)
+class Score:
+    """One case, scored. NaN where there is nothing to say; a list has an entry a true effect.
+
+    Attributes
+    ----------
+    name, system, kind, split, size, correlation
+        The case; `correlation` is that of its noise.
+    true, named
+        Names, in words; each true effect by its canonical one.
+    verdict, detected
+        What was said, and whether that something is missing.
+    exact, alias, form_and_site, tied, plausible, site, any_site
+        See `closed_loop_benchmark.naming.Match`.
+    numerical
+        Whether the structure as a whole is the same model on the data, whatever it is called: it
+        has no more effects than the truth, and refitted to the outputs without noise it misses
+        them by less than `SAME_MODEL`.
+    distance, distance_without
+        By how much it misses them, and by how much the declared model does: rms over the training
+        runs, in sigmas. Where the effect is weak, the second is hardly over `SAME_MODEL` itself.
+    coefficients, true_coefficients
+        Free coefficients of what was named, and of the true structure: with more of them one form
+        can hold another as a special case.
+    superfluous
+        Effects beyond one for each true one.
+    likelihood_ratio
+        Sum of squares of the declared model minus that of the true structure refitted.
+    has_oracle
+        Whether the library can express the true structure; else the likelihood ratio and `oracle`
+        are those of the truth itself.
+    before, after, oracle, floor
+        Held-out error of the declared model, of the one that was found, of the true structure
+        refitted and of the truth: rms in sigmas.
+    train_before, train_after
+        The same on the training runs, of the first two.
+    parameters_before, parameters_after
+        Root mean square of the logarithmic error of the declared parameters.
+    simulations, seconds, failures
+        What it took.
+    error
+        The traceback of what went wrong, "" if nothing did.
+    """
+
+    name: str
+    system: str
+    kind: str
+    split: str
+    size: float
+    correlation: float
+    true: list[str]
+    named: list[str] | None = None
+    verdict: str = ""
+    detected: bool = False
+    exact: list[bool] | None = None
+    alias: list[bool] | None = None
+    form_and_site: list[bool] | None = None
+    tied: list[bool] | None = None
+    plausible: list[bool] | None = None
+    site: list[bool] | None = None
+    any_site: list[bool] | None = None
+    numerical: bool = False
+    distance: float = np.nan
+    distance_without: float = np.nan
+    coefficients: int = 0
+    true_coefficients: int = 0
+    superfluous: int = 0
+    likelihood_ratio: float = np.nan
+    has_oracle: bool = False
+    before: float = np.nan
+    after: float = np.nan
+    oracle: float = np.nan
+    floor: float = np.nan
+    train_before: float = np.nan
+    train_after: float = np.nan
+    parameters_before: float = np.nan
+    parameters_after: float = np.nan
+    simulations: float = np.nan
+    seconds: float = np.nan
+    failures: int = 0
+    error: str = ""
+
+    def to_json(self) -> str:
+        """Write it on one line."""
+        return json.dumps(asdict(self))
+
+    @staticmethod
+    def from_json(line: str) -> Score:
+        """Read what `to_json` wrote."""
+        return Score(**json.loads(line))
+
+
+def blank(data: Data, error: str = "") -> Score:
+    """Return the record of a case about which nothing is known."""
+    case = data.scenario
+    return Score(
+        name=case.name,
+        system=case.system,
+        kind=case.kind,
+        split=case.split,
+        size=case.size,
+        correlation=case.noise.correlation,
+        true=[in_words(normal(n[0].form, n[0].site, (n[0].variable,))) for n in case.accepted],
+        error=error,
+    )
+
+
+def score(data: Data, result: LoopResult, oracle: Oracle) -> Score:
+    """Compare a result with the truth.
+
+    Parameters
+    ----------
+    data
+        The case.
+    result
+        What the method said.
+    oracle
+        What the true structure reaches.
+
+    Returns
+    -------
+    Score
+        Everything that the tables need.
+    """
+    accepted = data.scenario.accepted
+    named = [normal(e.form, e.site, e.variables) for e in result.effects]
+    others = list(_alternatives(result.effects))
+    matches = [compare(names, named, others) for names in accepted]
+    inside = data.scenario.kind != "outside"
+    marks: dict[str, Any] = {
+        field: [bool(getattr(match, field)) and inside for match in matches]
+        for field in ("exact", "alias", "form_and_site", "tied", "plausible", "site", "any_site")
+    }
+    comparable = bool(named) and len(named) <= len(accepted)
+    distance = missed(data, result.after) if comparable else np.nan
+    without = missed(data, result.before) if comparable else np.nan
+    return replace(
+        blank(data),
+        named=[in_words(name) for name in named],
+        verdict=str(result.verdict),
+        detected=bool(named) or result.verdict in REMARKABLE,
+        **marks,
+        numerical=bool(distance < SAME_MODEL),
+        distance=distance,
+        distance_without=without,
+        coefficients=sum(count_free(e.effect) for e in result.effects),
+        true_coefficients=oracle.coefficients,
+        superfluous=max(len(named) - len(accepted), 0),
+        likelihood_ratio=_sum_of_squares(result) - oracle.best.sse,
+        has_oracle=oracle.fit is not None,
+        before=result.rms("test", "before"),
+        after=result.rms("test", "after"),
+        oracle=oracle.best.test,
+        floor=oracle.truth.test,
+        train_before=result.rms("train", "before"),
+        train_after=result.rms("train", "after"),
+        parameters_before=_parameter_error(data, result.before.x),
+        parameters_after=_parameter_error(data, result.after.x),
+        simulations=float(result.simulations),
+        seconds=float(result.seconds),
+        failures=result.failures,
+    )
+
+
+def missed(data: Data, fitted: Result) -> float:
+    """Refit a structure to the true outputs, and return by how much it misses them."""
+    return refit(_without_noise(data, fitted.problem), fitted.x, held_out=False).train
+
+
+def in_words(name: Name) -> str:
+    """Write a name for a table."""
+    return (
+        f"{name.form}({name.variable}) at {name.site}"
+        if name.variable
+        else (f"{name.form} at {name.site}")
+    )
+
+
+def _without_noise(data: Data, problem: Problem) -> Problem:
+    """Put the true outputs in the place of the measured ones."""
+    true = {run_name(n, run): run.true_outputs for n, run in enumerate(data.experiments)}
+    clean = []
+    for run in problem.experiments:
+        columns = zip(run.outputs, true[run.id].T, strict=True)
+        outputs = tuple(replace(o, values=np.ascontiguousarray(c)) for o, c in columns)
+        clean.append(replace(run, outputs=outputs))
+    return replace(problem, experiments=tuple(clean))
+
+
+def _alternatives(effects: Sequence[NamedEffect]) -> Iterable[tuple[Name, float]]:
+    for effect in effects:
+        for other in effect.alternatives:
+            yield normal(other.form, other.site, other.variables), other.criterion
+
+
+def _sum_of_squares(result: LoopResult) -> float:
+    """Return that of the declared model, on the training runs."""
+    rows = [e for e in result.errors if e.role == "train"]
+    return float(sum(e.samples * e.normalised_before**2 for e in rows))
+
+
+def _parameter_error(data: Data, found: dict[str, float]) -> float:
+    logs = [np.log(found[name] / true) for name, true in data.true_parameters.items()]
+    return float(np.sqrt(np.mean(np.square(logs))))

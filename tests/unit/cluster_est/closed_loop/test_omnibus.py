@@ -1,0 +1,79 @@
+"""The omnibus test sees any smooth structure, and only that."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+from stacked_noise import stack
+
+from cluster_est.closed_loop import omnibus as module
+from cluster_est.closed_loop.omnibus import omnibus
+from cluster_est.closed_loop.projection import Projection
+from cluster_est.closed_loop.records import Records
+
+RECORDS = stack(150, 100, 3, 1)
+TREND = np.concatenate([item.times for item in RECORDS.items])
+SENSITIVITIES = np.column_stack([np.ones(RECORDS.size), TREND])
+
+
+def test_p_is_uniform_under_the_null() -> None:
+    generator = np.random.default_rng(20)
+    projection = Projection(SENSITIVITIES)
+    p = np.array(
+        [
+            omnibus(projection, generator.standard_normal(RECORDS.size), RECORDS, generator, 200).p
+            for _ in range(200)
+        ]
+    )
+    assert kstest(p, "uniform").pvalue > 0.01
+    assert 0.02 <= float((p < 0.05).mean()) <= 0.09
+
+
+@pytest.mark.parametrize("width", [2.0, 8.0, 30.0])
+def test_a_smooth_bump_is_seen_whatever_its_width(width: float) -> None:
+    generator = np.random.default_rng(21)
+    bump = np.zeros(RECORDS.size)
+    bump[:150] = np.exp(-0.5 * ((np.arange(150) - 70.0) / width) ** 2)
+    residuals = 9.0 * bump / np.linalg.norm(bump) + generator.standard_normal(RECORDS.size)
+    found = omnibus(Projection(SENSITIVITIES), residuals, RECORDS, generator)
+    assert found.p == 1.0 / 401.0
+    assert found.z > 4.0
+
+
+def test_what_the_parameters_explain_is_no_structure() -> None:
+    noise = np.random.default_rng(22).standard_normal(RECORDS.size)
+    projection = Projection(SENSITIVITIES)
+    shifted = noise + SENSITIVITIES @ np.array([50.0, -80.0])
+    alone = omnibus(projection, noise, RECORDS, np.random.default_rng(0))
+    both = omnibus(projection, -1e6 * shifted, RECORDS, np.random.default_rng(0))
+    assert both.z == pytest.approx(alone.z, rel=1e-6)
+    assert both.p == alone.p
+    assert omnibus(projection, np.zeros(RECORDS.size), RECORDS, np.random.default_rng(0)).p == 1.0
+    exact = omnibus(projection, SENSITIVITIES @ np.ones(2), RECORDS, np.random.default_rng(0))
+    assert exact.p == 1.0
+
+
+def test_draws_in_chunks_are_the_same_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    noise = np.random.default_rng(23).standard_normal(RECORDS.size)
+    projection = Projection(SENSITIVITIES)
+    whole = omnibus(projection, noise, RECORDS, np.random.default_rng(0))
+    monkeypatch.setattr(module, "NUMBERS_AT_ONCE", 7 * RECORDS.size)
+    chunked = omnibus(projection, noise, RECORDS, np.random.default_rng(0))
+    assert chunked.z == pytest.approx(whole.z, rel=1e-9)
+    assert chunked.p == whole.p
+
+
+@pytest.mark.parametrize("records", [stack(40, 0, 25), stack(2), stack(13, 1, outputs=2)])
+def test_the_quadratic_form_is_that_of_the_kernel(records: Records) -> None:
+    signal = np.random.default_rng(24).standard_normal(records.size)
+    lengths = (2, 6)
+    expected = np.zeros(2)
+    for item in records.items:
+        r = signal[item.rows]
+        distance = np.abs(np.subtract.outer(np.arange(len(r)), np.arange(len(r))))
+        for k, length in enumerate(lengths):
+            kernel = np.exp(-0.5 * (distance / length) ** 2) * (distance <= 4 * length)
+            expected[k] += r @ kernel @ r
+    found = module._smoothness(signal[None], records, lengths)[0]
+    np.testing.assert_allclose(found, expected / (signal @ signal), rtol=1e-10)

@@ -1,0 +1,220 @@
+"""Score tests and their family-wise p-value keep the promises of theory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import erfcx, gamma
+from scipy.stats import beta, chi2, kstest
+
+from cluster_est.closed_loop.projection import Projection
+from cluster_est.closed_loop.score import Scores, family_wise, log_survival, score
+from workers.messages import FloatArray
+
+N = 300
+PARAMETERS = 5
+
+
+def sensitivities(generator: np.random.Generator) -> FloatArray:
+    return generator.standard_normal((N, PARAMETERS)).cumsum(axis=0)
+
+
+def smooth_candidates(generator: np.random.Generator, count: int) -> list[FloatArray]:
+    """Random walks, of which every third has two columns; neighbours are strongly correlated."""
+    walks = generator.standard_normal((N, count + 1)).cumsum(axis=0)
+    walks[:, 1:] += 2.0 * walks[:, :-1]
+    return [walks[:, k : k + 1 + (k % 3 == 0)] for k in range(count)]
+
+
+def test_statistics_of_noise_are_chi_squared() -> None:
+    generator = np.random.default_rng(10)
+    projection = Projection(sensitivities(generator))
+    columns = [generator.standard_normal((N, d)) for d in (1, 3)]
+    drawn = [score(projection, generator.standard_normal(N), columns) for _ in range(400)]
+    statistics = np.array([scores.statistics for scores in drawn])
+    for k, df in enumerate((1, 3)):
+        assert kstest(statistics[:, k], chi2(df).cdf).pvalue > 0.01
+        # R2 of a normal residual has a beta distribution, exactly
+        explained = np.array([scores.explained[k] for scores in drawn])
+        exact = beta(df / 2.0, (N - PARAMETERS - df) / 2.0)
+        assert kstest(explained, exact.cdf).pvalue > 0.01
+
+
+def test_explained_is_what_a_joint_linear_fit_gains() -> None:
+    generator = np.random.default_rng(11)
+    matrix = sensitivities(generator)
+    residuals = generator.standard_normal(N).cumsum()
+    columns = smooth_candidates(generator, 7)
+    scores = score(Projection(matrix), residuals, columns)
+
+    def squares(regressors: FloatArray) -> float:
+        fit = np.linalg.lstsq(regressors, residuals, rcond=None)[0]
+        return float(((residuals - regressors @ fit) ** 2).sum())
+
+    before = squares(matrix)
+    for k, column in enumerate(columns):
+        gain = 1.0 - squares(np.column_stack([matrix, column])) / before
+        assert scores.explained[k] == pytest.approx(gain, rel=1e-8)
+    assert scores.df.tolist() == [column.shape[1] for column in columns]
+    assert scores.variance == pytest.approx(before / (N - PARAMETERS))
+
+
+def test_bases_are_orthonormal_and_free_of_the_parameters() -> None:
+    generator = np.random.default_rng(12)
+    projection = Projection(sensitivities(generator))
+    scores = score(projection, generator.standard_normal(N), smooth_candidates(generator, 9))
+    np.testing.assert_allclose(projection.basis.T @ scores.bases, 0.0, atol=1e-10)
+    for start, stop in zip(scores.offsets, scores.offsets[1:], strict=False):
+        basis = scores.bases[:, start:stop]
+        np.testing.assert_allclose(basis.T @ basis, np.eye(stop - start), atol=1e-10)
+    owners = np.repeat(np.arange(9), scores.df)
+    squares = np.bincount(owners, scores.coordinates**2)
+    np.testing.assert_allclose(squares, scores.statistics)
+
+
+def assert_same(left: Scores, right: Scores) -> None:
+    for name in ("statistics", "ratio", "log_p", "explained"):
+        np.testing.assert_allclose(getattr(left, name), getattr(right, name), rtol=1e-7)
+    assert left.df.tolist() == right.df.tolist()
+
+
+def test_scales_and_order_do_not_matter() -> None:
+    generator = np.random.default_rng(13)
+    projection = Projection(sensitivities(generator))
+    residuals = generator.standard_normal(N).cumsum()
+    columns = smooth_candidates(generator, 12)
+    scores = score(projection, residuals, columns)
+    assert_same(scores, score(projection, -1e7 * residuals, columns))
+    assert_same(scores, score(projection, residuals, [1e-9 * column for column in columns]))
+    order = generator.permutation(12)
+    moved = score(projection, residuals, [columns[k] for k in order])
+    back = np.argsort(order)
+    np.testing.assert_allclose(moved.statistics[back], scores.statistics, rtol=1e-7)
+    # more candidates leave each one's own test as it is
+    np.testing.assert_allclose(
+        score(projection, residuals, columns[:4]).log_p, scores.log_p[:4], rtol=1e-7
+    )
+
+
+def test_what_parameters_imitate_is_set_aside() -> None:
+    generator = np.random.default_rng(14)
+    matrix = sensitivities(generator)
+    projection = Projection(matrix)
+    imitated = matrix @ np.ones((PARAMETERS, 1))
+    other = projection.remove(generator.standard_normal((N, 1)))
+    other *= np.linalg.norm(imitated) / np.linalg.norm(other)
+    # hardly outside the parameters, and orthogonal to `other`
+    third = Projection(np.hstack([matrix, other])).remove(generator.standard_normal((N, 1)))
+    hidden = imitated + 0.001 * np.linalg.norm(imitated) / np.linalg.norm(third) * third
+    columns = [
+        imitated,
+        imitated + 0.003 * other,
+        imitated + 0.01 * other,
+        np.zeros((N, 1)),
+        np.hstack([imitated, other]),
+        np.hstack([other, 2.0 * other, np.zeros((N, 1))]),
+        np.hstack([imitated, imitated]),
+        np.hstack([hidden + other, hidden - other]),
+    ]
+    scores = score(projection, generator.standard_normal(N), columns)
+    assert scores.df.tolist() == [0, 0, 1, 0, 1, 1, 0, 1]
+    assert scores.p_values[[0, 1, 3, 6]].tolist() == [1.0] * 4
+    assert scores.ratio[1:3] == pytest.approx([0.003, 0.01], rel=1e-3)
+    np.testing.assert_allclose(scores.statistics[[4, 5, 7]], scores.statistics[2], rtol=1e-6)
+
+
+def test_a_planted_effect_is_found() -> None:
+    generator = np.random.default_rng(15)
+    matrix = sensitivities(generator)
+    projection = Projection(matrix)
+    columns = smooth_candidates(generator, 60)
+    effect = projection.remove(columns[17][:, 0])
+    # strength: 8 standard deviations of the estimated coefficient; the parameters are off too
+    planted = 8.0 * columns[17][:, 0] / np.linalg.norm(effect) + matrix @ np.full(PARAMETERS, 3.0)
+    residuals = planted + generator.standard_normal(N)
+    scores = score(projection, residuals, columns)
+    assert int(np.argmin(scores.log_p)) == 17
+    assert scores.statistics[17] == pytest.approx(64.0, abs=30.0)
+    assert family_wise(scores, np.random.default_rng(0), 500).p < 1e-4
+
+
+def test_strong_evidence_is_still_ranked() -> None:
+    statistics = np.array([1e5, 1e5, 1e5, 2e5])
+    logs = log_survival(statistics, np.array([1, 2, 7, 7]))
+    assert np.isfinite(logs).all()
+    assert logs[0] < logs[1] < logs[2]
+    assert logs[3] < logs[2]
+    assert logs[1] == -5e4
+
+
+@pytest.mark.parametrize("df", [1, 2, 3, 8, 25])
+def test_log_survival_agrees_with_scipy_and_with_the_finite_sum(df: int) -> None:
+    near = np.linspace(0.0, 900.0, 50)
+    expected = np.log(chi2.sf(near, df))
+    np.testing.assert_allclose(log_survival(near, np.array(df)), expected, rtol=1e-10, atol=1e-14)
+    # Q(a + 1, x) = Q(a, x) + x^a e^-x / Gamma(a + 1), from Q(1/2, x) = erfc(sqrt(x)) or Q(0, x) = 0
+    far = np.array([1000.0, 1300.0, 1500.0, 4000.0, 1e6])
+    half = far / 2.0
+    first = df % 2 / 2.0
+    scaled = erfcx(np.sqrt(half)) if df % 2 else np.zeros(5)
+    for a in np.arange(first, df / 2.0):
+        scaled = scaled + half**a / gamma(a + 1.0)
+    np.testing.assert_allclose(
+        log_survival(far, np.array(df)), np.log(scaled) - half, rtol=0.0, atol=1e-9
+    )
+
+
+def test_family_wise_p_is_uniform_under_the_null() -> None:
+    generator = np.random.default_rng(16)
+    projection = Projection(sensitivities(generator))
+    columns = smooth_candidates(generator, 60)
+    p = np.array(
+        [
+            family_wise(score(projection, generator.standard_normal(N), columns), generator, 400).p
+            for _ in range(200)
+        ]
+    )
+    assert kstest(p, "uniform").pvalue > 0.01
+    assert 0.02 <= float((p < 0.05).mean()) <= 0.09
+
+
+def test_effective_number_of_candidates() -> None:
+    generator = np.random.default_rng(17)
+    projection = Projection(np.zeros((2000, 0)))
+    residuals = generator.standard_normal(2000)
+    basis = np.linalg.qr(generator.standard_normal((2000, 20)))[0]
+    different = [basis[:, k : k + 1] for k in range(20)]
+    equal = [basis[:, :1]] * 20
+    independent = family_wise(score(projection, residuals, different), generator, 20000)
+    assert independent.effective == pytest.approx(20.0, rel=0.25)
+    same = score(projection, residuals, equal)
+    alone = family_wise(same, generator, 20000)
+    assert alone.effective == pytest.approx(1.0, rel=0.25)
+    # one candidate's own p-value, up to the error of the draws
+    assert alone.p == pytest.approx(float(same.p_values[0]), abs=0.02)
+
+
+def test_few_degrees_of_freedom_are_exact() -> None:
+    # the candidates span all that the projection leaves: T is at most the degrees of freedom
+    generator = np.random.default_rng(18)
+    projection = Projection(generator.standard_normal((8, 3)))
+    columns = [generator.standard_normal((8, 1)) for _ in range(6)]
+    p = [
+        family_wise(score(projection, generator.standard_normal(8), columns), generator, 300).p
+        for _ in range(200)
+    ]
+    assert kstest(p, "uniform").pvalue > 0.01
+
+
+def test_nothing_to_test() -> None:
+    generator = np.random.default_rng(19)
+    matrix = sensitivities(generator)
+    projection = Projection(matrix)
+    residuals = generator.standard_normal(N)
+    assert family_wise(score(projection, residuals, []), generator).p == 1.0
+    assert family_wise(score(projection, residuals, [matrix[:, :1]]), generator).p == 1.0
+    columns = smooth_candidates(generator, 3)
+    for vanished in (np.zeros(N), matrix @ np.ones(PARAMETERS)):
+        scores = score(projection, vanished, columns)
+        assert scores.statistics.tolist() == [0.0] * 3
+        assert family_wise(scores, generator).p == 1.0
