@@ -8,11 +8,12 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.config import Config, ExperimentSection
 from cluster_est.costs import COSTS
 from cluster_est.data import Table, read_table
 from cluster_est.effects import build_effects
-from cluster_est.errors import ConfigError, ModelError
+from cluster_est.errors import ConfigError, EffectError, ModelError
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.problem import Parameter, Problem
 from cluster_est.reading import Reader, find_file
@@ -20,6 +21,7 @@ from cluster_est.resources import Resources
 from cluster_est.runner import Budget
 from cluster_est.sentences import shown
 from workers.description import Description, describe, nearest
+from workers.effects.site import parse_site
 from workers.messages import (
     Experiment,
     Interface,
@@ -102,6 +104,26 @@ def build_method(config: Config) -> Method:
             raise ConfigError(f"{where}: {name} has no such option{nearest(key, fields)}")
         _check_option(where, value, hints[key], fields[key].metadata.get("least"))
     return kind(**config.method.options)
+
+
+def build_settings(config: Config) -> LoopSettings:
+    """Thresholds and sizes of a closed loop.
+
+    Raises
+    ------
+    ConfigError
+        If a site cannot be read.
+    """
+    section = config.closed_loop
+    try:
+        sites = [str(parse_site(text, "closed_loop.sites")) for text in section.sites]
+    except EffectError as error:
+        raise ConfigError(str(error)) from None
+    return LoopSettings(
+        forms=tuple(section.effects),
+        sites=tuple(sites),
+        **section.model_dump(exclude={"effects", "sites", "seed"}),
+    )
 
 
 def build_resources(config: Config) -> Resources:

@@ -1,4 +1,4 @@
-"""The command line: check, fit, show, simulate.
+"""The command line: check, fit, close-loop, show, simulate.
 
 Exit codes: 0 done; 1 ran, but did not reach a solution; 2 bad input, with a sentence; 130
 interrupted.
@@ -59,9 +59,14 @@ def _parser() -> argparse.ArgumentParser:
     check.set_defaults(run=_check)
 
     fit = _command(commands, "fit", "estimate the parameters")
-    fit.add_argument("--out", type=Path, required=True, help="folder to write the run to")
-    fit.add_argument("--overwrite", action="store_true", help="replace the run in that folder")
     fit.set_defaults(run=_fit)
+    loop = _command(commands, "close-loop", "find what the model lacks, add it and fit again")
+    loop.set_defaults(run=_close_loop)
+    for command in (fit, loop):
+        command.add_argument("--out", type=Path, required=True, help="folder to write the run to")
+        command.add_argument(
+            "--overwrite", action="store_true", help="replace the run in that folder"
+        )
 
     simulate = _command(commands, "simulate", "simulate every experiment at the start values")
     simulate.add_argument(
@@ -97,6 +102,12 @@ def _fit(options: argparse.Namespace) -> int:
     from cluster_est.commands import fit
 
     return fit(options.config, options.overrides, options.out, overwrite=options.overwrite)
+
+
+def _close_loop(options: argparse.Namespace) -> int:
+    from cluster_est.commands import close_loop
+
+    return close_loop(options.config, options.overrides, options.out, overwrite=options.overwrite)
 
 
 def _simulate(options: argparse.Namespace) -> int:

@@ -13,23 +13,22 @@ import pyarrow.feather
 import pyarrow.parquet
 from rich.console import Console
 
-from cluster_est.build import build_method, build_problem, build_resources
+from cluster_est.build import build_method, build_problem, build_resources, build_settings
 from cluster_est.config import Config, read_config
-from cluster_est.errors import RunFolderError
+from cluster_est.curves import residual_table, trajectory_table
+from cluster_est.errors import BudgetError, ProblemError, RunFolderError
 from cluster_est.fit import check_method
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
-from cluster_est.printing import print_check, print_run, read_run_table
+from cluster_est.loop_printing import print_any_run
+from cluster_est.printing import print_check, print_run, read_run_table, say
 from cluster_est.problem import Problem
 from cluster_est.progress import ProgressLine
 from cluster_est.resources import Resources
-from cluster_est.result import Result
 from cluster_est.run_folder import (
     RunFolder,
     check_free,
     hash_config,
-    residual_table,
-    trajectory_table,
 )
 from cluster_est.runner import Origin, Snapshot
 from cluster_est.space import make_space
@@ -37,6 +36,21 @@ from cluster_est.toml import to_toml
 from workers.messages import Outcome
 
 DONE, NO_SOLUTION, INTERRUPTED = 0, 1, 130
+
+STEPS = {
+    "weights": "weighting the outputs",
+    "base": "fitting the declared model",
+    "leave one out": "predicting experiments that were left out",
+    "course": "screening the candidates",
+    "trial": "trying candidates",
+    "candidate": "refitting candidates",
+    "enlarged": "simulating with larger inputs",
+    "return": "fitting the declared model again",
+    "swap": "revising the effects",
+    "drop": "revising the effects",
+    "final": "the final fits",
+}
+"""What the searches of a closed loop do, by their names in the log."""
 
 
 def check(path: Path, overrides: list[str]) -> int:
@@ -59,7 +73,7 @@ def fit(path: Path, overrides: list[str], out: Path, *, overwrite: bool) -> int:
     check_method(method, make_space(problem, problem.indices("train")))
     make_space(problem, problem.indices("test"))
     check_free(out, overwrite=overwrite)
-    keeper = _Keeper(lambda: _open_folder(out, problem, config, overwrite=overwrite))
+    keeper = _Keeper(lambda: _open_folder(out, problem, config, "closed_loop", overwrite=overwrite))
     with ProgressLine(Console(stderr=True), resources.budget) as line, keeper:
 
         def show(snapshot: Snapshot) -> None:
@@ -67,11 +81,44 @@ def fit(path: Path, overrides: list[str], out: Path, *, overwrite: bool) -> int:
             keeper.show(snapshot)
 
         result = run_fit(problem, method, resources, config.method.seed, keeper.record, show)
-        keeper.write(result)
+        if keeper.folder is not None:
+            keeper.folder.write(result)
     print_run(Console(), out)
     if result.interrupted:
         return INTERRUPTED
     return DONE if result.success else NO_SOLUTION
+
+
+def close_loop(path: Path, overrides: list[str], out: Path, *, overwrite: bool) -> int:
+    """Find what the model lacks, write the run folder, print what was found."""
+    from cluster_est.closed_loop.loop import close_loop as run_loop  # needs SymPy, which is slow
+
+    config = read_config(path, overrides)
+    problem = build_problem(config, path.parent)
+    settings, resources = build_settings(config), build_resources(config)
+    make_space(problem, problem.indices("test"))
+    check_free(out, overwrite=overwrite)
+    keeper = _Keeper(lambda: _open_folder(out, problem, config, "method", overwrite=overwrite))
+    try:
+        with ProgressLine(Console(stderr=True), resources.budget) as line, keeper:
+
+            def show(snapshot: Snapshot) -> None:
+                line.show(snapshot)
+                keeper.show(snapshot)
+
+            seed = config.closed_loop.seed
+            result = run_loop(problem, resources, settings, seed, keeper.record, show)
+            if keeper.folder is not None:
+                keeper.folder.write_loop(result)
+    except (KeyboardInterrupt, BudgetError, ProblemError) as error:
+        if keeper.folder is None:  # nothing was simulated: the input is to blame
+            raise
+        stopped = isinstance(error, KeyboardInterrupt)
+        what = "interrupted" if stopped else str(error)
+        say(Console(stderr=True), f"cluster-est: {what}; {keeper.steps}; the log is in {out}")
+        return INTERRUPTED if stopped else NO_SOLUTION
+    print_any_run(Console(), out)
+    return DONE
 
 
 def simulate(path: Path, overrides: list[str], out: Path, run_folder: Path | None) -> int:
@@ -109,7 +156,7 @@ def simulate(path: Path, overrides: list[str], out: Path, run_folder: Path | Non
 
 def show(run_folder: Path) -> int:
     """Print the tables of a run."""
-    print_run(Console(), run_folder)
+    print_any_run(Console(), run_folder)
     return DONE
 
 
@@ -128,20 +175,25 @@ class _Keeper:
 
     def __init__(self, open_folder: Callable[[], RunFolder]) -> None:
         self._open_folder = open_folder
-        self._folder: RunFolder | None = None
+        self._searches: dict[str, None] = {}
+        self.folder: RunFolder | None = None
+
+    @property
+    def steps(self) -> str:
+        """How far it came."""
+        *done, last = dict.fromkeys(STEPS.get(name, name) for name in self._searches)
+        return f"stopped while {last}" + (f", after {', '.join(done)}" if done else "")
 
     def record(self, origin: Origin, outcome: Outcome) -> None:
-        if self._folder is None:
-            self._folder = self._open_folder()
-        self._folder.record(origin, outcome)
+        if self.folder is None:
+            self.folder = self._open_folder()
+        self._searches.pop(origin.search, None)
+        self._searches[origin.search] = None
+        self.folder.record(origin, outcome)
 
     def show(self, snapshot: Snapshot) -> None:
-        if self._folder is not None:
-            self._folder.show(snapshot)
-
-    def write(self, result: Result) -> None:
-        if self._folder is not None:
-            self._folder.write(result)
+        if self.folder is not None:
+            self.folder.show(snapshot)
 
     def __enter__(self) -> Self:
         return self
@@ -153,18 +205,23 @@ class _Keeper:
         traceback: TracebackType | None,
     ) -> None:
         """Say in the run folder how a run ended that did not end by itself."""
-        if self._folder is not None and error is not None:
-            self._folder.abandon(str(error) or type(error).__name__)
+        if self.folder is not None and error is not None:
+            stopped = isinstance(error, KeyboardInterrupt)
+            status = "interrupted" if stopped else "failed"
+            reason = status if stopped else str(error) or type(error).__name__
+            self.folder.abandon(f"{reason}; {self.steps}", status)
 
 
-def _open_folder(out: Path, problem: Problem, config: Config, *, overwrite: bool) -> RunFolder:
+def _open_folder(
+    out: Path, problem: Problem, config: Config, unused: str, *, overwrite: bool
+) -> RunFolder:
     tree = config.model_dump(mode="json", exclude_defaults=False)
     return RunFolder(
         out,
         problem,
         to_toml(config.model_dump(mode="python")),
-        hash_config(tree),
-        config.method.seed,
+        hash_config(tree, unused),
+        config.method.seed if unused == "closed_loop" else config.closed_loop.seed,
         overwrite=overwrite,
     )
 

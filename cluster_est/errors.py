@@ -9,6 +9,7 @@ All derive from one, and each text says where, what it must be, what it is and w
     |-- EffectError       an effect: unknown form, closed site, no equation
     |-- ModelError        the FMU: unreadable, not for this platform, lacks a variable
     |-- RunFolderError    a run folder that cannot be written or read
+    |-- BudgetError       the budget was used up before there was a result
     `-- ExecutorError     no workers to be had
 
 A simulation that fails is none of these: it is an `Outcome` with a status and a message.
@@ -19,6 +20,7 @@ from __future__ import annotations
 from workers.errors import ClusterEstError, EffectError, ModelError
 
 __all__ = [
+    "BudgetError",
     "ClusterEstError",
     "ConfigError",
     "DataError",
@@ -44,6 +46,10 @@ class ProblemError(ClusterEstError):
 
 class RunFolderError(ClusterEstError):
     """A run folder cannot be written or read."""
+
+
+class BudgetError(ClusterEstError):
+    """The budget was used up before there was a result."""
 
 
 class ExecutorError(ClusterEstError):

@@ -27,6 +27,7 @@ SCHEMA = pa.schema(
         ("purpose", pa.string()),
         ("experiment", pa.string()),
         ("values", pa.list_(pa.float64())),
+        ("effects", pa.list_(pa.string())),
         ("status", pa.string()),
         ("message", pa.string()),
         ("cost", pa.float64()),
@@ -116,7 +117,7 @@ class EvaluationLog:
         origins, outcomes = zip(*self._rows, strict=True)
         sums = [np.nan if o.residuals is None else float(np.add.reduce(o.residuals**2))
                 for o in outcomes]  # fmt: skip
-        names = [self._experiments[origin.experiment] for origin in origins]
+        names = [origin.installed or self._experiments[origin.experiment] for origin in origins]
         keys = [
             content_hash([self._model_key, key, repr(origin.effects), origin.values.tobytes()])
             for origin, (_, key) in zip(origins, names, strict=True)
@@ -128,6 +129,7 @@ class EvaluationLog:
             pa.array([origin.purpose for origin in origins]),
             pa.array([name for name, _ in names]),
             _lists([origin.values for origin in origins]),
+            pa.array([[effect.name for effect in origin.effects] for origin in origins]),
             pa.array([str(outcome.status) for outcome in outcomes]),
             pa.array([outcome.message for outcome in outcomes]),
             pa.array(sums, pa.float64()),

@@ -10,11 +10,12 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.least_squares import LeastSquares
 from cluster_est.problem import Problem
-from cluster_est.resources import Resources, open_executor
+from cluster_est.resources import Resources, one_blas_thread, open_executor
 from cluster_est.result import Estimate, Result, Simulation, output_errors
 from cluster_est.runner import Record, Runner, SearchRequest, Show
 from cluster_est.space import Space, make_space
 from cluster_est.uncertainty import Interval, intervals
+from workers.description import describe
 
 
 def fit(
@@ -55,7 +56,7 @@ def fit(
     train = make_space(problem, problem.indices("train"))
     check_method(method, train)
     units = {name: variable.unit for name, variable in description.variables.items()}
-    with open_executor(problem, resources) as executor:
+    with one_blas_thread(), open_executor(problem, resources) as executor:
         runner = Runner(executor, resources.budget, record, show)
         before = simulate_all(runner, problem, {})
         (solution,) = runner.run([SearchRequest("train", method, train, seed)])
@@ -90,6 +91,7 @@ def complete(
         Of the run; `begin` is a reading of the monotonic clock.
     """
     problem = train.problem
+    units = units | coefficient_units(problem)
     test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
     stopped = solution.ending is Ending.INTERRUPTED
     test_solution = None if stopped else _fit_test_records(runner, method, test, seed)
@@ -153,6 +155,26 @@ def _fit_test_records(runner: Runner, method: Method, space: Space, seed: int) -
         return None
     (solution,) = runner.run([SearchRequest("test", method, space, seed)])
     return solution
+
+
+def coefficient_units(problem: Problem) -> dict[str, str]:
+    """Units of the effects' coefficients, by "EFFECT.COEFFICIENT"; "" where the FMU names none."""
+    if not problem.effects:
+        return {}
+    from workers.effects import units  # SymPy takes long to import
+    from workers.effects.definition import define
+
+    model = problem.model
+    description = describe(model.name, model.archive)
+    signals = tuple({s.variable: None for e in problem.experiments for s in e.signals})
+    found: dict[str, str] = {}
+    for effect in problem.effects:
+        definition = define(effect, description, model.interface, signals)
+        names = [f"{effect.name}.{c.name}" for c in definition.form.coefficients]
+        texts = units.coefficient_units(definition, description)
+        pairs = zip(names, texts, strict=True)
+        found |= {name: "" if units.UNKNOWN in unit else unit for name, unit in pairs}
+    return found
 
 
 def simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> list[Simulation]:

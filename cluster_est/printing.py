@@ -11,7 +11,6 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.console import Console
-from rich.table import Table
 
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.base import Method
@@ -28,14 +27,14 @@ def print_run(console: Console, run_folder: Path) -> None:
     RunFolderError
         If there is no run.
     """
-    facts = _read_facts(run_folder)
-    _say(console, f"run {run_folder}: {facts['status']}")
+    facts = read_facts(run_folder)
+    say(console, f"run {run_folder}: {facts['status']}")
     if facts.get("message"):
-        _say(console, f"  {facts['message']}")
+        say(console, f"  {facts['message']}")
     if {"cost_before", "cost", "iterations", "evaluations", "simulations"} <= facts.keys():
-        _say(
+        say(
             console,
-            f"  cost {_number(facts['cost_before'])} -> {_number(facts['cost'])} in "
+            f"  cost {number(facts['cost_before'])} -> {number(facts['cost'])} in "
             f"{facts['iterations']} iterations, {facts['evaluations']} evaluations, "
             f"{facts['simulations']} simulations ({facts['failures']} failed), "
             f"{facts['seconds']:.1f} s",
@@ -44,7 +43,7 @@ def print_run(console: Console, run_folder: Path) -> None:
     if all(path.is_file() for path in tables):
         _print_parameters(console, read_run_table(tables[0]))
         _print_errors(console, read_run_table(tables[1]))
-        _say(console, f"tables: {run_folder}/*.parquet")
+        say(console, f"tables: {run_folder}/*.parquet")
 
 
 def read_run_table(path: Path) -> list[dict[str, Any]]:
@@ -67,13 +66,13 @@ def print_check(
 ) -> None:
     """What `check` found: model, unknowns, experiments and one simulation of each."""
     model = problem.model
-    _say(
+    say(
         console,
         f"{model.name}: {model.interface.replace('_', ' ')}, solver {model.solver.name}; "
         f"method {method.name}",
     )
     train = make_space(problem, problem.indices("train"))
-    _say(
+    say(
         console,
         f"{train.size} unknowns; a forward Jacobian costs {len(train.colours)} points x "
         f"{len(train.experiments)} experiments",
@@ -87,14 +86,21 @@ def print_check(
                 experiment.role,
                 f"{experiment.start:g} .. {experiment.stop:g}",
                 str(experiment.size),
-                _number(outcome.seconds * 1e3),
+                number(outcome.seconds * 1e3),
                 outcome.message or str(outcome.status),
             )
         )
-    _print(console, ["experiment", "role", "seconds", "samples", "ms", "simulated"], rows)
+    print_table(console, ["experiment", "role", "seconds", "samples", "ms", "simulated"], rows)
 
 
-def _read_facts(run_folder: Path) -> dict[str, Any]:
+def read_facts(run_folder: Path) -> dict[str, Any]:
+    """What run.json says.
+
+    Raises
+    ------
+    RunFolderError
+        If there is none, or it is damaged.
+    """
     path = run_folder / "run.json"
     if not path.is_file():
         raise RunFolderError(f"{run_folder}: must be the folder of a run but has no run.json")
@@ -108,16 +114,16 @@ def _read_facts(run_folder: Path) -> dict[str, Any]:
 
 def _print_parameters(console: Console, rows: list[dict[str, Any]]) -> None:
     header = ["parameter", "value", "95 % interval", "unit", "start", "on", ""]
-    _print(
+    print_table(
         console,
         header,
         [
             (
                 row["label"],
-                _number(row["value"]),
-                _interval(row),
+                number(row["value"]),
+                interval(row),
                 row["unit"],
-                _number(row["start"]),
+                number(row["start"]),
                 row["estimated_on"],
                 f"at its {row['at_bound']} bound" if row["at_bound"] else "",
             )
@@ -128,7 +134,7 @@ def _print_parameters(console: Console, rows: list[dict[str, Any]]) -> None:
 
 def _print_errors(console: Console, rows: list[dict[str, Any]]) -> None:
     header = ["experiment", "role", "output", "samples", "RMSE before", "after", "unit", "relative"]
-    _print(
+    print_table(
         console,
         header,
         [
@@ -137,8 +143,8 @@ def _print_errors(console: Console, rows: list[dict[str, Any]]) -> None:
                 row["role"],
                 row["output"],
                 str(row["samples"]),
-                _number(row["rmse_before"]),
-                _number(row["rmse_after"]),
+                number(row["rmse_before"]),
+                number(row["rmse_after"]),
                 row["unit"],
                 f"{100 * row['relative_after']:.3g} %",
             )
@@ -147,26 +153,28 @@ def _print_errors(console: Console, rows: list[dict[str, Any]]) -> None:
     )
 
 
-def _print(console: Console, header: list[str], rows: Iterable[Iterable[str]]) -> None:
-    table = Table(box=None, pad_edge=False, show_edge=False)
-    for name in header:
-        table.add_column(name, no_wrap=name != "simulated")
-    for row in rows:
-        table.add_row(*(cell.replace("[", r"\[") for cell in row))
-    console.print()
-    console.print(table, highlight=False)
+def print_table(console: Console, header: list[str], rows: Iterable[Iterable[str]]) -> None:
+    """A table without lines; no cell is cut, however narrow the terminal."""
+    lines = [header, *([*row] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    say(console, "")
+    for line in lines:
+        cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        say(console, "  ".join(cells).rstrip())
 
 
-def _say(console: Console, text: str) -> None:
+def say(console: Console, text: str) -> None:
     """One line, however narrow the terminal."""
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-def _number(value: float | None) -> str:
+def number(value: float | None) -> str:
+    """Six digits."""
     return "failed" if value is None or math.isnan(value) else f"{value:.6g}"
 
 
-def _interval(row: dict[str, Any]) -> str:
+def interval(row: dict[str, Any]) -> str:
+    """The 95 % interval of a row of parameters.parquet."""
     low, high = row["lower95"], row["upper95"]
     if row["estimated_on"] == "known" or row["at_bound"]:
         return ""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
+
+from threadpoolctl import threadpool_limits
 
 from cluster_est.executors import Executor, executor_class
 from cluster_est.problem import Problem
@@ -29,6 +32,15 @@ class Resources:
     workers: int | None = None
     address: str | None = None
     budget: Budget = field(default_factory=Budget)
+
+
+def one_blas_thread() -> Any:
+    """Keep linear algebra to one thread, as a context.
+
+    The matrices are small: threads would only wait for each other while the workers use the cores,
+    and sums could round differently on machines with other numbers of cores.
+    """
+    return threadpool_limits(limits=1, user_api="blas")
 
 
 def open_executor(problem: Problem, resources: Resources) -> Executor:

@@ -17,11 +17,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cluster_est.closed_loop import tables
+from cluster_est.closed_loop.result import LoopResult
+from cluster_est.curves import residual_table, trajectory_table
 from cluster_est.errors import RunFolderError
 from cluster_est.evaluation_log import EvaluationLog
 from cluster_est.methods.base import Progress
 from cluster_est.problem import Problem
-from cluster_est.result import Result, Simulation
+from cluster_est.result import Result
 from cluster_est.runner import Origin, Snapshot
 from workers.messages import Outcome, content_hash
 
@@ -102,20 +105,42 @@ class RunFolder:
     def write(self, result: Result) -> None:
         """Write all tables at the end of a run."""
         self._log.close()
-        table = self._table
-        table("parameters", [dataclasses.asdict(e) for e in result.estimates])
-        table("errors", [dataclasses.asdict(e) for e in result.errors])
-        self._write_iterations(result)
-        rows = [{"worker": name, **numbers} for name, numbers in sorted(self._workers.items())]
-        table("workers", [row | {"seconds": result.seconds} for row in rows])
-        self._write_table("residuals", residual_table(result.problem, result.simulations))
-        self._write_table("trajectories", trajectory_table(result.problem, result.simulations))
+        self._table("parameters", [dataclasses.asdict(e) for e in result.estimates])
+        self._table("errors", [dataclasses.asdict(e) for e in result.errors])
+        self._write_fit(result)
         self._write_status(_status(result), _numbers(result))
 
-    def abandon(self, reason: str) -> None:
-        """Close the log of a run that ended with an error, and say so."""
+    def write_loop(self, result: LoopResult) -> None:
+        """Write all tables of a closed loop: those of its last fit, and what it found."""
         self._log.close()
-        self._write_status("failed", {"message": reason})
+        self._table("parameters", tables.parameter_rows(result))
+        self._table("errors", tables.error_rows(result))
+        self._write_table("findings", tables.finding_table(result))
+        self._write_table("effects", tables.effect_table(result))
+        self._write_fit(result.after)
+        given = any(o.sigma != 1.0 for e in self._problem.experiments for o in e.outputs)
+        numbers = _numbers(result.after) | {
+            "cost_before": result.before.cost,
+            "evaluations": result.evaluations,
+            "simulations": int(sum(w["simulations"] for w in self._workers.values())),
+            "failures": int(sum(w["failures"] for w in self._workers.values())),
+            "seconds": result.seconds,
+            "errors_over": "sigma" if given else "estimated noise",
+        }
+        self._write_status("done", numbers | tables.facts(result))
+
+    def _write_fit(self, result: Result) -> None:
+        """Iterations, workers, residuals and trajectories."""
+        self._write_iterations(result)
+        rows = [{"worker": name, **numbers} for name, numbers in sorted(self._workers.items())]
+        self._table("workers", [row | {"seconds": result.seconds} for row in rows])
+        self._write_table("residuals", residual_table(result.problem, result.simulations))
+        self._write_table("trajectories", trajectory_table(result.problem, result.simulations))
+
+    def abandon(self, reason: str, status: str = "failed") -> None:
+        """Close the log of a run that ended without a result, and say so."""
+        self._log.close()
+        self._write_status(status, {"message": reason})
 
     def _write_iterations(self, result: Result) -> None:
         """The iterations, and each search's end as its last row."""
@@ -186,43 +211,6 @@ def check_free(path: Path, *, overwrite: bool) -> None:
         )
 
 
-def residual_table(problem: Problem, simulations: tuple[Simulation, ...]) -> pa.Table:
-    """Measured, simulated and residual at each measured time."""
-    columns: dict[str, list[Any]] = defaultdict(list)
-    for simulation in simulations:
-        residuals = simulation.outcome.residuals
-        experiment = problem.experiments[simulation.experiment]
-        first = 0
-        for output in experiment.outputs:
-            count = len(output.times)
-            part = np.full(count, np.nan) if residuals is None else residuals[first : first + count]
-            first += count
-            columns["experiment"].append(np.full(count, experiment.id))
-            columns["role"].append(np.full(count, experiment.role))
-            columns["output"].append(np.full(count, output.variable))
-            columns["time"].append(output.times)
-            columns["measured"].append(output.values)
-            columns["simulated"].append(output.values - part * output.sigma)
-            columns["residual"].append(part)
-    return pa.table({name: np.concatenate(parts) for name, parts in columns.items()})
-
-
-def trajectory_table(problem: Problem, simulations: tuple[Simulation, ...]) -> pa.Table:
-    """Simulated outputs at every time of each experiment's grid."""
-    columns: dict[str, list[Any]] = defaultdict(list)
-    for simulation in simulations:
-        trajectory = simulation.outcome.trajectory
-        if trajectory is None:
-            continue
-        experiment = problem.experiments[simulation.experiment]
-        for j, variable in enumerate(trajectory.variables):
-            columns["experiment"].append(np.full(len(trajectory.times), experiment.id))
-            columns["output"].append(np.full(len(trajectory.times), variable))
-            columns["time"].append(trajectory.times)
-            columns["simulated"].append(trajectory.values[:, j])
-    return pa.table({name: np.concatenate(parts) for name, parts in columns.items()})
-
-
 def versions() -> dict[str, str]:
     """Versions of what a result may depend on."""
     found = {"python": platform.python_version(), "platform": sys.platform}
@@ -234,9 +222,9 @@ def versions() -> dict[str, str]:
     return found
 
 
-def hash_config(parts: dict[str, Any]) -> str:
-    """Hash of a config without where and for how long it runs, which change no result."""
-    kept = {k: v for k, v in parts.items() if k not in ("executor", "budget")}
+def hash_config(parts: dict[str, Any], unused: str) -> str:
+    """Hash of a config without what changes no result: where and for how long, and one section."""
+    kept = {k: v for k, v in parts.items() if k not in ("executor", "budget", unused)}
     return content_hash([json.dumps(kept, sort_keys=True, default=str)])
 
 
@@ -265,6 +253,8 @@ def _finite(value: Any) -> Any:
     """JSON has no NaN: null stands for it."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from cluster_est.errors import BudgetError
 from cluster_est.executors.base import Executor
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.space import Space
@@ -44,7 +45,10 @@ class Budget:
 
 @dataclass(frozen=True)
 class Origin:
-    """Who asked for a task: what the log says of it besides its outcome."""
+    """Who asked for a task: what the log says of it besides its outcome.
+
+    `installed` is (id, key) of the experiment where it is none of the problem's own.
+    """
 
     search: str
     evaluation: int
@@ -52,6 +56,7 @@ class Origin:
     experiment: int
     values: FloatArray
     effects: tuple[Effect, ...] = ()
+    installed: tuple[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -104,6 +109,9 @@ class Runner:
         Called once for each simulation, in the order in which they end.
     show
         Called whenever something came back.
+    whole
+        For a recipe of many steps, to which searches that were cut short are no use: an interrupt
+        goes through `run`, and a budget that is used up raises BudgetError.
     """
 
     def __init__(
@@ -112,11 +120,14 @@ class Runner:
         budget: Budget | None = None,
         record: Record | None = None,
         show: Show | None = None,
+        *,
+        whole: bool = False,
     ) -> None:
         self._executor = executor
         self._budget = budget or Budget()
         self._record = record or (lambda origin, outcome: None)
         self._show = show or (lambda snapshot: None)
+        self._whole = whole
         self._begin = time.monotonic()
         self._next_task = 0
         self._origins: dict[int, Origin] = {}
@@ -130,8 +141,14 @@ class Runner:
     def run(self, requests: Sequence[SearchRequest]) -> list[Solution]:
         """Run searches to their ends, all at the same time.
 
-        A keyboard interrupt ends all of them with their best points so far.
+        A keyboard interrupt ends all of them with their best points so far, unless `whole`.
+
+        Raises
+        ------
+        BudgetError
+            If `whole` and the budget is used up.
         """
+        self._refuse_if_exhausted([])
         searches = [self._open(request) for request in requests]
         try:
             for search in searches:
@@ -141,12 +158,15 @@ class Runner:
                     self._receive(outcome)
                 self._display(searches)
         except KeyboardInterrupt:
+            if self._whole:
+                raise
             for search in searches:
                 if search.solution is None:
                     self._finish(search, Ending.INTERRUPTED)
         finally:
             for search in searches:
                 search.steps.close()
+        self._refuse_if_exhausted(searches)
         return [search.solution for search in searches if search.solution is not None]
 
     def simulate(
@@ -305,6 +325,15 @@ class Runner:
         return (most is not None and self.evaluations >= most) or (
             longest is not None and used >= longest
         )
+
+    def _refuse_if_exhausted(self, searches: Sequence[_Active]) -> None:
+        cut = [s for s in searches if s.solution and s.solution.ending is Ending.BUDGET]
+        if self._whole and self._exhausted() and (cut or not searches):
+            raise BudgetError(
+                f"budget: was used up after {self.evaluations} evaluations in "
+                f"{time.monotonic() - self._begin:.0f} s; raise budget.evaluations or "
+                "budget.seconds, or leave them out"
+            )
 
     def _display(self, searches: Sequence[_Active]) -> None:
         running = [s for s in searches if s.solution is None] or list(searches)

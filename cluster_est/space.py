@@ -60,7 +60,7 @@ class Unknown:
         if not self.log:
             return searched
         # the exponential of a bound's logarithm may lie just outside the bound
-        return min(max(math.exp(searched), self.parameter.lower), self.parameter.upper)
+        return min(max(math.exp(min(searched, 709.0)), self.parameter.lower), self.parameter.upper)
 
 
 @dataclass(frozen=True)

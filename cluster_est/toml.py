@@ -21,6 +21,11 @@ def to_toml(tree: dict[str, Any]) -> str:
     return "\n".join(_table(tree, ())).strip() + "\n"
 
 
+def inline(value: Any) -> str:
+    """A value on one line; a dict as an inline table."""
+    return _value(value)
+
+
 def _table(tree: dict[str, Any], path: tuple[str, ...]) -> list[str]:
     lines: list[str] = []
     for key, value in tree.items():

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
+import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
@@ -120,16 +121,16 @@ def run(cases: Sequence[Scenario], processes: int, deadline: float) -> Iterator[
     context = multiprocessing.get_context("spawn")
     # Simple ones send at once: what a process says before it dies must not be lost.
     portions, reports = context.SimpleQueue(), context.SimpleQueue()
-    for portion in divide(cases, processes):
-        portions.put(portion)
-    for _ in range(processes):
-        portions.put([])
     workers: dict[int, BaseProcess] = {
         n: context.Process(target=work, args=(n, portions, reports, deadline), daemon=True)
         for n in range(processes)
     }
     for worker in workers.values():
         worker.start()
+    everything = [*divide(cases, processes), *([[]] * processes)]
+    # In a thread, because a queue blocks while it is full, and the reports must be read meanwhile.
+    feeder = threading.Thread(target=lambda: [portions.put(p) for p in everything], daemon=True)
+    feeder.start()
     yield from gather(workers, reports)
 
 

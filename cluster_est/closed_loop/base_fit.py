@@ -99,7 +99,8 @@ def _distinct(fits: Sequence[Fitted]) -> list[Fitted]:
     """Fits at different points, the best of each."""
     kept: list[Fitted] = []
     for fit in fits:
-        sizes = np.maximum(np.abs(fit.x), fit.space.typical)
+        log = np.array([unknown.log for unknown in fit.space.unknowns], bool)
+        sizes = np.where(log, 1.0, np.maximum(np.abs(fit.x), fit.space.typical))
         if all(np.abs((fit.x - other.x) / sizes).max() > 1e-2 for other in kept):
             kept.append(fit)
     return kept

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,9 +16,11 @@ from cluster_est.closed_loop.shapes import shape_of
 from cluster_est.problem import Parameter, Problem
 from workers.description import Description
 from workers.effects.forms import FORMS, Coefficient, Form, positive
-from workers.effects.site import Site, open_pairs, open_sites
+from workers.effects.site import Site, open_pairs, open_sites, parse_site
 from workers.messages import Effect
 
+NARROWEST, WIDEST = 20.0, 50.0
+"""How far a refit may go beyond the grid of a coefficient that is positive."""
 KINEMATIC = 1e-6
 """How closely der(x) must equal another state, relative to its size, to be kinematics."""
 
@@ -96,7 +98,9 @@ def make_candidates(
         Which forms and sites to try.
     """
     scales = Scales(courses, frequencies)
-    known = {(e.site, e.form, e.variables) for e in problem.effects}
+    exchange = problem.model.interface == "model_exchange"
+    known = {_identity(effect) for effect in problem.effects if effect.form}
+    taken = {effect.name for effect in problem.effects}
     found = []
     for site in _sites(problem, description, courses):
         if settings.sites and str(site) not in settings.sites:
@@ -104,11 +108,23 @@ def make_candidates(
         for form in (f for (kind, _), f in FORMS.items() if kind == site.kind):
             if settings.forms and form.name not in settings.forms:
                 continue
+            if form.memory and not exchange and not description.variable_steps:
+                continue  # it has kinks between the samples, where such an FMU cannot stop
             for variables in _variables(form, site, problem, description, courses):
-                candidate = _candidate(form, site, variables, scales, problem)
-                if candidate and (str(site), form.name, variables) not in known:
+                candidate = _candidate(form, site, variables, scales, taken)
+                if candidate and _identity(candidate.effect) not in known:
+                    taken.add(candidate.effect.name)
                     found.append(candidate)
     return found
+
+
+def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:
+    """Site, form and variables of an effect, the same however they were written."""
+    site = parse_site(effect.site, f"effect {effect.name!r}: site")
+    form = FORMS[site.kind, effect.form]
+    own = (" - ".join(site.targets),) if form.variables == 1 and site.at_rates else ()
+    variables = effect.variables or own
+    return str(site), form.name, tuple(sorted(variables))  # those of two are products
 
 
 def equation_text(effect: Effect, form: Form, site: Site) -> str:
@@ -136,8 +152,10 @@ def equation_text(effect: Effect, form: Form, site: Site) -> str:
 def _sites(problem: Problem, description: Description, courses: Sequence[Course]) -> Iterator[Site]:
     """Where something could be missing and would be seen."""
     interface = problem.model.interface
-    driven = {given.variable for e in problem.experiments for given in e.inputs}
-    measured = {output.variable for e in problem.experiments for output in e.outputs}
+    train = [problem.experiments[e] for e in problem.indices("train")]
+    driven = {given.variable for e in train for given in e.inputs}
+    driven = {name for name in driven if all(course.has(name) for course in courses)}
+    measured = {output.variable for e in train for output in e.outputs}
     estimated = {p.target for p in problem.parameters if not p.fixed}
     moving = set(description.states) - kinematic_states(courses)
     for site in open_sites(description, interface):
@@ -149,10 +167,12 @@ def _sites(problem: Problem, description: Description, courses: Sequence[Course]
         if site.kind != "output" and site.target in wanted[site.kind]:
             yield site
     for name in sorted(measured):
-        yield Site("output", name)
+        if description.variables[name].causality == "output":  # no local variable that is measured
+            yield Site("output", name)
     for site in open_pairs(description, interface):
         if set(site.targets) <= moving:
             yield site
+            yield Site("pair", *reversed(site.targets))
 
 
 def kinematic_states(courses: Sequence[Course]) -> set[str]:
@@ -163,10 +183,12 @@ def kinematic_states(courses: Sequence[Course]) -> set[str]:
         if linear is None:
             continue
         for i, name in enumerate(linear.state_names):
+            j = int(np.argmax(linear.A[0, i]))
+            row = np.abs(linear.A[:, i] - np.eye(len(linear.state_names))[j]).max()
+            driven = np.abs(linear.B[:, i]).max(initial=0.0)
             size = np.abs(linear.slopes[:, i]).max()
-            gaps = np.abs(linear.slopes[:, [i]] - linear.states).max(axis=0)
-            row = np.abs(linear.A[:, i, :] - np.eye(len(gaps))[np.argmin(gaps)]).max()
-            if gaps.min() <= KINEMATIC * size and row < 1e-4:
+            gap = np.abs(linear.slopes[:, i] - linear.states[:, j]).max()
+            if i != j and gap <= KINEMATIC * size and max(row, driven) < 1e-4:
                 found.add(name)
     return found
 
@@ -184,11 +206,14 @@ def _variables(
         return
     exchange = problem.model.interface == "model_exchange"
     states = [s for s in description.states if exchange]
-    driven = [n for n in courses[0].signals if n not in states and n not in courses[0].names]
+    common = [n for n in courses[0].signals if all(course.has(n) for course in courses)]
+    signals = [{s.variable for s in e.signals} for e in problem.experiments]
+    lacking = {n for own in signals for n in own if not all(n in others for others in signals)}
+    driven = [n for n in common if n not in (*states, *courses[0].names, *lacking)]
     if site.kind == "pair":
-        yield from _differences(site, states, description)
+        yield from _of_pair(form, site, states, description)
         return
-    outputs = [n for n in courses[0].names if n not in states]
+    outputs = [n for n in courses[0].names if n in common and n not in states]
     names = [*states, *driven, *(outputs if site.kind == "output" else [])]
     if "driven" in form.when.split():
         names = driven
@@ -202,19 +227,26 @@ def _variables(
         yield from itertools.combinations(names, 2)
 
 
-def _differences(
-    site: Site, states: Sequence[str], description: Description
+def _of_pair(
+    form: Form, site: Site, states: Sequence[str], description: Description
 ) -> Iterator[tuple[str, ...]]:
-    """Differences of states of one unit, and single states: the twist of a shaft may be one."""
-    for first, second in itertools.combinations(states, 2):
-        units = [description.variables[n].unit for n in (first, second)]
-        if units[0] == units[1]:
-            yield (f"{first} - {second}",)
+    """Differences of states of one unit, and single states: the twist of a shaft may be one.
+
+    A difference points from the second state to the first, so one order of the pair is enough.
+    """
+    if "first" in form.when.split():
+        yield (site.targets[0],)
+        return
+    if states.index(site.targets[0]) < states.index(site.targets[1]):
+        for first, second in itertools.combinations(states, 2):
+            units = [description.variables[n].unit for n in (first, second)]
+            if units[0] == units[1]:
+                yield (f"{first} - {second}",)
     yield from ((name,) for name in states if name not in site.targets)
 
 
 def _candidate(
-    form: Form, site: Site, variables: tuple[str, ...], scales: Scales, problem: Problem
+    form: Form, site: Site, variables: tuple[str, ...], scales: Scales, taken: Container[str]
 ) -> Candidate | None:
     """A candidate with its grid; None where the form makes no sense on this data."""
     if not scales.allow(form, site, variables):
@@ -222,7 +254,6 @@ def _candidate(
     own = site.kind == "derivative" and variables == (site.target,)
     name = "_".join([form.name, *site.targets, *(() if own else variables)])
     name = re.sub(r"\W+", "_", name)
-    taken = {e.name for e in problem.effects}
     while name in taken:
         name += "_2"
     strengths = shape_of(form).strengths
@@ -231,12 +262,14 @@ def _candidate(
         values = (
             (0.0,) if coefficient.name in strengths else scales.grid(coefficient, site, variables)
         )
+        if not values:
+            return None
         low, high = _bounds(coefficient, own, strengths, values, scales, variables)
         axes.append(values)
         lows.append(low)
         highs.append(high)
     grid = tuple(itertools.product(*axes))
-    if not grid or not all(np.isfinite(row).all() for row in np.array(grid)):
+    if not np.isfinite(grid).all():
         return None
     effect = Effect(name, str(site), form.name, variables)
     return Candidate(effect, form, site, own, grid, tuple(lows), tuple(highs))
@@ -254,9 +287,9 @@ def _bounds(
     if coefficient.name in strengths:
         return (0.0 if positive(coefficient, own=own) else -np.inf), np.inf
     if coefficient.scale.startswith("quantile"):
-        v = pooled(scales.courses, variables[0])
-        return float(v.min()), float(v.max())
+        v = pooled(scales.courses, variables[0])  # moves, once the effect is there
+        return float(2.0 * v.min() - v.max()), float(2.0 * v.max() - v.min())
     if coefficient.positive:
-        return min(values) / 50.0, max(values) * 50.0
+        return min(values) / NARROWEST, max(values) * WIDEST
     width = 10.0 * max(abs(v) for v in values) + 1e-12
     return -width, width

@@ -55,6 +55,8 @@ def directions(
     known : (parameters,) for each course
         Values of the model's parameters there.
     """
+    if not trials:
+        return []
     parts = [
         _of_course(course, trials, values) for course, values in zip(courses, known, strict=True)
     ]
@@ -93,9 +95,12 @@ def _of_block(course: Course, trials: Sequence[Trial], known: FloatArray) -> Flo
     first = 0
     for trial in trials:
         part = slice(first, first + trial.width)
+        first = part.stop
+        site = trial.candidate.site
+        if site.kind == "output" and site.target not in course.names:
+            continue  # not measured in this experiment
         added = added_at(course, trial, known)
         _place(course, trial, added, forcing[:, :, part], change[:, :, part])
-        first = part.stop
     if course.linear is not None and forcing.any():
         states = propagate(course.linear, forcing)
         change += np.matmul(course.linear.C, states)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates import Candidate, make_candidates
+from cluster_est.closed_loop.candidates import make_candidates
 from cluster_est.closed_loop.course import Course
 from cluster_est.closed_loop.directions import Trial, directions
 from cluster_est.closed_loop.omnibus import Omnibus, omnibus
@@ -18,6 +18,7 @@ from cluster_est.closed_loop.result import Finding
 from cluster_est.closed_loop.score import Scores, family_wise, score
 from cluster_est.closed_loop.whitening import fit_autoregression, whiten
 from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.errors import DataError
 from workers.messages import FloatArray, IntArray
 
 MOST_ROWS = 20_000
@@ -85,6 +86,12 @@ def screen(bench: Workbench, fitted: Fitted, step: int) -> Screening:
     candidates = make_candidates(
         fitted.problem, bench.description, courses, frequencies, bench.settings
     )
+    if len(candidates) > bench.size:
+        raise DataError(
+            f"closed loop: the training experiments must have at least as many measured values as "
+            f"there are candidates, but have {bench.size} for {len(candidates)}; add data, or "
+            "name fewer in closed_loop.effects or closed_loop.sites"
+        )
     trials = tuple(Trial(c, values) for c in candidates for values in c.grid)
     records, rows = thinned(bench.records, MOST_ROWS)
     columns = tuple(column[rows] for column in _columns(bench, fitted, courses, trials))
@@ -189,12 +196,3 @@ def _imitator(matrix: FloatArray, column: FloatArray, fitted: Fitted) -> str:
 def refreshed(finding: Finding, stage: str, criterion: float = np.nan) -> Finding:
     """A finding that has come a stage further."""
     return replace(finding, stage=stage, criterion=criterion)
-
-
-def same(candidate: Candidate, finding: Finding) -> bool:
-    """Whether a finding is about this candidate."""
-    return (str(candidate.site), candidate.form.name, candidate.effect.variables) == (
-        finding.site,
-        finding.form,
-        finding.variables,
-    )

@@ -23,17 +23,22 @@ STEPS = (1.0, 0.3)
 """Parts of the linear model's step that are tried."""
 LARGEST_STEP = 0.8
 """Of a parameter: in logarithms, or as a share of its value."""
+WEAKEST, STRONGEST = 0.06, 3.0
+"""By how much a finite amount of the grid is scaled at most."""
 POINTS_OF_GRID = 2
 """Points of a candidate's grid that are tried, the best by score."""
 WHITE_LEADERS = 8
-HARD = 0.8
-"""Below this share of the residual no candidate explains it well, and more are tried."""
+CLOSES = 0.9
+"""Share of the gap to the noise that a single effect must close, or more are tried."""
+FINALISTS = 3
+"""How many candidates are refitted to convergence."""
 EQUAL = 2.0
 """Criteria that differ by less do not tell two candidates apart; the plainer name wins."""
 ALTERNATIVE = 10.0
 """Criteria that differ by less leave a candidate possible."""
 
-SHORT = LeastSquares(trials=2, max_iterations=3, ftol=1e-4, xtol=1e-5, differences="forward")
+FIRST = LeastSquares(trials=2, max_iterations=2, ftol=1e-4, xtol=1e-5, differences="forward")
+SHORT = LeastSquares(trials=2, max_iterations=2, ftol=1e-4, xtol=1e-5, differences="forward")
 FULL = LeastSquares(trials=2, max_iterations=10, ftol=1e-6, xtol=1e-7, differences="forward")
 
 
@@ -51,7 +56,7 @@ class Contender:
 
 
 def refit(
-    bench: Workbench, current: Fitted, screening: Screening, *, wide: bool = True
+    bench: Workbench, current: Fitted, screening: Screening, floor: float, *, wide: bool = True
 ) -> list[Contender]:
     """Refit the leading candidates; the best first.
 
@@ -61,35 +66,54 @@ def refit(
         The model that they are added to.
     screening
         Of all candidates at that model.
+    floor
+        Sum of squares that the noise alone would leave.
     wide
-        Whether to try more of them where none explains the residual well.
+        Whether to go on to candidates further back where the first do not close the gap to it: the
+        larger an effect, the less the score of a small one says. Without, only half as many are
+        refitted.
     """
-    more = 2 if wide and screening.explained < HARD else 1
-    leaders = screening.leaders(screening.plain, more * bench.settings.trials)
-    leaders += [
-        i for i in screening.leaders(screening.white, WHITE_LEADERS)
-        if screening.trials[i].candidate.effect.name
-        not in {screening.trials[j].candidate.effect.name for j in leaders}
-    ]  # fmt: skip
-    starts = _try(bench, current, screening, leaders)
-    count = bench.settings.refits * (5 if more == 2 else 3) // 3
-    chosen = _mixed(starts, count)
-    return contest(bench, chosen, max(2, count // 3))
-
-
-def contest(bench: Workbench, starts: Sequence[Start], finalists: int) -> list[Contender]:
-    """Short refits of all, full refits of the best; the best first."""
-    fits = [f for f in bench.fit("candidate", starts, SHORT) if f is not None]
-    fits.sort(key=lambda f: f.criterion(bench.records))
-    best = fits[:finalists]
-    again = [f.start for f in best]
-    finished = bench.fit("candidate", again, FULL)
-    contenders = [
-        Contender(new or old, (new or old).criterion(bench.records), True)
-        for new, old in zip(finished, best, strict=True)
-    ]
-    contenders += [Contender(f, f.criterion(bench.records), False) for f in fits[finalists:]]
+    count, trials = bench.settings.refits, bench.settings.trials
+    if not wide:
+        count = (count + 1) // 2
+    leaders = screening.leaders(screening.plain, 2 * trials)
+    white = screening.leaders(screening.white, WHITE_LEADERS)
+    first = list(dict.fromkeys([*leaders[:trials], *white]))
+    starts = _try(bench, current, screening, first)
+    chosen, left = _mixed(starts, count)
+    contenders = contest(bench, chosen)
+    if not wide or _closes(current, contenders, floor):
+        return contenders
+    later = [i for i in leaders[trials:] if i not in first]
+    left += _try(bench, current, screening, later)
+    left.sort(key=lambda pair: pair[0])
+    contenders += contest(bench, [start for _, start in left[:count]])
     return sorted(contenders, key=lambda c: c.criterion)
+
+
+def contest(bench: Workbench, starts: Sequence[Start]) -> list[Contender]:
+    """Refit all a little, the better half more, and the best to convergence; the best first."""
+    lost: list[Contender] = []
+    for method in (FIRST, SHORT):
+        fits = [f for f in bench.fit("candidate", starts, method) if f is not None]
+        fits.sort(key=lambda f: f.criterion(bench.records))
+        kept = max(FINALISTS, len(fits) // 2)
+        lost += [Contender(f, f.criterion(bench.records), False) for f in fits[kept:]]
+        starts = [f.start for f in fits[:kept]]
+    best = fits[:kept]
+    lost += [Contender(f, f.criterion(bench.records), False) for f in best[FINALISTS:]]
+    finished = bench.fit("candidate", [f.start for f in best[:FINALISTS]], FULL)
+    final = [new or old for new, old in zip(finished, best, strict=False)]
+    lost += [Contender(f, f.criterion(bench.records), True) for f in final]
+    return sorted(lost, key=lambda c: c.criterion)
+
+
+def _closes(current: Fitted, contenders: Sequence[Contender], floor: float) -> bool:
+    """Whether the best contender closes nearly all of the gap to the noise."""
+    if not contenders:
+        return False
+    best = min(c.fitted.sse for c in contenders)
+    return current.sse - best >= CLOSES * (current.sse - floor)
 
 
 def plainest(contenders: Sequence[Contender]) -> Contender:
@@ -100,18 +124,25 @@ def plainest(contenders: Sequence[Contender]) -> Contender:
 
 
 def alternatives(contenders: Sequence[Contender], chosen: Contender) -> list[Contender]:
-    """The contenders that the data leave possible beside the chosen one."""
-    return [
-        c for c in contenders
-        if c is not chosen and c.criterion - contenders[0].criterion <= ALTERNATIVE
-    ]  # fmt: skip
+    """The contenders that the data leave possible beside the chosen one, each effect once."""
+    seen = {chosen.candidate.effect.name}
+    found = []
+    for contender in contenders:
+        name = contender.candidate.effect.name
+        if contender.criterion - contenders[0].criterion <= ALTERNATIVE and name not in seen:
+            seen.add(name)
+            found.append(contender)
+    return found
 
 
-def _mixed(starts: Sequence[tuple[float, Start]], count: int) -> list[Start]:
-    """Two thirds by their rank in the screening, the rest by the cost of their first step."""
-    first = [start for _, start in starts[: 2 * count // 3]]
-    rest = sorted(starts[2 * count // 3 :], key=lambda pair: pair[0])
-    return first + [start for _, start in rest[: count - len(first)]]
+def _mixed(
+    starts: Sequence[tuple[float, Start]], count: int
+) -> tuple[list[Start], list[tuple[float, Start]]]:
+    """Two thirds by their rank in the screening, one by the cost of their first step; the rest."""
+    ranked = 2 * count // 3
+    rest = sorted(starts[ranked:], key=lambda pair: pair[0])
+    chosen = [*starts[:ranked], *rest[: count - ranked]]
+    return [start for _, start in chosen], rest[count - ranked :]
 
 
 def _try(
@@ -150,28 +181,44 @@ def _grid_points(screening: Screening, leader: int) -> list[int]:
 
 
 def _joint_step(current: Fitted, screening: Screening, i: int) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton step of all unknowns, and the strengths of trial i, on the screened rows."""
+    """Gauss-Newton step of all unknowns, and how strong trial i is to be, on the screened rows.
+
+    A limit cannot be made stronger or weaker in proportion: it is switched on as it is, and the
+    other unknowns make room for it.
+    """
     matrix = current.jacobian[screening.rows]
     residuals = current.residuals[screening.rows]
     column = screening.columns[i]
-    finite = not screening.trials[i].candidate.strengths
-    if finite:  # switched on as it is; the other unknowns make room for it
-        joined, target = matrix, -(residuals + column[:, 0])
-    else:
+    if _proportional(screening.trials[i]):
         joined, target = np.hstack([matrix, column]), -residuals
+    else:
+        joined, target = matrix, -(residuals + column[:, 0])
     sizes = np.linalg.norm(joined, axis=0)
     sizes[~(sizes > 0.0)] = 1.0
     solved = np.linalg.lstsq(joined / sizes, target, rcond=1e-6)[0] / sizes
     return solved[: matrix.shape[1]], solved[matrix.shape[1] :]
 
 
+def _proportional(trial: Trial) -> bool:
+    """Whether its effect grows with a coefficient from nothing."""
+    return any(c.neutral == 0.0 for c in trial.candidate.form.coefficients)
+
+
 def values_at(trial: Trial, strengths: FloatArray) -> list[float]:
-    """The trial's coefficients with the strengths that the linear model asks for."""
+    """The trial's coefficients, as strong as the linear model asks for.
+
+    Where an effect is switched on by a finite amount, that amount is scaled, within limits.
+    """
     asked = iter(strengths.tolist())
-    return [
-        next(asked) if c.name in trial.candidate.strengths else value
-        for c, value in zip(trial.candidate.form.coefficients, trial.values, strict=True)
-    ]
+    values = []
+    for c, value in zip(trial.candidate.form.coefficients, trial.values, strict=True):
+        if c.name in trial.candidate.strengths:
+            values.append(next(asked))
+        elif c.neutral == 0.0 and strengths.size:
+            values.append(value * min(max(next(asked), WEAKEST), STRONGEST))
+        else:
+            values.append(value)
+    return values
 
 
 def _points(

@@ -10,6 +10,7 @@ from cluster_est.closed_loop.result import Alternative, ErrorChange, NamedEffect
 from cluster_est.closed_loop.search import Search
 from cluster_est.closed_loop.workbench import Fitted, Workbench
 from cluster_est.result import Estimate, Result
+from workers.messages import FloatArray
 
 
 def describe_effects(bench: Workbench, found: Search, result: Result) -> tuple[NamedEffect, ...]:
@@ -37,11 +38,16 @@ def error_changes(
                 samples=old.samples,
                 rmse_before=old.rmse_after,
                 rmse_after=new.rmse_after,
-                normalised_before=old.rmse_after / sigma,
-                normalised_after=new.rmse_after / sigma,
+                normalised_before=_over(old.rmse_after, sigma),
+                normalised_after=_over(new.rmse_after, sigma),
             )
         )
     return tuple(rows)
+
+
+def _over(error: float, sigma: float) -> float:
+    """NaN where the noise is unknown, or none."""
+    return error / sigma if sigma > 0.0 else np.nan
 
 
 def _describe(bench: Workbench, found: Search, candidate: Candidate, result: Result) -> NamedEffect:
@@ -52,7 +58,9 @@ def _describe(bench: Workbench, found: Search, candidate: Candidate, result: Res
         family=candidate.form.family,
         equation=candidate.equation,
         coefficients=_coefficients(name, result),
-        alternatives=tuple(_alternative(bench, won, rival) for rival in rivals if won is not None),
+        alternatives=tuple(
+            _alternative(bench, won, rival, found.noise) for rival in rivals if won is not None
+        ),
         evidence=_evidence(found, candidate),
     )
 
@@ -61,10 +69,12 @@ def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
     return tuple(e for e in result.estimates if e.parameter.startswith(f"{name}."))
 
 
-def _alternative(bench: Workbench, won: Contender, rival: Contender) -> Alternative:
+def _alternative(
+    bench: Workbench, won: Contender, rival: Contender, noise: FloatArray
+) -> Alternative:
     """A rival, and where an experiment would tell it from the winner best."""
     candidate = rival.candidate
-    where, when, output, size = _largest_difference(bench, won.fitted, rival.fitted)
+    where, when, output, size = _largest_difference(bench, won.fitted, rival.fitted, noise)
     return Alternative(
         site=str(candidate.site),
         form=candidate.form.name,
@@ -80,10 +90,15 @@ def _alternative(bench: Workbench, won: Contender, rival: Contender) -> Alternat
 
 
 def _largest_difference(
-    bench: Workbench, one: Fitted, other: Fitted
+    bench: Workbench, one: Fitted, other: Fitted, noise: FloatArray
 ) -> tuple[str, float, str, float]:
-    """Experiment, time, output and size of the largest difference of two models' predictions."""
+    """Experiment, time, output and size of the largest difference of two models' predictions.
+
+    The size is over the noise of that output.
+    """
     gap = np.abs(one.residuals - other.residuals)
+    for record in bench.records.items:
+        gap[record.rows] /= max(float(noise[record.output]), 1e-300)
     row = int(np.argmax(gap))
     for record in bench.records.items:
         if record.rows.start <= row < record.rows.stop:

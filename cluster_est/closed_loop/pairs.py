@@ -7,8 +7,6 @@ g = b'c and the residual's shares x = b'r, y = c'r, both together carry
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from cluster_est.closed_loop.directions import Trial
@@ -21,15 +19,12 @@ LEADERS = 90
 ALIKE = 0.98
 """Cosine above which two directions are no pair."""
 FITTED = 8
-FINALISTS = 3
 
 
-def refit_pairs(
-    bench: Workbench, current: Fitted, screening: Screening, leaders: Sequence[Start] = ()
-) -> list[Contender]:
+def refit_pairs(bench: Workbench, current: Fitted, screening: Screening) -> list[Contender]:
     """Refit the best pairs; the best first. A contender's last two effects are the pair."""
     starts = [_start(current, screening, i, j) for i, j in best_pairs(screening)[:FITTED]]
-    return contest(bench, [*starts, *leaders], FINALISTS) if starts else []
+    return contest(bench, starts) if starts else []
 
 
 def best_pairs(screening: Screening) -> list[tuple[int, int]]:
@@ -79,7 +74,7 @@ def _strengths(current: Fitted, screening: Screening, i: int, j: int) -> list[Fl
     parts: list[FloatArray] = [current.jacobian[screening.rows]]
     free: list[int] = []
     for m in (i, j):
-        if screening.trials[m].candidate.strengths:
+        if _width(screening.trials[m]):
             parts.append(screening.columns[m])
             free.append(m)
         else:
@@ -96,4 +91,6 @@ def _strengths(current: Fitted, screening: Screening, i: int, j: int) -> list[Fl
 
 
 def _width(trial: Trial) -> int:
-    return len(trial.candidate.strengths)
+    """How many columns of a joint step are its own: none for a limit."""
+    finite = any(c.neutral == 0.0 for c in trial.candidate.form.coefficients)
+    return len(trial.candidate.strengths) or int(finite)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -17,13 +17,13 @@ from cluster_est.closed_loop.workbench import ENLARGED, HORIZONS, Meter, Start, 
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
 from cluster_est.problem import Problem
-from cluster_est.resources import Resources, open_executor
-from cluster_est.runner import Record, Runner, Show
+from cluster_est.resources import Resources, one_blas_thread, open_executor
+from cluster_est.runner import Origin, Record, Runner, Show
 from cluster_est.space import make_space
 from workers.description import Description, nearest
 from workers.effects.forms import FORMS
-from workers.effects.site import open_pairs, open_sites
-from workers.messages import Experiment
+from workers.effects.site import Site, open_pairs, open_sites, parse_site
+from workers.messages import Experiment, Outcome
 
 LEAST_SAMPLES_PER_UNKNOWN = 4
 
@@ -44,14 +44,16 @@ def open_bench(
     """
     description = problem.describe()
     _check(problem, settings, description)
+    weights: tuple[str, ...] = ()
     if _unweighted(problem):
         with _opened(problem, resources, settings, seed, description, record, show) as bench:
             (fitted,) = bench.fit("weights", [Start(problem, {})], BRIEF)
             if fitted is not None:
                 noise = estimate_noise(fitted.residuals, bench.records)
                 problem = _weighted(problem, dict(zip(bench.records.outputs, noise, strict=True)))
+                weights = (_weight_note(problem),)
     with _opened(problem, resources, settings, seed, description, record, show) as bench:
-        yield bench
+        yield replace(bench, notes=(*bench.notes, *weights))
 
 
 @contextmanager
@@ -72,10 +74,10 @@ def _opened(
         rehearsals[f"{horizon:.0%}"] = _install(installed, [shortened(r, horizon) for r in runs])
     rehearsals["enlarged"] = _install(installed, [enlarged(r, ENLARGED) for r in runs])
     everything = replace(problem, experiments=tuple(installed))
-    meter = Meter(everything.experiments, record)
-    with open_executor(everything, resources) as executor:
+    meter = Meter(everything.experiments, _named(everything.experiments, record))
+    with one_blas_thread(), open_executor(everything, resources) as executor:
         yield Workbench(
-            runner=Runner(executor, resources.budget, meter, show),
+            runner=Runner(executor, resources.budget, meter, show, whole=True),
             problem=problem,
             description=description,
             settings=settings,
@@ -88,6 +90,18 @@ def _opened(
             sites=_sites(problem, description),
             notes=_notes(problem),
         )
+
+
+def _named(experiments: Sequence[Experiment], record: Record | None) -> Record | None:
+    """A record that also hears which experiment it was: a rehearsal is none of the problem's."""
+    if record is None:
+        return None
+    names = [(e.id, e.key) for e in experiments]
+
+    def named(origin: Origin, outcome: Outcome) -> None:
+        record(replace(origin, installed=names[origin.experiment]), outcome)
+
+    return named
 
 
 def _install(installed: list[Experiment], copies: list[Experiment]) -> tuple[int, ...]:
@@ -126,6 +140,12 @@ def _check(problem: Problem, settings: LoopSettings, description: Description) -
                 f"closed_loop.sites: {description.file} does not offer the site {site!r}"
                 f"{nearest(site, offered)}"
             )
+    kinds = {parse_site(site, "closed_loop.sites").kind for site in settings.sites or offered}
+    if settings.forms and not any((kind, f) in FORMS for kind in kinds for f in settings.forms):
+        raise ProblemError(
+            f"closed_loop.effects: must name a form for one of the sites but {settings.forms} are "
+            f"none at {' or '.join(sorted(kinds))} sites; change closed_loop.effects or sites"
+        )
 
 
 def _unweighted(problem: Problem) -> bool:
@@ -147,10 +167,20 @@ def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:
     return replace(problem, experiments=tuple(experiments))
 
 
+def _weight_note(problem: Problem) -> str:
+    sigmas = {o.variable: o.sigma for e in problem.experiments for o in e.outputs}
+    pairs = ", ".join(f"{name} = {sigma:.6g}" for name, sigma in sigmas.items())
+    return (
+        "no sigma was given for several outputs, so each was weighted with its estimated noise; "
+        f"write sigma = {{ {pairs} }} into the experiments for a fit with the same weights"
+    )
+
+
 def _sites(problem: Problem, description: Description) -> tuple[str, ...]:
     interface = problem.model.interface
-    sites = [*open_sites(description, interface), *open_pairs(description, interface)]
-    return tuple(str(site) for site in sites)
+    pairs = open_pairs(description, interface)
+    pairs += [Site("pair", *reversed(site.targets)) for site in pairs]
+    return tuple(str(site) for site in [*open_sites(description, interface), *pairs])
 
 
 def _notes(problem: Problem) -> tuple[str, ...]:
@@ -162,7 +192,8 @@ def _notes(problem: Problem) -> tuple[str, ...]:
         )
     if len(problem.indices("train")) == 1:
         notes.append(
-            "there is only one training experiment, so nothing could be predicted from the others"
+            "there is only one training experiment: quarters of its record were predicted from the "
+            "rest instead of experiments from each other"
         )
     if problem.model.interface == "co_simulation":
         notes.append(

@@ -9,6 +9,7 @@ import numpy as np
 from cluster_est.closed_loop.course import Course, pooled
 from cluster_est.closed_loop.directions import Trial, added_at
 from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.space import Unknown
 from workers.messages import FloatArray
 
 AMOUNT = 0.01
@@ -69,7 +70,9 @@ def _size(trial: Trial, courses: Sequence[Course]) -> float:
     return float(np.sqrt(np.mean(signal**2)) or 1.0) / swing
 
 
-def _point(fitted: Fitted, unknowns: Sequence, trial: Trial, row: FloatArray) -> FloatArray:  # type: ignore[type-arg]
+def _point(
+    fitted: Fitted, unknowns: Sequence[Unknown], trial: Trial, row: FloatArray
+) -> FloatArray:
     """The fit's point with the effect's coefficients behind it."""
     names = [c.name for c in trial.candidate.form.coefficients]
     own = [

@@ -26,14 +26,17 @@ class Scales:
     def allow(self, form: Form, site: Site, variables: tuple[str, ...]) -> bool:
         """Whether a form makes sense for these signals."""
         about = self._about(site, variables)
-        if about is not None and float(np.std(about)) <= 1e-9 * float(np.abs(about).max() + 1e-300):
+        signals = [pooled(self.courses, name) for name in variables]
+        if about is not None and not all(_moves(signal) for signal in (about, *signals)):
             return False
         words = form.when.split()
         if "oscillates" in words and not (about is not None and oscillates(about)):
             return False
-        if "positive" in words and not (about is not None and float(about.min()) >= -1e-6):
+        if "positive" in words and not (about is not None and _positive(about)):
             return False
-        return not ("both" in words and about is None)
+        spread = [c.scale for c in form.coefficients if c.scale in ("low v", "high v")]
+        ends = {self.grid(Coefficient("", scale=scale), site, variables) for scale in spread}
+        return len(ends) == len(spread)
 
     def grid(
         self, coefficient: Coefficient, site: Site, variables: tuple[str, ...]
@@ -87,7 +90,12 @@ class Scales:
         return None
 
     def _step(self) -> float:
-        return float(np.median(np.concatenate([np.diff(c.times) for c in self.courses])))
+        """The usual interval between measurements; the grid has other times too."""
+        measured = [c.times[np.unique(c.rows)] for c in self.courses]
+        steps = np.concatenate([np.diff(times) for times in measured])
+        if not steps.size:
+            steps = np.concatenate([np.diff(c.times) for c in self.courses])
+        return float(np.median(steps))
 
     def _middle(self) -> float:
         return float(np.mean([0.5 * (c.times[0] + c.times[-1]) for c in self.courses]))
@@ -102,6 +110,15 @@ class Scales:
             total += float(((way - way.mean()) ** 2).sum())
             count += len(way)
         return float(np.sqrt(total / max(count, 1)))
+
+
+def _moves(signal: FloatArray) -> bool:
+    return bool(np.std(signal) > 1e-9 * np.abs(signal).max())
+
+
+def _positive(signal: FloatArray) -> bool:
+    """Whether a signal is never negative, but for the error of a solver."""
+    return bool(signal.min() >= -1e-6 * np.abs(signal).max())
 
 
 def oscillates(signal: FloatArray) -> bool:

@@ -11,29 +11,27 @@ from cluster_est.closed_loop.accept import Prediction, predict, stays_bounded
 from cluster_est.closed_loop.base_fit import fit_declared
 from cluster_est.closed_loop.locate import Screening, findings, refreshed, screen
 from cluster_est.closed_loop.name import (
-    FULL,
-    HARD,
     Contender,
     alternatives,
-    contest,
     plainest,
     refit,
 )
 from cluster_est.closed_loop.noise import estimate_noise
 from cluster_est.closed_loop.pairs import refit_pairs
 from cluster_est.closed_loop.result import Finding
+from cluster_est.closed_loop.revise import Rivals, revise
 from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
 from cluster_est.methods.least_squares import LeastSquares
 
 SOLO_GAIN = 30.0
 """Gain of the criterion with which an effect may live in a minority of the experiments."""
 SOLO_SHARE = 0.98
+HARD = 0.7
+"""Share of the gap to the noise that a single effect must close, or two at once are tried."""
 BIG = 1.15
 """Residual over noise, in squares, above which an effect must close a part of the gap."""
 LOCAL_MINIMUM = 0.97
 """The declared model, restarted from the new parameters, must not get below this share."""
-SWAP = 4.0
-"""By how much a criterion must fall for an earlier effect to be replaced."""
 AGAIN = LeastSquares(trials=2, max_iterations=15, ftol=1e-6, xtol=1e-7, differences="forward")
 
 
@@ -73,7 +71,7 @@ class Search:
     current: Fitted = field(repr=False)
     base_prediction: Prediction = field(repr=False)
     prediction: Prediction = field(repr=False)
-    rivals: dict[str, tuple[Contender, list[Contender]]] = field(repr=False)
+    rivals: Rivals = field(repr=False)
     steps: tuple[Step, ...] = field(repr=False)
     findings: tuple[Finding, ...] = field(repr=False)
     noise: np.ndarray
@@ -91,7 +89,8 @@ def search(bench: Workbench, declared: Start, *, again: bool = True) -> Search:
     base_prediction = prediction
     steps: list[Step] = []
     seen: list[Finding] = []
-    rivals: dict[str, tuple[Contender, list[Contender]]] = {}
+    rivals: Rivals = {}
+    passed = {frozenset(c.effect.name for c in base.added)}
     while True:
         number = len(steps) + 1
         screening = screen(bench, current, number)
@@ -108,11 +107,12 @@ def search(bench: Workbench, declared: Start, *, again: bool = True) -> Search:
         for candidate in grown.added[len(current.added) :]:
             rivals[candidate.effect.name] = (won, alternatives(step.contenders, won))
         if current.added:
-            grown = _revise(bench, grown, screening.count, rivals)
+            grown = revise(bench, grown, screening.count, bench.noise_floor(noise), rivals)
             better = predict(bench, grown) if grown is not won.fitted else better
-        names = {c.effect.name for c in current.added}
-        if {c.effect.name for c in grown.added} == names:
+        names = frozenset(c.effect.name for c in grown.added)
+        if names in passed:
             break
+        passed.add(names)
         current, prediction = grown, better
     return Search(
         base, current, base_prediction, prediction, rivals, tuple(steps), tuple(seen), noise
@@ -135,10 +135,10 @@ def _round(
         return Step(screening, (), "coloured noise"), None, None
     if full:
         return Step(screening, (), "limit of effects"), None, None
-    contenders = refit(bench, current, screening)
+    contenders = refit(bench, current, screening, bench.noise_floor(noise))
     named = [c for c in contenders if c.candidate.form.family != "table"]
     step, won, better = _best_of(bench, current, before, screening, named, noise)
-    if not bench.settings.pairs or (won is not None and screening.explained >= HARD):
+    if not bench.settings.pairs or (won is not None and step.closed >= HARD):
         return step, won, better
     if len(current.added) + 2 > bench.settings.max_effects:
         return step, won, better
@@ -150,7 +150,7 @@ def _round(
         return _best_of(bench, current, before, screening, tables, noise)
     if two is None:
         return step, won, better
-    if won is not None and two.criterion + 2.0 * np.log(screening.count) > won.criterion:
+    if won is not None and two.criterion + 4.0 * np.log(screening.count) > won.criterion:
         return step, won, better
     return paired
 
@@ -167,7 +167,7 @@ def _best_of(
     left = [c for c in contenders if c.criterion < current.criterion(bench.records)]
     while left:
         chosen = plainest(left)
-        if stays_bounded(bench, chosen.fitted):
+        if stays_bounded(bench, chosen.fitted, current):
             break
         left = [c for c in left if c is not chosen]
     if not left:
@@ -191,9 +191,10 @@ def _gates(
 ) -> tuple[float, float, str]:
     """Gain of the criterion, share of the gap to the noise that is closed, and why not if so."""
     added = len(chosen.fitted.added) - len(current.added)
-    penalty = 2.0 * added * np.log(screening.count)
+    # each further effect must earn more: what the ones before leave is partly their own error
+    penalty = 2.0 * added * (1 + len(current.added)) * np.log(screening.count)
     gain = current.criterion(bench.records) - chosen.criterion - penalty
-    floor = noise_floor(bench, noise)
+    floor = bench.noise_floor(noise)
     closed = (before.total - after.total) / max(before.total - floor, 0.02 * floor)
     if gain <= 0.0:
         return gain, closed, "the gain does not pay for the choice among so many candidates"
@@ -206,12 +207,6 @@ def _gates(
     if little and not _rest_is_coloured(bench, current, chosen.fitted, before, after):
         return gain, closed, "it explains too little of what is missing"
     return gain, closed, ""
-
-
-def noise_floor(bench: Workbench, noise: np.ndarray) -> float:
-    """The sum of squares that the noise alone would leave."""
-    sizes = [len(bench.records.of_output(o)) for o in range(len(bench.records.outputs))]
-    return float(np.nansum(noise**2 * np.array(sizes)))
 
 
 def _improved(current: Fitted, grown: Fitted) -> float:
@@ -248,36 +243,6 @@ def _declared_only(won: Contender, declared: Start) -> dict[str, float]:
     return {k: v for k, v in estimates if not any(k.startswith(f"{n}.") for n in names)}
 
 
-def _revise(
-    bench: Workbench,
-    grown: Fitted,
-    count: int,
-    rivals: dict[str, tuple[Contender, list[Contender]]],
-) -> Fitted:
-    """Ask of each earlier effect whether another is better now, and whether it is needed."""
-    for position in range(len(grown.added) - 1):
-        (rest,) = bench.fit("swap", [grown.start.minus(position)], FULL)
-        if rest is None:
-            continue
-        contenders = refit(bench, rest, screen(bench, rest, 50 + position), wide=False)
-        if contenders and contenders[0].criterion < grown.criterion(bench.records) - SWAP:
-            won = plainest(contenders)
-            if stays_bounded(bench, won.fitted):
-                grown = won.fitted
-                rivals[won.candidate.effect.name] = (won, alternatives(contenders, won))
-    for position in reversed(range(len(grown.added))):
-        if len(grown.added) < 2:
-            break
-        (rest,) = bench.fit("drop", [grown.start.minus(position)], FULL)
-        price = 2.0 * np.log(count)
-        if (
-            rest is not None
-            and rest.criterion(bench.records) < grown.criterion(bench.records) + price
-        ):
-            grown = rest
-    return grown
-
-
 def _noted(
     bench: Workbench, current: Fitted, step: Step, won: Contender | None, number: int
 ) -> list[Finding]:
@@ -295,6 +260,3 @@ def _noted(
             if name in found:
                 found[name] = refreshed(found[name], "accepted", won.criterion - base)
     return list(found.values())
-
-
-__all__ = ["Search", "Step", "contest", "noise_floor", "search"]

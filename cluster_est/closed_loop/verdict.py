@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluster_est.closed_loop.result import Verdict
-from cluster_est.closed_loop.search import Search, noise_floor
+from cluster_est.closed_loop.search import Search
 from cluster_est.closed_loop.workbench import Workbench
 
 STRUCTURE = 5.0
 """Standardised omnibus statistic above which structure counts as left."""
 EXCESS = 0.05
 """Residual over noise, in squares, below which nothing can be left."""
+COLOURED = 25.0
+"""Residual over noise, in squares, above which what is left is no noise, however coloured."""
 NEARLY_ALL, MOST = 0.98, 0.6
 """Shares of the gap to the noise that effects must close for "found" and "partial"."""
 
@@ -40,7 +42,8 @@ def judge(bench: Workbench, found: Search) -> Judgement:
             return Judgement(Verdict.PARTIAL, f"{share}, but by a free table only", closed)
         return Judgement(Verdict.FOUND, share, closed)
     better = np.mean(found.prediction.squares < found.base_prediction.squares)
-    if found.last.why == "coloured noise" and not tables and better >= 0.75:
+    noisy = found.last.why == "coloured noise" and excess < COLOURED
+    if noisy and not tables and better >= 0.75:
         rest = f"{share}; the rest is autocorrelated noise"
         return Judgement(Verdict.FOUND, rest, closed)
     if closed > MOST and not tables:
@@ -66,6 +69,12 @@ def _nothing_added(found: Search, lack: bool) -> Judgement:
         return Judgement(
             Verdict.NONE, f"no candidate is significant (family-wise p = {screening.p:.2g})"
         )
+    if why == "coloured noise" and screening.omnibus.p > 0.1:
+        return Judgement(
+            Verdict.NONE,
+            "no candidate is significant once the residual is whitened "
+            f"(family-wise p = {screening.p_white:.2g})",
+        )
     if why == "coloured noise":
         return Judgement(
             Verdict.COLOURED,
@@ -81,7 +90,7 @@ def _nothing_added(found: Search, lack: bool) -> Judgement:
 
 def _lack(bench: Workbench, found: Search) -> tuple[bool, float]:
     """Whether structure is left in the residual, and its excess over the noise."""
-    floor = noise_floor(bench, found.noise)
+    floor = bench.noise_floor(found.noise)
     excess = found.current.sse / floor - 1.0
     omnibus = found.last.screening.omnibus
     significant = omnibus.p <= bench.settings.significance and omnibus.z > STRUCTURE
@@ -90,7 +99,7 @@ def _lack(bench: Workbench, found: Search) -> tuple[bool, float]:
 
 def _closed(bench: Workbench, found: Search) -> float:
     """Share of the gap to the noise that is closed, in training and in prediction."""
-    floor = noise_floor(bench, found.noise)
+    floor = bench.noise_floor(found.noise)
     base, now = found.base.sse, found.current.sse
     training = (base - now) / max(base - min(floor, now), 1e-12)
     before, after = found.base_prediction.total, found.prediction.total

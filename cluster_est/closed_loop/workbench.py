@@ -56,6 +56,11 @@ class Fitted:
         """The same model, to be fitted again from here."""
         return Start(self.problem, self.estimates, self.added)
 
+    def moved(self, position: int) -> Fitted:
+        """The same model, with its last effect counted at another position."""
+        kept, last = self.added[:-1], self.added[-1]
+        return replace(self, added=(*kept[:position], last, *kept[position:]))
+
     @property
     def sse(self) -> float:
         return float(np.add.reduce(self.residuals**2))
@@ -182,6 +187,11 @@ class Workbench:
     def exchange(self) -> bool:
         return self.problem.model.interface == "model_exchange"
 
+    def noise_floor(self, noise: FloatArray) -> float:
+        """The sum of squares that the noise alone would leave; never 0."""
+        sizes = [len(self.records.of_output(o)) for o in range(len(self.records.outputs))]
+        return max(float(np.nansum(noise**2 * np.array(sizes))), 1e-300)
+
     def noise_in_units(self, noise: FloatArray) -> dict[str, float]:
         """The noise of each output in its own unit, from that in units of its residual."""
         sigmas = {
@@ -253,4 +263,5 @@ class Workbench:
                     f"({outcome.status}: {outcome.message})"
                 )
         pairs = zip(self.train, outcomes, strict=True)
-        return [make_course(self.problem.experiments[e], outcome) for e, outcome in pairs]
+        states = self.description.states
+        return [make_course(self.problem.experiments[e], outcome, states) for e, outcome in pairs]

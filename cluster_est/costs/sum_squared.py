@@ -25,4 +25,5 @@ class SumSquared(Cost):
 
     def value(self, residuals: FloatArray) -> float:
         # not a dot product, whose rounding depends on the number of threads of the BLAS library
-        return float(np.add.reduce(residuals * residuals))
+        with np.errstate(over="ignore"):  # an infinite cost is refused like any that is too high
+            return float(np.add.reduce(residuals * residuals))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from closed_loop_benchmark.data import Data
 from closed_loop_benchmark.effect import Name
-from closed_loop_benchmark.naming import compare, normal
+from closed_loop_benchmark.naming import Match, compare, normal
 from closed_loop_benchmark.oracle import Oracle, count_free
 from closed_loop_benchmark.problem import run_name
 from closed_loop_benchmark.refit import refit
@@ -149,44 +149,65 @@ def score(data: Data, result: LoopResult, oracle: Oracle) -> Score:
     Score
         Everything that the tables need.
     """
-    accepted = data.scenario.accepted
-    named = [normal(e.form, e.site, e.variables) for e in result.effects]
-    others = list(_alternatives(result.effects))
-    matches = [compare(names, named, others) for names in accepted]
-    inside = data.scenario.kind != "outside"
-    marks: dict[str, Any] = {
-        field: [bool(getattr(match, field)) and inside for match in matches]
-        for field in ("exact", "alias", "form_and_site", "tied", "plausible", "site", "any_site")
+    found = {
+        **_naming(data, result),
+        **_distances(data, result),
+        **_errors(data, result, oracle),
     }
-    comparable = bool(named) and len(named) <= len(accepted)
-    distance = missed(data, result.after) if comparable else np.nan
-    without = missed(data, result.before) if comparable else np.nan
     return replace(
         blank(data),
-        named=[in_words(name) for name in named],
         verdict=str(result.verdict),
-        detected=bool(named) or result.verdict in REMARKABLE,
-        **marks,
-        numerical=bool(distance < SAME_MODEL),
-        distance=distance,
-        distance_without=without,
+        detected=bool(result.effects) or result.verdict in REMARKABLE,
         coefficients=sum(count_free(e.effect) for e in result.effects),
         true_coefficients=oracle.coefficients,
-        superfluous=max(len(named) - len(accepted), 0),
-        likelihood_ratio=_sum_of_squares(result) - oracle.best.sse,
         has_oracle=oracle.fit is not None,
-        before=result.rms("test", "before"),
-        after=result.rms("test", "after"),
-        oracle=oracle.best.test,
-        floor=oracle.truth.test,
-        train_before=result.rms("train", "before"),
-        train_after=result.rms("train", "after"),
-        parameters_before=_parameter_error(data, result.before.x),
-        parameters_after=_parameter_error(data, result.after.x),
         simulations=float(result.simulations),
         seconds=float(result.seconds),
         failures=result.failures,
+        **found,
     )
+
+
+def _naming(data: Data, result: LoopResult) -> dict[str, Any]:
+    """Return what there is to say about the names, an entry for each true effect."""
+    accepted = data.scenario.accepted
+    named = [normal(e.form, e.site, e.variables) for e in result.effects]
+    others = list(_alternatives(result.effects))
+    matches = [asdict(compare(names, named, others)) for names in accepted]
+    inside = data.scenario.kind != "outside"  # there, what an effect is called is no right name
+    marks = {f.name: [match[f.name] and inside for match in matches] for f in fields(Match)}
+    return {
+        **marks,
+        "named": [in_words(name) for name in named],
+        "superfluous": max(len(named) - len(accepted), 0),
+    }
+
+
+def _distances(data: Data, result: LoopResult) -> dict[str, Any]:
+    """Return how far what was found is from the truth, if it has no more effects than that."""
+    if not 0 < len(result.effects) <= len(data.scenario.accepted):
+        return {}
+    distance = missed(data, result.after)
+    return {
+        "numerical": distance < SAME_MODEL,
+        "distance": distance,
+        "distance_without": missed(data, result.before),
+    }
+
+
+def _errors(data: Data, result: LoopResult, oracle: Oracle) -> dict[str, Any]:
+    """Return the errors before and after, and what they could be."""
+    return {
+        "likelihood_ratio": _sum_of_squares(result) - oracle.best.sse,
+        "before": result.rms("test", "before"),
+        "after": result.rms("test", "after"),
+        "oracle": oracle.best.test,
+        "floor": oracle.truth.test,
+        "train_before": result.rms("train", "before"),
+        "train_after": result.rms("train", "after"),
+        "parameters_before": _parameter_error(data, result.before.x),
+        "parameters_after": _parameter_error(data, result.after.x),
+    }
 
 
 def missed(data: Data, fitted: Result) -> float:

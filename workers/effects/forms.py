@@ -56,7 +56,9 @@ def _tau(*steps: float) -> Coefficient:
     return _shape("tau", "second", "step", *steps)
 
 
-_WIDTH = Coefficient("width", None, positive=True, scale="rms v", grid=(0.01,), held=True, unit="v")
+_WIDTH = Coefficient(
+    "width", None, positive=True, scale="rms v", grid=(0.004, 0.0005), held=True, unit="v"
+)
 """Of a switch: as narrow as a solver can still step across."""
 _WAVE = (
     Coefficient("a", unit="site"),
@@ -66,6 +68,8 @@ _WAVE = (
 _BEYOND = _shape("at", "v", "max v", 0.35, 0.55, 0.75)
 _LATE = Coefficient("tau", positive=True, scale="step", grid=(1.0, 4.0, 12.0), unit="second")
 _LAG = OwnState("z", "(v - z) / tau", "v")
+_RESTING = OwnState("z", "(v - z) / tau", "0")
+"""A lag of something that was at rest before, like a further branch in an electrical model."""
 _BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
 
 _HATS = 7
@@ -141,6 +145,8 @@ _RATES = (
     _between("quadratic", "drag", "v * abs(v)", " / v^2"),
     _between("cubic", "drag", "v^3", " / v^3", when="", order=0.5),
     _between("coulomb", "friction", "tanh(v / width)", "", _WIDTH),
+    _between("overflow", "leak", "max(v - at, 0)", " / v",
+             _at("v", "quantile v", 0.5, 0.6, 0.7, 0.8, 0.9), when="first", order=0.2),
     _between("leak", "leak", "sign(v) * sqrt(abs(v))", " / v^0.5"),
 )  # fmt: skip
 
@@ -153,25 +159,25 @@ _SIGNALS = (
     Form("cubic", "nonlinearity", _IN, "s + k * s^3", (_k("1 / site^2"),), order=0.5),
     Form("asymmetry", "nonlinearity", _IN, "s + k * max(s, 0)", (_k("1"),), when="oscillates"),
     Form("dead_zone", "nonlinearity", _IN, "where(abs(s) > k, s - k * sign(s), 0)",
-         (Coefficient("k", positive=True, scale="max s", grid=(0.05, 0.12, 0.25), unit="site"),),
-         when="oscillates"),
+         (Coefficient("k", positive=True, scale="max s", grid=(0.05, 0.12, 0.25), unit="site"),)),
     Form("backlash", "nonlinearity", _IN, "s",
          (Coefficient("k", positive=True, scale="max s", grid=(0.05, 0.12, 0.25), unit="site"),),
          memory="backlash"),
     Form("saturation", "limit", _SIGNAL, "max(min(s, limit), -limit)",
-         (Coefficient("limit", float("inf"), positive=True, scale="max s", grid=(0.92, 0.8, 0.65),
-                      unit="site"),), when="oscillates"),
+         (Coefficient("limit", float("inf"), positive=True, scale="max s",
+                      grid=(0.95, 0.88, 0.8, 0.7, 0.6, 0.45, 0.3),
+                      unit="site"),)),
     Form("clip_above", "limit", _OUT, "min(s, limit)",
-         (_limit(float("inf"), "range s", 0.92, 0.8, 0.65),)),
+         (_limit(float("inf"), "range s", 0.95, 0.88, 0.8, 0.7, 0.55),)),
     Form("clip_below", "limit", _OUT, "max(s, limit)",
-         (_limit(float("-inf"), "range s", 0.08, 0.2, 0.35),)),
+         (_limit(float("-inf"), "range s", 0.05, 0.12, 0.2, 0.3, 0.45),)),
     Form("product", "nonlinearity", _IN, "s + k * s * v", (_k("1 / v"),), 1, order=0.7),
     Form("lag", "lag", _SIGNAL, "z", (_LATE,), 0, (OwnState("z", "(s - z) / tau", "s"),)),
     Form("delay", "delay", _SIGNAL, "s", (_LATE,), memory="delay"),
     Form("absolute", "nonlinearity", _OUT, "s + k * abs(s)", (_k("1"),), when="oscillates"),
     Form("feed_through", "coupling", _OUT, "s + k * v", (_k("site / v"),), 1, order=0.3),
     Form("lagged_feed_through", "coupling", _OUT, "s + k * z",
-         (_k("site / v"), _tau(4.0, 15.0, 60.0)), 1, (_LAG,), when="driven", order=0.3),
+         (_k("site / v"), _tau(4.0, 15.0, 60.0)), 1, (_RESTING,), when="driven", order=0.3),
     Form("hysteresis", "memory", _OUT, "s + k * z",
          (_k("site"), _shape("x0", "travel", "travel v", 0.1, 0.4, 1.5)), 1, (_BRISTLE,),
          when="driven oscillates"),

@@ -85,8 +85,9 @@ class Form:
     when
         Words that say on which data a search should try it: "oscillates" (its variable, or the
         signal where it has none, clearly takes both signs), "positive" (never negative), "own"
-        (its variable is the state at whose derivative it acts), "driven" (its variable is an input
-        or a measured signal). All must hold; "" always does.
+        (its variable is the state at whose derivative it acts), "first" (its variable is the first
+        state of the pair), "driven" (its variable is an input or a measured signal).
+        All must hold; "" always does.
     order
         Which name wins where data do not tell two apart: the lower.
     """

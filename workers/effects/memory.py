@@ -7,6 +7,7 @@ of the first coefficient of its form.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -24,13 +25,25 @@ def delay(times: FloatArray, values: FloatArray, seconds: float) -> Samples:
 def backlash(times: FloatArray, values: FloatArray, half_width: float) -> Samples:
     """The signal behind a play, which it has to cross whenever it turns.
 
-    The play operator, from sample to sample: out = clip(out before, s - k, s + k), starting at s.
+    The play operator: out = clip(out before, s - k, s + k), starting at s. It is exact for signals
+    that are linear between their samples: there is a further sample wherever the play is crossed,
+    before which nothing has moved yet.
     """
-    followed, out = [], float(values[0])
-    for value in values.tolist():
-        out = min(max(out, value - half_width), value + half_width)
-        followed.append(out)
-    return times, np.array(followed)
+    at, followed = [float(times[0])], [float(values[0])]
+    before, out = at[0], float(values[0])
+    last = out
+    for time, value in zip(times[1:].tolist(), values[1:].tolist(), strict=True):
+        new = min(max(out, value - half_width), value + half_width)
+        if new != out:
+            contact = out + math.copysign(half_width, value - last)
+            crossed = before + (time - before) * (contact - last) / (value - last)
+            if before < crossed < time:
+                at.append(crossed)
+                followed.append(out)
+        at.append(time)
+        followed.append(new)
+        before, last, out = time, value, new
+    return np.array(at), np.array(followed)
 
 
 MEMORIES: dict[str, Callable[[FloatArray, FloatArray, float], Samples]] = {

@@ -50,7 +50,7 @@ def compile_function(
     scope: dict[str, Any] = {"carray": carray, "math": __import__("math")}
     exec(compile(text, "<effect>", "exec"), scope)  # printed by SymPy from a checked syntax tree
     pointers = [types.CPointer(types.float64)] * len(arrays)  # type: ignore[attr-defined]
-    return cfunc(types.int32(types.float64, *pointers))(scope["effect"])
+    return cfunc(types.int32(types.float64, *pointers), error_model="numpy")(scope["effect"])
 
 
 def _source(

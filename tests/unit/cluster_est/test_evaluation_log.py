@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from cluster_est import evaluation_log
 from cluster_est.errors import RunFolderError
 from cluster_est.evaluation_log import SCHEMA, EvaluationLog, read_log
 from cluster_est.runner import Origin
-from workers.messages import Outcome, Status
+from workers.messages import Effect, Outcome, Status
 
 EXPERIMENTS = [("first", "key1"), ("second", "key2")]
 METADATA = {"config_hash": "abc", "format": "1"}
@@ -85,6 +86,17 @@ def test_failures_alone_have_null_residuals(tmp_path: Path) -> None:
     recorded = [row for row in rows(20) if not row[1].ok]
     write(tmp_path, recorded, 3).close()
     check(read_log(tmp_path), recorded)
+
+
+def test_a_row_says_its_effects_and_what_else_was_installed(tmp_path: Path) -> None:
+    origin, outcome = rows(1)[0]
+    effect = Effect("friction", "der(v)", "coulomb", ("v",))
+    rehearsal = replace(origin, experiment=7, effects=(effect,), installed=("first (15%)", "key7"))
+    write(tmp_path, [(origin, outcome), (rehearsal, outcome)], 2).close()
+    own, other = read_log(tmp_path).to_pylist()
+    assert (own["experiment"], own["effects"]) == ("first", [])
+    assert (other["experiment"], other["effects"]) == ("first (15%)", ["friction"])
+    assert own["key"] != other["key"]
 
 
 def test_flushed_rows_can_be_read_while_the_log_is_open(tmp_path: Path) -> None:

@@ -10,7 +10,15 @@ import pytest
 from problems import ROOT
 from pydantic import BaseModel
 
-from cluster_est import LeastSquares, build_problem, config, parse_config, read_config
+from cluster_est import (
+    LeastSquares,
+    LoopSettings,
+    build_problem,
+    config,
+    parse_config,
+    read_config,
+)
+from cluster_est.build import build_settings
 
 REFERENCE = ROOT / "configs" / "reference.toml"
 SECTIONS = {
@@ -22,6 +30,7 @@ SECTIONS = {
     "experiments.columns.force": config.ColumnSection,
     "effects": config.EffectSection,
     "effects.parameters.k": config.CoefficientSection,
+    "closed_loop": config.ClosedLoopSection,
     "cost": config.CostSection,
     "method": config.MethodSection,
     "executor": config.ExecutorSection,
@@ -67,6 +76,10 @@ def test_defaults_are_those_of_the_code(path, section):
 def test_method_options_are_those_of_least_squares():
     defaults = {field.name: field.default for field in dataclasses.fields(LeastSquares)}
     assert tree(everything=False)["method"]["options"] == defaults
+
+
+def test_the_keys_of_a_closed_loop_are_its_settings():
+    assert build_settings(parse_config(tree(everything=False), "reference")) == LoopSettings()
 
 
 def test_the_reference_is_a_config_that_works():

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cluster_est.errors import BudgetError
 from cluster_est.executors import Executor
 from cluster_est.methods.base import (
     Ending,
@@ -246,6 +247,29 @@ def test_search_that_never_worked_ends_at_its_start_without_a_cost() -> None:
     (solution,) = Runner(FakeExecutor(), Budget(evaluations=1)).run([request])
     np.testing.assert_array_equal(solution.x, request.space.start)
     assert np.isnan(solution.cost)
+
+
+def test_a_whole_runner_raises_when_the_budget_cuts_a_search() -> None:
+    method = Script([[5.0], [1.4, 9.0], [3.0], [2.0]])
+    runner = Runner(FakeExecutor(), Budget(evaluations=4), whole=True)
+    with pytest.raises(BudgetError, match="used up after 4 evaluations"):
+        runner.run([whole(method)])
+    assert method.closed
+    with pytest.raises(BudgetError):
+        runner.run([whole(Script([[5.0]]))])
+
+
+def test_a_whole_runner_keeps_searches_that_the_budget_did_not_cut() -> None:
+    runner = Runner(FakeExecutor(), Budget(evaluations=1), whole=True)
+    (solution,) = runner.run([whole(Script([[5.0]]))])
+    assert solution.ending is Ending.CONVERGED
+
+
+def test_an_interrupt_goes_through_a_whole_runner() -> None:
+    method = Script([[5.0], [4.0]])
+    with pytest.raises(KeyboardInterrupt):
+        Runner(FakeExecutor(0, interrupt_at(0)), whole=True).run([whole(method)])
+    assert method.closed
 
 
 def interrupt_at(call: int) -> Callable[[int], None]:

@@ -20,7 +20,7 @@ SCALES = {
 @pytest.mark.parametrize(("kind", "name"), FORMS)
 def test_what_is_no_strength_has_a_grid_and_all_has_a_unit(kind, name):
     form = FORMS[kind, name]
-    assert set(form.when.split()) <= {"own", "oscillates", "positive", "driven"}
+    assert set(form.when.split()) <= {"own", "oscillates", "positive", "driven", "first"}
     assert form.memory in ("", *MEMORIES)
     assert bool(form.reaction) is (kind == "pair")
     for c in form.coefficients:

@@ -1,0 +1,171 @@
+"""What a closed loop needs of every form of the library. A new form is picked up by being there.
+
+The directions in which candidates move the residuals are compared with central differences of
+simulations in which the effect itself acts.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from systems_with_missing_effects import SYSTEMS, missing_effect_problem, opened, unfitted
+
+from cluster_est.closed_loop.candidates import Candidate, make_candidates
+from cluster_est.closed_loop.course import Course
+from cluster_est.closed_loop.directions import Trial, directions
+from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.workbench import Fitted, Workbench
+from workers.effects.definition import define
+from workers.effects.forms import FORMS
+from workers.effects.site import parse_site
+
+NAMES = ("mass_spring_damper", "pendulum", "cascaded_tanks", "two_mass_drive")
+LINEAR = ("mass_spring_damper", "two_mass_drive")
+"""Where the response to a finite change is what a linear system says."""
+KINK = re.compile(r"max|min|abs|where|sign|tanh")
+WAVES_IN_A_RECORD = 5.0
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A system, simulated, with all that could be missing from it."""
+
+    bench: Workbench
+    fitted: Fitted
+    trials: list[Trial]
+    directions: list[np.ndarray]
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        return [trial.candidate for trial in self.trials]
+
+    def simulated(self, trial: Trial, amounts: list[float]) -> np.ndarray:
+        """The same by simulation: central differences, or the whole change of a finite effect."""
+        candidate = trial.candidate
+        names = [c.name for c in candidate.form.coefficients]
+        space = self.bench.space(self.fitted.start.plus(candidate, trial.values))
+        rows = [trial.values]
+        if candidate.strengths:
+            rows = [
+                [way * amount if n == strength else value
+                 for n, value in zip(names, trial.values, strict=True)]
+                for strength, amount in zip(candidate.strengths, amounts, strict=True)
+                for way in (1.0, -1.0)
+            ]  # fmt: skip
+        own = space.unknowns[self.fitted.space.size :]
+        labels = [u.label.removeprefix(f"{candidate.effect.name}.") for u in own]
+        points = [
+            [*self.fitted.x, *(u.to_search(row[names.index(n)])
+                               for u, n in zip(own, labels, strict=True))]
+            for row in rows
+        ]  # fmt: skip
+        (seen,) = self.bench.look("difference", [(space, np.array(points))])
+        assert all(at.ok for at in seen), seen[0].reason
+        if not candidate.strengths:
+            return (seen[0].residuals - self.fitted.residuals)[:, None]
+        pairs = zip(seen[::2], seen[1::2], amounts, strict=True)
+        return np.column_stack([(a.residuals - b.residuals) / (2.0 * s) for a, b, s in pairs])
+
+
+@pytest.fixture(scope="module")
+def systems():
+    found = {}
+    with ExitStack() as stack:
+        for name in NAMES:
+            bench = stack.enter_context(opened(missing_effect_problem(name)))
+            fitted = unfitted(bench)
+            courses = bench.courses(fitted)
+            rate = 2.0 * np.pi * WAVES_IN_A_RECORD / SYSTEMS[name].stop
+            candidates = make_candidates(
+                fitted.problem, bench.description, courses, [rate], LoopSettings()
+            )
+            trials = [Trial(c, c.grid[len(c.grid) // 2]) for c in candidates]
+            moves = directions(courses, trials, [_known(fitted, course) for course in courses])
+            found[name] = Seen(bench, fitted, trials, moves)
+        yield found
+
+
+def _known(fitted: Fitted, course: Course) -> np.ndarray:
+    """Values of the parameters, which are the same in all experiments."""
+    assert course.linear is not None
+    return np.array([fitted.estimates[name] for name in course.linear.parameter_names])
+
+
+@pytest.mark.parametrize(("kind", "name"), FORMS)
+def test_its_direction_is_what_simulations_say(systems, kind, name):
+    form = FORMS[kind, name]
+    finite = not any(c.neutral == 0.0 and not c.scale for c in form.coefficients)
+    able = [
+        seen
+        for system, seen in systems.items()
+        if (system in LINEAR or not finite) and _of(seen.candidates, kind, name)
+    ]
+    assert able, "it is a candidate on none of the systems: add one here that it makes sense on"
+    seen = able[zlib.crc32(f"{kind} {name}".encode()) % len(able)]
+    trial, direction = _visible(seen, kind, name)
+    lengths = np.linalg.norm(direction, axis=0)
+    size = float(np.linalg.norm(seen.fitted.residuals))
+    truth = seen.simulated(trial, [1e-3 * size / length for length in lengths.tolist()])
+    texts = (form.equation, form.reaction, *(z.derivative for z in form.states))
+    kinked = form.memory or KINK.search(" ".join(texts))
+    cosines = np.sum(direction * truth, axis=0) / lengths / np.linalg.norm(truth, axis=0)
+    assert cosines.min() > (0.98 if kinked else 0.999)
+    np.testing.assert_allclose(
+        lengths, np.linalg.norm(truth, axis=0), rtol=0.03 if kinked else 0.01
+    )
+
+
+@pytest.mark.parametrize("system", NAMES)
+def test_candidates_can_be_fitted(systems, system):
+    """Starts lie within their bounds, the FMU takes the effect, and it has a text."""
+    seen = systems[system]
+    for candidate in seen.candidates:
+        text = str(candidate.effect)
+        assert candidate.grid, text
+        for values in candidate.grid:
+            assert np.isfinite(values).all(), text
+            for parameter, value in zip(candidate.parameters(values), values, strict=True):
+                assert parameter.lower <= value <= parameter.upper, (text, parameter)
+                assert parameter.start == value, (text, parameter)
+                assert parameter.scale == "linear" or parameter.lower > 0.0, (text, parameter)
+        start = seen.fitted.start.plus(candidate, candidate.grid[0])
+        assert start.problem.parameters[-1].name.startswith(f"{candidate.effect.name}.")
+        extra = tuple(s.variable for s in seen.bench.problem.experiments[0].signals)
+        define(candidate.effect, seen.bench.description, "model_exchange", extra)
+        assert candidate.equation.startswith((str(candidate.site), f"{candidate.site.target} -> "))
+        assert not re.search(r"(?<![\w.])[vw](?![\w.(])", _without(candidate)), candidate.equation
+    names = [c.effect.name for c in seen.candidates]
+    assert len(set(names)) == len(names)
+
+
+def _without(candidate: Candidate) -> str:
+    """The equation without names of the FMU: no placeholder may be left in it."""
+    text = candidate.equation
+    for name in sorted((*candidate.effect.variables, *candidate.site.targets), key=len)[::-1]:
+        text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", "", text)
+    return text
+
+
+def _of(candidates: list[Candidate], kind: str, name: str) -> list[Candidate]:
+    own = [c for c in candidates if (c.site.kind, c.form.name) == (kind, name)]
+    assert all(parse_site(c.effect.site, "") == c.site for c in own)
+    return own
+
+
+def _visible(seen: Seen, kind: str, name: str) -> tuple[Trial, np.ndarray]:
+    """Of the form's candidates the one that the outputs show best, and its direction."""
+    own = _of(seen.candidates, kind, name)
+    pairs = zip(seen.trials, seen.directions, strict=True)
+    best = [
+        (float(np.linalg.norm(direction, axis=0).min()), trial, direction)
+        for trial, direction in pairs
+        if trial.candidate in own
+    ]
+    length, trial, direction = max(best, key=lambda one: one[0])
+    assert length > 0.0
+    return trial, direction

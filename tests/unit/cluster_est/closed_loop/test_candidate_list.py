@@ -1,0 +1,171 @@
+"""Which effects could be missing: sites, variables, names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from systems_with_missing_effects import missing_effect_problem, opened, unfitted
+
+from cluster_est import Parameter
+from cluster_est.closed_loop.candidates import equation_text, kinematic_states, make_candidates
+from cluster_est.closed_loop.settings import LoopSettings
+from workers.effects.forms import FORMS
+from workers.effects.site import parse_site
+from workers.messages import Effect, Input, Output
+
+
+def listed(problem, frequencies=(3.0,), **settings):
+    with opened(problem) as bench:
+        courses = bench.courses(unfitted(bench))
+        return make_candidates(
+            problem, bench.description, courses, frequencies, LoopSettings(**settings)
+        )
+
+
+def changed(problem, **changes):
+    """A problem whose second experiment is different."""
+    first, second, *rest = problem.experiments
+    return replace(problem, experiments=(first, replace(second, **changes), *rest))
+
+
+@pytest.mark.parametrize(
+    ("name", "kinematic"),
+    [
+        ("mass_spring_damper", {"x"}),
+        ("pendulum", {"angle"}),
+        ("cascaded_tanks", set()),
+        ("two_mass_drive", set()),
+        ("battery", set()),
+    ],
+)
+def test_kinematic_states(name, kinematic):
+    with opened(missing_effect_problem(name)) as bench:
+        assert kinematic_states(bench.courses(unfitted(bench))) == kinematic
+
+
+def test_a_kinematic_state_is_one_at_rest_too():
+    problem = missing_effect_problem("mass_spring_damper", experiments=1)
+    still = Input("F", np.array([0.0, 6.0]), np.zeros(2))
+    run = replace(problem.experiments[0], inputs=(still,), values=())
+    with opened(replace(problem, experiments=(run,))) as bench:
+        assert kinematic_states(bench.courses(unfitted(bench))) == {"x"}
+
+
+def test_sites_are_what_moves_is_driven_measured_or_estimated():
+    problem = missing_effect_problem("mass_spring_damper")
+    mass, *others = problem.parameters
+    problem = replace(problem, parameters=(replace(mass, fixed=True), *others))
+    sites = {str(c.site) for c in listed(problem)}
+    assert sites == {"der(v)", "input F", "output y", "parameter k", "parameter c"}
+
+
+def test_in_co_simulation_states_are_out_of_reach():
+    problem = missing_effect_problem("battery", interface="co_simulation")
+    found = listed(problem)
+    assert {c.site.kind for c in found} == {"input", "output", "parameter"}
+    names = {name for c in found for name in c.effect.variables}
+    assert names == {"current", "extra"}
+
+
+def test_settings_choose_forms_and_sites():
+    problem = missing_effect_problem("pendulum")
+    found = listed(problem, forms=("coulomb", "gain"), sites=("der(speed)", "output y"))
+    assert {(str(c.site), c.form.name) for c in found} == {
+        ("der(speed)", "coulomb"),
+        ("output y", "gain"),
+    }
+
+
+@pytest.mark.parametrize(
+    "declared",
+    [
+        Effect("mine", "der(v)", "viscous"),
+        Effect("mine", "der(v)", "viscous", ("v",)),
+        Effect("mine", "der( v )", "viscous", ("v",)),
+        Effect("mine", "der(v)", "product", ("F", "x")),
+    ],
+)
+def test_a_declared_effect_is_no_candidate_however_it_is_written(declared):
+    problem = missing_effect_problem("mass_spring_damper")
+    strength = Parameter("mine.k", 0.1, 0.0, 1.0)
+    before = listed(problem, sites=("der(v)",))
+    problem = replace(problem, effects=(declared,), parameters=(*problem.parameters, strength))
+    after = listed(problem, sites=("der(v)",))
+    gone = {c.effect for c in before} - {c.effect for c in after}
+    assert {(e.form, frozenset(e.variables)) for e in gone} == {
+        (declared.form, frozenset(declared.variables or ("v",)))
+    }
+
+
+def test_names_are_not_those_of_declared_effects():
+    problem = missing_effect_problem("mass_spring_damper")
+    theirs = Effect("coulomb_v", "der(v)", "constant")
+    strength = Parameter("coulomb_v.k", 0.1, 0.0, 1.0)
+    problem = replace(problem, effects=(theirs,), parameters=(*problem.parameters, strength))
+    assert "coulomb_v" not in {c.effect.name for c in listed(problem)}
+
+
+def test_a_local_variable_that_is_measured_is_no_site():
+    problem = missing_effect_problem("mass_spring_damper")
+    runs = [
+        replace(e, outputs=(*e.outputs, replace(e.outputs[0], variable="x", sigma=0.7)))
+        for e in problem.experiments
+    ]
+    outputs = {str(c.site) for c in listed(replace(problem, experiments=tuple(runs)))
+               if c.site.kind == "output"}  # fmt: skip
+    assert outputs == {"output y"}
+
+
+def test_nothing_depends_on_a_signal_that_an_experiment_lacks():
+    problem = changed(missing_effect_problem("mass_spring_damper"), signals=())
+    assert not any("extra" in c.effect.variables for c in listed(problem))
+    problem = missing_effect_problem("mass_spring_damper", experiments=3)
+    problem = changed(problem, signals=(), role="test")
+    assert not any("extra" in c.effect.variables for c in listed(problem))
+
+
+def test_experiments_may_measure_different_outputs():
+    problem = missing_effect_problem("two_mass_drive")
+    problem = changed(problem, outputs=problem.experiments[1].outputs[1:])
+    found = listed(problem, sites=("output motor_speed", "output load_speed"))
+    assert {c.site.target for c in found} == {"motor_speed", "load_speed"}
+    assert not any("motor_speed" in c.effect.variables for c in found)
+
+
+def test_no_inputs_no_frequencies_and_an_output_that_stands_still():
+    problem = missing_effect_problem("cascaded_tanks", experiments=1, signals=())
+    run = replace(problem.experiments[0], inputs=(), values=(("h1", 4.0), ("h2", 2.0)))
+    run = replace(run, outputs=(Output("y", run.outputs[0].times, np.zeros(601)),))
+    found = listed(replace(problem, experiments=(run,)), frequencies=())
+    assert {c.site.kind for c in found} == {"derivative", "pair", "output", "parameter"}
+    assert not {"sine", "hum"} & {c.form.name for c in found}
+
+
+def test_an_input_that_never_moves_is_nothing_to_depend_on():
+    problem = missing_effect_problem("mass_spring_damper", signals=())
+    steady = tuple(
+        replace(e, inputs=(Input("F", np.array([0.0, 6.0]), np.array([2.0, 2.0])),))
+        for e in problem.experiments
+    )
+    found = listed(replace(problem, experiments=steady))
+    assert {c.form.name for c in found if c.site.target == "F"} == {"product"}
+    assert not any("F" in c.effect.variables for c in found)
+
+
+@pytest.mark.parametrize(
+    ("site", "form", "variables", "expected"),
+    [
+        ("der(v)", "coulomb", (), "der(v) += -k * tanh(v / width)"),
+        ("der(h[1])", "linear", ("p.w",), "der(h[1]) += k * p.w"),
+        ("pair a,b", "linear", ("a - b",), "pair a,b: -k * (a - b)"),
+        ("input F", "gain", (), "F -> F * (1 + k)"),
+        ("output y", "lag", (), "y -> z, z' = (y - z) / tau"),
+        ("parameter R", "linear", ("i",), "R -> R * (1 + k * (i - at))"),
+    ],
+)
+def test_the_equation_has_the_names_of_the_fmu(site, form, variables, expected):
+    place = parse_site(site, "")
+    effect = Effect("e", site, form, variables)
+    assert equation_text(effect, FORMS[place.kind, form], place) == expected

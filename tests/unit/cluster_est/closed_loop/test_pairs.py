@@ -1,0 +1,77 @@
+"""Two columns that together carry most of a residual."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cluster_est.closed_loop.pairs import best_pairs
+from cluster_est.closed_loop.projection import Projection
+from cluster_est.closed_loop.score import score
+
+GENERATOR = np.random.default_rng(5)
+N, COUNT = 400, 60
+MATRIX = GENERATOR.standard_normal((N, 3))
+COLUMNS = [GENERATOR.standard_normal((N, 1)) for _ in range(COUNT)]
+
+
+def named(name, family="friction"):
+    form = SimpleNamespace(family=family)
+    return SimpleNamespace(candidate=SimpleNamespace(effect=SimpleNamespace(name=name), form=form))
+
+
+def screened(residuals, columns, trials=None):
+    scores = score(Projection(MATRIX), residuals, columns)
+    trials = trials or [named(f"e{i}") for i in range(len(columns))]
+    return SimpleNamespace(plain=scores, trials=tuple(trials))
+
+
+def left(residuals, *columns):
+    """Sum of squares after least squares on the parameters and these columns."""
+    joined = np.column_stack([MATRIX, *columns])
+    fit = np.linalg.lstsq(joined, residuals, rcond=None)[0]
+    return float(np.sum((residuals - joined @ fit) ** 2))
+
+
+def planted():
+    """Two alike columns of opposite sign: neither says much alone."""
+    columns = list(COLUMNS)
+    columns[40] = columns[17] + 0.3 * columns[40]
+    residuals = columns[17][:, 0] - columns[40][:, 0] + MATRIX @ [2.0, -1.0, 0.5]
+    return residuals + 0.05 * GENERATOR.standard_normal(N), columns
+
+
+def test_a_planted_pair_comes_first():
+    assert set(best_pairs(screened(*planted()))[0]) == {17, 40}
+
+
+def test_pairs_are_ranked_as_by_least_squares():
+    residuals = GENERATOR.standard_normal(N)
+    found = best_pairs(screened(residuals, COLUMNS[:12]))
+    every = {(i, j): left(residuals, COLUMNS[i], COLUMNS[j]) for i in range(12) for j in range(i)}
+    expected = sorted(every, key=every.get)[: len(found)]
+    assert [frozenset(pair) for pair in found] == [frozenset(pair) for pair in expected]
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e9])
+def test_scales_do_not_matter(scale):
+    residuals, columns = planted()
+    found = best_pairs(screened(scale * residuals, [scale**0.5 * c for c in columns]))
+    assert set(found[0]) == {17, 40}
+
+
+def test_points_of_one_grid_and_tables_and_what_is_alike_are_no_pairs():
+    residuals, columns = planted()
+    trials = [named(f"e{i}") for i in range(COUNT)]
+    trials[40] = named("e17")
+    assert {17, 40} not in [set(p) for p in best_pairs(screened(residuals, columns, trials))]
+    trials[40] = named("e40", "table")
+    assert not any(40 in pair for pair in best_pairs(screened(residuals, columns, trials)))
+    columns[40] = columns[17] + 0.01 * COLUMNS[40]
+    assert {17, 40} not in [set(p) for p in best_pairs(screened(residuals, columns))]
+
+
+def test_one_candidate_is_no_pair():
+    assert best_pairs(screened(GENERATOR.standard_normal(N), COLUMNS[:1])) == []

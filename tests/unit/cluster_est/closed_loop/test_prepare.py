@@ -1,0 +1,95 @@
+"""What a closed loop refuses, and what it sets up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from systems_with_missing_effects import measured, missing_effect_problem, opened
+
+from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.errors import ProblemError
+
+SPRING = missing_effect_problem("mass_spring_damper")
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"forms": ("coulom",)}, r"closed_loop\.effects: there is no form 'coulom'.*coulomb"),
+        ({"sites": ("der(w)",)}, r"does not offer the site 'der\(w\)'; did you mean 'der\("),
+        ({"sites": ("input y",)}, r"closed_loop\.sites: mass_spring_damper\.fmu does not offer"),
+        (
+            {"forms": ("coulomb",), "sites": ("output y",)},
+            r"closed_loop\.effects: must name a form for one of the sites",
+        ),
+    ],
+)
+def test_forms_and_sites_that_are_not_there(settings, sentence):
+    with pytest.raises(ProblemError, match=sentence), opened(SPRING, LoopSettings(**settings)):
+        pass
+
+
+def test_states_are_closed_in_co_simulation():
+    problem = missing_effect_problem("mass_spring_damper", interface="co_simulation")
+    with (
+        pytest.raises(ProblemError, match="does not offer"),
+        opened(problem, LoopSettings(sites=("der(v)",))),
+    ):
+        pass
+    with opened(problem) as bench:
+        assert "der(v)" not in bench.sites
+        assert any("state derivatives were closed" in note for note in bench.notes)
+
+
+@pytest.mark.parametrize("samples", [3, 7])
+def test_too_few_measurements(samples):
+    runs = [
+        replace(e, outputs=(replace(e.outputs[0], times=e.outputs[0].times[:samples],
+                                    values=e.outputs[0].values[:samples]),))
+        for e in SPRING.experiments
+    ]  # fmt: skip
+    sentence = f"at least 16 measured values .* 3 parameters but have {2 * samples}"
+    with (
+        pytest.raises(ProblemError, match=sentence),
+        opened(replace(SPRING, experiments=tuple(runs))),
+    ):
+        pass
+
+
+def test_notes_for_a_reader():
+    with opened(missing_effect_problem("mass_spring_damper", experiments=1)) as bench:
+        assert any("only one training experiment" in note for note in bench.notes)
+        assert any('no experiment has role = "test"' in note for note in bench.notes)
+    first, second = SPRING.experiments
+    with opened(replace(SPRING, experiments=(first, replace(second, role="test")))) as bench:
+        assert bench.train == (0,)
+        assert not any("role" in note for note in bench.notes)
+
+
+def two_units(sigma):
+    """Two speeds, one with ten times the noise."""
+    problem = measured(missing_effect_problem("two_mass_drive"), 0.0)
+    generator = np.random.default_rng(8)
+    noisy = []
+    for run in problem.experiments:
+        outputs = [
+            replace(o, sigma=sigma, values=o.values + noise * generator.normal(size=len(o.values)))
+            for o, noise in zip(run.outputs, (0.02, 0.2), strict=True)
+        ]
+        noisy.append(replace(run, outputs=tuple(outputs)))
+    return replace(problem, experiments=tuple(noisy))
+
+
+def test_outputs_without_sigma_are_weighted_with_their_noise():
+    with opened(two_units(1.0)) as bench:
+        for run in bench.problem.experiments:
+            assert [o.sigma for o in run.outputs] == pytest.approx([0.02, 0.2], rel=0.2)
+        assert any("sigma = { motor_speed = 0.0" in note for note in bench.notes)
+
+
+def test_given_sigmas_are_kept():
+    with opened(two_units(0.5)) as bench:
+        assert {o.sigma for run in bench.problem.experiments for o in run.outputs} == {0.5}
+        assert not any("sigma" in note for note in bench.notes)

@@ -1,0 +1,97 @@
+"""What the data say about where coefficients could lie."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cluster_est.closed_loop.course import Course
+from cluster_est.closed_loop.scales import Scales, oscillates
+from workers.effects.forms import FORMS, Coefficient
+from workers.effects.site import Site
+
+T = np.linspace(0.0, 10.0, 2001)
+RATE = 2.0 * np.pi
+DER, OUT = Site("derivative", "v"), Site("output", "y")
+
+
+def course(times=T, **signals):
+    zeros = np.zeros(len(times))
+    columns = {name: np.broadcast_to(s, len(times)) for name, s in signals.items()}
+    return Course(times, columns, zeros[:, None], ("y",), None, np.zeros(0, int),
+                  np.zeros(0, int), np.zeros(0))  # fmt: skip
+
+
+SWING = 3.0 * np.sin(RATE * T)
+SCALES = Scales([course(v=SWING, y=SWING + 1.0), course(v=SWING, y=SWING + 1.0)], (2.5, 7.0))
+
+
+def grid(scale, *entries, site=DER):
+    return SCALES.grid(Coefficient("c", None, scale=scale, grid=entries), site, ("v",))
+
+
+@pytest.mark.parametrize(
+    ("scale", "entry", "expected"),
+    [
+        ("rms v", 2.0, 2.0 * 3.0 / np.sqrt(2.0)),
+        ("max v", 0.5, 1.5),
+        ("quantile v", 0.75, 3.0 * np.sin(np.pi / 4)),
+        ("mean v", 1.0, 0.0),
+        ("mean |v|", 1.0, 6.0 / np.pi),
+        ("mean v^2", 1.0, 4.5),
+        ("travel v", 1.0, 3.0 / RATE / np.sqrt(2.0)),
+        ("low v", 1.0, -3.0 * np.cos(0.01 * np.pi)),
+        ("high v", 1.0, 3.0 * np.cos(0.01 * np.pi)),
+        ("step", 4.0, 0.02),
+        ("middle t", 1.0, 5.0),
+    ],
+)
+def test_scales_of_a_sine(scale, entry, expected):
+    assert grid(scale, entry) == pytest.approx((expected,), abs=2e-2)
+
+
+def test_scales_of_the_signal_at_the_site():
+    assert grid("range s", 0.25, 1.0, site=OUT) == pytest.approx((-0.5, 4.0))
+    assert grid("max s", 0.5, site=OUT) == pytest.approx((2.0,))
+    assert grid("max s", 0.5) == ()
+    assert grid("spectrum", 1.0) == (2.5, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("signal", "expected"),
+    [(SWING, True), (SWING + 2.9, False), (np.abs(SWING), False), (0.0 * T, False)],
+)
+def test_a_signal_oscillates_if_it_clearly_takes_both_signs(signal, expected):
+    assert oscillates(signal) is expected
+
+
+@pytest.mark.parametrize(
+    ("form", "signal", "expected"),
+    [
+        ("linear", SWING, True),
+        ("linear", 5.0, False),
+        ("linear", 0.0, False),
+        ("coulomb", SWING, True),
+        ("coulomb", SWING + 4.0, False),
+        ("square_root", SWING + 4.0, True),
+        ("square_root", 1e-9 * (SWING + 2.0), False),
+        ("square_root", 1e-9 * (SWING + 3.0), True),
+        ("table", SWING, True),
+        ("table", np.where(T > 9.95, 1.0, 0.0), False),
+    ],
+)
+def test_forms_that_make_sense_for_a_signal(form, signal, expected):
+    scales = Scales([course(v=signal)], ())
+    assert scales.allow(FORMS["derivative", form], DER, ("v",)) is expected
+
+
+@pytest.mark.parametrize("variables", [("v", "w"), ("w", "v")])
+def test_a_product_needs_two_signals_that_move(variables):
+    scales = Scales([course(v=SWING, w=2.0)], ())
+    assert not scales.allow(FORMS["derivative", "product"], DER, variables)
+
+
+def test_an_experiment_without_a_signal_does_not_count():
+    scales = Scales([course(v=SWING, y=SWING), course(v=SWING)], ())
+    coefficient = Coefficient("c", None, scale="max s", grid=(1.0,))
+    assert scales.grid(coefficient, OUT, ()) == pytest.approx((3.0,), rel=1e-3)
