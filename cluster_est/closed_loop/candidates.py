@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.closed_loop.course import Course, pooled
+from cluster_est.closed_loop.equation import equation_text
 from cluster_est.closed_loop.scales import Scales
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.shapes import shape_of
@@ -125,28 +126,6 @@ def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:
     own = (" - ".join(site.targets),) if form.variables == 1 and site.at_rates else ()
     variables = effect.variables or own
     return str(site), form.name, tuple(sorted(variables))  # those of two are products
-
-
-def equation_text(effect: Effect, form: Form, site: Site) -> str:
-    """The equation with the FMU's names in it."""
-    names = dict(zip(("v", "w"), effect.variables, strict=False))
-    if form.variables and not effect.variables:
-        names["v"] = site.target
-    if site.kind not in ("derivative", "pair"):
-        names["s"] = site.target
-
-    def named(match: re.Match[str]) -> str:
-        name = names.get(match.group(), match.group())
-        return f"({name})" if " " in name else name
-
-    text = re.sub(r"\b[vws]\b(?!\()", named, form.equation)
-    for state in form.states:
-        text += f", {state.name}' = " + re.sub(r"\b[vws]\b(?!\()", named, state.derivative)
-    if site.kind == "derivative":
-        return f"{site} += {text}"
-    if site.kind == "pair":
-        return f"{site}: {text}"
-    return f"{site.target} -> {text}"
 
 
 def _sites(problem: Problem, description: Description, courses: Sequence[Course]) -> Iterator[Site]:

@@ -42,8 +42,8 @@ class Screening:
         Which residuals were kept.
     plain, white
         Scores against the residual as it is, and after both were whitened by an autoregression.
-    omnibus
-        Whether there is any smooth structure.
+    omnibus, omnibus_white
+        Whether there is any smooth structure, before and after whitening.
     p, p_white
         Family-wise p-values.
     """
@@ -54,6 +54,7 @@ class Screening:
     plain: Scores = field(repr=False)
     white: Scores = field(repr=False)
     omnibus: Omnibus
+    omnibus_white: Omnibus
     p: float
     p_white: float
 
@@ -100,11 +101,9 @@ def screen(bench: Workbench, fitted: Fitted, step: int) -> Screening:
     plain = score(projection, residuals, columns)
     coefficients = fit_autoregression(projection.remove(residuals), records)
     white_columns = [whiten(column, records, coefficients) for column in columns]
-    white = score(
-        Projection(whiten(matrix, records, coefficients)),
-        whiten(residuals, records, coefficients),
-        white_columns,
-    )
+    white_projection = Projection(whiten(matrix, records, coefficients))
+    white_residuals = whiten(residuals, records, coefficients)
+    white = score(white_projection, white_residuals, white_columns)
     draws = bench.settings.draws
     return Screening(
         trials=trials,
@@ -113,6 +112,9 @@ def screen(bench: Workbench, fitted: Fitted, step: int) -> Screening:
         plain=plain,
         white=white,
         omnibus=omnibus(projection, residuals, records, bench.generator(10 * step + 2)),
+        omnibus_white=omnibus(
+            white_projection, white_residuals, records, bench.generator(10 * step + 5)
+        ),
         p=family_wise(plain, bench.generator(10 * step + 3), draws).p,
         p_white=family_wise(white, bench.generator(10 * step + 4), draws).p,
     )

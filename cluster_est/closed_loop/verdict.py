@@ -33,7 +33,7 @@ def judge(bench: Workbench, found: Search) -> Judgement:
     """Judge from the training experiments alone; the held-out ones may only take away."""
     lack, excess = _lack(bench, found)
     if not found.current.added:
-        return _nothing_added(found, lack)
+        return _nothing_added(found, lack, bench.settings.significance)
     closed = _closed(bench, found)
     tables = any(c.form.family == "table" for c in found.current.added)
     share = f"the effects close {closed:.0%} of the gap between error and noise"
@@ -57,10 +57,16 @@ def judge(bench: Workbench, found: Search) -> Judgement:
     )
 
 
-def _nothing_added(found: Search, lack: bool) -> Judgement:
+def _nothing_added(found: Search, lack: bool, significance: float) -> Judgement:
     why = found.last.why
     screening = found.last.screening
     if why == "nothing significant":
+        if lack and screening.omnibus_white.p > significance:
+            return Judgement(
+                Verdict.COLOURED,
+                "the residual is autocorrelated, but no candidate is significant (family-wise p = "
+                f"{screening.p:.2g}), and nothing is left once that is allowed for",
+            )
         if lack:
             return Judgement(
                 Verdict.UNEXPLAINED,

@@ -9,7 +9,8 @@ import pytest
 from systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
 from cluster_est import Parameter
-from cluster_est.closed_loop.candidates import equation_text, kinematic_states, make_candidates
+from cluster_est.closed_loop.candidates import kinematic_states, make_candidates
+from cluster_est.closed_loop.equation import equation_text
 from cluster_est.closed_loop.settings import LoopSettings
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site
@@ -159,7 +160,15 @@ def test_an_input_that_never_moves_is_nothing_to_depend_on():
     [
         ("der(v)", "coulomb", (), "der(v) += -k * tanh(v / width)"),
         ("der(h[1])", "linear", ("p.w",), "der(h[1]) += k * p.w"),
-        ("pair a,b", "linear", ("a - b",), "pair a,b: -k * (a - b)"),
+        ("pair a,b", "linear", ("a - b",), "der(a) += -k * (a - b), der(b) += back * (a - b)"),
+        ("parameter k", "square", ("v",), "k -> k * (1 + e.k * (v^2 - at))"),
+        ("input u", "delay", (), "u -> delay(u, tau)"),
+        (
+            "der(v)",
+            "table",
+            ("x",),
+            "der(v) += table of x from low to high: k1, k2, k3, k4, k5, k6, k7",
+        ),
         ("input F", "gain", (), "F -> F * (1 + k)"),
         ("output y", "lag", (), "y -> z, z' = (y - z) / tau"),
         ("parameter R", "linear", ("i",), "R -> R * (1 + k * (i - at))"),

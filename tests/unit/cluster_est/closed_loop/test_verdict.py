@@ -29,6 +29,7 @@ class Case:
     omnibus: Omnibus = QUIET
     families: tuple[str, ...] = ("friction",)
     left_out: float = np.nan
+    white: Omnibus | None = None
 
     def search(self):
         before = np.full(4, self.base * FLOOR / 4)
@@ -36,7 +37,9 @@ class Case:
         added = tuple(
             SimpleNamespace(form=SimpleNamespace(family=family)) for family in self.families
         )
-        screening = SimpleNamespace(p=0.2, p_white=0.3, omnibus=self.omnibus)
+        screening = SimpleNamespace(
+            p=0.2, p_white=0.3, omnibus=self.omnibus, omnibus_white=self.white or self.omnibus
+        )
         return SimpleNamespace(
             base=SimpleNamespace(sse=self.base * FLOOR, added=()),
             current=SimpleNamespace(sse=self.now * FLOOR, added=added),
@@ -52,6 +55,8 @@ CASES = {
     "nothing is missing": (Case(1.0, 1.0, CLEAN, families=()), Verdict.NONE),
     "structure, but no candidate": (
         Case(1.5, 1.5, CLEAN, STRUCTURED, ()), Verdict.UNEXPLAINED),
+    "autocorrelation, and nothing else": (
+        Case(1.5, 1.5, CLEAN, STRUCTURED, (), white=QUIET), Verdict.COLOURED),
     "structure below five percent": (Case(1.03, 1.03, CLEAN, STRUCTURED, ()), Verdict.NONE),
     "coloured noise": (Case(1.5, 1.5, "coloured noise", STRUCTURED, ()), Verdict.COLOURED),
     "a candidate was not accepted": (Case(1.01, 1.01, LITTLE, families=()), Verdict.NONE),

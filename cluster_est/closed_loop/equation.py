@@ -1,0 +1,45 @@
+"""An effect's equation as a person reads it, with the FMU's names in it."""
+
+from __future__ import annotations
+
+import re
+
+from workers.effects.forms import Form
+from workers.effects.site import Site
+from workers.messages import Effect
+
+
+def equation_text(effect: Effect, form: Form, site: Site) -> str:
+    """What an effect adds to its site, or makes of the signal there.
+
+    "der(v) += -k * tanh(v / width)", "F -> F + k * F^2", "u -> delay(u, tau)". A coefficient that
+    has the name of a variable in the equation carries the effect's name before it.
+    """
+    names = dict(zip(("v", "w"), effect.variables, strict=False))
+    if form.variables and not effect.variables:
+        names["v"] = " - ".join(site.targets)
+    at_rates = site.kind in ("derivative", "pair")
+    if not at_rates:
+        names["s"] = site.target
+    coefficients = [c.name for c in form.coefficients]
+    taken = {part for name in names.values() for part in name.split(" - ")}
+    names |= {c: f"{effect.name}.{c}" for c in coefficients if c in taken}
+
+    def named(text: str) -> str:
+        return re.sub(r"[A-Za-z_]\w*(?!\w*\()", lambda m: _bracketed(names, m.group()), text)
+
+    if form.memory:
+        return f"{site.target} -> {form.memory}({site.target}, {coefficients[0]})"
+    if form.family == "table":
+        return f"{site} += table of {names['v']} from low to high: {', '.join(coefficients[:-2])}"
+    text = named(form.equation)
+    if site.kind == "pair":
+        first, second = site.targets
+        return f"der({first}) += {text}, der({second}) += {named(form.reaction)}"
+    own = "".join(f", {z.name}' = {named(z.derivative)}" for z in form.states)
+    return f"{site} += {text}{own}" if at_rates else f"{site.target} -> {text}{own}"
+
+
+def _bracketed(names: dict[str, str], word: str) -> str:
+    name = names.get(word, word)
+    return f"({name})" if " " in name else name
