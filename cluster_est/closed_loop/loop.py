@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.naming import describe_effects, error_changes
+from cluster_est.closed_loop.naming import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.prepare import open_bench
 from cluster_est.closed_loop.result import LoopResult, Verdict
 from cluster_est.closed_loop.search import Search, search
@@ -97,6 +97,9 @@ def _report(bench: Workbench, found: Search, judgement: Judgement, begin: float)
         )
         keep = False
     named = describe_effects(bench, found, grown)
+    notes = bench.notes
+    if judgement.verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
+        notes = (*notes, where_left(bench, found.current if keep else found.base))
     after = grown if keep else before
     return LoopResult(
         verdict=judgement.verdict,
@@ -109,7 +112,7 @@ def _report(bench: Workbench, found: Search, judgement: Judgement, begin: float)
         rejected=() if keep else named,
         noise=bench.noise_in_units(found.noise),
         sites=bench.sites,
-        notes=bench.notes,
+        notes=notes,
         simulations=bench.meter.full,
         simulated=bench.runner.simulations,
         evaluations=bench.runner.evaluations,

@@ -12,6 +12,9 @@ from cluster_est.closed_loop.workbench import Fitted, Workbench
 from cluster_est.result import Estimate, Result
 from workers.messages import FloatArray
 
+WINDOWS = 20
+"""Into how many parts a record is cut to say when most of its residual lives."""
+
 
 def describe_effects(bench: Workbench, found: Search, result: Result) -> tuple[NamedEffect, ...]:
     """The effects of the final model, with what each cannot be told apart from."""
@@ -48,6 +51,26 @@ def error_changes(
 def _over(error: float, sigma: float) -> float:
     """NaN where the noise is unknown, or none."""
     return error / sigma if sigma > 0.0 else np.nan
+
+
+def where_left(bench: Workbench, fitted: Fitted) -> str:
+    """Where and when most of a residual lives, in a sentence."""
+    total = max(fitted.sse, 1e-300)
+    best: tuple[float, str] = (0.0, "")
+    for record in bench.records.items:
+        squares = fitted.residuals[record.rows] ** 2
+        edges = np.linspace(record.times[0], record.times[-1], WINDOWS + 1)
+        window = np.clip(np.searchsorted(edges, record.times, side="right") - 1, 0, WINDOWS - 1)
+        sums = np.bincount(window, weights=squares, minlength=WINDOWS)
+        k = int(np.argmax(sums))
+        if sums[k] > best[0]:
+            run = bench.problem.experiments[bench.train[record.experiment]]
+            best = (
+                float(sums[k]),
+                f"output {bench.records.outputs[record.output]} of experiment {run.id!r} between "
+                f"t = {edges[k]:.4g} and {edges[k + 1]:.4g} s",
+            )
+    return f"of what is left, the largest part ({best[0] / total:.0%}) is in {best[1]}"
 
 
 def _describe(bench: Workbench, found: Search, candidate: Candidate, result: Result) -> NamedEffect:

@@ -314,3 +314,17 @@ def test_co_simulation_closes_the_sites_at_derivatives():
         define(Effect("e", "der(v)", "coulomb"), description, "co_simulation")
     with pytest.raises(EffectError, match=r"pair x,v is closed.*keeps its states"):
         define(Effect("e", "pair x,v", "gap"), description, "co_simulation")
+
+
+def test_an_effect_that_divides_by_zero_ends_its_simulation_with_a_reason():
+    output = Output("y", TIMES, np.zeros(len(TIMES)))
+    given = Input("F", TIMES, FORCE)
+    experiment = Experiment("e", 0.0, float(TIMES[-1]), (given,), (output,))
+    model = Model(FMU.name, FMU.read_bytes(), "model_exchange", EXACT, ("m", "k", "c"))
+    evaluator = Evaluator(model, (experiment,), "w")
+    effect = Effect("e", "der(v)", "coulomb")
+    task = Task(0, 0, np.array([M, K, C, 0.5, 0.0]), "residuals", (effect,))
+    (outcome,) = evaluator.evaluate(Batch.of([task]))
+    evaluator.close()
+    assert not outcome.ok
+    assert outcome.message

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from stacked_noise import stack
 
-from cluster_est.closed_loop.naming import _largest_difference, error_changes
+from cluster_est.closed_loop.naming import _largest_difference, error_changes, where_left
 
 
 def errors(rmse, normalised):
@@ -60,3 +60,20 @@ def test_where_two_models_differ_most_for_their_noise():
     )  # fmt: skip
     assert (where, output) == ("run 2", "y1")
     assert (when, size) == pytest.approx((1.0, 4.0))
+
+
+def test_where_and_when_most_of_a_residual_lives():
+    records = stack(100, 100)
+    experiments = [SimpleNamespace(id=f"run {i}") for i in range(2)]
+    bench = SimpleNamespace(
+        records=records, problem=SimpleNamespace(experiments=experiments), train=(0, 1)
+    )
+    residuals = np.ones(200)
+    residuals[100 + 41 : 100 + 44] = 10.0
+    fitted = SimpleNamespace(residuals=residuals, sse=float(residuals @ residuals))
+    said = where_left(bench, fitted)
+    assert "output y0 of experiment 'run 1'" in said
+    assert f"({302 / (197 + 300):.0%})" in said
+    start, stop = (float(x) for x in said.split("t = ")[1].removesuffix(" s").split(" and "))
+    times = records.items[1].times
+    assert start <= times[41] < times[43] <= stop
