@@ -21,11 +21,12 @@ from scipy.linalg import expm
 
 from cluster_est.closed_loop.candidates import Candidate
 from cluster_est.closed_loop.course import Course
+from cluster_est.closed_loop.linear_kernel import run_linear
 from cluster_est.closed_loop.shapes import Signals, shape_of
 from workers.messages import FloatArray, Linearisation
 
-BLOCK_VALUES = 20_000_000
-"""Forcing that is kept at once: 160 MB."""
+BLOCK_VALUES = 2_000_000
+"""Forcing that is kept at once: 16 MB."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,7 @@ def directions(
 
 def _of_course(course: Course, trials: Sequence[Trial], known: FloatArray) -> FloatArray:
     """(residuals of one experiment, columns of all trials)."""
+    steps = discretise(course.linear) if course.linear is not None else None
     width = len(course.times) * max(course.outputs.shape[1], _order(course))
     most = max(1, BLOCK_VALUES // max(1, width))
     found: list[FloatArray] = []
@@ -74,12 +76,12 @@ def _of_course(course: Course, trials: Sequence[Trial], known: FloatArray) -> Fl
     columns = 0
     for trial in trials:
         if block and columns + trial.width > most:
-            found.append(_of_block(course, block, known))
+            found.append(_of_block(course, steps, block, known))
             block, columns = [], 0
         block.append(trial)
         columns += trial.width
     if block:
-        found.append(_of_block(course, block, known))
+        found.append(_of_block(course, steps, block, known))
     return np.hstack(found)
 
 
@@ -87,7 +89,9 @@ def _order(course: Course) -> int:
     return course.linear.A.shape[1] if course.linear is not None else 0
 
 
-def _of_block(course: Course, trials: Sequence[Trial], known: FloatArray) -> FloatArray:
+def _of_block(
+    course: Course, steps: Steps | None, trials: Sequence[Trial], known: FloatArray
+) -> FloatArray:
     count = sum(trial.width for trial in trials)
     n, outputs = course.outputs.shape
     forcing = np.zeros((n, _order(course), count))
@@ -101,9 +105,8 @@ def _of_block(course: Course, trials: Sequence[Trial], known: FloatArray) -> Flo
             continue  # not measured in this experiment
         added = added_at(course, trial, known)
         _place(course, trial, added, forcing[:, :, part], change[:, :, part])
-    if course.linear is not None and forcing.any():
-        states = propagate(course.linear, forcing)
-        change += np.matmul(course.linear.C, states)
+    if course.linear is not None and steps is not None and forcing.any():
+        change += np.matmul(course.linear.C, propagate(steps, forcing))
     return course.residual_change(change)
 
 
@@ -149,33 +152,20 @@ def _place(
     change += through[:, :, None] * added[:, None, :]
 
 
-def propagate(linear: Linearisation, forcing: FloatArray) -> FloatArray:
-    """Integrate d(dx)/dt = A dx + f from dx = 0.
+@dataclass(frozen=True)
+class Steps:
+    """A linear time-varying system in discrete time, for forcing that is linear within each step.
 
-    Parameters
-    ----------
-    linear
-        With A at every time of the grid.
-    forcing : (n, x, m)
-        m right-hand sides at every time of the grid, linear in between.
-
-    Returns
-    -------
-    (n, x, m)
+    x' = keep x + from_first f + from_last f', each (n - 1, x, x).
     """
-    keep, from_first, from_last = _discrete(linear)
-    pushed = np.matmul(from_first, forcing[:-1]) + np.matmul(from_last, forcing[1:])
-    states = np.zeros_like(forcing)
-    now = states[0]
-    with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(len(keep)):
-            now = keep[k] @ now + pushed[k]
-            states[k + 1] = now
-    return states
+
+    keep: FloatArray
+    from_first: FloatArray
+    from_last: FloatArray
 
 
-def _discrete(linear: Linearisation) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Exact step matrices: dx' = keep dx + from_first f + from_last f'.
+def discretise(linear: Linearisation) -> Steps:
+    """Step matrices, exact where A is constant within each step.
 
     C. F. Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404, doi:10.1109/TAC.1978.1101743.
     """
@@ -189,4 +179,25 @@ def _discrete(linear: Linearisation) -> tuple[FloatArray, FloatArray, FloatArray
     joined[:, x : 2 * x, 2 * x :] = eye
     powers = expm(joined)
     last = powers[:, :x, 2 * x :]
-    return powers[:, :x, :x], powers[:, :x, x : 2 * x] - last, last
+    parts = powers[:, :x, :x], powers[:, :x, x : 2 * x] - last, last
+    return Steps(*(np.ascontiguousarray(part) for part in parts))
+
+
+def propagate(steps: Steps, forcing: FloatArray) -> FloatArray:
+    """Integrate d(dx)/dt = A dx + f from dx = 0.
+
+    Parameters
+    ----------
+    steps
+        The system.
+    forcing : (n, x, m)
+        m right-hand sides at every time of the grid, linear in between. The states take their
+        place.
+
+    Returns
+    -------
+    (n, x, m)
+    """
+    now, after = np.zeros_like(forcing[0]), np.zeros_like(forcing[0])
+    run_linear(steps.keep, steps.from_first, steps.from_last, forcing, now, after)
+    return forcing

@@ -11,7 +11,7 @@ from systems_with_missing_effects import missing_effect_problem, opened, unfitte
 
 from cluster_est.closed_loop import directions as module
 from cluster_est.closed_loop.candidates import make_candidates
-from cluster_est.closed_loop.directions import Trial, directions, propagate
+from cluster_est.closed_loop.directions import Trial, directions, discretise, propagate
 from cluster_est.closed_loop.settings import LoopSettings
 from workers.messages import Linearisation
 
@@ -37,7 +37,7 @@ def linear_system(times):
 
 
 def test_it_is_the_solution_of_the_differential_equation():
-    found = propagate(linear_system(TIMES), np.array([forces(t) for t in TIMES]))
+    found = propagate(discretise(linear_system(TIMES)), np.array([forces(t) for t in TIMES]))
     for column in range(3):
 
         def slope(t, x, column=column):
@@ -55,7 +55,7 @@ def test_a_singular_constant_system_is_exact_for_forcing_that_is_linear_in_time(
     times = np.array([0.0, 0.5, 2.0, 5.0])
     system = replace(linear_system(times), A=np.tile([[0.0, 1.0], [0.0, 0.0]], (4, 1, 1)))
     forcing = np.column_stack([np.zeros(4), times])[:, :, None]
-    found = propagate(system, forcing)[:, :, 0]
+    found = propagate(discretise(system), forcing.copy())[:, :, 0]
     np.testing.assert_allclose(found, np.column_stack([times**3 / 6, times**2 / 2]), rtol=1e-12)
 
 
