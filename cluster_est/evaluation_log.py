@@ -115,8 +115,11 @@ class EvaluationLog:
 
     def _batch(self) -> pa.RecordBatch:
         origins, outcomes = zip(*self._rows, strict=True)
-        sums = [np.nan if o.residuals is None else float(np.add.reduce(o.residuals**2))
-                for o in outcomes]  # fmt: skip
+        with np.errstate(over="ignore"):  # a cost may be infinite
+            sums = [
+                np.nan if o.residuals is None else float(np.add.reduce(o.residuals**2))
+                for o in outcomes
+            ]
         names = [origin.installed or self._experiments[origin.experiment] for origin in origins]
         keys = [
             content_hash([self._model_key, key, repr(origin.effects), origin.values.tobytes()])
