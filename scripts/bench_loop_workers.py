@@ -1,9 +1,12 @@
 """How much two Ray workers shorten a closed loop: the ratio of interleaved runs on one machine.
 
-    python scripts/bench_loop_workers.py CONFIG [--runs 3] [key=value ...]
+    python scripts/bench_loop_workers.py CONFIG [key=value ...]
+    python scripts/bench_loop_workers.py --case "mass_spring_damper/single/coulomb x0.25"
 
-Each run starts its workers anew; what is timed begins when they stand ready and ends with the
-result, as in a long session on a cluster.
+A case is one of the closed-loop benchmark, here integrated with so short a step that a simulation
+costs what one of a larger model does: workers share the simulations, not the linear algebra of the
+screening, so the ratio depends on what a simulation costs. Each run starts its workers anew; what
+is timed begins with the first answer and ends with the result, as in a long session on a cluster.
 """
 
 from __future__ import annotations
@@ -11,7 +14,12 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
+from dataclasses import replace
 from pathlib import Path
+
+from closed_loop_benchmark.data import make
+from closed_loop_benchmark.problem import make_problem
+from closed_loop_benchmark.scenarios import all_scenarios
 
 import cluster_est as ce
 from cluster_est.build import build_problem, build_settings
@@ -23,20 +31,34 @@ from cluster_est.config import read_config
 def main() -> None:
     """Run the loop with one and two workers by turns and print the ratio."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("config", type=Path)
+    parser.add_argument("config", type=Path, nargs="?")
     parser.add_argument("overrides", nargs="*")
     parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--case")
+    parser.add_argument("--step", type=float, default=1e-4)
     options = parser.parse_args()
-    config = read_config(options.config, options.overrides)
-    problem = build_problem(config, options.config.parent)
+    if options.case:
+        problem, settings = of_case(options.case, options.step), ce.LoopSettings()
+    else:
+        config = read_config(options.config, options.overrides)
+        problem = build_problem(config, options.config.parent)
+        settings = build_settings(config)
     seconds: dict[int, list[float]] = {1: [], 2: []}
     for _ in range(options.runs):
         for workers in seconds:
-            spent, result = timed(problem, workers, build_settings(config))
+            spent, result = timed(problem, workers, settings)
             seconds[workers].append(spent)
             print(f"{workers} worker(s): {spent:.1f} s, {result.simulated} simulations", flush=True)
     one, two = (statistics.median(seconds[n]) for n in (1, 2))
     print(f"two workers / one: {two / one:.2f} (medians {two:.1f} s and {one:.1f} s)")
+
+
+def of_case(name: str, step: float) -> ce.Problem:
+    """A case of the benchmark, integrated with a fixed step."""
+    (case,) = [case for case in all_scenarios() if case.name == name]
+    problem = make_problem(make(case))
+    model = replace(problem.model, solver=ce.Solver("rk4", step=step))
+    return replace(problem, model=model)
 
 
 def timed(problem: ce.Problem, workers: int, settings: ce.LoopSettings) -> tuple[float, LoopResult]:
