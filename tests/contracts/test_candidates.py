@@ -137,7 +137,9 @@ def test_candidates_can_be_fitted(systems, system):
         assert start.problem.parameters[-1].name.startswith(f"{candidate.effect.name}.")
         extra = tuple(s.variable for s in seen.bench.problem.experiments[0].signals)
         define(candidate.effect, seen.bench.description, "model_exchange", extra)
-        assert candidate.equation.startswith((str(candidate.site), f"{candidate.site.target} -> "))
+        assert candidate.equation.startswith(
+            (f"der({candidate.site.target}) += ", f"{candidate.site.target} -> ")
+        )
         assert not re.search(r"(?<![\w.])[vw](?![\w.(])", _without(candidate)), candidate.equation
     names = [c.effect.name for c in seen.candidates]
     assert len(set(names)) == len(names)
