@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -150,19 +151,19 @@ def _try(
 ) -> list[tuple[float, Start]]:
     """Simulate the first step of each leader: its cost, and a start from the best point."""
     asked: list[tuple[Space, FloatArray]] = []
-    begun: list[tuple[Trial, Start]] = []
+    begun: list[Start] = []
     owners: list[int] = []
     for owner, leader in enumerate(leaders):
         for i in _grid_points(screening, leader):
             trial = screening.trials[i]
-            step, strengths = _joint_step(current, screening, i)
+            step, (strengths,) = joint_step(current, screening, [i])
             start = current.start.plus(trial.candidate, values_at(trial, strengths))
             space = bench.space(start)
             asked.append((space, _points(current, space, trial, step, strengths)))
-            begun.append((trial, start))
+            begun.append(start)
             owners.append(owner)
     best: dict[int, tuple[float, Start]] = {}
-    for owner, (space, points), (_, start), seen in zip(
+    for owner, (space, points), start, seen in zip(
         owners, asked, begun, bench.look("trial", asked), strict=True
     ):
         for point, at in zip(points, seen, strict=True):
@@ -180,23 +181,28 @@ def _grid_points(screening: Screening, leader: int) -> list[int]:
     return own[:POINTS_OF_GRID]
 
 
-def _joint_step(current: Fitted, screening: Screening, i: int) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton step of all unknowns, and how strong trial i is to be, on the screened rows.
+def joint_step(
+    current: Fitted, screening: Screening, trials: Sequence[int]
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Gauss-Newton step of all unknowns, and how strong each trial is to be, on the screened rows.
 
-    A limit cannot be made stronger or weaker in proportion: it is switched on as it is, and the
-    other unknowns make room for it.
+    A limit cannot be made stronger or weaker in proportion: it is switched on as it is, the other
+    unknowns make room for it, and it has no strengths.
     """
     matrix = current.jacobian[screening.rows]
     residuals = current.residuals[screening.rows]
-    column = screening.columns[i]
-    if _proportional(screening.trials[i]):
-        joined, target = np.hstack([matrix, column]), -residuals
-    else:
-        joined, target = matrix, -(residuals + column[:, 0])
+    columns = [screening.columns[i] for i in trials]
+    scaled = [_proportional(screening.trials[i]) for i in trials]
+    for column, free in zip(columns, scaled, strict=True):
+        if not free:
+            residuals = residuals + column[:, 0]
+    own = [column if free else column[:, :0] for column, free in zip(columns, scaled, strict=True)]
+    joined = np.hstack([matrix, *own])
     sizes = np.linalg.norm(joined, axis=0)
     sizes[~(sizes > 0.0)] = 1.0
-    solved = np.linalg.lstsq(joined / sizes, target, rcond=1e-6)[0] / sizes
-    return solved[: matrix.shape[1]], solved[matrix.shape[1] :]
+    solved = np.linalg.lstsq(joined / sizes, -residuals, rcond=1e-6)[0] / sizes
+    ends = np.cumsum([matrix.shape[1], *(part.shape[1] for part in own)])
+    return solved[: ends[0]], [solved[a:b] for a, b in pairwise(ends)]
 
 
 def _proportional(trial: Trial) -> bool:

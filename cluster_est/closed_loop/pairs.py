@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.closed_loop.directions import Trial
 from cluster_est.closed_loop.locate import Screening
-from cluster_est.closed_loop.name import Contender, contest, values_at
+from cluster_est.closed_loop.name import Contender, contest, joint_step, values_at
 from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
-from workers.messages import FloatArray
 
 LEADERS = 90
 ALIKE = 0.98
@@ -60,37 +58,9 @@ def best_pairs(screening: Screening) -> list[tuple[int, int]]:
 
 def _start(current: Fitted, screening: Screening, i: int, j: int) -> Start:
     """Both effects, with the strengths of the joint linear step."""
-    trials = [screening.trials[m] for m in (i, j)]
-    strengths = _strengths(current, screening, i, j)
+    _, strengths = joint_step(current, screening, (i, j))
     start = current.start
-    for trial, own in zip(trials, strengths, strict=True):
+    for m, own in zip((i, j), strengths, strict=True):
+        trial = screening.trials[m]
         start = start.plus(trial.candidate, values_at(trial, own))
     return start
-
-
-def _strengths(current: Fitted, screening: Screening, i: int, j: int) -> list[FloatArray]:
-    """Of each of the two, from a joint least-squares step; finite changes are taken as they are."""
-    residuals = current.residuals[screening.rows].copy()
-    parts: list[FloatArray] = [current.jacobian[screening.rows]]
-    free: list[int] = []
-    for m in (i, j):
-        if _width(screening.trials[m]):
-            parts.append(screening.columns[m])
-            free.append(m)
-        else:
-            residuals += screening.columns[m][:, 0]
-    joined = np.hstack(parts)
-    sizes = np.linalg.norm(joined, axis=0)
-    sizes[~(sizes > 0.0)] = 1.0
-    solved = np.linalg.lstsq(joined / sizes, -residuals, rcond=1e-6)[0] / sizes
-    own = iter(solved[parts[0].shape[1] :].tolist())
-    return [
-        np.array([next(own) for _ in range(_width(screening.trials[m]))] if m in free else [])
-        for m in (i, j)
-    ]
-
-
-def _width(trial: Trial) -> int:
-    """How many columns of a joint step are its own: none for a limit."""
-    finite = any(c.neutral == 0.0 for c in trial.candidate.form.coefficients)
-    return len(trial.candidate.strengths) or int(finite)
