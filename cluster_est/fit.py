@@ -141,10 +141,18 @@ def check_method(method: Method, space: Space) -> None:
             "but all are fixed or known; to simulate only, use: cluster-est simulate"
         )
     cost = space.problem.cost
-    if method.needs_sum_of_squares and not cost.sum_of_squares:
+    probe = np.ones(len(space.outputs))
+    if method.needs_residuals and cost.weights(probe, space.outputs) is None:
         raise ProblemError(
-            f"method.name: {method.name} needs a cost that is a sum of squares but cost.name is "
-            f"{cost.name!r}; choose another of the two"
+            f"method.name: {method.name} needs residuals whose squares can be weighted, but "
+            f"cost.name is {cost.name!r}; choose another of the two, such as the methods sqp or "
+            "pattern_search"
+        )
+    if space.constraint_names and not method.keeps_constraints:
+        raise ProblemError(
+            f"method.name: {method.name} cannot satisfy constraints but there are some "
+            f"({space.constraint_names[0]!r}); choose least_squares, sqp or pattern_search, or "
+            "remove them"
         )
     method.check(space)
 
@@ -189,11 +197,13 @@ def simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> l
 
 def _cost(problem: Problem, simulations: list[Simulation]) -> float:
     """The cost of the training experiments; NaN if one of them failed."""
-    chosen = [s for s in simulations if problem.experiments[s.experiment].role == "train"]
-    residuals = [s.outcome.residuals for s in chosen if s.outcome.residuals is not None]
-    if len(residuals) < len(chosen):
+    chosen = {s.experiment: s.outcome.residuals for s in simulations}
+    space = make_space(problem, problem.indices("train"))
+    residuals = [chosen[e] for e in space.experiments]
+    known = [r for r in residuals if r is not None]
+    if len(known) < len(residuals):
         return np.nan
-    return problem.cost.value(np.concatenate(residuals))
+    return problem.cost.value(np.concatenate(known), space.outputs)
 
 
 def _estimates(

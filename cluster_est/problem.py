@@ -6,11 +6,13 @@ import math
 import re
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 from cluster_est.costs.base import Cost
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
+from cluster_est.formulas import Formula, ParameterConstraint
 from workers.description import Description, describe, nearest
 from workers.messages import Effect, Experiment, Model
 
@@ -41,6 +43,11 @@ class Parameter:
         label that the experiments have under KEY.
     unit
         For tables; filled in from the FMU if empty.
+    expression
+        A formula in other parameters, such as "2 * k1": the value follows from theirs and is not
+        searched for. Bounds that it has become constraints.
+    auxiliary
+        Not a variable of the FMU: only expressions and constraints use it.
     """
 
     name: str
@@ -52,6 +59,8 @@ class Parameter:
     variable: str = ""
     per: str | None = None
     unit: str = ""
+    expression: str = ""
+    auxiliary: bool = False
 
     def __post_init__(self) -> None:
         where = f"parameters.{self.name}"
@@ -62,7 +71,9 @@ class Parameter:
                 f"{where}.bounds: the lower bound must be below the upper one but they are "
                 f"[{self.lower:g}, {self.upper:g}]; to keep a value use fixed = true"
             )
-        if not self.lower <= self.start <= self.upper:
+        if self.expression:
+            self._check_derived(where)
+        elif not self.lower <= self.start <= self.upper:
             raise ProblemError(
                 f"{where}.start: must lie in its bounds [{self.lower:g}, {self.upper:g}] but is "
                 f"{self.start:g}; move the start or widen the bounds"
@@ -78,6 +89,14 @@ class Parameter:
             raise ProblemError(
                 f'{where}.per: must be "experiment" or "group:KEY" but is {self.per!r}'
             )
+
+    def _check_derived(self, where: str) -> None:
+        for key, used in (("fixed", self.fixed), ("per", self.per), ("scale", self.scale == "log")):
+            if used:
+                raise ProblemError(
+                    f"{where}.{key}: must be left out where there is an expression, which says "
+                    "all of the value; remove one of the two"
+                )
 
     @property
     def target(self) -> str:
@@ -95,9 +114,11 @@ class Problem:
         What is simulated, from which measurements, and what is minimised.
     parameters
         Those of the model, in the order of `model.parameters`, then the coefficients of the
-        effects, called "EFFECT.COEFFICIENT".
+        effects, called "EFFECT.COEFFICIENT". Auxiliary ones may stand anywhere.
     effects
         Terms that are added to the model.
+    constraints
+        On parameters; those on signals belong to the experiments.
 
     Raises
     ------
@@ -110,6 +131,7 @@ class Problem:
     experiments: tuple[Experiment, ...]
     cost: Cost = field(default_factory=SumSquared)
     effects: tuple[Effect, ...] = ()
+    constraints: tuple[ParameterConstraint, ...] = ()
 
     def __post_init__(self) -> None:
         _refuse_repeated("experiment id", [e.id for e in self.experiments])
@@ -117,23 +139,53 @@ class Problem:
         _refuse_repeated("variable", [p.target for p in self.parameters])
         _refuse_repeated("effect", [e.name for e in self.effects])
         names = [f"{e.name}.{c}" for e in self.effects for c in coefficient_names(e)]
-        if [p.target for p in self.parameters] != [*self.model.parameters, *names]:
+        targets = [p.target for p in self.parameters if not p.auxiliary]
+        if targets != [*self.model.parameters, *names]:
             raise ProblemError(
                 "parameters: must be those of the model and then the coefficients of the effects, "
-                f"in the order {[*self.model.parameters, *names]}, but are "
-                f"{[p.target for p in self.parameters]}"
+                f"in the order {[*self.model.parameters, *names]}, but are {targets}"
             )
+        self.derived  # noqa: B018 - what is wrong is said at once
         if not any(e.role == "train" for e in self.experiments):
             raise ProblemError(
                 'experiments: at least one must have role = "train" but none has; parameters '
                 "are estimated from those"
             )
         for experiment in self.experiments:
-            if experiment.size == 0:
+            asked = experiment.constraint_names or experiment.cost_function is not None
+            if experiment.size == 0 and not asked and not self.constraints:
                 raise ProblemError(
                     f"experiment {experiment.id!r}: must have at least one measured value between "
                     f"{experiment.start:g} and {experiment.stop:g} s but has none"
                 )
+
+    @cached_property
+    def derived(self) -> tuple[tuple[int, Formula], ...]:
+        """Parameters that follow from others, by position, each after those that it needs."""
+        names = tuple(p.name for p in self.parameters)
+        waiting = {
+            i: Formula(p.expression, names, f"parameters.{p.name}.expression")
+            for i, p in enumerate(self.parameters)
+            if p.expression
+        }
+        found: list[tuple[int, Formula]] = []
+        while waiting:
+            ready = [i for i, f in waiting.items() if not any(names[j] in f.names for j in waiting)]
+            if not ready:
+                first = names[next(iter(waiting))]
+                raise ProblemError(
+                    f"parameters.{first}.expression: must not depend on itself but does, through "
+                    f"{', '.join(names[i] for i in waiting)}; give one of them a start instead"
+                )
+            found += [(i, waiting.pop(i)) for i in ready]
+        return tuple(found)
+
+    @property
+    def plain(self) -> bool:
+        """Whether the residuals are those of outputs at measured times, without constraints."""
+        curved = any(e.curve is not None or e.cost_function is not None for e in self.experiments)
+        bound = any(e.constraint_names for e in self.experiments)
+        return not (curved or bound or self.constraints)
 
     def indices(self, role: str) -> tuple[int, ...]:
         """Which experiments have this role."""
@@ -157,7 +209,8 @@ def check_variables(problem: Problem, description: Description) -> None:
     for experiment in problem.experiments:
         _check_signals(experiment, description)
     _check_effects(problem, description)
-    for parameter in problem.parameters[: len(problem.model.parameters)]:
+    named = [p for p in problem.parameters if not p.auxiliary]
+    for parameter in named[: len(problem.model.parameters)]:
         _check_start(description, parameter.target, f"parameters.{parameter.name}", real=True)
     for experiment in problem.experiments:
         where = f"experiment {experiment.id!r}"
@@ -171,11 +224,11 @@ def check_variables(problem: Problem, description: Description) -> None:
                     f"{where}.inputs: {given.variable!r} must be an input of {description.file} "
                     f"but is of causality {variable.causality!r}{nearest(given.variable, inputs)}"
                 )
-        for output in experiment.outputs:
-            variable = description.variable(output.variable, f"{where}.outputs")
+        for name in experiment.recorded:
+            variable = description.variable(name, f"{where}.outputs")
             if variable.kind != "real":
                 raise ProblemError(
-                    f"{where}.outputs: {output.variable!r} must be a real variable of "
+                    f"{where}.outputs: {name!r} must be a real variable of "
                     f"{description.file} but is of type {variable.kind}"
                 )
 

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cluster_est.errors import BudgetError
 from cluster_est.executors.base import Executor
+from cluster_est.judging import judge
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.space import Space
-from workers.messages import Effect, FloatArray, Outcome, Task, Want
+from workers.messages import Effect, FloatArray, Outcome, Status, Task, Want
 
 MEMORY_BYTES = 64 * 2**20
 """Residuals that are remembered to answer a repeated question without simulating."""
@@ -73,27 +74,55 @@ class Snapshot:
     seconds: float
 
 
+@dataclass(frozen=True)
+class Iteration:
+    """A line of a search's iteration table; `evaluations` are those of this search so far."""
+
+    search: str
+    progress: Progress
+    evaluations: int
+
+
+@dataclass
+class _Pending:
+    """A point that was asked for, and the outcomes that are there already."""
+
+    index: int
+    x: FloatArray
+    outcomes: list[Outcome | None]
+    missing: int
+
+
 @dataclass
 class _Active:
-    """A search in progress and the request that it waits for."""
+    """A search in progress and the points that it waits for, by index."""
 
     request: SearchRequest
     steps: Search
-    points: Points | None = None
-    first: int = 0
-    missing: int = 0
-    outcomes: list[list[Outcome | None]] = field(default_factory=list)
+    pending: dict[int, _Pending] = field(default_factory=dict)
+    answers: list[tuple[Evaluation, FloatArray]] = field(default_factory=list)
+    asynchronous: bool = False
+    purpose: str = ""
     asked: int = 0
     best: Evaluation | None = None
     best_x: FloatArray | None = None
     progress: Progress = field(default_factory=lambda: Progress(0, np.nan))
     solution: Solution | None = None
 
+    @property
+    def ready(self) -> bool:
+        """Whether what it waits for is there."""
+        if self.asynchronous:
+            return bool(self.answers) or not self.pending
+        return not self.pending
 
-_Slot = tuple[_Active, int, int]
+
+_Slot = tuple[_Active, int, int]  # search, index of the point, position of the experiment
 _Question = tuple[int, bytes, tuple[Effect, ...]]
 Record = Callable[[Origin, Outcome], None]
 Show = Callable[[Snapshot], None]
+Note = Callable[[Iteration], None]
+Enough = Callable[[Sequence[Solution]], bool]
 
 
 class Runner:
@@ -109,6 +138,8 @@ class Runner:
         Called once for each simulation, in the order in which they end.
     show
         Called whenever something came back.
+    note
+        Called for each new line of a search's iteration table, and once more at its end.
     whole
         For a recipe of many steps, to which searches that were cut short are no use: an interrupt
         goes through `run`, and a budget that is used up raises BudgetError.
@@ -120,6 +151,7 @@ class Runner:
         budget: Budget | None = None,
         record: Record | None = None,
         show: Show | None = None,
+        note: Note | None = None,
         *,
         whole: bool = False,
     ) -> None:
@@ -127,6 +159,7 @@ class Runner:
         self._budget = budget or Budget()
         self._record = record or (lambda origin, outcome: None)
         self._show = show or (lambda snapshot: None)
+        self._iteration = note or (lambda iteration: None)
         self._whole = whole
         self._begin = time.monotonic()
         self._next_task = 0
@@ -138,10 +171,31 @@ class Runner:
         self.simulations = 0
         self.failures = 0
 
-    def run(self, requests: Sequence[SearchRequest]) -> list[Solution]:
+    def run(
+        self,
+        requests: Sequence[SearchRequest],
+        at_once: int | None = None,
+        enough: Enough | None = None,
+    ) -> list[Solution]:
         """Run searches to their ends, all at the same time.
 
         A keyboard interrupt ends all of them with their best points so far, unless `whole`.
+
+        Parameters
+        ----------
+        requests
+            What to search.
+        at_once
+            How many are under way at the same time; the others begin, in order, as those end.
+        enough
+            Is asked, each time another one has ended before which all have ended, whether these
+            first ones are all that is needed: the others are given up then. So what comes back
+            does not depend on which search is faster.
+
+        Returns
+        -------
+        list of Solution
+            In the order of the requests; shorter than they are if there were `enough`.
 
         Raises
         ------
@@ -151,12 +205,7 @@ class Runner:
         self._refuse_if_exhausted([])
         searches = [self._open(request) for request in requests]
         try:
-            for search in searches:
-                self._advance(search, None)
-            while any(search.solution is None for search in searches):
-                for outcome in self._executor.completed():
-                    self._receive(outcome)
-                self._display(searches)
+            searches = self._run(searches, at_once, enough or (lambda solutions: False))
         except KeyboardInterrupt:
             if self._whole:
                 raise
@@ -167,7 +216,45 @@ class Runner:
             for search in searches:
                 search.steps.close()
         self._refuse_if_exhausted(searches)
-        return [search.solution for search in searches if search.solution is not None]
+        return _solutions(searches)
+
+    def _run(self, searches: list[_Active], at_once: int | None, enough: Enough) -> list[_Active]:
+        """Run until all have ended, or the first of them are enough; those that count."""
+        waiting = searches[::-1]
+        counted = 0
+        while counted < len(searches):
+            self._begin_searches(waiting, searches, at_once)
+            if searches[counted].solution is None:
+                for outcome in self._executor.completed():
+                    self._receive(outcome)
+                self._display(searches)
+                continue
+            counted += 1
+            if enough(_solutions(searches[:counted])):
+                self._give_up(searches[counted:])
+                return searches[:counted]
+        return searches
+
+    def _begin_searches(
+        self, waiting: list[_Active], searches: Sequence[_Active], at_once: int | None
+    ) -> None:
+        """Begin the next searches, in order, as many as may be under way."""
+        while waiting:
+            begun = len(searches) - len(waiting)
+            under_way = sum(s.solution is None for s in searches[:begun])
+            if at_once is not None and under_way >= at_once:
+                return
+            search = waiting.pop()
+            if self._exhausted() and begun:
+                self._finish(search, Ending.BUDGET)
+            else:
+                self._advance(search, None)
+
+    def _give_up(self, searches: Sequence[_Active]) -> None:
+        """End searches whose solutions nobody wants any more."""
+        for search in searches:
+            self._drop(search, tuple(search.pending))
+            search.steps.close()
 
     def simulate(
         self,
@@ -217,48 +304,56 @@ class Runner:
                 points = next(search.steps) if answers is None else search.steps.send(answers)
             except StopIteration as end:
                 search.solution = end.value
+                self._end(search)
                 return
             if search.asked and self._exhausted():
                 self._finish(search, Ending.BUDGET)
                 return
             self._ask(search, points)
-            if search.missing:
+            if not search.ready:
                 return
-            answers = self._join(search)
+            answers = self._answers(search)
 
     def _ask(self, search: _Active, points: Points) -> None:
         """Queue the tasks of a request, experiment by experiment; skip what is known already."""
         space = search.request.space
-        search.points, search.first = points, search.asked
-        search.progress = points.progress or search.progress
+        if points.progress is not None and points.progress != search.progress:
+            search.progress = points.progress
+            self._iteration(Iteration(search.request.name, points.progress, search.asked))
+        self._drop(search, points.drop)
+        search.asynchronous, search.purpose = points.asynchronous, points.purpose
+        first = search.asked
         search.asked += len(points.x)
         self.evaluations += len(points.x)
-        search.outcomes = [[None] * len(space.experiments) for _ in points.x]
-        search.missing = len(points.x) * len(space.experiments)
-        physical = np.array([space.physical(x) for x in points.x])
+        count = len(space.experiments)
+        for p, x in enumerate(points.x):
+            search.pending[first + p] = _Pending(first + p, x.copy(), [None] * count, count)
+        physical = [space.physical(x) for x in points.x]
         tasks: list[Task] = []
         for e, experiment in enumerate(space.experiments):
             for p in range(len(points.x)):
-                task = self._question(search, p, e, experiment, physical[p, e])
+                slot = (search, first + p, e)
+                task = self._question(slot, experiment, physical[p][e])
                 tasks += [task] if task is not None else []
         self._executor.submit(tasks)
 
-    def _question(
-        self, search: _Active, p: int, e: int, experiment: int, values: FloatArray
-    ) -> Task | None:
+    def _question(self, slot: _Slot, experiment: int, values: FloatArray) -> Task | None:
+        """A task for what is not known yet and nobody has asked for."""
+        search, index, _ = slot
         effects = search.request.space.problem.effects
         question = (experiment, values.tobytes(), effects)
+        if not np.isfinite(values).all():
+            self._place(slot, _no_values(search, values))
+            return None
         if question in self._known:
-            self._place((search, p, e), self._known[question])
+            self._place(slot, self._known[question])
             return None
         if question in self._waiting:
-            self._waiting[question].append((search, p, e))
+            self._waiting[question].append(slot)
             return None
-        self._waiting[question] = [(search, p, e)]
-        purpose = search.points.purpose if search.points else ""
-        evaluation = search.first + p
-        origin = Origin(search.request.name, evaluation, purpose, experiment, values, effects)
-        return self._task(origin, "residuals")
+        self._waiting[question] = [slot]
+        name, purpose = search.request.name, search.purpose
+        return self._task(Origin(name, index, purpose, experiment, values, effects), "residuals")
 
     def _task(self, origin: Origin, want: Want) -> Task:
         task = Task(self._next_task, origin.experiment, origin.values, want, origin.effects)
@@ -276,13 +371,48 @@ class Runner:
         for slot in self._waiting.pop(question, []):
             self._place(slot, outcome)
             search = slot[0]
-            if search.missing == 0 and search.solution is None:
-                self._advance(search, self._join(search))
+            if search.ready and search.solution is None:
+                self._advance(search, self._answers(search))
 
     def _place(self, slot: _Slot, outcome: Outcome) -> None:
-        search, p, e = slot
-        search.outcomes[p][e] = outcome
-        search.missing -= 1
+        """Put an outcome where it is waited for; judge the point that it completes."""
+        search, index, e = slot
+        point = search.pending.get(index)
+        if point is None:  # dropped, or of a search that has ended
+            return
+        point.outcomes[e] = outcome
+        point.missing -= 1
+        if point.missing == 0:
+            self._judge(search, search.pending.pop(index))
+
+    def _judge(self, search: _Active, point: _Pending) -> None:
+        outcomes = tuple(outcome for outcome in point.outcomes if outcome is not None)
+        evaluation = judge(search.request.space, point.x, outcomes, point.index)
+        search.answers.append((evaluation, point.x))
+
+    def _answers(self, search: _Active) -> list[Evaluation]:
+        """The evaluations that a search is sent, in the order in which it asked for them."""
+        answers = sorted(search.answers, key=lambda answer: answer[0].index)
+        search.answers = []
+        for evaluation, x in answers:
+            if evaluation.ok and (search.best is None or evaluation.rank < search.best.rank):
+                search.best, search.best_x = evaluation, x
+        return [evaluation for evaluation, _ in answers]
+
+    def _drop(self, search: _Active, indices: tuple[int, ...]) -> None:
+        """Forget points that nobody wants; those simulations that have not begun need not."""
+        for index in indices:
+            search.pending.pop(index, None)
+        if not indices:
+            return
+        unwanted = {
+            question
+            for question, slots in self._waiting.items()
+            if not any(index in owner.pending for owner, index, _ in slots)
+        }
+        ids = [task for task, origin in self._origins.items() if _asked(origin) in unwanted]
+        for task in self._executor.cancel(ids):
+            self._waiting.pop(_asked(self._origins.pop(task)), None)
 
     def _remember(self, question: _Question, outcome: Outcome) -> None:
         size = 0 if outcome.residuals is None else outcome.residuals.nbytes
@@ -291,20 +421,6 @@ class Runner:
             self._known_bytes = 0
         self._known[question] = outcome
         self._known_bytes += size
-
-    def _join(self, search: _Active) -> list[Evaluation]:
-        """The evaluations of a complete request, each with its experiments in order."""
-        cost = search.request.space.problem.cost
-        evaluations = []
-        for p, row in enumerate(search.outcomes):
-            joined = Evaluation(tuple(o for o in row if o is not None), np.nan)
-            if joined.ok:
-                joined = Evaluation(joined.outcomes, cost.value(joined.residuals))
-                if search.best is None or joined.cost < search.best.cost:
-                    search.best = joined
-                    search.best_x = search.points.x[p] if search.points else None
-            evaluations.append(joined)
-        return evaluations
 
     def _note(self, origin: Origin, outcome: Outcome) -> None:
         self.simulations += 1
@@ -316,8 +432,28 @@ class Runner:
         start = search.request.space.start
         x = start if search.best_x is None else search.best_x
         cost = np.nan if search.best is None else search.best.cost
-        search.solution = Solution(x, cost, ending, iterations=search.progress.iteration)
-        search.missing = -1
+        search.solution = Solution(
+            x, cost, ending, iterations=search.progress.iteration, at=search.best
+        )
+        search.pending.clear()
+        self._end(search)
+
+    def _end(self, search: _Active) -> None:
+        """Note how a search ended, as the last line of its table."""
+        solution = search.solution
+        if solution is None:
+            return
+        violation = np.nan
+        if search.request.space.constraint_names and solution.at is not None:
+            violation = solution.at.violation
+        last = replace(
+            search.progress,
+            iteration=solution.iterations,
+            cost=solution.cost,
+            violation=violation,
+            ending=solution.ending.name.lower(),
+        )
+        self._iteration(Iteration(search.request.name, last, search.asked))
 
     def _exhausted(self) -> bool:
         most, longest = self._budget.evaluations, self._budget.seconds
@@ -349,3 +485,22 @@ class Runner:
                 seconds=time.monotonic() - self._begin,
             )
         )
+
+
+def _solutions(searches: Sequence[_Active]) -> list[Solution]:
+    return [search.solution for search in searches if search.solution is not None]
+
+
+def _asked(origin: Origin) -> _Question:
+    return origin.experiment, origin.values.tobytes(), origin.effects
+
+
+def _no_values(search: _Active, values: FloatArray) -> Outcome:
+    """The outcome of a point at which a parameter has no value."""
+    named = [p.name for p in search.request.space.problem.parameters if not p.auxiliary]
+    first = int(np.flatnonzero(~np.isfinite(values))[0])
+    return Outcome(
+        -1,
+        Status.NOT_FINITE,
+        message=f"parameter {named[first]!r} is {values[first]}, so nothing was simulated",
+    )

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
 from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver
+from cluster_est.costs.base import Cost
+from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.executors import Executor
 from cluster_est.methods import Method
 from cluster_est.methods.base import Solution
 from cluster_est.runner import Runner, SearchRequest
 from cluster_est.space import make_space
-from workers.messages import Outcome, Status
+from workers.messages import Function, Outcome, Status
 
 
 @dataclass(frozen=True)
 class FunctionProblem:
-    """Residuals r(x), where to start, and the minimum of the sum of squares."""
+    """Residuals r(x), where to start, and the minimum of the sum of squares.
+
+    `constraints(x)` must be at most 0, or 0 where `equality`; `cost` takes the place of the sum of
+    squares.
+    """
 
     name: str
     residuals: Callable[[np.ndarray], np.ndarray]
@@ -27,23 +33,30 @@ class FunctionProblem:
     minimum: float
     lower: tuple[float, ...] | None = None
     upper: tuple[float, ...] | None = None
+    constraints: Callable[[np.ndarray], np.ndarray] | None = None
+    equality: tuple[bool, ...] = ()
+    cost: Cost = field(default_factory=SumSquared)
 
     def problem(self) -> Problem:
         size = len(self.residuals(np.array(self.start)))
         times = np.arange(1.0, size + 1.0)
-        experiment = Experiment("e", 0.0, size + 1.0, (), (Output("y", times, 0.0 * times),))
+        outputs = (Output("y", times, 0.0 * times),)
+        functions = tuple(
+            Function("none", f"c{i}", equality=equal) for i, equal in enumerate(self.equality)
+        )
+        experiment = Experiment("e", 0.0, size + 1.0, (), outputs, constraint_functions=functions)
         lower = self.lower or (-np.inf,) * len(self.start)
         upper = self.upper or (np.inf,) * len(self.start)
         bounded = zip(self.start, lower, upper, strict=True)
         parameters = tuple(Parameter(f"x{i}", *three) for i, three in enumerate(bounded))
         names = tuple(p.name for p in parameters)
         model = Model("none", b"", "model_exchange", Solver("rk4"), names)
-        return Problem(model, parameters, (experiment,))
+        return Problem(model, parameters, (experiment,), self.cost)
 
-    def solve(self, method: Method) -> Solution:
+    def solve(self, method: Method, seed: int = 0) -> Solution:
         problem = self.problem()
-        with FunctionExecutor(self.residuals) as executor:
-            request = SearchRequest("test", method, make_space(problem, (0,)))
+        with FunctionExecutor(self.residuals, self.constraints) as executor:
+            request = SearchRequest("test", method, make_space(problem, (0,)), seed)
             return Runner(executor).run([request])[0]
 
 
@@ -53,8 +66,13 @@ class FunctionExecutor(Executor):
     name: ClassVar[str] = "function"
     workers = 1
 
-    def __init__(self, residuals: Callable[[np.ndarray], np.ndarray]) -> None:
+    def __init__(
+        self,
+        residuals: Callable[[np.ndarray], np.ndarray],
+        constraints: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> None:
         self._residuals = residuals
+        self._constraints = constraints or (lambda x: np.zeros(0))
         self._queue: list = []
 
     @classmethod
@@ -74,7 +92,13 @@ class FunctionExecutor(Executor):
             values = np.asarray(self._residuals(task.values), np.float64)
         if not np.isfinite(values).all():
             return Outcome(task.id, Status.NOT_FINITE, message="the function is not finite")
-        return Outcome(task.id, Status.OK, values)
+        constraints = np.asarray(self._constraints(task.values), np.float64)
+        return Outcome(task.id, Status.OK, values, constraints=constraints)
+
+    def cancel(self, tasks):
+        removed = [task.id for task in self._queue if task.id in tasks]
+        self._queue = [task for task in self._queue if task.id not in removed]
+        return removed
 
     @property
     def busy(self):

@@ -68,7 +68,7 @@ class Answers:
         Those of all outcomes, one after the other.
     failures
         (status, message) by position, where it is not OK.
-    trajectories, linearisations
+    trajectories, linearisations, constraints
         By position, where there is one.
     worker
         Who ran them.
@@ -81,6 +81,7 @@ class Answers:
     failures: dict[int, tuple[Status, str]]
     trajectories: dict[int, Trajectory]
     linearisations: dict[int, Linearisation]
+    constraints: dict[int, FloatArray]
     worker: str
 
     @classmethod
@@ -98,6 +99,7 @@ class Answers:
             failures={i: (o.status, o.message) for i, o in pairs if not o.ok},
             trajectories={i: o.trajectory for i, o in pairs if o.trajectory is not None},
             linearisations={i: o.linearisation for i, o in pairs if o.linearisation is not None},
+            constraints={i: o.constraints for i, o in pairs if len(o.constraints)},
             worker=outcomes[0].worker if outcomes else "",
         )
 
@@ -112,7 +114,6 @@ class Answers:
             status, message = self.failures.get(i, (Status.OK, ""))
             residuals = None if length < 0 else self.residuals[end - length : end]
             trajectory = self.trajectories.get(i)
-            linearisation = self.linearisations.get(i)
             found.append(
                 Outcome(
                     task,
@@ -122,7 +123,8 @@ class Answers:
                     message,
                     seconds,
                     self.worker,
-                    linearisation,
+                    self.linearisations.get(i),
+                    self.constraints.get(i, np.zeros(0)),
                 )
             )
         return found

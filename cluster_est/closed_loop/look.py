@@ -27,7 +27,9 @@ class Look(Method):
     """
 
     name: ClassVar[str] = "look"
-    needs_sum_of_squares: ClassVar[bool] = False
+    needs_residuals: ClassVar[bool] = False
+
+    keeps_constraints: ClassVar[bool] = True
 
     points: FloatArray
     purpose: str
@@ -40,6 +42,6 @@ class Look(Method):
             return Solution(
                 self.points[0], np.nan, Ending.START_FAILED, self.seen[0].reason, at=self.seen[0]
             )
-        best = min(ok, key=lambda i: self.seen[i].cost)
+        best = min(ok, key=lambda i: self.seen[i].rank)
         at = self.seen[best]
         return Solution(self.points[best], at.cost, Ending.CONVERGED, at=at)

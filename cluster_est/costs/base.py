@@ -5,22 +5,31 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-from workers.messages import FloatArray
+from workers.messages import FloatArray, IntArray
 
 
 class Cost(ABC):
-    """Makes one number of the residuals of all experiments."""
+    """Makes one number F of the residuals of all experiments. Its attributes are its options.
+
+    `outputs` says which residuals belong together: those of one output have one number, counted
+    from 0, in all experiments. Costs that treat all residuals alike need not look at it.
+    """
 
     name: ClassVar[str]
     """What the config calls it."""
 
-    sum_of_squares: ClassVar[bool]
-    """Whether `value` is the sum of squares of `terms`, which least-squares methods need."""
+    smooth: ClassVar[bool] = True
+    """Whether it has a gradient everywhere, and so `weights`."""
 
     @abstractmethod
-    def terms(self, residuals: FloatArray) -> FloatArray:
-        """The residuals as a least-squares method should see them; (n,) to (n,)."""
+    def value(self, residuals: FloatArray, outputs: IntArray) -> float:
+        """The cost of all residuals, both (n,), at one point. It does not depend on their order."""
 
     @abstractmethod
-    def value(self, residuals: FloatArray) -> float:
-        """The cost of all residuals, (n,), at one point. It does not depend on their order."""
+    def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:
+        """How a least-squares method should weight the squares of the residuals at this point.
+
+        With weights w (n,) the gradient of F is 2 w r, so that sqrt(w) r and sqrt(w) J make the
+        right gradient and, where F bends no more than the squares, a step that lowers F. None for
+        a cost that is no function of residuals which a method could use in this way.
+        """

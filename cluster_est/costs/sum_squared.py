@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from cluster_est.costs.base import Cost
-from workers.messages import FloatArray
+from workers.messages import FloatArray, IntArray
 
 
+@dataclass(frozen=True)
 class SumSquared(Cost):
     """F = sum of e(t)^2 over all outputs of all experiments.
 
@@ -18,12 +20,11 @@ class SumSquared(Cost):
     """
 
     name: ClassVar[str] = "sse"
-    sum_of_squares: ClassVar[bool] = True
 
-    def terms(self, residuals: FloatArray) -> FloatArray:
-        return residuals
-
-    def value(self, residuals: FloatArray) -> float:
+    def value(self, residuals: FloatArray, outputs: IntArray) -> float:
         # not a dot product, whose rounding depends on the number of threads of the BLAS library
         with np.errstate(over="ignore"):  # an infinite cost is refused like any that is too high
             return float(np.add.reduce(residuals * residuals))
+
+    def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:
+        return np.ones_like(residuals)

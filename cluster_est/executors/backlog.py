@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from workers.messages import Outcome, Task
 from workers.wire import Batch
@@ -39,6 +39,14 @@ class Backlog:
 
     def clear(self) -> None:
         self._tasks.clear()
+
+    def remove(self, ids: Collection[int]) -> list[int]:
+        """Take tasks back; which of them were still here."""
+        wanted = set(ids)
+        found = [task.id for task in self._tasks if task.id in wanted]
+        if found:
+            self._tasks = deque(task for task in self._tasks if task.id not in wanted)
+        return found
 
     def take(self) -> Batch:
         """Remove the next batch: about 50 ms of work, all of it wanting the same."""

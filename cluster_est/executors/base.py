@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from types import TracebackType
 from typing import ClassVar, Self
 
@@ -58,6 +58,10 @@ class Executor(ABC):
     @abstractmethod
     def completed(self) -> list[Outcome]:
         """Wait until at least one task is done; give back all that are. Empty if none is queued."""
+
+    @abstractmethod
+    def cancel(self, tasks: Collection[int]) -> list[int]:
+        """Take back tasks, by id, that have not begun; give back which. The others go on."""
 
     @property
     @abstractmethod

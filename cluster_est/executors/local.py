@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import queue
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import ClassVar, Self
 
@@ -65,6 +65,9 @@ class LocalExecutor(Executor):
             outcomes += answers
         self._fill()
         return outcomes
+
+    def cancel(self, tasks: Collection[int]) -> list[int]:
+        return self._backlog.remove(tasks)
 
     @property
     def busy(self) -> int:

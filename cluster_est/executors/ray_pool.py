@@ -11,7 +11,7 @@ import contextlib
 import logging
 import os
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, ClassVar, NamedTuple, Self
 
 import ray
@@ -93,6 +93,9 @@ class RayPool(Executor):
                 outcomes += self._collect(reference)
             self._fill()
         return outcomes
+
+    def cancel(self, tasks: Collection[int]) -> list[int]:
+        return self._backlog.remove(tasks)
 
     @property
     def busy(self) -> int:

@@ -8,6 +8,10 @@ A method does not know where simulations run, in which order they end, or how ma
 are. Everything in one `Points` may run at the same time; the evaluations come back in the order of
 the rows. Resuming a run needs nothing from a method either: it is run again from the start and
 answered from the log.
+
+An asynchronous method asks with `Points(..., asynchronous=True)` and is sent whatever has come back
+since, at least one evaluation, each with its `index`: the number of the point among all that the
+search has asked for. It may ask for no points, only to wait.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import enum
 from abc import ABC, abstractmethod
 from collections.abc import Generator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -39,7 +44,11 @@ class Progress:
     optimality
         How far from a minimum; 0 at one.
     damping
-        The method's damping or mesh size.
+        The method's damping, mesh or simplex size.
+    violation
+        How far the best point is from satisfying all constraints; NaN where there are none.
+    ending
+        Name of the ending, in the last line of a search.
     """
 
     iteration: int
@@ -47,6 +56,8 @@ class Progress:
     step: float = np.nan
     optimality: float = np.nan
     damping: float = np.nan
+    violation: float = np.nan
+    ending: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,31 +72,78 @@ class Points:
         What for, in one word, for the log: "start", "jacobian", "trial", ...
     progress
         Where the method stands, for the display and the table.
+    asynchronous
+        Answer as soon as any point of this search is there, and with all that are.
+    drop
+        Indices of earlier asynchronous points that are not wanted any more; they are not answered.
     """
 
     x: FloatArray
     purpose: str
     progress: Progress | None = None
+    asynchronous: bool = False
+    drop: tuple[int, ...] = ()
+
+
+TOLERANCE = 1e-6
+"""A violation up to this counts as none: constraints are in units of their own scale."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
     """The answer for one point: the outcome of each experiment, in their order.
 
-    `cost` is NaN where a simulation failed.
+    Attributes
+    ----------
+    outcomes
+        One for each experiment of the space.
+    cost
+        NaN where a simulation failed.
+    constraints : (constraints,)
+        In the order of `Space.constraint_names`: at most 0, or 0 where `Space.equality`, if they
+        are satisfied. Empty where there are none, or a simulation failed.
+    violation
+        The largest of their violations; 0 where all are satisfied, NaN where a simulation failed.
+    index
+        The number of the point among all that its search has asked for.
     """
 
     outcomes: tuple[Outcome, ...] = field(repr=False)
     cost: float
+    constraints: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    violation: float = 0.0
+    index: int = -1
 
     @property
     def ok(self) -> bool:
         return all(outcome.ok for outcome in self.outcomes)
 
     @property
+    def feasible(self) -> bool:
+        """Whether it satisfies all constraints, to within `TOLERANCE`."""
+        return self.ok and self.violation <= TOLERANCE
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Less is better: feasible points by their cost, all others by their violation.
+
+        The rules of K. Deb, Comput. Methods Appl. Mech. Engrg. 186 (2000) 311-338,
+        doi:10.1016/S0045-7825(99)00389-8. Failed points come last.
+        """
+        if not self.ok or np.isnan(self.cost):
+            return np.inf, np.inf
+        return (0.0, self.cost) if self.feasible else (self.violation, self.cost)
+
+    @property
     def residuals(self) -> FloatArray:
         """All residuals, experiment after experiment; only where `ok`."""
-        return np.concatenate([_residuals(outcome) for outcome in self.outcomes])
+        return np.concatenate([np.zeros(0), *(_residuals(outcome) for outcome in self.outcomes)])
+
+    @property
+    def rows(self) -> list[slice]:
+        """Where each experiment's residuals stand in `residuals`."""
+        ends = np.cumsum([0, *(len(_residuals(outcome)) for outcome in self.outcomes)]).tolist()
+        return [slice(a, b) for a, b in pairwise(ends)]
 
     @property
     def reason(self) -> str:
@@ -110,12 +168,22 @@ class Ending(enum.StrEnum):
     STALLED = "no step lowers the cost any more, but the gradient is not zero"
     START_FAILED = "the start could not be simulated"
     DERIVATIVES_FAILED = "no derivative could be computed"
+    INFEASIBLE = "no point was found that satisfies the constraints"
     BUDGET = "the budget is used up"
     INTERRUPTED = "interrupted"
 
     @property
     def success(self) -> bool:
         return self in (Ending.CONVERGED, Ending.PERFECT)
+
+
+@dataclass(frozen=True)
+class Other:
+    """A point that a search found besides its solution; `objectives` are costs kept apart."""
+
+    x: FloatArray
+    cost: float
+    objectives: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -138,6 +206,8 @@ class Solution:
         Steps of its finite differences, in search coordinates.
     at
         The evaluation at `x`, where the method has it.
+    others
+        Further points worth keeping, best first: a Pareto front, or the minima of other starts.
     """
 
     x: FloatArray
@@ -148,6 +218,7 @@ class Solution:
     jacobian: FloatArray | None = field(default=None, repr=False)
     difference_steps: FloatArray | None = field(default=None, repr=False)
     at: Evaluation | None = field(default=None, repr=False)
+    others: tuple[Other, ...] = field(default=(), repr=False)
 
 
 class Method(ABC):
@@ -156,8 +227,14 @@ class Method(ABC):
     name: ClassVar[str]
     """What the config calls it."""
 
-    needs_sum_of_squares: ClassVar[bool]
-    """Whether it works on residuals rather than on a cost of any kind."""
+    needs_residuals: ClassVar[bool]
+    """Whether it works on residuals, with `Cost.weights`, rather than on a cost of any kind."""
+
+    keeps_constraints: ClassVar[bool] = False
+    """Whether it can satisfy constraints other than bounds."""
+
+    asynchronous: ClassVar[bool] = False
+    """Whether its result may depend on the order in which simulations end."""
 
     def check(self, space: Space) -> None:  # noqa: B027 - a method may have nothing to refuse
         """Refuse, before anything is simulated, a space that this method cannot search.

@@ -40,11 +40,14 @@ class Jacobian:
         Unknowns whose derivative could not be computed because a simulation failed.
     steps : (unknowns,)
         What was added to each unknown.
+    constraints : (constraints, unknowns)
+        Derivatives of `Evaluation.constraints`; zero in frozen columns too.
     """
 
     matrix: FloatArray
     frozen: npt.NDArray[np.bool_]
     steps: FloatArray
+    constraints: FloatArray
 
 
 def relative_noise(solver: Solver) -> float:
@@ -99,31 +102,42 @@ def jacobian(
         behind[colour, members] -= steps[members]
     if scheme == "forward":
         forward = yield Points(ahead, "jacobian", progress)
-        return _assemble(space, steps, forward, [at] * len(forward))
+        widths = ahead - x
+        return _assemble(space, x, at, steps, forward, [at] * len(forward), widths)
     behind = np.clip(behind, space.lower, space.upper)
     both = yield Points(np.vstack([ahead, behind]), "jacobian_central", progress)
-    return _assemble(space, steps, both[: len(ahead)], both[len(ahead) :], ahead - behind)
+    high, low = both[: len(ahead)], both[len(ahead) :]
+    return _assemble(space, x, at, steps, high, low, ahead - behind)
 
 
 def _assemble(
     space: Space,
+    x: FloatArray,
+    at: Evaluation,
     steps: FloatArray,
     ahead: list[Evaluation],
     behind: list[Evaluation],
-    widths: FloatArray | None = None,
+    widths: FloatArray,
 ) -> Jacobian:
     """Take each unknown's column from the experiments that it acts on, in its colour's point."""
-    matrix = np.zeros((space.rows[-1].stop if space.rows else 0, space.size))
+    rows = at.rows
+    places = space.constraint_rows
+    matrix = np.zeros((rows[-1].stop if rows else 0, space.size))
+    constraints = np.zeros((len(space.constraint_names), space.size))
+    own = space.parameter_constraint_slopes(x)
+    constraints[: len(own)] = own
     frozen = np.zeros(space.size, dtype=bool)
     for colour, members in enumerate(space.colours):
         for i in members.tolist():
-            width = steps[i] if widths is None else widths[colour, i]
+            width = widths[colour, i]
             for e in space.unknowns[i].experiments:
-                high = ahead[colour].outcomes[e].residuals
-                low = behind[colour].outcomes[e].residuals
-                if high is None or low is None or width == 0.0:
+                high, low = ahead[colour].outcomes[e], behind[colour].outcomes[e]
+                if high.residuals is None or low.residuals is None or width == 0.0:
                     frozen[i] = True
-                else:
-                    matrix[space.rows[e], i] = (high - low) / width
+                    continue
+                matrix[rows[e], i] = (high.residuals - low.residuals) / width
+                if places[e].stop > places[e].start:
+                    constraints[places[e], i] = (high.constraints - low.constraints) / width
     matrix[:, frozen] = 0.0
-    return Jacobian(matrix, frozen, steps)
+    constraints[:, frozen] = 0.0
+    return Jacobian(matrix, frozen, steps, constraints)

@@ -63,7 +63,7 @@ class LeastSquares(Method):
     """
 
     name: ClassVar[str] = "least_squares"
-    needs_sum_of_squares: ClassVar[bool] = True
+    needs_residuals: ClassVar[bool] = True
 
     trials: int = field(default=4, metadata={"least": 1})
     max_iterations: int = field(default=100, metadata={"least": 1})

@@ -43,7 +43,7 @@ class ScipyLeastSquares(Method):
     """
 
     name: ClassVar[str] = "scipy_least_squares"
-    needs_sum_of_squares: ClassVar[bool] = True
+    needs_residuals: ClassVar[bool] = True
 
     algorithm: Literal["trf", "dogbox", "lm"] = "trf"
     max_evaluations: int = field(default=0, metadata={"least": 0})

@@ -91,7 +91,7 @@ def _follow(runner: Runner, space: Space) -> float:
     residuals = [o.residuals for o in outcomes if o.residuals is not None]
     if len(residuals) < len(outcomes):
         return np.nan
-    return space.problem.cost.value(np.concatenate(residuals))
+    return space.problem.cost.value(np.concatenate(residuals), space.outputs)
 
 
 def _rms(problem: Problem, runs: tuple[int, ...], sse: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
@@ -90,6 +90,11 @@ class FakeExecutor(Executor):
         done, self._queue = self._queue[:count], self._queue[count:]
         return [answer(task) for task in done]
 
+    def cancel(self, tasks: Collection[int]) -> list[int]:
+        removed = [task.id for task in self._queue if task.id in tasks]
+        self._queue = [task for task in self._queue if task.id not in removed]
+        return removed
+
     @property
     def busy(self) -> int:
         return min(self.workers, len(self._queue))
@@ -107,7 +112,7 @@ class Script(Method):
     closed: bool = False
 
     name: ClassVar[str] = "script"
-    needs_sum_of_squares: ClassVar[bool] = False
+    needs_residuals: ClassVar[bool] = False
 
     def search(self, space: Space, generator: np.random.Generator) -> Search:
         try:

@@ -1,0 +1,272 @@
+"""Distances from a curve without times: against plain loops, and what must hold for every curve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from workers.residuals import nearest_segment
+from workers.residuals.nearest_segment import (
+    farthest_components,
+    segment_distances,
+    tolerance_constraints,
+)
+
+Array = NDArray[np.float64]
+Distances = Callable[[Array, Array], Array]
+
+BOTH: list[Distances] = [segment_distances, farthest_components]
+
+
+def plain_vector(point: list[float], start: list[float], end: list[float]) -> list[float]:
+    """The shortest way from a segment to a point, by where the point's projection falls."""
+    length = sum((b - a) ** 2 for a, b in zip(start, end, strict=True)) ** 0.5
+    if length == 0.0:
+        return [p - a for p, a in zip(point, start, strict=True)]
+    direction = [(b - a) / length for a, b in zip(start, end, strict=True)]
+    along = sum((p - a) * e for p, a, e in zip(point, start, direction, strict=True))
+    if along <= 0.0:
+        return [p - a for p, a in zip(point, start, strict=True)]
+    if along >= length:
+        return [p - b for p, b in zip(point, end, strict=True)]
+    return [p - a - along * e for p, a, e in zip(point, start, direction, strict=True)]
+
+
+def plain_length(vector: list[float]) -> float:
+    return float(sum(component**2 for component in vector) ** 0.5)
+
+
+def plain_segment_distances(points: Array, reference: Array) -> list[float]:
+    scales = [max(abs(column)) or 1.0 for column in reference.T]
+    scaled, chain = (points / scales).tolist(), (reference / scales).tolist()
+    return [
+        min(plain_length(plain_vector(point, start, end)) for point in scaled)
+        for start, end in pairwise(chain)
+    ]
+
+
+def plain_farthest_components(points: Array, reference: Array) -> list[float]:
+    farthest, chain = [0.0] * reference.shape[1], reference.tolist()
+    for point in points.tolist():
+        vectors = [plain_vector(point, a, b) for a, b in pairwise(chain)]
+        nearest = min(vectors, key=plain_length)  # the first of equals
+        farthest = [max(f, abs(v)) for f, v in zip(farthest, nearest, strict=True)]
+    return farthest
+
+
+def curve(random: np.random.Generator, rows: int, columns: int) -> Array:
+    """A random walk whose columns differ in size, and some of whose points repeat."""
+    steps = random.normal(size=(rows, columns)) * (random.random((rows, 1)) < 0.9)
+    return np.asarray(np.cumsum(steps, axis=0) * 10.0 ** random.integers(-1, 3, columns))
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3, 9])
+@pytest.mark.parametrize("seed", range(5))
+def test_agrees_with_plain_loops(seed: int, columns: int) -> None:
+    random = np.random.default_rng([seed, columns])
+    reference = curve(random, 60, columns)
+    points = reference[random.integers(0, 60, 80)] + random.normal(size=(80, columns))
+    expected = plain_segment_distances(points, reference)
+    np.testing.assert_allclose(segment_distances(points, reference), expected, rtol=0, atol=1e-12)
+    farthest = plain_farthest_components(points, reference)
+    np.testing.assert_allclose(
+        farthest_components(points, reference), farthest, rtol=1e-12, atol=1e-12
+    )
+
+
+SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 4.0]])
+
+
+def test_distances_to_two_sides_of_a_rectangle() -> None:
+    # scaled by 2 and 4: sides from (0, 0) to (1, 0) to (1, 1), points (0.5, 0.25) and (2, 2)
+    points = np.array([[1.0, 1.0], [4.0, 8.0]])
+    np.testing.assert_array_equal(segment_distances(points, SQUARE), [0.25, 0.5])
+    # not scaled: the first point is 1 from both sides, the second (2, 4) from the far corner
+    np.testing.assert_array_equal(farthest_components(points, SQUARE), [2.0, 4.0])
+
+
+def test_the_first_of_equally_near_segments_counts() -> None:
+    middle = np.array([[1.0, 1.0]])
+    np.testing.assert_array_equal(farthest_components(middle, SQUARE), [0.0, 1.0])
+    np.testing.assert_array_equal(farthest_components(middle, SQUARE[::-1]), [1.0, 0.0])
+
+
+def test_different_points_may_give_the_components() -> None:
+    points = np.array([[1.0, -3.0], [-5.0, 0.0]])
+    np.testing.assert_array_equal(farthest_components(points, SQUARE), [5.0, 3.0])
+
+
+def test_a_segment_without_length_is_a_point() -> None:
+    still, point = np.full((3, 2), 2.0), np.array([[8.0, 10.0]])
+    np.testing.assert_array_equal(segment_distances(point, still), [5.0, 5.0])
+    np.testing.assert_array_equal(farthest_components(point, still), [6.0, 8.0])
+
+
+def test_a_column_of_zeros_is_not_scaled() -> None:
+    flat = np.array([[0.0, 0.0], [5.0, 0.0]])
+    np.testing.assert_array_equal(segment_distances(np.array([[2.0, 7.0]]), flat), [7.0])
+
+
+def test_constraints_only_for_tolerances_that_are_not_zero() -> None:
+    points = np.array([[1.0, -3.0], [-5.0, 0.0]])  # farthest 5 and 3
+    for tolerances, expected in [
+        ([2.0, 4.0], [1.5, -0.25]),
+        ([0.0, 3.0], [0.0]),
+        ([10.0, 0.0], [-0.5]),
+        ([0.0, 0.0], []),
+    ]:
+        found = tolerance_constraints(points, SQUARE, np.array(tolerances))
+        np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("where", [(0, 0), (3, 1), (-1, 0)])
+@pytest.mark.parametrize("rest", [1.0, 1e300])
+def test_points_that_are_not_finite(value: float, where: tuple[int, int], rest: float) -> None:
+    points = np.full((6, 2), rest)
+    points[where] = value
+    for found in (
+        segment_distances(points, SQUARE),
+        farthest_components(points, SQUARE),
+        tolerance_constraints(points, SQUARE, np.ones(2)),
+    ):
+        assert found.shape == (2,)
+        assert not np.isfinite(found).any()
+
+
+def test_points_too_large_for_their_squares() -> None:
+    points = np.array([[1e300, -1e308], [-1e200, 1e160]])
+    assert not np.isfinite(segment_distances(points, SQUARE)).any()
+    assert farthest_components(points, SQUARE).max() >= 1e308 - 1e300
+
+
+@pytest.mark.parametrize("distances", BOTH)
+@pytest.mark.parametrize("pairs", [1, 40, 1000])
+def test_same_bits_in_whatever_parts(
+    distances: Distances, pairs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random = np.random.default_rng(3)
+    reference, points = curve(random, 20, 2), curve(random, 137, 2)
+    expected = distances(points, reference)
+    monkeypatch.setattr(nearest_segment, "MAX_PAIRS", pairs)
+    np.testing.assert_array_equal(distances(points, reference), expected)
+
+
+@pytest.mark.parametrize("distances", BOTH)
+def test_same_bits_in_whatever_memory(distances: Distances) -> None:
+    random = np.random.default_rng(4)
+    reference, points = curve(random, 20, 3), curve(random, 50, 3)
+    expected = distances(points, reference)
+    batch = np.zeros((50, 4, 3))
+    batch[:, 2] = points
+    np.testing.assert_array_equal(distances(batch[:, 2], reference), expected)
+    fortran = np.asfortranarray(points), np.asfortranarray(reference)
+    np.testing.assert_array_equal(distances(*fortran), expected)
+
+
+def lattice(dimensions: int, least: int) -> st.SearchStrategy[Array]:
+    """Curves on a lattice: differences and translations are exact, and ties do happen."""
+    row = st.lists(st.integers(-64, 64), min_size=dimensions, max_size=dimensions)
+    rows = st.lists(row, min_size=least, max_size=9)
+    return rows.map(lambda ticks: np.array(ticks) / 8.0)
+
+
+@st.composite
+def curves(draw: st.DrawFn) -> tuple[Array, Array]:
+    """Points and a reference with one, two or three columns."""
+    dimensions = draw(st.integers(1, 3))
+    return draw(lattice(dimensions, 1)), draw(lattice(dimensions, 2))
+
+
+@given(curves())
+def test_agrees_with_plain_loops_where_points_repeat(pair: tuple[Array, Array]) -> None:
+    expected = plain_segment_distances(*pair)
+    np.testing.assert_allclose(segment_distances(*pair), expected, rtol=0, atol=1e-12)
+
+
+@given(curves(), st.lists(st.floats(1e-6, 1e6), min_size=3, max_size=3))
+def test_units_of_the_columns_do_not_matter_to_segments(
+    pair: tuple[Array, Array], factors: list[float]
+) -> None:
+    points, reference = pair
+    assume(np.abs(reference).max(axis=0).all())  # a column of zeros has no scale
+    units = np.array(factors[: points.shape[1]])
+    found = segment_distances(points * units, reference * units)
+    expected = segment_distances(points, reference)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * (1 + expected.max()))
+
+
+@given(curves(), st.lists(st.integers(-1000, 1000), min_size=3, max_size=3))
+def test_components_do_not_change_when_both_curves_move(
+    pair: tuple[Array, Array], ticks: list[int]
+) -> None:
+    points, reference = pair
+    shift = np.array(ticks[: points.shape[1]]) / 8.0
+    expected = farthest_components(points, reference)
+    np.testing.assert_array_equal(farthest_components(points + shift, reference + shift), expected)
+
+
+@given(curves(), st.integers(-20, 20))
+def test_components_grow_with_the_curves(pair: tuple[Array, Array], power: int) -> None:
+    points, reference = pair
+    expected = 2.0**power * farthest_components(points, reference)
+    found = farthest_components(2.0**power * points, 2.0**power * reference)
+    np.testing.assert_array_equal(found, expected)
+
+
+@given(st.data(), curves())
+def test_another_point_never_raises_a_segment_distance_nor_lowers_a_component(
+    data: st.DataObject, pair: tuple[Array, Array]
+) -> None:
+    points, reference = pair
+    more = np.vstack([points, data.draw(lattice(points.shape[1], 1))])
+    assert (segment_distances(more, reference) <= segment_distances(points, reference)).all()
+    assert (farthest_components(more, reference) >= farthest_components(points, reference)).all()
+
+
+@pytest.mark.parametrize("distances", BOTH)
+@given(curves(), st.randoms())
+def test_the_order_of_the_points_does_not_matter(
+    distances: Distances, pair: tuple[Array, Array], random: Random
+) -> None:
+    points, reference = pair
+    order = list(range(len(points)))
+    random.shuffle(order)
+    expected = distances(points, reference)
+    np.testing.assert_array_equal(distances(points[order], reference), expected)
+
+
+@given(curves())
+def test_a_reference_that_runs_backwards(pair: tuple[Array, Array]) -> None:
+    points, reference = pair
+    found = segment_distances(points, reference[::-1])
+    expected = segment_distances(points, reference)[::-1]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+
+
+@given(curves(), st.lists(st.floats(0.0, 1.0), min_size=1, max_size=9))
+def test_nothing_is_far_from_itself(pair: tuple[Array, Array], places: list[float]) -> None:
+    _, reference = pair
+    np.testing.assert_array_equal(segment_distances(reference, reference), 0.0)
+    between = [a + t * (b - a) for a, b in pairwise(reference) for t in places]
+    assert (farthest_components(np.array(between), reference) <= 1e-12).all()
+
+
+@given(curves(), st.lists(st.floats(0.0, 50.0), min_size=3, max_size=3))
+def test_constraints_hold_exactly_where_the_components_are_within_tolerance(
+    pair: tuple[Array, Array], tolerances: list[float]
+) -> None:
+    points, reference = pair
+    given_tolerances = np.array(tolerances[: points.shape[1]])
+    used = given_tolerances > 1e-6
+    given_tolerances[~used] = 0.0
+    found = tolerance_constraints(points, reference, given_tolerances)
+    within = farthest_components(points, reference)[used] <= given_tolerances[used]
+    np.testing.assert_array_equal(found <= 0.0, within)
