@@ -4,29 +4,31 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
-
-import numpy as np
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.config import Config, ExperimentSection
-from cluster_est.costs import COSTS
-from cluster_est.data import Table, read_table
+from cluster_est.code import Code
+from cluster_est.config import Config, ParameterSection
+from cluster_est.costs import ALIASES as COST_ALIASES
+from cluster_est.costs import COSTS, Cost
+from cluster_est.costs.total import Total
+from cluster_est.demands import parameter_constraints
 from cluster_est.effects import build_effects
 from cluster_est.errors import ConfigError, EffectError, ModelError
+from cluster_est.experiments import build_experiments
 from cluster_est.methods import ALIASES, METHODS, Method
+from cluster_est.multistart import Multistart
 from cluster_est.problem import Parameter, Problem
-from cluster_est.reading import Reader, find_file
+from cluster_est.reading import find_file
 from cluster_est.resources import Resources
 from cluster_est.runner import Budget
 from cluster_est.sentences import shown
+from cluster_est.uncertainty import UncertaintySettings
 from workers.description import Description, describe, nearest
 from workers.effects.site import parse_site
 from workers.messages import (
-    Experiment,
     Interface,
     Model,
-    Output,
     Solver,
     SolverName,
     Value,
@@ -40,7 +42,7 @@ _OPTION_TYPES: dict[Any, tuple[Any, str]] = {
 }
 
 
-def build_problem(config: Config, base: Path) -> Problem:
+def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Problem:
     """Read everything that a config names.
 
     Parameters
@@ -49,27 +51,16 @@ def build_problem(config: Config, base: Path) -> Problem:
         A checked config.
     base
         The folder that its paths start from.
+    allow_code
+        Whether Python functions that it names may run.
 
     Raises
     ------
     ClusterEstError
         If a file is missing or wrong, or names do not fit together.
     """
-    parameters = tuple(
-        Parameter(
-            name=name,
-            start=section.start,
-            lower=section.bounds[0],
-            upper=section.bounds[1],
-            scale=section.scale,
-            fixed=section.fixed,
-            variable=section.variable,
-            per=section.per,
-            unit=section.unit,
-        )
-        for name, section in config.parameters.items()
-    )
-    targets = [p.target for p in parameters]
+    parameters = tuple(_parameter(name, each) for name, each in config.parameters.items())
+    targets = [p.target for p in parameters if not p.auxiliary]
     for name in config.values:
         if name in targets:
             raise ConfigError(
@@ -78,10 +69,11 @@ def build_problem(config: Config, base: Path) -> Problem:
             )
     effects, coefficients = build_effects(tuple(config.effects))
     model = _model(config, base, tuple(targets))
-    tables: dict[Path, Table] = {}
-    experiments = tuple(_experiment(e, config, base, tables) for e in config.experiments)
-    cost = COSTS[config.cost.name]()
-    problem = Problem(model, (*parameters, *coefficients), experiments, cost, effects)
+    code = Code(base, allowed=allow_code)
+    experiments = build_experiments(config, base, code)
+    every = (*parameters, *coefficients)
+    constraints = parameter_constraints(config, tuple(p.name for p in every))
+    problem = Problem(model, every, experiments, build_cost(config), effects, constraints)
     _check_roles(problem, problem.describe())
     return problem
 
@@ -95,15 +87,49 @@ def build_method(config: Config) -> Method:
         If an option is unknown or of the wrong kind.
     """
     name = ALIASES.get(config.method.name, config.method.name)
-    kind = METHODS[name]
+    return _with_options(METHODS[name], config.method.options, "method.options")
+
+
+def build_cost(config: Config) -> Cost:
+    """The cost with its options; likewise."""
+    name = COST_ALIASES.get(config.cost.name, config.cost.name)
+    if name == Total.name and not config.cost.function:
+        raise ConfigError(
+            f'cost.name: "{name}" needs a function that returns one number but cost.function is '
+            "missing; add it, or choose another cost"
+        )
+    return _with_options(COSTS[name], config.cost.options, "cost.options")
+
+
+Kind = TypeVar("Kind", bound=Method | Cost)
+
+
+def _with_options(kind: type[Kind], options: dict[str, Any], where: str) -> Kind:
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     hints = get_type_hints(kind)
-    for key, value in config.method.options.items():
-        where = f"method.options.{key}"
+    for key, value in options.items():
         if key not in fields:
-            raise ConfigError(f"{where}: {name} has no such option{nearest(key, fields)}")
-        _check_option(where, value, hints[key], fields[key].metadata.get("least"))
-    return kind(**config.method.options)
+            raise ConfigError(
+                f"{where}.{key}: {kind.name} has no such option{nearest(key, fields)}"
+            )
+        _check_option(f"{where}.{key}", value, hints[key], fields[key].metadata.get("least"))
+    return kind(**options)
+
+
+def _parameter(name: str, section: ParameterSection) -> Parameter:
+    return Parameter(
+        name=name,
+        start=0.0 if section.start is None else section.start,
+        lower=section.bounds[0],
+        upper=section.bounds[1],
+        scale=section.scale,
+        fixed=section.fixed,
+        variable=section.variable,
+        per=section.per,
+        unit=section.unit,
+        expression=section.expression,
+        auxiliary=section.auxiliary,
+    )
 
 
 def build_settings(config: Config) -> LoopSettings:
@@ -126,6 +152,29 @@ def build_settings(config: Config) -> LoopSettings:
     )
 
 
+def build_multistart(config: Config) -> Multistart:
+    """From how many starts."""
+    section = config.multistart
+    return Multistart(
+        n=section.n,
+        sampler=section.sampler,
+        points=tuple(section.points),
+        screen=section.screen,
+        at_once=section.at_once,
+        patience=section.patience,
+        same=section.same,
+        seed=section.seed,
+    )
+
+
+def build_uncertainty(config: Config) -> UncertaintySettings:
+    """Which intervals are computed by refits."""
+    section = config.uncertainty
+    return UncertaintySettings(
+        profiles=tuple(section.profiles), **section.model_dump(exclude={"profiles"})
+    )
+
+
 def build_resources(config: Config) -> Resources:
     """Executor and budget."""
     return Resources(
@@ -145,7 +194,7 @@ def _check_option(where: str, value: Any, hint: Any, least: float | None) -> Non
     allowed, called = _OPTION_TYPES.get(hint, (hint, hint.__name__))
     if not isinstance(value, allowed) or isinstance(value, bool) is not (hint is bool):
         raise ConfigError(f"{where}: must be {called} but is {shown(value)}")
-    if hint is not str and not abs(value) < (1e300 if hint is float else 2**63):
+    if hint is not str and not abs(value) < (1e100 if hint is float else 2**63):
         raise ConfigError(f"{where}: must be finite and of a usual size but is {shown(value)}")
     if least is not None and not value >= least:
         raise ConfigError(f"{where}: must be at least {least:g} but is {shown(value)}")
@@ -197,37 +246,6 @@ def _solver(config: Config, description: Description, interface: Interface) -> S
     return Solver(name, section.step, section.rtol, section.atol, section.max_steps)
 
 
-def _experiment(
-    section: ExperimentSection, config: Config, base: Path, tables: dict[Path, Table]
-) -> Experiment:
-    where = f"experiment {section.id!r}"
-    path = find_file(section.data, base, config.data_folders, f"{where}.data")
-    if path not in tables:
-        tables[path] = read_table(path, where)
-    reader = Reader(tables[path], section, where)
-    times = reader.times()
-    outputs = [reader.output(times, variable) for variable in section.outputs]
-    start = float(times[0]) if section.start is None else section.start
-    last = max((output.times[-1] for output in outputs if len(output.times)), default=times[-1])
-    stop = float(last) if section.stop is None else section.stop
-    if not start < stop:
-        raise ConfigError(
-            f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one, or "
-            "leave both to the data"
-        )
-    return Experiment(
-        id=section.id,
-        start=start,
-        stop=stop,
-        inputs=tuple(reader.input(times, name) for name in section.inputs),
-        outputs=tuple(_within(output, start, stop, section.windows) for output in outputs),
-        values=tuple((config.values | section.values).items()),
-        role=section.role,
-        groups=tuple(section.group.items()),
-        signals=tuple(reader.signal(times, name) for name in section.signals),
-    )
-
-
 def _check_roles(problem: Problem, description: Description) -> None:
     """Refuse variables that are given twice, and values that their type cannot hold."""
     targets = {p.target: p.name for p in problem.parameters}
@@ -247,11 +265,11 @@ def _check_roles(problem: Problem, description: Description) -> None:
                     "remove one of the two"
                 )
             _check_value(f"{where}.values.{name}", description.variables[name].kind, value)
-        for output in experiment.outputs:
-            causality = description.variables[output.variable].causality
+        for name in experiment.recorded:
+            causality = description.variables[name].causality
             if causality in ("parameter", "input", "independent"):
                 raise ConfigError(
-                    f"{where}.outputs.{output.variable}: must be a variable that "
+                    f"{where}.outputs.{name}: must be a variable that "
                     f"{description.file} computes but is of causality {causality!r}; choose an "
                     "output or a local variable"
                 )
@@ -267,14 +285,3 @@ def _check_value(where: str, kind: str, value: Value) -> None:
             f"{where}: must be {must.get(kind, 'a number')}, because the variable is of type "
             f"{kind}, but is {shown(value)}"
         )
-
-
-def _within(
-    output: Output, start: float, stop: float, windows: list[tuple[float, float]]
-) -> Output:
-    """What was measured in the simulated interval and, if there are any, in a window."""
-    keep = (output.times >= start) & (output.times <= stop)
-    if windows:
-        inside = [(output.times >= a) & (output.times <= b) for a, b in windows]
-        keep &= np.any(inside, axis=0)
-    return Output(output.variable, output.times[keep], output.values[keep], output.sigma)

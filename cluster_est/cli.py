@@ -79,6 +79,8 @@ def _parser() -> argparse.ArgumentParser:
 
     show = commands.add_parser("show", help="print a run's parameters and errors")
     show.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    show.add_argument("--iterations", action="store_true", help="print the iteration table instead")
+    show.add_argument("--search", help="of this search, such as 'start 3'; without: of the best")
     show.set_defaults(run=_show)
     return parser
 
@@ -89,37 +91,61 @@ def _command(
     command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:])
     command.add_argument("config", metavar="CONFIG", type=Path, help="the TOML file")
     command.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides of keys")
+    command.add_argument(
+        "--allow-code",
+        action="store_true",
+        help="let Python functions that the config names run, here and on the workers",
+    )
     return command
 
 
 def _check(options: argparse.Namespace) -> int:
     from cluster_est.commands import check
 
-    return check(options.config, options.overrides)
+    return check(options.config, options.overrides, allow_code=options.allow_code)
 
 
 def _fit(options: argparse.Namespace) -> int:
     from cluster_est.commands import fit
 
-    return fit(options.config, options.overrides, options.out, overwrite=options.overwrite)
+    return fit(
+        options.config,
+        options.overrides,
+        options.out,
+        overwrite=options.overwrite,
+        allow_code=options.allow_code,
+    )
 
 
 def _close_loop(options: argparse.Namespace) -> int:
     from cluster_est.commands import close_loop
 
-    return close_loop(options.config, options.overrides, options.out, overwrite=options.overwrite)
+    return close_loop(
+        options.config,
+        options.overrides,
+        options.out,
+        overwrite=options.overwrite,
+        allow_code=options.allow_code,
+    )
 
 
 def _simulate(options: argparse.Namespace) -> int:
     from cluster_est.commands import simulate
 
-    return simulate(options.config, options.overrides, options.out, options.run_folder)
+    return simulate(
+        options.config,
+        options.overrides,
+        options.out,
+        options.run_folder,
+        allow_code=options.allow_code,
+    )
 
 
 def _show(options: argparse.Namespace) -> int:
     from cluster_est.commands import show
 
-    return show(options.run_folder)
+    iterations = options.iterations or options.search is not None
+    return show(options.run_folder, iterations=iterations, search=options.search)
 
 
 if __name__ == "__main__":

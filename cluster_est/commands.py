@@ -13,15 +13,22 @@ import pyarrow.feather
 import pyarrow.parquet
 from rich.console import Console
 
-from cluster_est.build import build_method, build_problem, build_resources, build_settings
+from cluster_est.build import (
+    build_method,
+    build_multistart,
+    build_problem,
+    build_resources,
+    build_settings,
+    build_uncertainty,
+)
 from cluster_est.config import Config, read_config
 from cluster_est.curves import residual_table, trajectory_table
 from cluster_est.errors import BudgetError, ProblemError, RunFolderError
-from cluster_est.fit import check_method
+from cluster_est.fit import check_search
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
 from cluster_est.loop_printing import print_any_run
-from cluster_est.printing import print_check, print_run, read_run_table, say
+from cluster_est.printing import print_check, print_iterations, print_run, read_run_table, say
 from cluster_est.problem import Problem
 from cluster_est.progress import ProgressLine
 from cluster_est.resources import Resources
@@ -30,7 +37,7 @@ from cluster_est.run_folder import (
     check_free,
     hash_config,
 )
-from cluster_est.runner import Origin, Snapshot
+from cluster_est.runner import Iteration, Origin
 from cluster_est.space import make_space
 from cluster_est.toml import to_toml
 from workers.messages import Outcome
@@ -53,34 +60,40 @@ STEPS = {
 """What the searches of a closed loop do, by their names in the log."""
 
 
-def check(path: Path, overrides: list[str]) -> int:
+def check(path: Path, overrides: list[str], *, allow_code: bool) -> int:
     """Read everything, simulate each experiment once, print a page; change nothing."""
     config = read_config(path, overrides)
-    problem = build_problem(config, path.parent)
+    problem = build_problem(config, path.parent, allow_code=allow_code)
     method = build_method(config)
-    check_method(method, make_space(problem, problem.indices("train")))
+    check_search(problem, method, build_uncertainty(config))
     make_space(problem, problem.indices("test"))
     simulations = run_simulate(problem, Resources())
     print_check(Console(), problem, method, simulations)
     return DONE if all(s.outcome.ok for s in simulations) else NO_SOLUTION
 
 
-def fit(path: Path, overrides: list[str], out: Path, *, overwrite: bool) -> int:
+def fit(path: Path, overrides: list[str], out: Path, *, overwrite: bool, allow_code: bool) -> int:
     """Estimate, write the run folder, print the tables."""
     config = read_config(path, overrides)
-    problem = build_problem(config, path.parent)
+    problem = build_problem(config, path.parent, allow_code=allow_code)
     method, resources = build_method(config), build_resources(config)
-    check_method(method, make_space(problem, problem.indices("train")))
+    multistart, uncertainty = build_multistart(config), build_uncertainty(config)
+    check_search(problem, method, uncertainty)
     make_space(problem, problem.indices("test"))
     check_free(out, overwrite=overwrite)
     keeper = _Keeper(lambda: _open_folder(out, problem, config, "closed_loop", overwrite=overwrite))
     with ProgressLine(Console(stderr=True), resources.budget) as line, keeper:
-
-        def show(snapshot: Snapshot) -> None:
-            line.show(snapshot)
-            keeper.show(snapshot)
-
-        result = run_fit(problem, method, resources, config.method.seed, keeper.record, show)
+        result = run_fit(
+            problem,
+            method,
+            resources,
+            config.method.seed,
+            keeper.record,
+            line.show,
+            keeper.note,
+            multistart,
+            uncertainty,
+        )
         if keeper.folder is not None:
             keeper.folder.write(result)
     print_run(Console(), out)
@@ -89,25 +102,24 @@ def fit(path: Path, overrides: list[str], out: Path, *, overwrite: bool) -> int:
     return DONE if result.success else NO_SOLUTION
 
 
-def close_loop(path: Path, overrides: list[str], out: Path, *, overwrite: bool) -> int:
+def close_loop(
+    path: Path, overrides: list[str], out: Path, *, overwrite: bool, allow_code: bool
+) -> int:
     """Find what the model lacks, write the run folder, print what was found."""
     from cluster_est.closed_loop.loop import close_loop as run_loop  # needs SymPy, which is slow
 
     config = read_config(path, overrides)
-    problem = build_problem(config, path.parent)
+    problem = build_problem(config, path.parent, allow_code=allow_code)
     settings, resources = build_settings(config), build_resources(config)
     make_space(problem, problem.indices("test"))
     check_free(out, overwrite=overwrite)
     keeper = _Keeper(lambda: _open_folder(out, problem, config, "method", overwrite=overwrite))
     try:
         with ProgressLine(Console(stderr=True), resources.budget) as line, keeper:
-
-            def show(snapshot: Snapshot) -> None:
-                line.show(snapshot)
-                keeper.show(snapshot)
-
             seed = config.closed_loop.seed
-            result = run_loop(problem, resources, settings, seed, keeper.record, show)
+            result = run_loop(
+                problem, resources, settings, seed, keeper.record, line.show, keeper.note
+            )
             if keeper.folder is not None:
                 keeper.folder.write_loop(result)
     except (KeyboardInterrupt, BudgetError, ProblemError) as error:
@@ -121,13 +133,15 @@ def close_loop(path: Path, overrides: list[str], out: Path, *, overwrite: bool) 
     return DONE
 
 
-def simulate(path: Path, overrides: list[str], out: Path, run_folder: Path | None) -> int:
+def simulate(
+    path: Path, overrides: list[str], out: Path, run_folder: Path | None, *, allow_code: bool
+) -> int:
     """Simulate every experiment and write one table of trajectories."""
     config = read_config(path, overrides)
     writer = _table_writer(out)
     if out.is_dir():
         raise RunFolderError(f"--out: {out} must be a file but is a folder; choose another")
-    problem = build_problem(config, path.parent)
+    problem = build_problem(config, path.parent, allow_code=allow_code)
     values = read_estimates(run_folder) if run_folder is not None else {}
     simulations = run_simulate(problem, build_resources(config), values)
     for simulation in simulations:
@@ -154,9 +168,12 @@ def simulate(path: Path, overrides: list[str], out: Path, run_folder: Path | Non
     return DONE if len(good) == len(simulations) else NO_SOLUTION
 
 
-def show(run_folder: Path) -> int:
-    """Print the tables of a run."""
-    print_any_run(Console(), run_folder)
+def show(run_folder: Path, *, iterations: bool, search: str | None) -> int:
+    """Print the tables of a run, or one search's iterations."""
+    if iterations:
+        print_iterations(Console(), run_folder, search)
+    else:
+        print_any_run(Console(), run_folder)
     return DONE
 
 
@@ -166,7 +183,9 @@ def read_estimates(run_folder: Path) -> dict[str, float]:
     if not path.is_file():
         raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
     return {
-        row["label"]: row["value"] for row in read_run_table(path) if row["estimated_on"] != "known"
+        row["label"]: row["value"]
+        for row in read_run_table(path)
+        if row["estimated_on"] in ("train", "test")
     }
 
 
@@ -191,9 +210,9 @@ class _Keeper:
         self._searches[origin.search] = None
         self.folder.record(origin, outcome)
 
-    def show(self, snapshot: Snapshot) -> None:
+    def note(self, iteration: Iteration) -> None:
         if self.folder is not None:
-            self.folder.show(snapshot)
+            self.folder.note(iteration)
 
     def __enter__(self) -> Self:
         return self

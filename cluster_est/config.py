@@ -12,23 +12,35 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from cluster_est.costs import ALIASES as COST_ALIASES
 from cluster_est.costs import COSTS
 from cluster_est.errors import ConfigError
 from cluster_est.executors import EXECUTORS
+from cluster_est.experiment_sections import (
+    ColumnSection,
+    CurveSection,
+    ExperimentSection,
+    InputSection,
+    OutputSection,
+)
 from cluster_est.methods import ALIASES, METHODS
 from cluster_est.overrides import override
+from cluster_est.search_sections import (
+    ConstraintSection,
+    CostSection,
+    MethodSection,
+    MultistartSection,
+    StepSection,
+    TrackingSection,
+    UncertaintySection,
+)
 from cluster_est.sections import (
     BudgetSection,
     ClosedLoopSection,
     CoefficientSection,
-    ColumnSection,
     Config,
-    CostSection,
     EffectSection,
     ExecutorSection,
-    ExperimentSection,
-    InputSection,
-    MethodSection,
     ModelSection,
     ParameterSection,
 )
@@ -41,14 +53,21 @@ __all__ = [
     "CoefficientSection",
     "ColumnSection",
     "Config",
+    "ConstraintSection",
     "CostSection",
+    "CurveSection",
     "EffectSection",
     "ExecutorSection",
     "ExperimentSection",
     "InputSection",
     "MethodSection",
     "ModelSection",
+    "MultistartSection",
+    "OutputSection",
     "ParameterSection",
+    "StepSection",
+    "TrackingSection",
+    "UncertaintySection",
     "parse_config",
     "read_config",
 ]
@@ -103,30 +122,61 @@ def parse_config(raw: dict[str, Any], where: str) -> Config:
     except ValidationError as error:
         raise ConfigError("\n".join(sentences(error, where, raw, Config))) from None
     problems = [*_unknown_names(config)]
+    problems += _missing_starts(config)
+    demanded = bool(config.constraints or config.cost.function)
     for experiment in config.experiments:
-        problems += _contradictions(experiment)
+        problems += _contradictions(experiment, demanded=demanded)
     if problems:
         raise ConfigError("\n".join(f"{where}: {problem}" for problem in problems))
     return config
 
 
 def _unknown_names(config: Config) -> Iterator[str]:
-    choices: list[tuple[str, str, list[str]]] = [
-        ("cost.name", config.cost.name, list(COSTS)),
-        ("method.name", config.method.name, [*METHODS, *ALIASES]),
-        ("executor.name", config.executor.name, list(EXECUTORS)),
+    choices: list[tuple[str, str, list[str], list[str]]] = [
+        ("cost.name", config.cost.name, list(COSTS), list(COST_ALIASES)),
+        ("method.name", config.method.name, list(METHODS), list(ALIASES)),
+        ("executor.name", config.executor.name, list(EXECUTORS), []),
     ]
-    for key, name, known in choices:
-        if name not in known:
+    for key, name, known, aliases in choices:
+        if name not in (*known, *aliases):
             yield f"{key}: there is no {name!r}{nearest(name, known)}"
 
 
-def _contradictions(experiment: ExperimentSection) -> Iterator[str]:
+def _missing_starts(config: Config) -> Iterator[str]:
+    for name, parameter in config.parameters.items():
+        key = f"parameters.{name}"
+        if parameter.start is None and not parameter.expression:
+            yield f"{key}.start is missing; add it (where the estimation starts, in the FMU's unit)"
+        elif parameter.start is not None and parameter.expression:
+            yield (
+                f"{key}.start: must be left out where there is an expression, which says all of "
+                "the value, but is there; remove one of the two"
+            )
+
+
+def _wrong_source(where: str, experiment: ExperimentSection, *, demanded: bool) -> Iterator[str]:
+    """Data, times and what is measured, which depend on each other."""
+    timed = experiment.outputs or experiment.inputs or experiment.signals
+    given = [key for key in ("time", "sample_time") if getattr(experiment, key) is not None]
+    if not experiment.outputs and experiment.curve is None and not demanded:
+        yield f"{where}.outputs is missing; add it (FMU output = column), or a curve"
+    elif experiment.data is None:
+        if timed or experiment.curve is not None or given:
+            yield f"{where}.data is missing; add it (path of the table: csv, parquet, feather, mat)"
+    elif timed and len(given) != 1:
+        has = "both; remove one" if given else "neither; add one"
+        yield f"{where}: must have either time (a column) or sample_time (seconds) but has {has}"
+    if not timed and (experiment.start is None or experiment.stop is None):
+        yield (
+            f"{where}: must have start and stop in seconds, because no times are measured, but "
+            "has not; add both"
+        )
+
+
+def _contradictions(experiment: ExperimentSection, *, demanded: bool) -> Iterator[str]:
     """What can be seen to be wrong before any file is read."""
     where = f"experiments[{experiment.id!r}]"
-    if (experiment.time is None) == (experiment.sample_time is None):
-        has = "neither; add one" if experiment.time is None else "both; remove one"
-        yield f"{where}: must have either time (a column) or sample_time (seconds) but has {has}"
+    yield from _wrong_source(where, experiment, demanded=demanded)
     for name in experiment.sigma:
         if name not in experiment.outputs:
             yield (

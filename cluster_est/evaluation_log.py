@@ -32,6 +32,7 @@ SCHEMA = pa.schema(
         ("message", pa.string()),
         ("cost", pa.float64()),
         ("residuals", pa.list_(pa.float64())),
+        ("constraints", pa.list_(pa.float64())),
         ("seconds", pa.float64()),
         ("worker", pa.string()),
     ]
@@ -137,6 +138,7 @@ class EvaluationLog:
             pa.array([outcome.message for outcome in outcomes]),
             pa.array(sums, pa.float64()),
             _lists([outcome.residuals for outcome in outcomes]),
+            _lists([outcome.constraints if outcome.ok else None for outcome in outcomes]),
             pa.array([outcome.seconds for outcome in outcomes], pa.float64()),
             pa.array([outcome.worker for outcome in outcomes]),
         ]

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
+from cluster_est import rows
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.least_squares import LeastSquares
+from cluster_est.multistart import Multistart, search_from_starts
 from cluster_est.problem import Problem
 from cluster_est.resources import Resources, one_blas_thread, open_executor
-from cluster_est.result import Estimate, Result, Simulation, output_errors
-from cluster_est.runner import Record, Runner, SearchRequest, Show
+from cluster_est.result import Result, Simulation, output_errors
+from cluster_est.runner import Note, Record, Runner, SearchRequest, Show
 from cluster_est.space import Space, make_space
-from cluster_est.uncertainty import Interval, intervals
-from workers.description import describe
+from cluster_est.uncertainty import (
+    Uncertainty,
+    UncertaintySettings,
+    assess,
+    bootstrap,
+    check_bootstrap,
+    check_profiles,
+    examine,
+    intervals,
+    profiles,
+)
 
 
 def fit(
@@ -25,6 +37,9 @@ def fit(
     seed: int = 0,
     record: Record | None = None,
     show: Show | None = None,
+    note: Note | None = None,
+    multistart: Multistart | None = None,
+    uncertainty: UncertaintySettings | None = None,
 ) -> Result:
     """Estimate all parameters of a problem from its training experiments, together.
 
@@ -41,8 +56,13 @@ def fit(
         Where simulations run, and the budget.
     seed
         Starts the method's random generator.
-    record, show
-        Called for each simulation and whenever something came back; see `Runner`.
+    record, show, note
+        Called for each simulation, whenever something came back, and for each iteration; see
+        `Runner`.
+    multistart
+        From how many starts; from the parameters' own if None.
+    uncertainty
+        Which intervals to compute by refits; none if None.
 
     Raises
     ------
@@ -53,14 +73,23 @@ def fit(
     resources = resources or Resources()
     begin = time.monotonic()
     description = problem.describe()
-    train = make_space(problem, problem.indices("train"))
-    check_method(method, train)
+    settings = uncertainty or UncertaintySettings()
+    train = check_search(problem, method, settings)
     units = {name: variable.unit for name, variable in description.variables.items()}
     with one_blas_thread(), open_executor(problem, resources) as executor:
-        runner = Runner(executor, resources.budget, record, show)
+        ready = time.monotonic()
+        runner = Runner(executor, resources.budget, record, show, note)
         before = simulate_all(runner, problem, {})
-        (solution,) = runner.run([SearchRequest("train", method, train, seed)])
-        return complete(runner, train, solution, method, before, units, seed, begin)
+        found = search_from_starts(runner, train, method, multistart or Multistart(), seed)
+        solution, known = found.best, None
+        if solution.ending is not Ending.INTERRUPTED:
+            known = examine(runner, train, solution)
+        result = complete(runner, train, solution, method, before, units, seed, begin, known)
+        starts, minima = rows.starts_and_minima(train, found)
+        result = replace(result, starts=starts, minima=minima)
+        if solution.ending.success:
+            result = refine(runner, train, result, method, settings, seed)
+        return replace(result, search_seconds=time.monotonic() - ready)
 
 
 def complete(
@@ -72,6 +101,7 @@ def complete(
     units: dict[str, str],
     seed: int,
     begin: float,
+    uncertainty: Uncertainty | None = None,
 ) -> Result:
     """What a search on the training experiments means: test records, errors, intervals.
 
@@ -89,9 +119,11 @@ def complete(
         Of the FMU's variables.
     seed, begin
         Of the run; `begin` is a reading of the monotonic clock.
+    uncertainty
+        The solution's; from its Jacobian alone if None.
     """
     problem = train.problem
-    units = units | coefficient_units(problem)
+    units = units | rows.coefficient_units(problem)
     test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
     stopped = solution.ending is Ending.INTERRUPTED
     test_solution = None if stopped else _fit_test_records(runner, method, test, seed)
@@ -99,9 +131,12 @@ def complete(
     if test_solution is not None:
         known |= test.estimates(test_solution.x)
     after = simulate_all(runner, problem, known)
-    estimates = _estimates(train, solution, "train", units) + _fixed(problem, units)
+    uncertainty = uncertainty or assess(train, solution)
+    estimates = rows.estimates(train, solution, "train", units, uncertainty.intervals)
+    estimates += rows.fixed(problem, units) + rows.derived(train, solution, units, uncertainty)
     if test_solution is not None:
-        estimates += _estimates(test, test_solution, "test", units)
+        found = intervals(test, test_solution)
+        estimates += rows.estimates(test, test_solution, "test", units, found)
     return Result(
         problem=problem,
         estimates=tuple(estimates),
@@ -115,7 +150,31 @@ def complete(
         simulated=runner.simulations,
         failures=runner.failures,
         seconds=time.monotonic() - begin,
+        constraints=rows.constraints(train, solution, before, after),
+        front=rows.points(train, solution.others),
+        uncertainty=uncertainty,
     )
+
+
+def refine(
+    runner: Runner,
+    train: Space,
+    result: Result,
+    method: Method,
+    settings: UncertaintySettings,
+    seed: int,
+) -> Result:
+    """Add the intervals that take refits: profiles and bootstrap."""
+    solution = result.solution
+    local = method if method.needs_residuals else LeastSquares()
+    if not _accepts(local, train):
+        local = method
+    profiled = profiles(runner, train, solution, local, settings)
+    drawn = None
+    if settings.bootstrap:
+        generator = np.random.default_rng(seed)
+        drawn = bootstrap(runner, train, solution, local, settings, generator)
+    return replace(result, profiles=profiled, bootstrap=drawn)
 
 
 def simulate(
@@ -125,6 +184,30 @@ def simulate(
     problem.describe()
     with open_executor(problem, resources or Resources()) as executor:
         return simulate_all(Runner(executor), problem, values or {})
+
+
+def check_search(problem: Problem, method: Method, settings: UncertaintySettings) -> Space:
+    """The space of the training experiments, if it can be searched as is asked.
+
+    Raises
+    ------
+    ProblemError
+        If the method or the intervals do not suit the problem.
+    """
+    train = make_space(problem, problem.indices("train"))
+    check_method(method, train)
+    check_profiles(train, settings)
+    if settings.bootstrap:
+        check_bootstrap(train)
+    return train
+
+
+def _accepts(method: Method, space: Space) -> bool:
+    try:
+        check_method(method, space)
+    except ProblemError:
+        return False
+    return True
 
 
 def check_method(method: Method, space: Space) -> None:
@@ -165,26 +248,6 @@ def _fit_test_records(runner: Runner, method: Method, space: Space, seed: int) -
     return solution
 
 
-def coefficient_units(problem: Problem) -> dict[str, str]:
-    """Units of the effects' coefficients, by "EFFECT.COEFFICIENT"; "" where the FMU names none."""
-    if not problem.effects:
-        return {}
-    from workers.effects import units  # SymPy takes long to import
-    from workers.effects.definition import define
-
-    model = problem.model
-    description = describe(model.name, model.archive)
-    signals = tuple({s.variable: None for e in problem.experiments for s in e.signals})
-    found: dict[str, str] = {}
-    for effect in problem.effects:
-        definition = define(effect, description, model.interface, signals)
-        names = [f"{effect.name}.{c.name}" for c in definition.form.coefficients]
-        texts = units.coefficient_units(definition, description)
-        pairs = zip(names, texts, strict=True)
-        found |= {name: "" if units.UNKNOWN in unit else unit for name, unit in pairs}
-    return found
-
-
 def simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> list[Simulation]:
     """Every experiment once, at values given by label, else at the start values."""
     everything = tuple(range(len(problem.experiments)))
@@ -204,71 +267,3 @@ def _cost(problem: Problem, simulations: list[Simulation]) -> float:
     if len(known) < len(residuals):
         return np.nan
     return problem.cost.value(np.concatenate(known), space.outputs)
-
-
-def _estimates(
-    space: Space, solution: Solution, role: str, units: dict[str, str]
-) -> list[Estimate]:
-    steps = solution.difference_steps
-    found = intervals(space, solution)
-    return [
-        _estimate(space, solution, i, found[i], role, units, np.nan if steps is None else steps[i])
-        for i in range(space.size)
-    ]
-
-
-def _estimate(
-    space: Space,
-    solution: Solution,
-    i: int,
-    interval: Interval,
-    role: str,
-    units: dict[str, str],
-    difference_step: float,
-) -> Estimate:
-    unknown = space.unknowns[i]
-    parameter = unknown.parameter
-    _, _, scope = unknown.label.partition("[")
-    return Estimate(
-        label=unknown.label,
-        parameter=parameter.name,
-        variable=parameter.target,
-        unit=parameter.unit or units.get(parameter.target, ""),
-        scope=scope.removesuffix("]") or "shared",
-        value=unknown.to_physical(float(solution.x[i])),
-        start=unknown.start,
-        lower=parameter.lower,
-        upper=parameter.upper,
-        scale=parameter.scale,
-        at_bound=interval.at_bound,
-        std_error=interval.std_error,
-        lower95=interval.lower95,
-        upper95=interval.upper95,
-        difference_step=float(difference_step),
-        estimated_on=role,
-    )
-
-
-def _fixed(problem: Problem, units: dict[str, str]) -> list[Estimate]:
-    return [
-        Estimate(
-            label=p.name,
-            parameter=p.name,
-            variable=p.target,
-            unit=p.unit or units.get(p.target, ""),
-            scope="shared",
-            value=p.start,
-            start=p.start,
-            lower=p.lower,
-            upper=p.upper,
-            scale=p.scale,
-            at_bound="",
-            std_error=np.nan,
-            lower95=np.nan,
-            upper95=np.nan,
-            difference_step=np.nan,
-            estimated_on="known",
-        )
-        for p in problem.parameters
-        if p.fixed
-    ]

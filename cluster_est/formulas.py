@@ -6,7 +6,7 @@ They are parsed, never run as Python.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -18,6 +18,8 @@ from workers.errors import EffectError
 from workers.messages import FloatArray
 
 _COMPARISON = re.compile(r"<=|>=|==|=|<|>")
+LARGEST = 1e300
+"""Of the numbers in a formula."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,11 @@ class Formula:
                 f"{self.where}: must be a number for any values of the parameters but "
                 f"{self.text!r} is true or false; remove the comparison"
             )
+        if parsed.has(sp.zoo, sp.nan, sp.oo, -sp.oo, sp.I) or _too_large(parsed.atoms(sp.Number)):
+            raise ProblemError(
+                f"{self.where}: must have a finite value but {self.text!r} has none; mend its "
+                "numbers, divisions, roots and logarithms"
+            )
         names = tuple(name for name, symbol in symbols.items() if symbol in parsed.free_symbols)
         return names, sp.lambdify([symbols[name] for name in names], parsed, "numpy")
 
@@ -80,6 +87,10 @@ class Formula:
     def __reduce__(self) -> tuple[Any, ...]:
         """A compiled formula cannot be pickled; its text can."""
         return Formula, (self.text, self.known, self.where)
+
+
+def _too_large(numbers: Iterable[Any]) -> bool:
+    return any(not abs(number) < LARGEST for number in numbers)
 
 
 @dataclass(frozen=True)
@@ -122,13 +133,16 @@ def parse_constraint(
     found = []
     for i, sign in enumerate(signs):
         left, right = parts[i].strip(), parts[i + 1].strip()
-        low, high = (right, left) if sign in (">=", ">") else (left, right)
+        falling = sign in (">=", ">")
+        low, high = (right, left) if falling else (left, right)
+        for side in (left, right):
+            Formula(side, tuple(known), where)  # what is wrong is said in the user's own words
         formula = Formula(f"({low}) - ({high})", tuple(known), where)
         if not formula.names:
             raise ProblemError(f"{where}: must name a parameter but {text!r} names none")
         called = name or text.strip()
         if len(signs) > 1:
-            called += f" ({'lower' if i == 0 else 'upper'})"
+            called += f" ({'lower' if (i == 0) is not falling else 'upper'})"
         found.append(ParameterConstraint(called, formula, sign in ("=", "=="), scale))
     return found
 

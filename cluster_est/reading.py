@@ -73,7 +73,7 @@ class Reader:
             times = self._column(section.time)
             source = f"{path}, column {section.time!r}"
         else:
-            (column, *_) = section.outputs.values()
+            column = self._first_column()
             with np.errstate(over="ignore"):
                 rows = np.arange(len(self._column(column)), dtype=np.float64)
                 times = rows * (section.sample_time or 1.0)
@@ -96,10 +96,42 @@ class Reader:
 
     def output(self, times: FloatArray, variable: str) -> Output:
         """A signal that the model should follow, where it was measured."""
-        values = self._values(times, self._section.outputs[variable], f"outputs.{variable}")
+        given = self._section.outputs[variable]
+        values = self._values(times, given.column, f"outputs.{variable}")
         measured = np.isfinite(values)
         sigma = self._section.sigma.get(variable, 1.0)
         return Output(variable, times[measured], values[measured], sigma)
+
+    def points(self, columns: dict[str, str]) -> FloatArray:
+        """(n, d): the points of a curve, without those of which a part was not measured.
+
+        Raises
+        ------
+        DataError
+            If there are fewer than two.
+        """
+        found = [self._column(name) for name in columns.values()]
+        lengths = {len(values) for values in found}
+        if len(lengths) > 1:
+            raise DataError(
+                f"{self._where}.curve: the columns must have as many rows as each other but have "
+                f"{' and '.join(str(n) for n in sorted(lengths))}; choose others"
+            )
+        points = np.column_stack(found)
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) < 2:
+            raise DataError(
+                f"{self._where}.curve: must have at least two points but has {len(points)} in "
+                f"{self._table.path}; check the columns and rows"
+            )
+        return np.ascontiguousarray(points)
+
+    def _first_column(self) -> str:
+        section = self._section
+        for given in (section.outputs, section.inputs, section.signals):
+            for each in given.values():
+                return each.column
+        raise AssertionError("a config without columns has been refused")
 
     def _driving(self, times: FloatArray, name: str, given: InputSection, key: str) -> Input:
         values = self._values(times, given.column, f"{key}.{name}")

@@ -8,7 +8,8 @@ import numpy as np
 
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.problem import Problem
-from workers.messages import FloatArray, Outcome, Role
+from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
+from workers.messages import Experiment, FloatArray, Outcome, Output, Role
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,8 @@ class Estimate:
     difference_step
         Step of the last finite difference, in search coordinates; NaN if there was none.
     estimated_on
-        "train", or "test" for a value that belongs to a test record alone; "known" if fixed.
+        "train", or "test" for a value that belongs to a test record alone; "known" if fixed,
+        "derived" if it follows from others.
     """
 
     label: str
@@ -76,6 +78,56 @@ class OutputError:
 
 
 @dataclass(frozen=True)
+class ConstraintValue:
+    """One constraint, a row of constraints.parquet.
+
+    `before` and `after` are at the start and at the estimates, in units of the constraint's scale:
+    at most 0 where `kind` is "<= 0", 0 where it is "= 0". NaN where a simulation failed.
+    """
+
+    constraint: str
+    kind: str
+    before: float
+    after: float
+    satisfied: bool
+
+
+@dataclass(frozen=True)
+class StartResult:
+    """One start of several, a row of starts.parquet.
+
+    Attributes
+    ----------
+    start
+        Its number; 0 is the parameters' own.
+    cost, ending, iterations
+        Of its search.
+    minimum
+        Number of the minimum that it reached, 0 being the best; -1 if it reached none.
+    """
+
+    start: int
+    cost: float
+    ending: str
+    iterations: int
+    minimum: int
+
+
+@dataclass(frozen=True)
+class PointValue:
+    """A value at one of several points worth keeping, a row of minima.parquet or front.parquet.
+
+    `point` numbers them, the best first; `objectives` are costs kept apart.
+    """
+
+    point: int
+    label: str
+    value: float
+    cost: float
+    objectives: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
 class Simulation:
     """One experiment simulated at given values: its outcome, with trajectory."""
 
@@ -105,6 +157,18 @@ class Result:
         Every experiment at the estimates.
     evaluations, simulated, failures, seconds
         What it took.
+    search_seconds
+        Of `seconds`, those since the workers stood ready.
+    constraints
+        On the training experiments; empty where there are none.
+    starts, minima
+        Of a multi-start: each start, and the values at each different minimum.
+    front
+        Of a method with several objectives: the points none of which is better in all.
+    uncertainty
+        Correlations and directions that the data do not determine, besides the intervals.
+    profiles, bootstrap
+        Intervals that took refits, where they were asked for.
     """
 
     problem: Problem = field(repr=False)
@@ -119,6 +183,14 @@ class Result:
     simulated: int
     failures: int
     seconds: float
+    search_seconds: float = np.nan
+    constraints: tuple[ConstraintValue, ...] = ()
+    starts: tuple[StartResult, ...] = ()
+    minima: tuple[PointValue, ...] = ()
+    front: tuple[PointValue, ...] = ()
+    uncertainty: Uncertainty | None = field(default=None, repr=False)
+    profiles: tuple[ProfileResult, ...] = field(default=(), repr=False)
+    bootstrap: BootstrapResult | None = field(default=None, repr=False)
 
     @property
     def success(self) -> bool:
@@ -132,7 +204,8 @@ class Result:
     @property
     def x(self) -> dict[str, float]:
         """Estimated physical values by label."""
-        return {e.label: e.value for e in self.estimates if e.estimated_on != "known"}
+        searched = ("train", "test")
+        return {e.label: e.value for e in self.estimates if e.estimated_on in searched}
 
     def rmse(self, role: Role) -> float:
         """Root mean square error over all outputs of the experiments with this role, in sigmas."""
@@ -149,12 +222,10 @@ def output_errors(
     rows = []
     for old, new in zip(before, after, strict=True):
         experiment = problem.experiments[old.experiment]
-        first = 0
         for output in experiment.outputs:
-            part = slice(first, first + len(output.times))
-            first = part.stop
             spread = float(np.std(output.values)) or np.nan
-            then, now = _rms(old.outcome, part), _rms(new.outcome, part)
+            then = _rms(output_residuals(output, old.outcome))
+            now = _rms(output_residuals(output, new.outcome))
             rows.append(
                 OutputError(
                     experiment=experiment.id,
@@ -170,11 +241,55 @@ def output_errors(
                     normalised_after=now,
                 )
             )
+        if experiment.curve is not None:
+            rows.append(_curve_error(experiment, old.outcome, new.outcome))
     return tuple(rows)
 
 
-def _rms(outcome: Outcome, part: slice) -> float:
-    if outcome.residuals is None or part.stop == part.start:
+def output_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
+    """(measured - simulated) / sigma of one output at its measured times; None if it failed.
+
+    From the trajectory, whatever the cost makes of it.
+    """
+    trajectory = outcome.trajectory
+    if trajectory is None:
+        return None
+    column = trajectory.variables.index(output.variable)
+    rows = np.searchsorted(trajectory.times, output.times)
+    simulated: FloatArray = trajectory.values[rows, column]
+    return (output.values - simulated) / output.sigma
+
+
+def curve_residuals(experiment: Experiment, outcome: Outcome) -> FloatArray | None:
+    """Distances of a curve's segments, relative to its size; None if it failed, or has no curve."""
+    if experiment.curve is None or outcome.trajectory is None:
+        return None
+    if experiment.cost_function is not None:
+        return None
+    count = len(experiment.curve.points) - 1
+    return None if outcome.residuals is None else outcome.residuals[-count:]
+
+
+def _curve_error(experiment: Experiment, old: Outcome, new: Outcome) -> OutputError:
+    """Of a curve, whose distances are relative to its size already."""
+    curve = experiment.curve
+    then, now = _rms(curve_residuals(experiment, old)), _rms(curve_residuals(experiment, new))
+    return OutputError(
+        experiment=experiment.id,
+        role=experiment.role,
+        output="curve of " + ", ".join(curve.variables if curve is not None else ()),
+        unit="",
+        samples=0 if curve is None else len(curve.points),
+        rmse_before=then,
+        rmse_after=now,
+        relative_before=then,
+        relative_after=now,
+        normalised_before=then,
+        normalised_after=now,
+    )
+
+
+def _rms(residuals: FloatArray | None) -> float:
+    if residuals is None or not len(residuals):
         return np.nan
-    values: FloatArray = outcome.residuals[part]
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(np.mean(residuals**2)))

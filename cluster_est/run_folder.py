@@ -9,6 +9,7 @@ import shutil
 import sys
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -22,10 +23,16 @@ from cluster_est.closed_loop.result import LoopResult
 from cluster_est.curves import residual_table, trajectory_table
 from cluster_est.errors import RunFolderError
 from cluster_est.evaluation_log import EvaluationLog
-from cluster_est.methods.base import Progress
 from cluster_est.problem import Problem
 from cluster_est.result import Result
-from cluster_est.runner import Origin, Snapshot
+from cluster_est.runner import Iteration, Origin
+from cluster_est.uncertainty.rows import (
+    bootstrap_rows,
+    correlation_rows,
+    direction_rows,
+    interval_rows,
+    profile_rows,
+)
 from workers.messages import Outcome, content_hash
 
 LIBRARIES = ("cluster-est", "fmpy", "numba", "numpy", "pyarrow", "ray", "scipy")
@@ -69,8 +76,7 @@ class RunFolder:
         self._problem, self._seed = problem, seed
         self._metadata = {"cluster_est.config_hash": config_hash, "cluster_est.format": FORMAT}
         self._config_hash = config_hash
-        self._iterations: list[dict[str, Any]] = []
-        self._seen: dict[str, Progress] = {}
+        self._iterations: dict[tuple[str, int, str], dict[str, Any]] = {}
         self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
         self._begin = time.time()
         if overwrite and path.exists():
@@ -94,13 +100,13 @@ class RunFolder:
         worker["failures"] += not outcome.ok
         worker["busy_seconds"] += outcome.seconds
 
-    def show(self, snapshot: Snapshot) -> None:
-        """Keep a line of the iteration table when an iteration has ended."""
-        progress = snapshot.progress
-        if self._seen.get(snapshot.search) != progress and np.isfinite(progress.cost):
-            self._seen[snapshot.search] = progress
-            row = {"search": snapshot.search, **dataclasses.asdict(progress)}
-            self._iterations.append(row | {"evaluations": snapshot.evaluations})
+    def note(self, iteration: Iteration) -> None:
+        """Keep the last line that a search shows for each of its iterations, and its end."""
+        progress = iteration.progress
+        if np.isfinite(progress.cost) or progress.ending:
+            key = (iteration.search, progress.iteration, progress.ending)
+            row = {"search": iteration.search, **dataclasses.asdict(progress)}
+            self._iterations[key] = row | {"evaluations": iteration.evaluations}
 
     def write(self, result: Result) -> None:
         """Write all tables at the end of a run."""
@@ -131,9 +137,13 @@ class RunFolder:
 
     def _write_fit(self, result: Result) -> None:
         """Iterations, workers, residuals and trajectories."""
-        self._write_iterations(result)
+        self._table("searches", list(self._iterations.values()))
         rows = [{"worker": name, **numbers} for name, numbers in sorted(self._workers.items())]
-        self._table("workers", [row | {"seconds": result.seconds} for row in rows])
+        seconds = result.search_seconds if np.isfinite(result.search_seconds) else result.seconds
+        self._table("workers", [row | {"seconds": seconds} for row in rows])
+        for name, found in _tables(result).items():
+            if found:
+                self._table(name, [dataclasses.asdict(row) for row in found])
         self._write_table("residuals", residual_table(result.problem, result.simulations))
         self._write_table("trajectories", trajectory_table(result.problem, result.simulations))
 
@@ -141,23 +151,6 @@ class RunFolder:
         """Close the log of a run that ended without a result, and say so."""
         self._log.close()
         self._write_status(status, {"message": reason})
-
-    def _write_iterations(self, result: Result) -> None:
-        """The iterations, and each search's end as its last row."""
-        rows = [{**row, "ending": ""} for row in self._iterations]
-        solutions = {"train": result.solution, "test": result.test_solution}
-        for name, solution in solutions.items():
-            if solution is not None:
-                last = Progress(solution.iterations, solution.cost)
-                rows.append(
-                    {
-                        "search": name,
-                        **dataclasses.asdict(last),
-                        "evaluations": result.evaluations,
-                        "ending": solution.ending.name.lower(),
-                    }
-                )
-        self._table("searches", rows)
 
     def _table(self, name: str, rows: list[dict[str, Any]]) -> None:
         self._write_table(name, pa.Table.from_pylist(rows) if rows else pa.table({}))
@@ -189,6 +182,22 @@ class RunFolder:
         partial = self.path / ".run.json"
         partial.write_text(json.dumps(_finite(facts), indent=2) + "\n", encoding="utf-8")
         partial.rename(self.path / "run.json")
+
+
+def _tables(result: Result) -> dict[str, Sequence[Any]]:
+    """The tables that not every run has."""
+    uncertainty, drawn = result.uncertainty, result.bootstrap
+    return {
+        "constraints": result.constraints,
+        "starts": result.starts,
+        "minima": result.minima,
+        "front": result.front,
+        "correlations": [] if uncertainty is None else correlation_rows(uncertainty),
+        "directions": [] if uncertainty is None else direction_rows(uncertainty),
+        "profiles": profile_rows(result.profiles),
+        "bootstrap": [] if drawn is None else bootstrap_rows(drawn),
+        "intervals": interval_rows(result.profiles, drawn),
+    }
 
 
 def check_free(path: Path, *, overwrite: bool) -> None:
@@ -241,12 +250,24 @@ def _numbers(result: Result) -> dict[str, Any]:
         "cost_before": result.cost_before,
         "cost": result.cost,
         "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
+        "notes": _notes(result),
         "iterations": result.solution.iterations,
         "evaluations": result.evaluations,
         "simulations": result.simulated,
         "failures": result.failures,
         "seconds": result.seconds,
     }
+
+
+def _notes(result: Result) -> list[str]:
+    """What to know about the uncertainty, in sentences."""
+    notes: list[str] = []
+    if result.uncertainty is not None:
+        notes += [direction.sentence for direction in result.uncertainty.directions]
+        notes += result.uncertainty.notes
+    for profile in result.profiles:
+        notes += profile.sentences
+    return notes
 
 
 def _finite(value: Any) -> Any:

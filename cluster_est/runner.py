@@ -8,32 +8,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cluster_est.active import Active, Memory, Pending, Question, SearchRequest
 from cluster_est.errors import BudgetError
 from cluster_est.executors.base import Executor
-from cluster_est.judging import judge
-from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
+from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Solution
 from cluster_est.space import Space
 from workers.messages import Effect, FloatArray, Outcome, Status, Task, Want
 
-MEMORY_BYTES = 64 * 2**20
-"""Residuals that are remembered to answer a repeated question without simulating."""
-
-
-@dataclass(frozen=True)
-class SearchRequest:
-    """One search: a method let loose on a space.
-
-    `name` tells searches apart in the log; `seed` starts the method's random generator.
-    """
-
-    name: str
-    method: Method
-    space: Space
-    seed: int = 0
+__all__ = ["Budget", "Iteration", "Origin", "Runner", "SearchRequest", "Snapshot"]
 
 
 @dataclass(frozen=True)
@@ -83,42 +69,7 @@ class Iteration:
     evaluations: int
 
 
-@dataclass
-class _Pending:
-    """A point that was asked for, and the outcomes that are there already."""
-
-    index: int
-    x: FloatArray
-    outcomes: list[Outcome | None]
-    missing: int
-
-
-@dataclass
-class _Active:
-    """A search in progress and the points that it waits for, by index."""
-
-    request: SearchRequest
-    steps: Search
-    pending: dict[int, _Pending] = field(default_factory=dict)
-    answers: list[tuple[Evaluation, FloatArray]] = field(default_factory=list)
-    asynchronous: bool = False
-    purpose: str = ""
-    asked: int = 0
-    best: Evaluation | None = None
-    best_x: FloatArray | None = None
-    progress: Progress = field(default_factory=lambda: Progress(0, np.nan))
-    solution: Solution | None = None
-
-    @property
-    def ready(self) -> bool:
-        """Whether what it waits for is there."""
-        if self.asynchronous:
-            return bool(self.answers) or not self.pending
-        return not self.pending
-
-
-_Slot = tuple[_Active, int, int]  # search, index of the point, position of the experiment
-_Question = tuple[int, bytes, tuple[Effect, ...]]
+_Slot = tuple[Active, int, int]  # search, index of the point, position of the experiment
 Record = Callable[[Origin, Outcome], None]
 Show = Callable[[Snapshot], None]
 Note = Callable[[Iteration], None]
@@ -164,9 +115,9 @@ class Runner:
         self._begin = time.monotonic()
         self._next_task = 0
         self._origins: dict[int, Origin] = {}
-        self._waiting: dict[_Question, list[_Slot]] = {}
-        self._known: dict[_Question, Outcome] = {}
-        self._known_bytes = 0
+        self._waiting: dict[Question, list[_Slot]] = {}
+        self._known = Memory()
+        self._sizes: dict[int, int] = {}
         self.evaluations = 0
         self.simulations = 0
         self.failures = 0
@@ -218,7 +169,7 @@ class Runner:
         self._refuse_if_exhausted(searches)
         return _solutions(searches)
 
-    def _run(self, searches: list[_Active], at_once: int | None, enough: Enough) -> list[_Active]:
+    def _run(self, searches: list[Active], at_once: int | None, enough: Enough) -> list[Active]:
         """Run until all have ended, or the first of them are enough; those that count."""
         waiting = searches[::-1]
         counted = 0
@@ -236,7 +187,7 @@ class Runner:
         return searches
 
     def _begin_searches(
-        self, waiting: list[_Active], searches: Sequence[_Active], at_once: int | None
+        self, waiting: list[Active], searches: Sequence[Active], at_once: int | None
     ) -> None:
         """Begin the next searches, in order, as many as may be under way."""
         while waiting:
@@ -250,7 +201,7 @@ class Runner:
             else:
                 self._advance(search, None)
 
-    def _give_up(self, searches: Sequence[_Active]) -> None:
+    def _give_up(self, searches: Sequence[Active]) -> None:
         """End searches whose solutions nobody wants any more."""
         for search in searches:
             self._drop(search, tuple(search.pending))
@@ -287,17 +238,16 @@ class Runner:
         while len(answers) < len(tasks):
             for outcome in self._executor.completed():
                 if outcome.task in own:
-                    self._note(self._origins.pop(outcome.task), outcome)
-                    answers[outcome.task] = outcome
+                    answers[outcome.task] = self._note(self._origins.pop(outcome.task), outcome)
                 else:  # left over from a search that was ended from outside
                     self._receive(outcome)
         return [answers[task.id] for task in tasks]
 
-    def _open(self, request: SearchRequest) -> _Active:
+    def _open(self, request: SearchRequest) -> Active:
         generator = np.random.default_rng(request.seed)
-        return _Active(request, request.method.search(request.space, generator))
+        return Active(request, request.method.search(request.space, generator))
 
-    def _advance(self, search: _Active, answers: list[Evaluation] | None) -> None:
+    def _advance(self, search: Active, answers: list[Evaluation] | None) -> None:
         """Send a search its answers and queue what it asks for next."""
         while True:
             try:
@@ -312,9 +262,9 @@ class Runner:
             self._ask(search, points)
             if not search.ready:
                 return
-            answers = self._answers(search)
+            answers = search.take_answers()
 
-    def _ask(self, search: _Active, points: Points) -> None:
+    def _ask(self, search: Active, points: Points) -> None:
         """Queue the tasks of a request, experiment by experiment; skip what is known already."""
         space = search.request.space
         if points.progress is not None and points.progress != search.progress:
@@ -327,14 +277,16 @@ class Runner:
         self.evaluations += len(points.x)
         count = len(space.experiments)
         for p, x in enumerate(points.x):
-            search.pending[first + p] = _Pending(first + p, x.copy(), [None] * count, count)
+            search.pending[first + p] = Pending(first + p, x.copy(), [None] * count, count)
         physical = [space.physical(x) for x in points.x]
+        places = [(p, e) for e in range(count) for p in range(len(points.x))]
+        if points.asynchronous:  # a point is answered when it is complete, so one after the other
+            places.sort()
         tasks: list[Task] = []
-        for e, experiment in enumerate(space.experiments):
-            for p in range(len(points.x)):
-                slot = (search, first + p, e)
-                task = self._question(slot, experiment, physical[p][e])
-                tasks += [task] if task is not None else []
+        for p, e in places:
+            slot = (search, first + p, e)
+            task = self._question(slot, space.experiments[e], physical[p][e])
+            tasks += [task] if task is not None else []
         self._executor.submit(tasks)
 
     def _question(self, slot: _Slot, experiment: int, values: FloatArray) -> Task | None:
@@ -343,10 +295,10 @@ class Runner:
         effects = search.request.space.problem.effects
         question = (experiment, values.tobytes(), effects)
         if not np.isfinite(values).all():
-            self._place(slot, _no_values(search, values))
+            self._place(slot, _no_values(search.request.space, values))
             return None
-        if question in self._known:
-            self._place(slot, self._known[question])
+        if (known := self._known.get(question)) is not None:
+            self._place(slot, known)
             return None
         if question in self._waiting:
             self._waiting[question].append(slot)
@@ -365,41 +317,20 @@ class Runner:
         origin = self._origins.pop(outcome.task, None)
         if origin is None:
             return
-        self._note(origin, outcome)
+        outcome = self._note(origin, outcome)
         question = (origin.experiment, origin.values.tobytes(), origin.effects)
-        self._remember(question, outcome)
+        self._known.remember(question, outcome)
         for slot in self._waiting.pop(question, []):
             self._place(slot, outcome)
             search = slot[0]
             if search.ready and search.solution is None:
-                self._advance(search, self._answers(search))
+                self._advance(search, search.take_answers())
 
     def _place(self, slot: _Slot, outcome: Outcome) -> None:
-        """Put an outcome where it is waited for; judge the point that it completes."""
         search, index, e = slot
-        point = search.pending.get(index)
-        if point is None:  # dropped, or of a search that has ended
-            return
-        point.outcomes[e] = outcome
-        point.missing -= 1
-        if point.missing == 0:
-            self._judge(search, search.pending.pop(index))
+        search.place(index, e, outcome)
 
-    def _judge(self, search: _Active, point: _Pending) -> None:
-        outcomes = tuple(outcome for outcome in point.outcomes if outcome is not None)
-        evaluation = judge(search.request.space, point.x, outcomes, point.index)
-        search.answers.append((evaluation, point.x))
-
-    def _answers(self, search: _Active) -> list[Evaluation]:
-        """The evaluations that a search is sent, in the order in which it asked for them."""
-        answers = sorted(search.answers, key=lambda answer: answer[0].index)
-        search.answers = []
-        for evaluation, x in answers:
-            if evaluation.ok and (search.best is None or evaluation.rank < search.best.rank):
-                search.best, search.best_x = evaluation, x
-        return [evaluation for evaluation, _ in answers]
-
-    def _drop(self, search: _Active, indices: tuple[int, ...]) -> None:
+    def _drop(self, search: Active, indices: tuple[int, ...]) -> None:
         """Forget points that nobody wants; those simulations that have not begun need not."""
         for index in indices:
             search.pending.pop(index, None)
@@ -414,20 +345,23 @@ class Runner:
         for task in self._executor.cancel(ids):
             self._waiting.pop(_asked(self._origins.pop(task)), None)
 
-    def _remember(self, question: _Question, outcome: Outcome) -> None:
-        size = 0 if outcome.residuals is None else outcome.residuals.nbytes
-        if self._known_bytes + size > MEMORY_BYTES:
-            self._known.clear()
-            self._known_bytes = 0
-        self._known[question] = outcome
-        self._known_bytes += size
-
-    def _note(self, origin: Origin, outcome: Outcome) -> None:
+    def _note(self, origin: Origin, outcome: Outcome) -> Outcome:
+        """Count and record an outcome; what it is taken for."""
+        if outcome.residuals is not None:
+            found = len(outcome.residuals)
+            wanted = self._sizes.setdefault(origin.experiment, found)
+            if found != wanted:  # of a user's function, on a worker that saw no other point yet
+                message = f"there are {found} residuals but there were {wanted} at the first point"
+                seconds, worker = outcome.seconds, outcome.worker
+                outcome = Outcome(
+                    outcome.task, Status.NOT_FINITE, message=message, seconds=seconds, worker=worker
+                )
         self.simulations += 1
         self.failures += not outcome.ok
         self._record(origin, outcome)
+        return outcome
 
-    def _finish(self, search: _Active, ending: Ending) -> None:
+    def _finish(self, search: Active, ending: Ending) -> None:
         """End a search from outside, with the best point that it has seen."""
         start = search.request.space.start
         x = start if search.best_x is None else search.best_x
@@ -438,7 +372,7 @@ class Runner:
         search.pending.clear()
         self._end(search)
 
-    def _end(self, search: _Active) -> None:
+    def _end(self, search: Active) -> None:
         """Note how a search ended, as the last line of its table."""
         solution = search.solution
         if solution is None:
@@ -462,7 +396,7 @@ class Runner:
             longest is not None and used >= longest
         )
 
-    def _refuse_if_exhausted(self, searches: Sequence[_Active]) -> None:
+    def _refuse_if_exhausted(self, searches: Sequence[Active]) -> None:
         cut = [s for s in searches if s.solution and s.solution.ending is Ending.BUDGET]
         if self._whole and self._exhausted() and (cut or not searches):
             raise BudgetError(
@@ -471,7 +405,7 @@ class Runner:
                 "budget.seconds, or leave them out"
             )
 
-    def _display(self, searches: Sequence[_Active]) -> None:
+    def _display(self, searches: Sequence[Active]) -> None:
         running = [s for s in searches if s.solution is None] or list(searches)
         self._show(
             Snapshot(
@@ -487,17 +421,17 @@ class Runner:
         )
 
 
-def _solutions(searches: Sequence[_Active]) -> list[Solution]:
+def _solutions(searches: Sequence[Active]) -> list[Solution]:
     return [search.solution for search in searches if search.solution is not None]
 
 
-def _asked(origin: Origin) -> _Question:
+def _asked(origin: Origin) -> Question:
     return origin.experiment, origin.values.tobytes(), origin.effects
 
 
-def _no_values(search: _Active, values: FloatArray) -> Outcome:
+def _no_values(space: Space, values: FloatArray) -> Outcome:
     """The outcome of a point at which a parameter has no value."""
-    named = [p.name for p in search.request.space.problem.parameters if not p.auxiliary]
+    named = [p.name for p in space.problem.parameters if not p.auxiliary]
     first = int(np.flatnonzero(~np.isfinite(values))[0])
     return Outcome(
         -1,

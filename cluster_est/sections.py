@@ -2,51 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, Strict
-from pydantic_core import PydanticCustomError
+from pydantic import Field, Strict
 
-_LARGEST = 2**63 - 1
-"""Of the integers that compiled code counts with."""
-
-
-def _known(value: Any) -> Any:
-    """A known value keeps its type: the FMU's variable decides which it must be."""
-    largest = _LARGEST if isinstance(value, int) else float("inf")
-    if isinstance(value, bool | int | float) and abs(value) < largest:
-        return value
-    raise PydanticCustomError("known", "must be a finite number, true or false")
+from cluster_est.experiment_sections import ExperimentSection
+from cluster_est.search_sections import (
+    ConstraintSection,
+    CostSection,
+    MethodSection,
+    MultistartSection,
+    UncertaintySection,
+)
+from cluster_est.section_types import Count, Finite, Known, Section
 
 
-def _input(value: Any) -> Any:
-    if isinstance(value, str):
-        return {"column": value}
-    if isinstance(value, dict | InputSection):
-        return value
-    raise PydanticCustomError("input", "must be a column's name or { column, interpolation }")
-
-
-def _group(value: Any) -> Any:
-    if isinstance(value, str):
-        return {"": value}
-    if isinstance(value, dict):
-        return value
-    raise PydanticCustomError("group", 'must be a label or { KEY = "label" }')
-
-
-Count = Annotated[int, Field(ge=0, le=_LARGEST)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Known = Annotated[float | int | bool, PlainValidator(_known)]
-Pair = Annotated[tuple[Finite, Finite], Strict(False)]
-"""TOML has lists, which strictly are no tuples."""
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-class ModelSection(_Section):
+class ModelSection(Section):
     fmu: str = Field(description="path of the FMU, from the config's folder")
     interface: Literal["auto", "model_exchange", "co_simulation"] = Field(
         "auto", description="which of the FMU's interfaces; auto prefers model exchange"
@@ -69,8 +40,11 @@ class ModelSection(_Section):
     max_steps: Count = Field(1_000_000, gt=0, description="steps after which a simulation fails")
 
 
-class ParameterSection(_Section):
-    start: Finite = Field(description="where the estimation starts, in the FMU's unit")
+class ParameterSection(Section):
+    start: Finite | None = Field(
+        None,
+        description="where the estimation starts, in the FMU's unit; needed but for an expression",
+    )
     bounds: Annotated[tuple[float, float], Strict(False)] = Field(
         (float("-inf"), float("inf")), description="[lower, upper]"
     )
@@ -81,61 +55,15 @@ class ParameterSection(_Section):
         None, description='"experiment" or "group:KEY" for a value of its own there; default shared'
     )
     unit: str = Field("", description="for tables; default: the FMU's")
-
-
-class InputSection(_Section):
-    column: str = Field(description="column of the data")
-    interpolation: Literal["linear", "hold"] = Field("linear", description="between samples")
-
-
-class ColumnSection(_Section):
-    factor: Finite = Field(1.0, description="the column is multiplied by it")
-    offset: Finite = Field(0.0, description="and this is added, in the new unit")
-    demean: bool = Field(False, description="subtract the mean of the used rows first")
-
-
-class ExperimentSection(_Section):
-    id: str = Field(min_length=1, description="name of the experiment, unique")
-    data: str = Field(description="path of the table: csv, parquet, feather or mat")
-    time: str | None = Field(None, description="column with the time in seconds")
-    sample_time: Finite | None = Field(
-        None, gt=0.0, description="seconds between rows, where there is no time column"
+    expression: str = Field(
+        "", description='instead of start: a formula in other parameters, such as "2 * k1"'
     )
-    rows: Annotated[tuple[Count, Count], Strict(False)] | None = Field(
-        None, description="[from, to]: rows from (counted from 0) up to, not with, to"
-    )
-    inputs: dict[str, Annotated[InputSection, BeforeValidator(_input)]] = Field(
-        default_factory=dict, description="FMU input = column, or { column, interpolation }"
-    )
-    outputs: dict[str, str] = Field(
-        min_length=1, description="FMU output = column; empty cells: not measured"
-    )
-    signals: dict[str, Annotated[InputSection, BeforeValidator(_input)]] = Field(
-        default_factory=dict,
-        description="name = column, or { column, interpolation }: measured, but no input of the "
-        "FMU; effects may depend on it",
-    )
-    sigma: dict[str, Annotated[Finite, Field(gt=0.0)]] = Field(
-        default_factory=dict, description="FMU output = standard deviation of its noise; default 1"
-    )
-    start: Finite | None = Field(None, description="seconds; default: the first time in the data")
-    stop: Finite | None = Field(None, description="seconds; default: the last measured time")
-    windows: list[Pair] = Field(
-        default_factory=list, description="[[from, to], ...] seconds that count"
-    )
-    role: Literal["train", "test"] = Field("train", description="test: held out, only reported")
-    values: dict[str, Known] = Field(
-        default_factory=dict, description="known values of this run, by FMU name"
-    )
-    group: Annotated[dict[str, str], BeforeValidator(_group)] = Field(
-        default_factory=dict, description='KEY = "label" for parameters that are per "group:KEY"'
-    )
-    columns: dict[str, ColumnSection] = Field(
-        default_factory=dict, description="column = { factor, offset, demean }"
+    auxiliary: bool = Field(
+        False, description="not in the FMU: for expressions and constraints alone"
     )
 
 
-class CoefficientSection(_Section):
+class CoefficientSection(Section):
     start: Finite | None = Field(
         None, description="where the estimation starts; default: the value that does nothing"
     )
@@ -151,7 +79,7 @@ class CoefficientSection(_Section):
     unit: str = Field("", description="for tables")
 
 
-class EffectSection(_Section):
+class EffectSection(Section):
     name: str = Field("", description="of the effect; default: its form")
     site: str = Field(
         description='"der(STATE)", "pair STATE,STATE", "input NAME", "output NAME" or '
@@ -169,7 +97,7 @@ class EffectSection(_Section):
     )
 
 
-class ClosedLoopSection(_Section):
+class ClosedLoopSection(Section):
     effects: list[str] = Field(
         default_factory=list, description="forms to try, such as coulomb; default: the library"
     )
@@ -193,17 +121,7 @@ class ClosedLoopSection(_Section):
     seed: Count = Field(0, description="of every random generator of the loop")
 
 
-class CostSection(_Section):
-    name: str = Field("sse", description="sse: sum of squared residuals")
-
-
-class MethodSection(_Section):
-    name: str = Field("least_squares", description="least_squares or scipy_least_squares")
-    options: dict[str, Any] = Field(default_factory=dict, description="of the method")
-    seed: Count = Field(0, description="of the method's random generator")
-
-
-class ExecutorSection(_Section):
+class ExecutorSection(Section):
     name: str = Field("local", description="local or ray")
     workers: Count | None = Field(
         None, gt=0, description="default: 1 for local, every core of the cluster for ray"
@@ -213,12 +131,12 @@ class ExecutorSection(_Section):
     )
 
 
-class BudgetSection(_Section):
+class BudgetSection(Section):
     evaluations: Count | None = Field(None, gt=0, description="points to evaluate at most")
     seconds: Finite | None = Field(None, gt=0.0, description="after which nothing new is asked")
 
 
-class Config(_Section):
+class Config(Section):
     """A whole config file."""
 
     model: ModelSection = Field(description="the FMU and how to integrate it")
@@ -240,6 +158,13 @@ class Config(_Section):
         ClosedLoopSection(), description="how close-loop looks for what the model lacks"
     )
     cost: CostSection = Field(CostSection(), description="what is minimised")
+    constraints: list[ConstraintSection] = Field(
+        default_factory=list, description="what parameters and signals must satisfy"
+    )
     method: MethodSection = Field(MethodSection(), description="how")
+    multistart: MultistartSection = Field(MultistartSection(), description="from how many starts")
+    uncertainty: UncertaintySection = Field(
+        UncertaintySection(), description="intervals that take refits"
+    )
     executor: ExecutorSection = Field(ExecutorSection(), description="where")
     budget: BudgetSection = Field(BudgetSection(), description="for how long")

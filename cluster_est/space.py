@@ -10,18 +10,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.errors import ProblemError
-from cluster_est.formulas import ParameterConstraint, parse_constraint
+from cluster_est.parameter_constraints import Demand, evaluate, expand, label_of
 from cluster_est.problem import Parameter, Problem
-from workers.description import nearest
-from workers.messages import Experiment, FloatArray, IntArray
+from workers.messages import FloatArray, IntArray
+
+_NONE = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,16 @@ class Space:
 
     @cached_property
     def start(self) -> FloatArray:
-        return np.array([u.to_search(u.start) for u in self.unknowns], np.float64)
+        start = np.array([u.to_search(u.start) for u in self.unknowns], np.float64)
+        return np.clip(start, self.lower, self.upper)  # a logarithm may lie just outside
+
+    def starting_at(self, x: FloatArray) -> Space:
+        """The same space with another start, in search coordinates."""
+        if np.array_equal(x, self.start):
+            return self
+        pairs = zip(self.unknowns, x.tolist(), strict=True)
+        moved = tuple(replace(u, start=u.to_physical(searched)) for u, searched in pairs)
+        return replace(self, unknowns=moved)
 
     @cached_property
     def lower(self) -> FloatArray:
@@ -141,7 +150,7 @@ class Space:
     @cached_property
     def constraint_names(self) -> tuple[str, ...]:
         """Of all constraints: those on parameters, then each experiment's."""
-        names = [name for name, _, _ in self._parameter_constraints]
+        names = [demand.name for demand in self._demands]
         for e in self.experiments:
             experiment = self.problem.experiments[e]
             names += [f"{name} [{experiment.id}]" for name in experiment.constraint_names]
@@ -150,7 +159,7 @@ class Space:
     @cached_property
     def equality(self) -> npt.NDArray[np.bool_]:
         """(constraints,): whether each must be 0, else at most 0."""
-        kinds = [constraint.equality for _, constraint, _ in self._parameter_constraints]
+        kinds = [demand.constraint.equality for demand in self._demands]
         for e in self.experiments:
             kinds += self.problem.experiments[e].equality
         return np.array(kinds, dtype=bool)
@@ -158,60 +167,31 @@ class Space:
     @cached_property
     def constraint_rows(self) -> tuple[slice, ...]:
         """Where each experiment's constraints stand among all."""
-        first = len(self._parameter_constraints)
+        first = len(self._demands)
         sizes = [len(self.problem.experiments[e].constraint_names) for e in self.experiments]
         return tuple(slice(s.start + first, s.stop + first) for s in _slices(sizes))
 
     @cached_property
-    def _parameter_constraints(self) -> tuple[tuple[str, ParameterConstraint, int], ...]:
-        """(name, constraint, experiment) once for each combination of values it can meet."""
-        parameters = self.problem.parameters
-        found = []
-        for constraint in (*self.problem.constraints, *_bounds_of_derived(self.problem)):
-            needed = _sources(self.problem, constraint.formula.names)
-            local = [p for p in parameters if p.name in needed and p.per is not None]
-            seen: dict[tuple[object, ...], int] = {}
-            for position, e in enumerate(self.experiments):
-                experiment = self.problem.experiments[e]
-                values = tuple(self.base[position].tolist()) if self._given_differs(needed) else ()
-                labels = (*(_label(p, experiment) for p in local), *values)
-                seen.setdefault(labels, position)
-            for position in seen.values():
-                where = f" [{self.problem.experiments[self.experiments[position]].id}]"
-                name = constraint.name + (where if len(seen) > 1 else "")
-                found.append((name, constraint, position))
-        return tuple(found)
-
-    def _given_differs(self, names: set[str]) -> bool:
-        """Whether experiments bring known values of their own for one of these parameters."""
-        targets = {p.target for p in self.problem.parameters if p.name in names}
+    def _demands(self) -> tuple[Demand, ...]:
         chosen = [self.problem.experiments[e] for e in self.experiments]
-        return any(name in targets for experiment in chosen for name, _ in experiment.values)
+        return expand(self.problem, chosen)
 
     def parameter_constraints(self, x: FloatArray) -> FloatArray:
         """The constraints on parameters at x: the first of `constraint_names`."""
-        if not self._parameter_constraints:
-            return np.zeros(0)
-        table = self._table(x)
-        columns = {p.name: table[:, i] for i, p in enumerate(self.problem.parameters)}
-        found = [
-            constraint.formula.values(columns, len(table))[position] / constraint.scale
-            for _, constraint, position in self._parameter_constraints
-        ]
-        return np.array(found, np.float64)
+        return evaluate(self._demands, self.problem, self._table(x)) if self._demands else _NONE
 
     def parameter_constraint_slopes(self, x: FloatArray) -> FloatArray:
-        """(constraints on parameters, unknowns): their derivatives, by central differences.
-
-        They cost no simulation.
+        """(constraints on parameters, unknowns): their derivatives, by central differences,
+        one-sided at a bound. They cost no simulation.
         """
-        slopes = np.zeros((len(self._parameter_constraints), self.size))
+        slopes = np.zeros((len(self._demands), self.size))
         if not len(slopes):
             return slopes
         for i in range(self.size):
             step = np.cbrt(np.finfo(float).eps) * max(abs(float(x[i])), float(self.typical[i]))
             high, low = x.copy(), x.copy()
-            high[i], low[i] = x[i] + step, x[i] - step
+            high[i] = min(x[i] + step, self.upper[i])
+            low[i] = max(x[i] - step, self.lower[i])
             ahead, behind = self.parameter_constraints(high), self.parameter_constraints(low)
             slopes[:, i] = (ahead - behind) / (high[i] - low[i])
         return np.where(np.isfinite(slopes), slopes, 0.0)
@@ -311,9 +291,10 @@ def make_space(
         given = [dict(e.values).get(parameter.target) for e in chosen]
         base[:, column] = [parameter.start if v is None else float(v) for v in given]
         members: dict[str, list[int]] = {}
+        kept = parameter.fixed or bool(parameter.expression)
         for position, experiment in enumerate(chosen):
-            if given[position] is None and not parameter.fixed:
-                members.setdefault(_label(parameter, experiment), []).append(position)
+            if given[position] is None and not kept:
+                members.setdefault(label_of(parameter, experiment), []).append(position)
         for label, positions in members.items():
             if label in known:
                 base[positions, column] = known[label]
@@ -326,52 +307,6 @@ def make_space(
 def _slices(sizes: list[int]) -> tuple[slice, ...]:
     ends = np.cumsum([0, *sizes]).tolist()
     return tuple(slice(a, b) for a, b in pairwise(ends))
-
-
-def _sources(problem: Problem, names: tuple[str, ...]) -> set[str]:
-    """These parameters, and all that their expressions lead to."""
-    formulas = {problem.parameters[i].name: formula for i, formula in problem.derived}
-    found: set[str] = set()
-    waiting = list(names)
-    while waiting:
-        name = waiting.pop()
-        if name not in found:
-            found.add(name)
-            waiting += formulas[name].names if name in formulas else ()
-    return found
-
-
-def _bounds_of_derived(problem: Problem) -> list[ParameterConstraint]:
-    """A parameter that follows from others keeps its bounds by constraints."""
-    names = tuple(p.name for p in problem.parameters)
-    found: list[ParameterConstraint] = []
-    for i, _ in problem.derived:
-        p = problem.parameters[i]
-        scale = max(abs(b) for b in (p.lower, p.upper, 0.0) if math.isfinite(b)) or 1.0
-        if math.isfinite(p.lower):
-            text = f"{p.lower!r} <= {p.name}"
-            found += parse_constraint(text, names, f"parameters.{p.name}.bounds", "", scale)
-        if math.isfinite(p.upper):
-            text = f"{p.name} <= {p.upper!r}"
-            found += parse_constraint(text, names, f"parameters.{p.name}.bounds", "", scale)
-    return found
-
-
-def _label(parameter: Parameter, experiment: Experiment) -> str:
-    if parameter.per is None:
-        return parameter.name
-    if parameter.per == "experiment":
-        return f"{parameter.name}[{experiment.id}]"
-    key = parameter.per.partition(":")[2] or "group"
-    groups = dict(experiment.groups)
-    label = groups.get(key, groups.get(""))
-    if label is None:
-        raise ProblemError(
-            f"experiment {experiment.id!r}: must belong to a group, because "
-            f"parameters.{parameter.name} is per {parameter.per!r}, but does not; add "
-            f'group = {{ {key} = "..." }}' + (nearest(key, groups) if groups else "")
-        )
-    return f"{parameter.name}[{label}]"
 
 
 def _typical(unknown: Unknown) -> float:

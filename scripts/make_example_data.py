@@ -1,4 +1,4 @@
-"""Write the measurements of the mass-spring-damper example.
+"""Write the measurements of the examples: a mass on a spring, and a spring with hysteresis.
 
 The equations are written here once more, apart from the FMU, and solved to a much tighter
 tolerance, so that an estimate from these data also checks the FMU. The noise is reproducible.
@@ -10,18 +10,24 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-DATA = Path(__file__).resolve().parent.parent / "configs" / "data" / "mass_spring_damper"
+DATA = Path(__file__).resolve().parent.parent / "configs" / "data"
+SEED = 20240
 
 MASS, STIFFNESS, DAMPING = 1.2, 30.0, 0.6  # kg, N/m, N.s/m
 SAMPLES, INTERVAL = 500, 0.02  # -, s
 NOISE = 0.01  # standard deviation, relative to that of the position
-SEED = 20240
+
+AMPLITUDE, K_W, K_X = 1.02, 260.0, 190.0  # m, N, N/m; the angular frequency is 1 rad/s
+RHO, SIGMA, N, W_0 = 2.1, 1.4, 1.5, -0.35  # 1/m, -, -, -
+CYCLES, POINTS, AT_REST = 3, 50, 5  # -, per cycle, before the first cycle
+SPRING_NOISE = {"Displacement": 0.002, "Force": 1.0}  # standard deviations in m and N
 
 Array = NDArray[np.float64]
 Waveform = Callable[[Array, np.random.Generator], Array]
@@ -101,15 +107,60 @@ def six_digits(values: Array) -> list[str]:
 
 def write(path: Path, columns: dict[str, list[str]]) -> None:
     """Write a table of texts as CSV."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*columns.values(), strict=True))
 
 
-def main() -> None:
-    """Write all experiments and print their paths."""
-    DATA.mkdir(parents=True, exist_ok=True)
+def internal_displacement(time: Array) -> Array:
+    """Solve the equation of the Bouc-Wen model from W_0, piece by piece between its kinks.
+
+    Parameters
+    ----------
+    time : ndarray
+        Increasing from 0, under a displacement that is a sine of 1 rad/s.
+
+    Returns
+    -------
+    ndarray
+        W at each time.
+    """
+
+    def rate(t: float, w: Array) -> Array:
+        velocity, size = AMPLITUDE * np.cos(t), np.abs(w)
+        hysteresis = SIGMA * np.abs(velocity) * size ** (N - 1.0) * w
+        return np.asarray(RHO * (velocity - hysteresis + (SIGMA - 1.0) * velocity * size**N))
+
+    turns = np.pi * np.arange(0.5, time[-1] / np.pi)  # the velocity changes its sign
+    state, path = np.array([W_0]), [W_0]
+    for first, last in pairwise([0.0, *turns, time[-1]]):
+        wanted = time[(time > first) & (time <= last)]
+        solution = solve_ivp(
+            rate, (first, last), state, "DOP853", np.union1d(wanted, last), rtol=1e-11, atol=1e-13
+        )
+        path.extend(solution.y[0, : wanted.size])
+        state = solution.y[:, -1]
+    return np.array(path)
+
+
+def hysteresis_loop() -> dict[str, Array]:
+    """Return displacement and force of the spring, at rest, in its transient and in its loop.
+
+    Without the samples at rest the noise of a single one would decide whether the true curve begins
+    beyond the end of the measured one, where the nearest piece is on another branch of the loop.
+    """
+    time = np.linspace(0.0, 2.0 * np.pi * CYCLES, POINTS * CYCLES + 1)
+    displacement = AMPLITUDE * np.sin(time)
+    force = K_X * displacement + K_W * internal_displacement(time)
+    curves = {"Displacement": displacement, "Force": force}
+    return {name: np.append(np.full(AT_REST, v[0]), v) for name, v in curves.items()}
+
+
+def write_masses() -> list[Path]:
+    """Write the experiments on the mass and return their paths."""
+    paths = []
     time = np.round(INTERVAL * np.arange(SAMPLES), 2)
     for number, (waveform, initial) in enumerate(EXPERIMENTS, start=1):
         random = np.random.default_rng([SEED, number])
@@ -117,9 +168,27 @@ def main() -> None:
         true = positions(time, np.array(force_text, dtype=float), initial)
         measured = true + random.normal(0.0, NOISE * true.std(), SAMPLES)
         columns = {"time": six_digits(time), "force": force_text, "position": six_digits(measured)}
-        path = DATA / f"exp{number}.csv"
-        write(path, columns)
-        print(path.relative_to(DATA.parents[2]).as_posix())
+        paths.append(DATA / "mass_spring_damper" / f"exp{number}.csv")
+        write(paths[-1], columns)
+    return paths
+
+
+def write_spring() -> Path:
+    """Write the curve of the spring with hysteresis, which has no times, and return its path."""
+    random = np.random.default_rng(SEED)
+    columns = {
+        name: six_digits(true + random.normal(0.0, SPRING_NOISE[name], true.size))
+        for name, true in hysteresis_loop().items()
+    }
+    path = DATA / "wen_bouc_spring.csv"
+    write(path, columns)
+    return path
+
+
+def main() -> None:
+    """Write all measurements and print their paths."""
+    for path in (*write_masses(), write_spring()):
+        print(path.relative_to(DATA.parents[1]).as_posix())
 
 
 if __name__ == "__main__":

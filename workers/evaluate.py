@@ -21,7 +21,8 @@ from workers.messages import (
     Trajectory,
     Want,
 )
-from workers.residuals.measured_times import MeasuredTimes
+from workers.residuals.base import Simulated
+from workers.residuals.experiment import ExperimentComparison, Judged
 from workers.simulate import Record, Simulator
 from workers.wire import Batch
 
@@ -49,7 +50,10 @@ class Evaluator:
         description = describe(model.name, model.archive)
         self._simulator = Simulator(model, description, tuple(experiments))
         self._experiments = tuple(experiments)
-        self._residuals = MeasuredTimes()
+        self._comparisons = [
+            ExperimentComparison(e, self._simulator.installed(i).grid, model.parameters)
+            for i, e in enumerate(experiments)
+        ]
         self._name = name
 
     def evaluate(self, batch: Batch) -> list[Outcome]:
@@ -82,12 +86,11 @@ class Evaluator:
         linear = batch.want == "linearisation"
         run = self._simulator.linearise if linear else self._simulator.run
         record = run(experiment, values, batch.effects)
-        with np.errstate(over="ignore"):  # what overflows has a status of its own
-            residuals = self._residuals.residuals(ready.grid, record.outputs)
+        simulated = Simulated(ready.grid.times, ready.outputs, record.outputs, values)
+        judged = self._comparisons[experiment].judge(simulated)
         seconds = (time.perf_counter() - begin) / len(ids)
-        finite = [bool(np.isfinite(row).all()) for row in residuals]
         return [
-            self._outcome(task, ready, record, p, residuals[p], finite[p], batch.want, seconds)
+            self._outcome(task, ready, record, p, judged, batch.want, seconds)
             for p, task in enumerate(ids.tolist())
         ]
 
@@ -97,13 +100,16 @@ class Evaluator:
         ready: Installed,
         record: Record,
         p: int,
-        residuals: FloatArray,
-        finite: bool,
+        judged: Judged,
         want: Want,
         seconds: float,
     ) -> Outcome:
+        finite = np.isfinite(judged.residuals[p]).all() and np.isfinite(judged.constraints[p]).all()
         if record.codes[p] != failure.FINISHED:
             status, message = Status.SOLVER_FAILURE, record.messages[p]
+        elif p in judged.failures:
+            reason = judged.failures[p] or _where_not_finite(ready, record.outputs[p])
+            status, message = Status.NOT_FINITE, reason
         elif not finite:
             status, message = Status.NOT_FINITE, _where_not_finite(ready, record.outputs[p])
         elif (said := _where_not_linear(record.linearisations.get(p))) is not None:
@@ -116,18 +122,19 @@ class Evaluator:
             return Outcome(
                 task,
                 Status.OK,
-                residuals,
+                judged.residuals[p],
                 trajectory,
                 seconds=seconds,
                 worker=self._name,
                 linearisation=record.linearisations.get(p),
+                constraints=judged.constraints[p],
             )
         return Outcome(task, status, message=message, seconds=seconds, worker=self._name)
 
 
 def _where_not_finite(ready: Installed, outputs: FloatArray) -> str:
     if np.isfinite(outputs).all():
-        return "the outputs are finite but too large for their residuals to be"
+        return "the outputs are finite but too large for their residuals or constraints"
     row, column = np.argwhere(~np.isfinite(outputs))[0]
     return (
         f"output {ready.outputs[column]!r} is {outputs[row, column]} from "

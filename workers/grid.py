@@ -25,7 +25,7 @@ class Grid(NamedTuple):
     slopes : (n, m)
         The slope of each in the interval that starts at this time; 0 where it is held.
     gather : (k,)
-        Where each residual's simulated value stands in the flattened (n, outputs) record.
+        Where each measured value's simulated one stands in the flattened (n, recorded) record.
     measured : (k,)
         Measured values, output after output.
     sigmas : (k,)
@@ -40,19 +40,25 @@ class Grid(NamedTuple):
     sigmas: FloatArray
 
 
-def build_grid(experiment: Experiment) -> Grid:
-    """Lay an experiment's inputs, its signals and its measured times on one grid."""
+def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Grid:
+    """Lay an experiment's inputs, signals, measured times and constraints' times on one grid.
+
+    `recorded` are the variables that a record has columns for; the experiment's own if empty.
+    """
+    recorded = recorded or experiment.recorded
     start, stop = experiment.start, experiment.stop
     driving = (*experiment.inputs, *experiment.signals)
     knots = [given.times for given in driving]
     knots += [output.times for output in experiment.outputs]
+    knots += [bound.times for bound in experiment.bounds]
+    knots += [experiment.curve.times] if experiment.curve is not None else []
     times = np.unique(np.concatenate([*knots, [start, stop]]))
     times = times[(times >= start) & (times <= stop)]
     inputs = [_sample(given, times) for given in driving]
-    width = len(experiment.outputs)
+    width = len(recorded)
     gather = [
-        np.searchsorted(times, output.times) * width + column
-        for column, output in enumerate(experiment.outputs)
+        np.searchsorted(times, output.times) * width + recorded.index(output.variable)
+        for output in experiment.outputs
     ]
     return Grid(
         times=times,

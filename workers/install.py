@@ -32,7 +32,7 @@ def install(
 ) -> Installed:
     """Lay an experiment on its grid and look up the FMU's references for it.
 
-    `recorded` are the variables to record; the experiment's outputs if None.
+    `recorded` are the variables to record; the experiment's own if None.
 
     Raises
     ------
@@ -44,8 +44,8 @@ def install(
     reals = [(n, float(v)) for n, v in known if _kind(description, n, where) == "real"]
     integers = [(n, int(v)) for n, v in known if _kind(description, n, where) == "integer"]
     booleans = [(n, int(bool(v))) for n, v in known if _kind(description, n, where) == "boolean"]
-    outputs = recorded or tuple(output.variable for output in experiment.outputs)
-    grid = build_grid(experiment)
+    outputs = recorded or experiment.recorded
+    grid = build_grid(experiment, outputs)
     if model.interface == "co_simulation" and not description.variable_steps:
         _check_equal_steps(model, description, grid, where)
 

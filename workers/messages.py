@@ -218,12 +218,15 @@ class Function:
         The module's text, where it is a file of the user's; empty if the module is installed.
     equality
         For a constraint: whether what it returns must be 0, else at most 0.
+    label
+        What tables call it; `name` if empty.
     """
 
     module: str
     name: str
     source: str = field(default="", repr=False)
     equality: bool = False
+    label: str = ""
 
 
 @dataclass(frozen=True)
@@ -289,7 +292,7 @@ class Experiment:
         names = [] if self.curve is None else list(self.curve.names)
         for bound in self.bounds:
             names += bound.names
-        return (*names, *(function.name for function in self.constraint_functions))
+        return (*names, *(each.label or each.name for each in self.constraint_functions))
 
     @cached_property
     def equality(self) -> tuple[bool, ...]:

@@ -24,7 +24,7 @@ from cluster_est.methods.least_squares import LeastSquares
 from cluster_est.problem import Problem
 from cluster_est.resources import Resources
 from cluster_est.result import Result
-from cluster_est.runner import Record, SearchRequest, Show
+from cluster_est.runner import Note, Record, SearchRequest, Show
 
 FINAL = LeastSquares(trials=4, max_iterations=50)
 
@@ -36,6 +36,7 @@ def close_loop(
     seed: int = 0,
     record: Record | None = None,
     show: Show | None = None,
+    note: Note | None = None,
 ) -> LoopResult:
     """Find what a model lacks, add it, and report the error before and after.
 
@@ -50,8 +51,9 @@ def close_loop(
         Thresholds and sizes.
     seed
         Starts every random generator; the result is the same for any number of workers.
-    record, show
-        Called for each simulation and whenever something came back; see `Runner`.
+    record, show, note
+        Called for each simulation, whenever something came back, and for each iteration; see
+        `Runner`.
 
     Raises
     ------
@@ -60,7 +62,7 @@ def close_loop(
     """
     begin = time.monotonic()
     settings = settings or LoopSettings()
-    with open_bench(problem, resources or Resources(), settings, seed, record, show) as bench:
+    with open_bench(problem, resources or Resources(), settings, seed, record, show, note) as bench:
         found = search(bench, Start(bench.problem, {}))
         judgement = judge(bench, found)
         report = _report(bench, found, judgement, begin)

@@ -14,11 +14,12 @@ from cluster_est.closed_loop.records import make_records
 from cluster_est.closed_loop.rehearsal import enlarged, shortened
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import ENLARGED, HORIZONS, Meter, Start, Workbench
+from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
 from cluster_est.problem import Problem
 from cluster_est.resources import Resources, one_blas_thread, open_executor
-from cluster_est.runner import Origin, Record, Runner, Show
+from cluster_est.runner import Note, Origin, Record, Runner, Show
 from cluster_est.space import make_space
 from workers.description import Description, nearest
 from workers.effects.forms import FORMS
@@ -36,6 +37,7 @@ def open_bench(
     seed: int,
     record: Record | None,
     show: Show | None,
+    note: Note | None = None,
 ) -> Iterator[Workbench]:
     """Start the workers and install the experiments with their rehearsals.
 
@@ -46,13 +48,13 @@ def open_bench(
     _check(problem, settings, description)
     weights: tuple[str, ...] = ()
     if _unweighted(problem):
-        with _opened(problem, resources, settings, seed, description, record, show) as bench:
+        with _opened(problem, resources, settings, seed, description, record, show, note) as bench:
             (fitted,) = bench.fit("weights", [Start(problem, {})], BRIEF)
             if fitted is not None:
                 noise = estimate_noise(fitted.residuals, bench.records)
                 problem = _weighted(problem, dict(zip(bench.records.outputs, noise, strict=True)))
                 weights = (_weight_note(problem),)
-    with _opened(problem, resources, settings, seed, description, record, show) as bench:
+    with _opened(problem, resources, settings, seed, description, record, show, note) as bench:
         yield replace(bench, notes=(*bench.notes, *weights))
 
 
@@ -65,6 +67,7 @@ def _opened(
     description: Description,
     record: Record | None,
     show: Show | None,
+    note: Note | None,
 ) -> Iterator[Workbench]:
     train = problem.indices("train")
     runs = [problem.experiments[e] for e in train]
@@ -77,7 +80,7 @@ def _opened(
     meter = Meter(everything.experiments, _named(everything.experiments, record))
     with one_blas_thread(), open_executor(everything, resources) as executor:
         yield Workbench(
-            runner=Runner(executor, resources.budget, meter, show, whole=True),
+            runner=Runner(executor, resources.budget, meter, show, note, whole=True),
             problem=problem,
             description=description,
             settings=settings,
@@ -118,6 +121,12 @@ def _check(problem: Problem, settings: LoopSettings, description: Description) -
     ProblemError
         With what to change.
     """
+    if not problem.plain or not isinstance(problem.cost, SumSquared):
+        raise ProblemError(
+            "closed loop: must have the cost sse, outputs measured over time and no constraints, "
+            "because its tests are made for those, but has something else; remove it, and fit "
+            "with it before or after"
+        )
     train = make_space(problem, problem.indices("train"))
     check_method(BRIEF, train)
     samples = train.rows[-1].stop

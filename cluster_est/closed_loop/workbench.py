@@ -9,11 +9,11 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates import Candidate
 from cluster_est.closed_loop.course import Course, make_course
-from cluster_est.closed_loop.look import Look
 from cluster_est.closed_loop.records import Records
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation, Method
+from cluster_est.methods.look import Look
 from cluster_est.problem import Problem
 from cluster_est.runner import Origin, Record, Runner, SearchRequest
 from cluster_est.space import Space, make_space

@@ -1,4 +1,4 @@
-"""Costs: how the residuals of all experiments become one number. One file a cost.
+"""Costs: how the residuals of all experiments become one number. One file a family of costs.
 
 A new cost is one file with a subclass of `Cost` and one line here.
 """
@@ -6,8 +6,23 @@ A new cost is one file with a subclass of `Cost` and one line here.
 from __future__ import annotations
 
 from cluster_est.costs.base import Cost
+from cluster_est.costs.likelihood import GaussianLikelihood
+from cluster_est.costs.robust import Cauchy, Huber, SoftL1
+from cluster_est.costs.sum_absolute import SumAbsolute
 from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.costs.total import Total
 
-COSTS: dict[str, type[Cost]] = {SumSquared.name: SumSquared}
+COSTS: dict[str, type[Cost]] = {
+    SumSquared.name: SumSquared,
+    SumAbsolute.name: SumAbsolute,
+    Huber.name: Huber,
+    SoftL1.name: SoftL1,
+    Cauchy.name: Cauchy,
+    GaussianLikelihood.name: GaussianLikelihood,
+    Total.name: Total,
+}
 
-__all__ = ["COSTS", "Cost"]
+ALIASES = {"SSE": SumSquared.name, "residuals": SumSquared.name, "SAE": SumAbsolute.name}
+"""Names that users of other tools know; raw residuals are what every cost of them gets anyway."""
+
+__all__ = ["ALIASES", "COSTS", "Cost"]

@@ -134,9 +134,29 @@ def controller_force(x: Array, u: list[float], p: list[float]) -> float:
     return float(gain * (kv * (kp * (u[0] - x[0]) - x[2]) + u[1]))
 
 
+def wen_bouc_spring(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (w,), (time,), (amplitude, omega, _, _, rho, sigma, n) = x, u, p
+    velocity, size = amplitude * omega * np.cos(omega * time), np.abs(w)
+    hysteresis = sigma * np.abs(velocity) * size ** (n - 1.0) * w
+    return [rho * (velocity - hysteresis + (sigma - 1.0) * velocity * size**n)]
+
+
+def spring_displacement(x: Array, u: list[float], p: list[float]) -> float:
+    amplitude, omega = p[:2]
+    return float(amplitude * np.sin(omega * u[0]))
+
+
+def spring_force(x: Array, u: list[float], p: list[float]) -> float:
+    k_x, k_w = p[2:4]
+    return float(k_x * spring_displacement(x, u, p) + k_w * x[0])
+
+
 @dataclass(frozen=True)
 class Scenario:
-    """One experiment on a model, with values away from the FMU's own start values."""
+    """One experiment on a model, with values away from the FMU's own start values.
+
+    The equations of a model that depends on time get it behind the inputs.
+    """
 
     equations: Equations
     parameters: dict[str, float]
@@ -144,6 +164,11 @@ class Scenario:
     inputs: dict[str, tuple[float, float]]  # mean and amplitude
     outputs: dict[str, int | Reading]  # a state that is measured, or how to compute one value
     step: float
+    timed: bool = False
+
+    def driven_by(self, time: float, inputs: Array) -> list[float]:
+        """What the equations get beside states and parameters."""
+        return [*inputs.tolist(), time] if self.timed else inputs.tolist()
 
 
 SCENARIOS = {
@@ -285,6 +310,23 @@ SCENARIOS = {
         {"force": controller_force, "position": 0},
         1e-3,
     ),
+    "wen_bouc_spring": Scenario(
+        wen_bouc_spring,
+        {
+            "Amp": 1.05,
+            "omega": 0.8,
+            "k_x": 190.0,
+            "k_w": 260.0,
+            "rho": 2.1,
+            "sigma": 1.4,
+            "n": 1.6,
+        },
+        {"W": -0.35},
+        {},
+        {"Displacement": spring_displacement, "Force": spring_force},
+        0.3,
+        timed=True,
+    ),
 }
 
 SAMPLES = 60
@@ -302,7 +344,8 @@ def sampled_inputs(scenario: Scenario) -> tuple[Array, Array]:
         mean + amplitude * np.sin((i + 1) * phase + i)
         for i, (mean, amplitude) in enumerate(scenario.inputs.values())
     ]
-    return np.linspace(0.0, scenario.step * (SAMPLES - 1), SAMPLES), np.column_stack(columns)
+    times = np.linspace(0.0, scenario.step * (SAMPLES - 1), SAMPLES)
+    return times, np.reshape(columns, (-1, SAMPLES)).T
 
 
 def input_signals(scenario: Scenario) -> NDArray[Any]:
@@ -363,23 +406,24 @@ def reference(scenario: Scenario, linear: bool) -> dict[str, Array]:
 
         def rate(t: float, x: Array, n: int = n, slope: Array = slope) -> list[float]:
             u = inputs[n] + slope * (t - time[n])
-            return scenario.equations(x, u.tolist(), parameters)
+            return scenario.equations(x, scenario.driven_by(t, u), parameters)
 
         span = (time[n], time[n + 1])
         x = solve_ivp(rate, span, x, method="DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
         trajectory.append(x)
     if not linear:  # at the end of a step its own inputs still hold
         inputs = np.vstack([inputs[:1], inputs[:-1]])
-    rows = list(zip(trajectory, inputs, strict=True))
+    driven = map(scenario.driven_by, time.tolist(), inputs)
+    rows = list(zip(trajectory, driven, strict=True))
     return {
         name: np.array([reading(how, x, u, parameters) for x, u in rows])
         for name, how in scenario.outputs.items()
     }
 
 
-def reading(how: int | Reading, x: Array, u: Array, parameters: list[float]) -> float:
+def reading(how: int | Reading, x: Array, u: list[float], parameters: list[float]) -> float:
     """Return one value of an output."""
-    return float(x[how]) if isinstance(how, int) else how(x, u.tolist(), parameters)
+    return float(x[how]) if isinstance(how, int) else how(x, u, parameters)
 
 
 @pytest.fixture(scope="module")
@@ -566,10 +610,11 @@ def test_tunable_parameters_take_effect_between_steps(name: str, slave: Any) -> 
     initialise(slave)
     slave.doStep(0.0, scenario.step)
     x = np.array(slave.getReal([known[n] for n in scenario.states]))
+    driven = scenario.driven_by(scenario.step, np.array(inputs))
     for parameter in tunable(slave):
         changed = {**scenario.parameters, parameter: 1.1 * scenario.parameters[parameter]}
         slave.setReal([known[parameter]], [changed[parameter]])
-        expected = scenario.equations(x, inputs, list(changed.values()))
+        expected = scenario.equations(x, driven, list(changed.values()))
         np.testing.assert_allclose(derivatives(slave, scenario), expected, rtol=1e-9, atol=1e-12)
         slave.setReal([known[parameter]], [scenario.parameters[parameter]])
 

@@ -37,8 +37,10 @@ _ARITHMETIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Sub: lambda a, b: a - b,
     ast.Mult: lambda a, b: a * b,
     ast.Div: lambda a, b: a / b,
-    ast.Pow: lambda a, b: a**b,
+    ast.Pow: lambda a, b: _power(a, b),
 }
+MAX_EXPONENT = 1000
+"""Of a number: SymPy would compute all digits of 9^9^9."""
 _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: lambda a, b: a < b,
     ast.LtE: lambda a, b: a <= b,
@@ -70,8 +72,15 @@ def parse(text: str, symbols: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
     try:
         tree = ast.parse(text.replace("^", "**").strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise EffectError(f"{where}: must be an equation but {text!r} is not ({error})") from None
+        said = getattr(error, "msg", error)
+        raise EffectError(f"{where}: must be an equation but {text!r} is not ({said})") from None
     return sp.sympify(_Reader(symbols, where, text).read(tree.body))
+
+
+def _power(base: Any, exponent: Any) -> Any:
+    if base.is_number and exponent.is_number and abs(exponent) > MAX_EXPONENT:
+        raise OverflowError(f"an exponent must be at most {MAX_EXPONENT} but is {exponent}")
+    return base**exponent
 
 
 def _dotted(node: ast.expr) -> str:
@@ -100,11 +109,12 @@ class _Reader:
             case ast.Attribute() if dotted := _dotted(node):
                 return self._look_up(dotted, self._symbols, "variable")
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return -self.read(operand)
+                return self._compute(lambda value: -value, self.read(operand))
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.read(operand)
             case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _ARITHMETIC:
-                return _ARITHMETIC[type(operator)](self.read(left), self.read(right))
+                sides = self.read(left), self.read(right)
+                return self._compute(_ARITHMETIC[type(operator)], *sides)
             case ast.Compare(left=left, ops=[comparison], comparators=[right]) if (
                 type(comparison) in _COMPARISONS
             ):
@@ -116,6 +126,17 @@ class _Reader:
             f"{self._where}: must be made of numbers, variables, + - * / ^, comparisons and "
             f"{', '.join(FUNCTIONS)} but has {part!r}"
         )
+
+    def _compute(self, operation: Callable[..., Any], *values: Any) -> Any:
+        try:
+            return operation(*values)
+        except TypeError:
+            raise EffectError(
+                f"{self._where}: must not compute with a comparison but {self._text!r} does; "
+                "where(condition, yes, no) makes a number of it"
+            ) from None
+        except OverflowError as error:
+            raise EffectError(f"{self._where}: {error} in {self._text!r}; lower it") from None
 
     def _call(self, name: str, arguments: list[ast.expr]) -> Any:
         function = self._look_up(name, FUNCTIONS, "function")

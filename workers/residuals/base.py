@@ -1,32 +1,61 @@
-"""The contract of a kind of residual."""
+"""The contract of what compares a simulation with its experiment."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
 
-from workers.grid import Grid
-from workers.messages import FloatArray
+import numpy as np
+
+from workers.messages import FloatArray, IntArray
 
 
-class ResidualKind(ABC):
-    """Compares simulated outputs with measured ones.
+@dataclass(frozen=True)
+class Simulated:
+    """A batch of simulations of one experiment.
 
-    Its number of residuals must be the same for every point, because methods subtract them.
+    Attributes
+    ----------
+    times : (n,)
+        Of the experiment's grid.
+    names
+        Of the recorded variables.
+    record : (points, n, names)
+        What was simulated; not finite where a simulation stopped early.
+    values : (points, parameters)
+        The values of the tasks.
+    """
+
+    times: FloatArray
+    names: tuple[str, ...]
+    record: FloatArray
+    values: FloatArray
+
+    def of(self, variable: str) -> FloatArray:
+        """(points, n): one recorded variable."""
+        return self.record[:, :, self.names.index(variable)]
+
+
+@dataclass
+class Compared:
+    """What came of a comparison: (points, k) numbers, and sentences for points without them."""
+
+    values: FloatArray
+    failures: dict[int, str] = field(default_factory=dict)
+
+
+class Comparison(ABC):
+    """Makes residuals or constraints of simulations; one for each experiment that needs it.
+
+    How many there are must be the same for every point, because methods subtract them.
     """
 
     @abstractmethod
-    def residuals(self, grid: Grid, outputs: FloatArray) -> FloatArray:
-        """Compare a batch of simulations with the measurements of their experiment.
+    def compare(self, simulated: Simulated) -> Compared:
+        """Compare a batch of simulations with what was measured or is demanded."""
 
-        Parameters
-        ----------
-        grid
-            The experiment; n times.
-        outputs : (points, n, outputs)
-            What was simulated; not finite where a simulation stopped early.
 
-        Returns
-        -------
-        (points, k)
-            The residuals of each point.
-        """
+def positions(times: FloatArray, grid: FloatArray) -> IntArray:
+    """Where times stand on a grid that holds each of them."""
+    found: IntArray = np.searchsorted(grid, times)
+    return found

@@ -5,18 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from workers.grid import Grid
-from workers.messages import FloatArray
-from workers.residuals.base import ResidualKind
+from workers.residuals.base import Compared, Comparison, Simulated
 
 
-class MeasuredTimes(ResidualKind):
+class MeasuredTimes(Comparison):
     """One residual for each measured value, in units of its standard deviation.
 
     The simulated value stands exactly at the measured time: the grid has it, nothing is
     interpolated.
     """
 
-    def residuals(self, grid: Grid, outputs: FloatArray) -> FloatArray:
+    def __init__(self, grid: Grid) -> None:
+        self._grid = grid
+
+    def compare(self, simulated: Simulated) -> Compared:
+        grid, record = self._grid, simulated.record
         # take keeps each point's row contiguous: sums over strided rows round differently
-        simulated = np.take(outputs.reshape(len(outputs), -1), grid.gather, axis=1)
-        return (grid.measured - simulated) / grid.sigmas
+        taken = np.take(record.reshape(len(record), -1), grid.gather, axis=1)
+        with np.errstate(over="ignore"):  # what overflows is said to be not finite
+            return Compared((grid.measured - taken) / grid.sigmas)

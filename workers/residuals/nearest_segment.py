@@ -134,12 +134,13 @@ def tolerance_constraints(
         Without a unit, in the order of the columns. NaN if any point is not finite.
     """
     used = tolerances != 0
-    return farthest_components(points, reference)[used] / tolerances[used] - 1.0
+    return np.asarray(farthest_components(points, reference)[used] / tolerances[used] - 1.0)
 
 
 def _scales(reference: FloatArray) -> FloatArray:
     largest = np.abs(reference).max(axis=0)
-    return np.asarray(np.where(largest == 0.0, 1.0, largest))
+    largest[largest == 0.0] = 1.0
+    return np.asarray(largest)
 
 
 def _segments(reference: FloatArray) -> Segments:
@@ -163,7 +164,7 @@ def _distances(points: FloatArray, segments: Segments) -> Iterator[tuple[FloatAr
         |r(P, AB)|^2; overwritten by the next.
     """
     dimensions, count = segments.starts.shape
-    rows = min(len(points), max(1, MAX_PAIRS // max(1, count)))
+    rows = max(1, min(len(points), MAX_PAIRS // max(1, count)))
     buffers = np.empty((dimensions + 2, rows, count))
     for first in range(0, len(points), rows):
         some = points[first : first + rows]

@@ -147,6 +147,11 @@ def test_points_too_large_for_their_squares() -> None:
     assert farthest_components(points, SQUARE).max() >= 1e308 - 1e300
 
 
+def test_points_too_far_away_for_a_difference() -> None:
+    upright = np.array([[-1.7e308, 0.0], [-1.7e308, 1.0]])
+    assert not np.isfinite(farthest_components(-upright, upright)).all()
+
+
 @pytest.mark.parametrize("distances", BOTH)
 @pytest.mark.parametrize("pairs", [1, 40, 1000])
 def test_same_bits_in_whatever_parts(

@@ -40,6 +40,8 @@ def test_outcomes_come_back_with_all_they_carry() -> None:
         Outcome(4, Status.NOT_FINITE, message="too large", worker="w"),
         Outcome(5, Status.OK, np.zeros(0), trajectory, worker="w"),
         Outcome(6, Status.OK, np.arange(4.0), worker="w", linearisation=linearisation(1)),
+        Outcome(8, Status.OK, np.zeros(0), worker="w", constraints=np.array([0.5, -1.0])),
+        Outcome(9, Status.OK, np.arange(2.0), worker="w", constraints=np.array([np.nan])),
     ]
     got = pickle.loads(pickle.dumps(Answers.of(sent))).outcomes()
     for before, after in zip(sent, got, strict=True):
@@ -50,6 +52,7 @@ def test_outcomes_come_back_with_all_they_carry() -> None:
         assert (after.residuals is None) == (before.residuals is None)
         if before.residuals is not None:
             np.testing.assert_array_equal(after.residuals, before.residuals, strict=True)
+        np.testing.assert_array_equal(after.constraints, before.constraints, strict=True)
         assert (after.trajectory is None) == (before.trajectory is None)
         assert (after.linearisation is None) == (before.linearisation is None)
         if before.linearisation is not None:

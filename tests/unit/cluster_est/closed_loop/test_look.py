@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.closed_loop.look import Look
+from cluster_est.methods.look import Look
 from cluster_est.methods.base import Ending, Evaluation
 from workers.messages import Outcome, Status
 

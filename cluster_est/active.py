@@ -1,0 +1,105 @@
+"""A search in progress: what it has asked for, what has come back, and what it is sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cluster_est.judging import judge
+from cluster_est.methods.base import Evaluation, Method, Progress, Search, Solution
+from cluster_est.space import Space
+from workers.messages import Effect, FloatArray, Outcome
+
+MEMORY_BYTES = 64 * 2**20
+"""Residuals that are remembered to answer a repeated question without simulating."""
+
+Question = tuple[int, bytes, tuple[Effect, ...]]
+"""Experiment, values and effects: what makes a simulation's outcome."""
+
+
+@dataclass(frozen=True)
+class SearchRequest:
+    """One search: a method let loose on a space.
+
+    `name` tells searches apart in the log; `seed` starts the method's random generator.
+    """
+
+    name: str
+    method: Method
+    space: Space
+    seed: int = 0
+
+
+@dataclass
+class Pending:
+    """A point that was asked for, and the outcomes that are there already."""
+
+    index: int
+    x: FloatArray
+    outcomes: list[Outcome | None]
+    missing: int
+
+
+@dataclass
+class Active:
+    """A search in progress and the points that it waits for, by index."""
+
+    request: SearchRequest
+    steps: Search
+    pending: dict[int, Pending] = field(default_factory=dict)
+    answers: list[tuple[Evaluation, FloatArray]] = field(default_factory=list)
+    asynchronous: bool = False
+    purpose: str = ""
+    asked: int = 0
+    best: Evaluation | None = None
+    best_x: FloatArray | None = None
+    progress: Progress = field(default_factory=lambda: Progress(0, np.nan))
+    solution: Solution | None = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether what it waits for is there."""
+        if self.asynchronous:
+            return bool(self.answers) or not self.pending
+        return not self.pending
+
+    def place(self, index: int, e: int, outcome: Outcome) -> None:
+        """Put an outcome where it is waited for; judge the point that it completes."""
+        point = self.pending.get(index)
+        if point is None:  # dropped, or the search has ended
+            return
+        point.outcomes[e] = outcome
+        point.missing -= 1
+        if point.missing == 0:
+            del self.pending[index]
+            outcomes = tuple(o for o in point.outcomes if o is not None)
+            self.answers.append((judge(self.request.space, point.x, outcomes, index), point.x))
+
+    def take_answers(self) -> list[Evaluation]:
+        """The evaluations that it is sent, in the order in which it asked for them."""
+        answers = sorted(self.answers, key=lambda answer: answer[0].index)
+        self.answers = []
+        for evaluation, x in answers:
+            if evaluation.ok and (self.best is None or evaluation.rank < self.best.rank):
+                self.best, self.best_x = evaluation, x
+        return [evaluation for evaluation, _ in answers]
+
+
+class Memory:
+    """Outcomes that answer a repeated question without simulating, up to a size."""
+
+    def __init__(self) -> None:
+        self._known: dict[Question, Outcome] = {}
+        self._bytes = 0
+
+    def get(self, question: Question) -> Outcome | None:
+        return self._known.get(question)
+
+    def remember(self, question: Question, outcome: Outcome) -> None:
+        size = 0 if outcome.residuals is None else outcome.residuals.nbytes
+        if self._bytes + size > MEMORY_BYTES:
+            self._known.clear()
+            self._bytes = 0
+        self._known[question] = outcome
+        self._bytes += size

@@ -1,0 +1,28 @@
+"""The sum of what a cost function of the user's returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from cluster_est.costs.base import Cost
+from workers.messages import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Total(Cost):
+    """F = sum of the numbers that the experiments' cost functions return.
+
+    For a cost function that returns one number. One that returns residuals wants `sse` or another
+    cost of residuals.
+    """
+
+    name: ClassVar[str] = "total"
+
+    def value(self, residuals: FloatArray, outputs: IntArray) -> float:
+        return float(np.add.reduce(np.ascontiguousarray(residuals)))
+
+    def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:
+        return None

@@ -1,0 +1,48 @@
+"""What the keys of a config file are made of."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, Strict
+from pydantic_core import PydanticCustomError
+
+_LARGEST = 2**63 - 1
+"""Of the integers that compiled code counts with."""
+
+
+def _known(value: Any) -> Any:
+    """A known value keeps its type: the FMU's variable decides which it must be."""
+    largest = _LARGEST if isinstance(value, int) else float("inf")
+    if isinstance(value, bool | int | float) and abs(value) < largest:
+        return value
+    raise PydanticCustomError("known", "must be a finite number, true or false")
+
+
+def as_column(value: Any) -> Any:
+    """A column's name alone is short for a table with it."""
+    if isinstance(value, str):
+        return {"column": value}
+    if isinstance(value, dict | BaseModel):
+        return value
+    raise PydanticCustomError("input", "must be a column's name or { column, interpolation }")
+
+
+def as_group(value: Any) -> Any:
+    """A label alone is short for a table with it."""
+    if isinstance(value, str):
+        return {"": value}
+    if isinstance(value, dict):
+        return value
+    raise PydanticCustomError("group", 'must be a label or { KEY = "label" }')
+
+
+Count = Annotated[int, Field(ge=0, le=_LARGEST)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Known = Annotated[float | int | bool, PlainValidator(_known)]
+Pair = Annotated[tuple[Finite, Finite], Strict(False)]
+"""TOML has lists, which strictly are no tuples."""
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)

@@ -1,0 +1,49 @@
+"""How well the data determine what was estimated.
+
+`assess` needs no simulation: covariance, intervals, correlations and the directions that the data
+do not determine, from the Jacobian at the solution. `examine` simulates a few points for it
+where that tells more. `profiles` and `bootstrap` refit, on the same queue as any search.
+"""
+
+from __future__ import annotations
+
+from cluster_est.uncertainty.bootstrap import (
+    BootstrapInterval,
+    BootstrapResult,
+    bootstrap,
+    check_bootstrap,
+)
+from cluster_est.uncertainty.covariance import assess, intervals
+from cluster_est.uncertainty.derivatives import examine, linearise, sharpen
+from cluster_est.uncertainty.directions import Direction
+from cluster_est.uncertainty.profile import (
+    ProfilePoint,
+    ProfileResult,
+    check_profiles,
+    profiles,
+    select,
+)
+from cluster_est.uncertainty.result import DerivedInterval, Interval, Uncertainty
+from cluster_est.uncertainty.settings import UncertaintySettings
+
+__all__ = [
+    "BootstrapInterval",
+    "BootstrapResult",
+    "DerivedInterval",
+    "Direction",
+    "Interval",
+    "ProfilePoint",
+    "ProfileResult",
+    "Uncertainty",
+    "UncertaintySettings",
+    "assess",
+    "bootstrap",
+    "check_bootstrap",
+    "check_profiles",
+    "examine",
+    "intervals",
+    "linearise",
+    "profiles",
+    "select",
+    "sharpen",
+]

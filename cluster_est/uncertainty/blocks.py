@@ -1,0 +1,248 @@
+"""The normal equations of shared and local unknowns, solved experiment by experiment.
+
+The residuals of an experiment depend on the shared unknowns and on its own. So the Jacobian is a
+column of blocks (A_e, B_e), and its local parts are eliminated one block at a time: what A_e is at
+a right angle to B_e is all that an experiment says about the shared unknowns. Memory grows with
+the blocks, not with the square of all unknowns; the result is that of the dense (J'J)^-1 (A.
+Bjorck, Numerical Methods for Least Squares Problems (1996), doi:10.1137/1.9781611971484, section
+6.3). Singular value decompositions take the place of QR, to see what the data do not determine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from workers.messages import FloatArray
+
+MARGIN = 3.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """The rows of one experiment.
+
+    Attributes
+    ----------
+    shared : (n, shared)
+        Derivatives for the shared unknowns, or for coordinates that stand for them.
+    local : (n, local)
+        For its own; all columns are scaled to about 1.
+    """
+
+    shared: FloatArray
+    local: FloatArray
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How large the product of the Jacobian and a unit vector is that is nothing but error.
+
+    For a vector v it is |limits * v|.
+
+    Attributes
+    ----------
+    shared : (m,)
+        One for each shared unknown.
+    local
+        For each block, one for each of its local unknowns.
+    embedding : (m, shared)
+        Makes shared unknowns of the blocks' shared coordinates.
+    """
+
+    shared: FloatArray
+    local: tuple[FloatArray, ...]
+    embedding: FloatArray
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A direction that the data determine badly or not at all.
+
+    Attributes
+    ----------
+    shared : (m,)
+        Its part in the shared unknowns.
+    local
+        Its part in each block's local unknowns; empty arrays where it has none.
+    ratio
+        How much the residuals change along it, over what its unknowns do on their own.
+    limit
+        What the error of the derivatives alone would make of the ratio.
+    """
+
+    shared: FloatArray
+    local: tuple[FloatArray, ...]
+    ratio: float
+    limit: float
+
+    @property
+    def lost(self) -> bool:
+        return self.ratio <= self.limit
+
+
+@dataclass(frozen=True)
+class _Eliminated:
+    """A block without its local unknowns.
+
+    `inverse` (local, n) is the pseudo-inverse of its local part, `follow` (local, shared) how the
+    local unknowns make up for a change of the shared ones, `rest` (n, shared) what they cannot,
+    and `sound` (local, local) projects on the local directions that are determined well.
+    """
+
+    inverse: FloatArray
+    follow: FloatArray
+    sound: FloatArray
+    rest: FloatArray
+    rank: int
+
+
+@dataclass(frozen=True)
+class Factors:
+    """Blocks whose local unknowns have been eliminated, and what is left for the shared ones.
+
+    Attributes
+    ----------
+    inverse : (shared, shared)
+        Pseudo-inverse of the normal equations of the shared coordinates.
+    rank
+        How many directions the data determine.
+    combinations
+        Those that they do not, or hardly.
+    """
+
+    inverse: FloatArray
+    parts: tuple[_Eliminated, ...] = field(repr=False)
+    rank: int
+    combinations: tuple[Combination, ...]
+
+
+@dataclass(frozen=True)
+class BlockCovariance:
+    """The covariance of shared coordinates and local unknowns, without pairs of other blocks.
+
+    Attributes
+    ----------
+    shared : (shared, shared)
+    cross
+        For each block (local, shared).
+    local
+        For each block (local, local).
+    """
+
+    shared: FloatArray
+    cross: tuple[FloatArray, ...]
+    local: tuple[FloatArray, ...]
+
+
+def factorise(blocks: Sequence[Block], limits: Limits, weak: float) -> Factors:
+    """Eliminate the local unknowns of each block and join what is left.
+
+    Parameters
+    ----------
+    blocks
+        All with the same shared coordinates.
+    limits
+        A direction is lost if its ratio is not above them, and takes no part in what follows.
+    weak
+        Directions up to this ratio, or up to `MARGIN` times their limit, are reported too.
+    """
+    width = limits.embedding.shape[1]
+    parts: list[_Eliminated] = []
+    found: list[Combination] = []
+    nothing = tuple(np.zeros(0) for _ in blocks)
+    triangle = np.zeros((0, width))
+    for e, block in enumerate(blocks):
+        part, ratios, vectors, edges = _eliminate(block, limits.local[e], weak)
+        parts.append(part)
+        for ratio, vector, edge in zip(ratios, vectors, edges, strict=True):
+            local = (*nothing[:e], vector, *nothing[e + 1 :])
+            found.append(Combination(np.zeros(len(limits.shared)), local, float(ratio), edge))
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, part.rest]), mode="r"))
+    square = np.zeros((width, width))
+    square[: len(triangle)] = triangle
+    _, singular, rows = np.linalg.svd(square)
+    kept = []
+    for value, row in zip(singular, rows, strict=True):
+        combination = _complete(value, row, parts, limits)
+        kept.append(not combination.lost)
+        if combination.ratio <= max(weak, MARGIN * combination.limit):
+            found.append(combination)
+    scaled = rows[kept] / singular[kept, None]
+    rank = sum(part.rank for part in parts) + sum(kept)
+    return Factors(scaled.T @ scaled, tuple(parts), rank, tuple(found))
+
+
+def covariance(factors: Factors, spread: Sequence[FloatArray] | None = None) -> BlockCovariance:
+    """(J'J)^-1 J'DJ (J'J)^-1 from its factors; (J'J)^-1 without D.
+
+    Parameters
+    ----------
+    factors
+        Of J.
+    spread
+        The diagonal of D, in the rows of each block.
+    """
+    if spread is None:
+        shared = factors.inverse
+        cross = tuple(-part.follow @ shared for part in factors.parts)
+        own = [part.inverse @ part.inverse.T for part in factors.parts]
+        local = [o - c @ p.follow.T for o, c, p in zip(own, cross, factors.parts, strict=True)]
+        return BlockCovariance(shared, cross, tuple(local))
+    influence = [factors.inverse @ part.rest.T for part in factors.parts]
+    shared = np.zeros_like(factors.inverse)
+    for each, d in zip(influence, spread, strict=True):
+        shared += (each * d) @ each.T
+    crossed, locals_ = [], []
+    for part, each, d in zip(factors.parts, influence, spread, strict=True):
+        mixed = (part.inverse * d) @ each.T
+        between = mixed @ part.follow.T
+        crossed.append(mixed - part.follow @ shared)
+        locals_.append(
+            (part.inverse * d) @ part.inverse.T
+            - between
+            - between.T
+            + part.follow @ shared @ part.follow.T
+        )
+    return BlockCovariance(shared, tuple(crossed), tuple(locals_))
+
+
+def _eliminate(
+    block: Block, limits: FloatArray, weak: float
+) -> tuple[_Eliminated, FloatArray, FloatArray, list[float]]:
+    """A block without its local unknowns; its bad directions as ratios, vectors and limits."""
+    count = block.local.shape[1]
+    left, singular, rows = np.linalg.svd(block.local, full_matrices=False)
+    if len(singular) < count:  # fewer residuals than local unknowns
+        _, _, rows = np.linalg.svd(block.local)
+        singular = np.append(singular, np.zeros(count - len(singular)))
+        left = np.column_stack([left, np.zeros((len(left), count - left.shape[1]))])
+    edges = [float(np.linalg.norm(limits * row)) for row in rows]
+    kept = singular > edges
+    bad = singular <= np.maximum(weak, MARGIN * np.array(edges))
+    basis = left[:, kept]
+    inverse = (rows[kept].T / singular[kept]) @ basis.T
+    rest = block.shared
+    for _ in range(2):  # once leaves rounding errors along what was removed
+        rest = rest - basis @ (basis.T @ rest)
+    sound = rows[~bad].T @ rows[~bad]
+    part = _Eliminated(inverse, inverse @ block.shared, sound, rest, int(kept.sum()))
+    return part, singular[bad], rows[bad], [edge for edge, b in zip(edges, bad, strict=True) if b]
+
+
+def _complete(
+    singular: float, row: FloatArray, parts: Sequence[_Eliminated], limits: Limits
+) -> Combination:
+    """A direction of the shared coordinates, with the local unknowns that go along with it.
+
+    Directions that are bad within a block are reported of their own and stay out of this one.
+    """
+    shared = limits.embedding @ row
+    local = [-part.sound @ (part.follow @ row) for part in parts]
+    length = float(np.sqrt(1.0 + sum(float(y @ y) for y in local)))
+    pairs = zip([limits.shared, *limits.local], [shared, *local], strict=True)
+    limit = float(np.sqrt(sum(float(((a * b) ** 2).sum()) for a, b in pairs))) / length
+    unit = tuple(y / length for y in local)
+    return Combination(shared / length, unit, singular / length, limit)

@@ -1,0 +1,225 @@
+"""Bootstrap over experiments: intervals that need no assumption on the residuals.
+
+As many experiments as there are, are drawn with replacement, and everything is estimated again,
+from the optimum. How much the shared estimates scatter from draw to draw is how much they would
+scatter from one series of experiments to the next, whatever correlates the residuals within one:
+A. C. Davison, D. V. Hinkley, Bootstrap Methods and their Application (1997),
+doi:10.1017/CBO9780511802843, chapters 2 and 5.
+
+Take it where residuals are not white, or experiments differ by more than their noise. Not with few
+experiments, of which there are too few draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import Ending, Method, Solution
+from cluster_est.runner import Runner, SearchRequest
+from cluster_est.space import Space
+from cluster_est.uncertainty.layout import is_shared
+from cluster_est.uncertainty.settings import UncertaintySettings
+from cluster_est.uncertainty.spaces import resampled
+from workers.messages import FloatArray
+
+LEAST_EXPERIMENTS = 5
+LEAST_DRAWS = 20
+"""With fewer usable draws there is no interval."""
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One draw: which experiments, their cost, how the refit ended, and the shared estimates.
+
+    An estimate is NaN where none of the drawn experiments depends on it, or the refit failed.
+    """
+
+    experiments: tuple[str, ...]
+    cost: float
+    ending: str
+    estimates: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class BootstrapInterval:
+    """Of one shared unknown, in physical units; NaN where too few draws are usable.
+
+    Attributes
+    ----------
+    label, value, std_error
+        Whose it is, its estimate, and the standard deviation of the draws.
+    lower, upper
+        Percentiles of the draws, taken further out so that they are right for few experiments too:
+        T. C. Hesterberg, The American Statistician 69 (2015) 371-386. The interval to quote.
+    percentile_lower, percentile_upper
+        Percentiles as they are; too narrow for fewer than some 30 experiments.
+    basic_lower, basic_upper
+        Those, mirrored at the estimate. Where they differ much from the percentiles the estimate
+        is biased, or its scatter depends on its value.
+    used
+        Number of draws that these are from.
+    """
+
+    label: str
+    value: float
+    std_error: float
+    lower: float
+    upper: float
+    percentile_lower: float
+    percentile_upper: float
+    basic_lower: float
+    basic_upper: float
+    used: int
+
+
+@dataclass(frozen=True)
+class BootstrapResult:
+    """What resampling the experiments says.
+
+    Attributes
+    ----------
+    intervals
+        Of the shared unknowns; `labels` are theirs.
+    draws
+        In the order in which they were drawn.
+    failures
+        Draws whose refit failed and that count for nothing.
+    unfinished
+        Draws whose refit stopped early, at a limit of iterations for example. They count.
+    confidence
+        Of the intervals.
+    """
+
+    labels: tuple[str, ...]
+    intervals: tuple[BootstrapInterval, ...]
+    draws: tuple[Draw, ...] = field(repr=False)
+    failures: int
+    unfinished: int
+    confidence: float
+
+
+def bootstrap(
+    runner: Runner,
+    space: Space,
+    solution: Solution,
+    method: Method,
+    settings: UncertaintySettings,
+    generator: np.random.Generator,
+) -> BootstrapResult:
+    """Draw experiments, refit, and see how much the shared estimates scatter.
+
+    Repeated questions are answered by the runner without simulating again.
+
+    Parameters
+    ----------
+    runner
+        Where the refits run.
+    space, solution
+        What was searched, and the optimum.
+    method
+        Refits; a local one, because it starts at the optimum.
+    settings
+        How many draws, and the confidence.
+    generator
+        The source of the draws.
+
+    Raises
+    ------
+    ProblemError
+        If there are fewer than five experiments.
+    """
+    check_bootstrap(space)
+    count = len(space.experiments)
+    spaces = []
+    for _ in range(settings.bootstrap):
+        drawn = np.sort(generator.integers(0, count, count)).tolist()
+        spaces.append(resampled(space, drawn, solution.x))
+    seeds = generator.integers(0, 2**32, settings.bootstrap).tolist()
+    requests = [
+        SearchRequest(f"bootstrap {number}", method, each, seed)
+        for number, (each, seed) in enumerate(zip(spaces, seeds, strict=True))
+    ]
+    found = runner.run(requests, settings.at_once)
+    labels = tuple(space.unknowns[i].label for i in np.flatnonzero(is_shared(space)))
+    draws = [_draw(each, one, labels) for each, one in zip(spaces, found, strict=True)]
+    table = np.array([draw.estimates for draw in draws]).reshape(len(draws), len(labels))
+    estimates = space.estimates(solution.x)
+    return BootstrapResult(
+        labels=labels,
+        intervals=tuple(
+            percentile_interval(label, estimates[label], table[:, j], count, settings.confidence)
+            for j, label in enumerate(labels)
+        ),
+        draws=tuple(draws),
+        failures=sum(not _usable(one) for one in found),
+        unfinished=sum(_usable(one) and not one.ending.success for one in found),
+        confidence=settings.confidence,
+    )
+
+
+def check_bootstrap(space: Space) -> None:
+    """Refuse a bootstrap over too few experiments.
+
+    Raises
+    ------
+    ProblemError
+        If there are fewer than five.
+    """
+    count = len(set(space.experiments))
+    if count < LEAST_EXPERIMENTS:
+        raise ProblemError(
+            f"uncertainty.bootstrap: needs at least {LEAST_EXPERIMENTS} training experiments to "
+            f"draw from, but there are {count}; take uncertainty.profiles instead"
+        )
+
+
+def _usable(solution: Solution) -> bool:
+    bad = (Ending.START_FAILED, Ending.INFEASIBLE, Ending.BUDGET, Ending.INTERRUPTED)
+    infeasible = solution.at is not None and not solution.at.feasible
+    return bool(np.isfinite(solution.cost)) and solution.ending not in bad and not infeasible
+
+
+def _draw(space: Space, solution: Solution, labels: Sequence[str]) -> Draw:
+    known = space.estimates(solution.x) if _usable(solution) else {}
+    return Draw(
+        experiments=tuple(space.problem.experiments[e].id for e in space.experiments),
+        cost=solution.cost,
+        ending=solution.ending.name.lower(),
+        estimates=tuple(known.get(label, np.nan) for label in labels),
+    )
+
+
+def percentile_interval(
+    label: str, value: float, draws: FloatArray, experiments: int, confidence: float
+) -> BootstrapInterval:
+    """The intervals of one unknown from its draws, of so many experiments each."""
+    draws = draws[np.isfinite(draws)]
+    used = len(draws)
+    if used < LEAST_DRAWS:
+        none = np.nan
+        return BootstrapInterval(label, value, none, none, none, none, none, none, none, used)
+    tail = (1.0 - confidence) / 2.0
+    # a normal quantile in the place of a t quantile, and the variance of draws is too small by
+    # (n - 1) / n: both are made good by going further out
+    reach = student.ppf(tail, experiments - 1) * np.sqrt(experiments / (experiments - 1.0))
+    outer = float(norm.cdf(reach))
+    low, high = np.quantile(draws, [tail, 1.0 - tail]).tolist()
+    lower, upper = np.quantile(draws, [outer, 1.0 - outer]).tolist()
+    return BootstrapInterval(
+        label,
+        value,
+        std_error=float(np.std(draws, ddof=1)),
+        lower=lower,
+        upper=upper,
+        percentile_lower=low,
+        percentile_upper=high,
+        basic_lower=2.0 * value - high,
+        basic_upper=2.0 * value - low,
+        used=used,
+    )

@@ -1,0 +1,51 @@
+"""What is to be found out about the uncertainty of a fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from cluster_est.errors import ProblemError
+
+
+@dataclass(frozen=True)
+class UncertaintySettings:
+    """Which intervals to compute besides those from the derivatives, which cost nothing.
+
+    Attributes
+    ----------
+    profiles
+        Labels of unknowns ("k", "x0[exp5]"), or names of parameters for all their unknowns, or
+        "shared" for all that several experiments determine, or "all". A profile costs some ten
+        fits of the other unknowns, which begin close to their minimum.
+    bootstrap
+        How often to draw experiments and fit again; 0 for not at all. Take at least 200, and 1000
+        where there are fewer than 10 experiments: the ends of the intervals are then rare draws.
+    confidence
+        Of profiles and bootstrap.
+    steps
+        Refits, at least, from the optimum to the end of an interval on one side of a profile. More
+        draw a smoother curve; the end itself is found to a thousandth in any case.
+    max_steps
+        Refits on one side after which a profile that does not rise is called flat.
+    rise
+        By how much the cost must rise at the end of a profile's interval; 0 to derive it from the
+        scatter of the residuals. To be given for costs that have no weights, such as "sae".
+    at_once
+        Refits under way at the same time. Never the number of workers: a result must not depend
+        on it.
+    """
+
+    profiles: tuple[str, ...] = ()
+    bootstrap: int = field(default=0, metadata={"least": 0})
+    confidence: float = field(default=0.95, metadata={"least": 0.5})
+    steps: int = field(default=4, metadata={"least": 1})
+    max_steps: int = field(default=20, metadata={"least": 2})
+    rise: float = field(default=0.0, metadata={"least": 0.0})
+    at_once: int = field(default=16, metadata={"least": 1})
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.confidence < 1.0:
+            raise ProblemError(
+                "uncertainty.confidence: must be at least 0.5 and below 1 but is "
+                f"{self.confidence:g}; 0.95 is usual"
+            )

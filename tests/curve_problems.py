@@ -1,0 +1,116 @@
+"""Problems whose outputs are formulas, over any experiments, and an executor for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Problem, Solver
+from cluster_est.costs.base import Cost
+from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.executors import Executor
+from cluster_est.formulas import parse_constraint
+from cluster_est.methods import Method
+from cluster_est.methods.base import Solution
+from cluster_est.runner import Runner, SearchRequest
+from cluster_est.space import Space, make_space
+from workers.messages import Outcome, Status
+
+Formula = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Measured curves and the formula that should follow them.
+
+    `formula(times, values, experiment)` gives the outputs of an experiment, (times,) or
+    (outputs, times), at the values of `parameters` that are neither derived nor auxiliary.
+    `measured` holds them for each experiment.
+    """
+
+    formula: Formula
+    parameters: tuple[Parameter, ...]
+    times: np.ndarray
+    measured: Sequence[np.ndarray]
+    groups: Sequence[str] | None = None
+    cost: Cost = field(default_factory=SumSquared)
+    constraints: tuple[str, ...] = ()
+
+    def problem(self) -> Problem:
+        runs = []
+        for e, measured in enumerate(self.measured):
+            outputs = tuple(
+                Output(f"y{j}", self.times, row) for j, row in enumerate(np.atleast_2d(measured))
+            )
+            groups = () if self.groups is None else (("g", self.groups[e]),)
+            stop = float(self.times[-1])
+            runs.append(Experiment(f"e{e}", 0.0, stop, (), outputs, groups=groups))
+        names = tuple(p.name for p in self.parameters)
+        constraints = tuple(
+            each
+            for text in self.constraints
+            for each in parse_constraint(text, names, "constraints", "", 1.0)
+        )
+        targets = tuple(p.target for p in self.parameters if not p.auxiliary)
+        model = Model("none", b"", "model_exchange", Solver("rk4"), targets)
+        cost = self.cost
+        return Problem(model, self.parameters, tuple(runs), cost, constraints=constraints)
+
+    def runner(self) -> Runner:
+        return Runner(CurveExecutor(self))
+
+    def space(self) -> Space:
+        return make_space(self.problem(), tuple(range(len(self.measured))))
+
+    def solve(self, method: Method | None = None) -> tuple[Runner, Space, Solution]:
+        """Fit; what stands ready for what comes after it."""
+        runner, space = self.runner(), self.space()
+        (solution,) = runner.run([SearchRequest("fit", method or LeastSquares(), space)])
+        return runner, space, solution
+
+
+class CurveExecutor(Executor):
+    """Answers a task with measured - formula; not finite counts as a failure."""
+
+    name: ClassVar[str] = "curves"
+    workers = 1
+
+    def __init__(self, curves: Curves) -> None:
+        self._curves = curves
+        self._queue: list = []
+        self.answered = 0
+
+    @classmethod
+    def open(cls, model, experiments, workers, address):
+        raise AssertionError("made directly")
+
+    def submit(self, tasks):
+        self._queue += tasks
+
+    def completed(self):
+        outcomes = [self._answer(task) for task in self._queue]
+        self._queue = []
+        return outcomes
+
+    def _answer(self, task):
+        self.answered += 1
+        curves = self._curves
+        with np.errstate(all="ignore"):
+            found = curves.formula(curves.times, task.values, task.experiment)
+        residuals = (curves.measured[task.experiment] - found).ravel()
+        if not np.isfinite(residuals).all():
+            return Outcome(task.id, Status.NOT_FINITE, message="the formula is not finite")
+        return Outcome(task.id, Status.OK, residuals)
+
+    def cancel(self, tasks):
+        return []
+
+    @property
+    def busy(self):
+        return 0
+
+    def close(self):
+        pass

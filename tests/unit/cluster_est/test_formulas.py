@@ -1,0 +1,270 @@
+"""Formulas say what Python's own arithmetic says, and whatever else is refused with a sentence."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cluster_est.errors import ClusterEstError, ProblemError
+from cluster_est.formulas import Formula, parse_constraint
+
+NAMES = ("a", "b", "motor.k")
+COLUMNS = {
+    "a": np.array([1.0, 2.5, -3.0]),
+    "b": np.array([2.0, -1.0, 0.5]),
+    "motor.k": np.array([4.0, 0.25, 9.0]),
+}
+BY_HAND = {
+    "exp": math.exp, "tanh": math.tanh, "atan": math.atan, "sin": math.sin, "cos": math.cos,
+    "abs": abs, "min": min, "max": max,
+    "where": lambda condition, yes, no: yes if condition else no,
+    "sign": lambda value: math.copysign(1.0, value) if value else 0.0,
+}  # fmt: skip
+
+
+def values(text: str) -> np.ndarray:
+    return Formula(text, NAMES, "here").values(COLUMNS, 3)
+
+
+def one_by_one(text: str) -> list[float]:
+    """The same with Python's arithmetic, number by number."""
+    code = text.replace("^", "**").replace("motor.k", "k")
+    rows = zip(COLUMNS["a"], COLUMNS["b"], COLUMNS["motor.k"], strict=True)
+    return [
+        float(eval(code, {"__builtins__": {}}, BY_HAND | {"a": a, "b": b, "k": k}))
+        for a, b, k in rows
+    ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "2*a + b/4 - 1",
+        "a - -b",
+        "-a^2",
+        "2^-1 * a",
+        "a*b*motor.k",
+        "min(a, b)",
+        "max(a, 1, b)",
+        "where(a > b, a, b)",
+        "where(a >= 2.5, 1, 0) + max(b, 0.25)",
+        "where(a < 0, -1, where(a < 2, b, 3))",
+        "abs(a) * sign(b)",
+        "exp(-a) + tanh(b) - atan(motor.k) * cos(a) / sin(b)",
+        "motor.k^0.5",
+        "7",
+        "  a  ",
+        "1e-3 * a",
+        "0x10 * a",
+    ],
+)
+def test_a_formula_gives_what_python_gives(text):
+    np.testing.assert_allclose(values(text), one_by_one(text), rtol=1e-14)
+
+
+_LEAVES = st.sampled_from(["a", "b", "motor.k", "1", "3", "0.5", "2.25"])
+_FORMULAS = st.recursive(
+    _LEAVES,
+    lambda inner: st.one_of(
+        st.tuples(inner, st.sampled_from("+-*"), inner).map(lambda t: f"({t[0]} {t[1]} {t[2]})"),
+        st.tuples(st.sampled_from(["tanh", "atan", "abs", "sign"]), inner).map(
+            lambda t: f"{t[0]}({t[1]})"
+        ),
+        st.tuples(st.sampled_from(["min", "max"]), inner, inner).map(
+            lambda t: f"{t[0]}({t[1]}, {t[2]})"
+        ),
+        st.tuples(inner, st.sampled_from(["<", ">"]), inner, inner, inner).map(
+            lambda t: f"where({t[0]} {t[1]} {t[2]}, {t[3]}, {t[4]})"
+        ),
+        inner.map(lambda t: f"-({t})"),
+        inner.map(lambda t: f"({t})/4"),
+    ),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=80)
+@given(_FORMULAS)
+def test_any_formula_gives_what_python_gives(text):
+    found = values(text)
+    assert (found.shape, found.dtype) == ((3,), np.float64)
+    np.testing.assert_allclose(found, one_by_one(text), rtol=1e-9, atol=1e-9)
+
+
+def test_it_names_what_it_depends_on():
+    assert Formula("b + 2 * motor.k", NAMES).names == ("b", "motor.k")
+    assert Formula("3", NAMES).names == ()
+    assert Formula("a - a + b", NAMES).names == ("b",)
+
+
+def test_where_it_has_no_value_it_is_not_a_number():
+    np.testing.assert_array_equal(np.isnan(values("sqrt(a)")), [False, False, True])
+    np.testing.assert_array_equal(np.isnan(values("log(b)")), [False, True, False])
+    assert values("1 / (a - 1)")[0] == np.inf
+    assert values("exp(1000 * a)")[0] == np.inf
+
+
+def test_a_constant_has_as_many_values_as_there_are_experiments():
+    found = Formula("2 * 3", ()).values({}, 4)
+    assert found.tolist() == [6.0] * 4
+    found[0] = 1.0  # it is its owner's
+
+
+def test_it_travels_as_text():
+    formula = Formula("a + b^2", NAMES, "here")
+    formula.values(COLUMNS, 3)
+    again = pickle.loads(pickle.dumps(formula))
+    assert again == formula
+    assert again.values(COLUMNS, 3).tobytes() == formula.values(COLUMNS, 3).tobytes()
+
+
+def test_a_value_does_not_depend_on_its_neighbours():
+    text = "exp(a) * motor.k^0.3 + tanh(b) / 3"
+    together = values(text)
+    for i in range(3):
+        alone = Formula(text, NAMES).values({n: c[i : i + 1] for n, c in COLUMNS.items()}, 1)
+        assert alone[0] == pytest.approx(together[i], rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "phrase"),
+    [
+        ("", "must be an equation but '' is not"),
+        ("a +", "must be an equation but 'a +' is not (invalid syntax)"),
+        ("a; b", "must be an equation"),
+        ("lambda", "must be an equation"),
+        ("aa", "unknown variable 'aa'; did you mean 'a'?"),
+        ("motor.j", "unknown variable 'motor.j'; did you mean 'motor.k'?"),
+        ("pi * a", "unknown variable 'pi'"),
+        ("a[0]", "must be made of numbers, variables"),
+        ("a if b else 1", "must be made of numbers"),
+        ("True * a", "must be made of numbers"),
+        ("'a'", "must be made of numbers"),
+        ("1j * a", "must be made of numbers"),
+        ("a % b", "must be made of numbers"),
+        ("a and b", "must be made of numbers"),
+        ("[a]", "must be made of numbers"),
+        ("(a := 1)", "must be made of numbers"),
+        ("a(b)", "unknown function 'a'"),
+        ("__import__('os').system('true')", "must be made of numbers"),
+        ("__import__('os')", "unknown function '__import__'"),
+        ("a.__class__", "unknown variable 'a.__class__'"),
+        ("exp(*a)", "must be made of numbers"),
+        ("exp(a, x=1)", "must be made of numbers"),
+        ("a > b", "must be a number for any values of the parameters but 'a > b' is true or false"),
+        ("a * (b > 1)", "must not compute with a comparison"),
+        ("-(a > 1)", "must not compute with a comparison"),
+        ("min(a > 1, 2)", "min(...) cannot be used so"),
+        ("where(a, 1)", "where(...) cannot be used so"),
+        ("a / 0", "must have a finite value"),
+        ("where(a > 2, a, b / 0)", "must have a finite value"),
+        ("sqrt(-1) * a", "must have a finite value"),
+        ("log(-1) + a", "must have a finite value"),
+        ("max()", "must have a finite value"),
+        ("10^400 * a", "must have a finite value"),
+        ("1e400 * a", "must have a finite value"),
+        ("9^9^9^9 * a", "an exponent must be at most 1000"),
+        ("a^(9^9^9)", "an exponent must be at most 1000"),
+        ("a" * 3000, "must be at most 2000 characters but is 3000"),
+        ("(" * 300 + "a" + ")" * 300, "must be an equation"),
+    ],
+)
+def test_anything_else_is_refused_in_a_sentence(text, phrase):
+    with pytest.raises(ProblemError) as refused:
+        Formula(text, NAMES, "parameters.c.expression")
+    said = str(refused.value)
+    assert said.startswith("parameters.c.expression: ")
+    assert phrase in said
+    assert "\n" not in said
+
+
+@settings(max_examples=150)
+@given(st.text(alphabet="ab10.+-*/^()<>= ,whermaxsqt", max_size=14))
+def test_no_text_does_anything_but_give_numbers_or_a_sentence(text):
+    try:
+        formula = Formula(text, NAMES, "here")
+    except ClusterEstError as error:
+        assert str(error).startswith("here: ")  # noqa: PT017
+        return
+    found = formula.values(COLUMNS, 3)
+    assert (found.shape, found.dtype) == ((3,), np.float64)
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "by_hand", "equality"),
+    [
+        ("a <= b", ["a <= b"], [lambda a, b: a - b], False),
+        ("a < b", ["a < b"], [lambda a, b: a - b], False),
+        ("a >= b", ["a >= b"], [lambda a, b: b - a], False),
+        ("a>b", ["a>b"], [lambda a, b: b - a], False),
+        ("a + b = 1", ["a + b = 1"], [lambda a, b: a + b - 1.0], True),
+        ("a == 2*b", ["a == 2*b"], [lambda a, b: a - 2.0 * b], True),
+        (
+            "0 <= a - b <= 1",
+            ["0 <= a - b <= 1 (lower)", "0 <= a - b <= 1 (upper)"],
+            [lambda a, b: b - a, lambda a, b: a - b - 1.0],
+            False,
+        ),
+        (
+            "1 >= a - b >= 0",
+            ["1 >= a - b >= 0 (upper)", "1 >= a - b >= 0 (lower)"],
+            [lambda a, b: a - b - 1.0, lambda a, b: b - a],
+            False,
+        ),
+        ("-a <= -b", ["-a <= -b"], [lambda a, b: b - a], False),
+        (
+            "where(a <= b, a, 2*b) <= 3",
+            ["where(a <= b, a, 2*b) <= 3"],
+            [lambda a, b: np.where(a <= b, a, 2.0 * b) - 3.0],
+            False,
+        ),
+        ("  a<=1  ", ["a<=1"], [lambda a, b: a - 1.0], False),
+    ],
+)
+def test_a_constraint_is_left_minus_right(text, names, by_hand, equality):
+    found = parse_constraint(text, NAMES, "here", scale=2.0)
+    assert [c.name for c in found] == names
+    assert [c.equality for c in found] == [equality] * len(found)
+    for constraint, expected in zip(found, by_hand, strict=True):
+        assert constraint.scale == 2.0
+        truth = expected(COLUMNS["a"], COLUMNS["b"])
+        np.testing.assert_allclose(constraint.formula.values(COLUMNS, 3), truth, rtol=1e-15)
+
+
+def test_a_name_of_the_users_takes_the_place_of_the_text():
+    assert [c.name for c in parse_constraint("a<=b", NAMES, "here", "order")] == ["order"]
+    named = parse_constraint("0 <= a <= b", NAMES, "here", "order")
+    assert [c.name for c in named] == ["order (lower)", "order (upper)"]
+
+
+@pytest.mark.parametrize(
+    ("text", "phrase"),
+    [
+        ("a", "must be two formulas with <=, >= or = between them but is 'a'"),
+        ("", "must be two formulas"),
+        ("a <=", "must be two formulas"),
+        ("<= a", "must be two formulas"),
+        ("a => b", "must be two formulas"),
+        ("a <= b <= 1 <= 2", "must be two formulas"),
+        ("(a <= b)", "must be two formulas"),
+        ("a != b", "must be an equation but 'a !' is not"),
+        ("a) + (b <= 1", "must be an equation but 'a) + (b' is not"),
+        ("a <= b)", "must be an equation but 'b)' is not"),
+        ("a <= b # or not", "must be an equation"),
+        ("a <= c", "unknown variable 'c'"),
+        ("1 <= 2", "must name a parameter but '1 <= 2' names none"),
+        ("a - a <= 1", "must name a parameter"),
+        ("a <= 1/0", "must have a finite value but '1/0' has none"),
+    ],
+)
+def test_no_other_text_is_a_constraint(text, phrase):
+    with pytest.raises(ProblemError) as refused:
+        parse_constraint(text, NAMES, "constraints[0].expression")
+    said = str(refused.value)
+    assert said.startswith("constraints[0].expression: ")
+    assert phrase in said

@@ -1,0 +1,84 @@
+"""Everything that one experiment's simulations are compared with."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.grid import Grid
+from workers.messages import Experiment, FloatArray
+from workers.residuals.base import Comparison, Simulated
+from workers.residuals.bounds import SignalBounds
+from workers.residuals.curve import CurveDistances, CurveTolerances
+from workers.residuals.functions import UserFunction
+from workers.residuals.measured_times import MeasuredTimes
+
+
+class Judged(NamedTuple):
+    """(points, k) residuals, (points, m) constraints, and why a point has none."""
+
+    residuals: FloatArray
+    constraints: FloatArray
+    failures: dict[int, str]
+
+
+class ExperimentComparison:
+    """The residuals and constraints of one experiment.
+
+    Parameters
+    ----------
+    experiment, grid
+        What is compared, and the grid on which it is simulated.
+    parameters
+        Names that the tasks' values stand for.
+
+    Raises
+    ------
+    ModelError
+        If a function of the user's cannot be loaded.
+    """
+
+    def __init__(self, experiment: Experiment, grid: Grid, parameters: tuple[str, ...]) -> None:
+        self._residuals = _residuals(experiment, grid, parameters)
+        self._constraints = _constraints(experiment, parameters)
+
+    def judge(self, simulated: Simulated) -> Judged:
+        """Compare a batch of simulations."""
+        failures: dict[int, str] = {}
+        residuals = _joined(self._residuals, simulated, failures)
+        return Judged(residuals, _joined(self._constraints, simulated, failures), failures)
+
+
+def _residuals(experiment: Experiment, grid: Grid, parameters: tuple[str, ...]) -> list[Comparison]:
+    if experiment.cost_function is not None:
+        return [UserFunction(experiment.cost_function, experiment, parameters, single=False)]
+    found: list[Comparison] = []
+    if experiment.outputs or experiment.curve is None:
+        found.append(MeasuredTimes(grid))
+    if experiment.curve is not None:
+        found.append(CurveDistances(experiment.curve))
+    return found
+
+
+def _constraints(experiment: Experiment, parameters: tuple[str, ...]) -> list[Comparison]:
+    found: list[Comparison] = []
+    if experiment.curve is not None and experiment.curve.names:
+        found.append(CurveTolerances(experiment.curve))
+    if experiment.bounds:
+        found.append(SignalBounds(experiment.bounds))
+    functions = experiment.constraint_functions
+    return [*found, *(UserFunction(f, experiment, parameters, single=True) for f in functions)]
+
+
+def _joined(
+    comparisons: list[Comparison], simulated: Simulated, failures: dict[int, str]
+) -> FloatArray:
+    parts = []
+    for comparison in comparisons:
+        compared = comparison.compare(simulated)
+        failures |= compared.failures
+        parts.append(compared.values)
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate([np.zeros((len(simulated.record), 0)), *parts], axis=1)

@@ -1,0 +1,166 @@
+"""Python functions of the user's, in place of residuals and as constraints."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import types
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from workers.errors import ModelError
+from workers.messages import Experiment, FloatArray, Function
+from workers.residuals.base import Compared, Comparison, Simulated, positions
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a user's function is given: one simulation of one experiment.
+
+    Attributes
+    ----------
+    experiment
+        Its id.
+    times : (n,)
+        At which the simulation was recorded.
+    simulated
+        (n,) by variable: every output and every signal that a constraint names.
+    measured
+        (times, values) by variable.
+    sigma
+        Of the measured values, by variable.
+    values
+        Of the parameters, by the FMU's name.
+    """
+
+    experiment: str
+    times: FloatArray = field(repr=False)
+    simulated: dict[str, FloatArray] = field(repr=False)
+    measured: dict[str, tuple[FloatArray, FloatArray]] = field(repr=False)
+    sigma: dict[str, float]
+    values: dict[str, float]
+
+    def residuals(self, variable: str) -> FloatArray:
+        """(measured - simulated) / sigma of one output at its measured times."""
+        times, measured = self.measured[variable]
+        found = self.simulated[variable][positions(times, self.times)]
+        return (measured - found) / self.sigma[variable]
+
+
+class UserFunction(Comparison):
+    """Calls a function of the user's for each point.
+
+    Parameters
+    ----------
+    function
+        Of one `Run`, returning a number or a vector of numbers.
+    experiment, parameters
+        What the run is of; names of the parameters.
+    single
+        Whether it must return one number.
+
+    Raises
+    ------
+    ModelError
+        If there is no such function on this machine.
+    """
+
+    def __init__(
+        self,
+        function: Function,
+        experiment: Experiment,
+        parameters: tuple[str, ...],
+        *,
+        single: bool,
+    ) -> None:
+        self._call = load(function)
+        self._name = f"{function.module}:{function.name}"
+        self._experiment, self._parameters, self._single = experiment, parameters, single
+        self._size = 1 if single else -1
+
+    def compare(self, simulated: Simulated) -> Compared:
+        found: dict[int, FloatArray] = {}
+        failures: dict[int, str] = {}
+        for p in range(len(simulated.record)):
+            if not np.isfinite(simulated.record[p]).all():
+                failures[p] = ""  # the simulation has failed and says so itself
+                continue
+            try:
+                found[p] = self._checked(self._call(self._run(simulated, p)))
+            except (Exception, SystemExit) as error:  # it is the user's code
+                failures[p] = f"{self._name} failed ({type(error).__name__}: {error})"
+        values = np.full((len(simulated.record), max(self._size, 0)), np.nan)
+        for p, row in found.items():
+            values[p] = row
+        return Compared(values, failures)
+
+    def _checked(self, answer: Any) -> FloatArray:
+        if answer is None or np.iscomplexobj(answer):
+            raise TypeError(f"it must return real numbers but returned a {type(answer).__name__}")
+        values = np.atleast_1d(np.asarray(answer, np.float64)).ravel()
+        if self._size < 0 and len(values):
+            self._size = len(values)
+        if len(values) != self._size:
+            before = f"{self._size} numbers, as it did before," if self._size > 0 else "numbers"
+            must = "one number" if self._single else before
+            raise ValueError(f"it must return {must} but returned {len(values) or 'none'}")
+        if not np.isfinite(values).all():
+            bad = values[~np.isfinite(values)][0]
+            raise ValueError(f"it must return finite numbers but returned {bad}")
+        return values
+
+    def _run(self, simulated: Simulated, p: int) -> Run:
+        outputs = self._experiment.outputs
+        return Run(
+            experiment=self._experiment.id,
+            times=_lent(simulated.times),
+            simulated={n: _lent(simulated.record[p, :, i]) for i, n in enumerate(simulated.names)},
+            measured={o.variable: (_lent(o.times), _lent(o.values)) for o in outputs},
+            sigma={o.variable: o.sigma for o in outputs},
+            values=dict(zip(self._parameters, simulated.values[p].tolist(), strict=False)),
+        )
+
+
+def _lent(values: FloatArray) -> FloatArray:
+    """The same numbers to read: others need them too."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
+
+
+def load(function: Function) -> Callable[[Run], Any]:
+    """Import a function, or make it from the text of its module.
+
+    Raises
+    ------
+    ModelError
+        If that fails.
+    """
+    where = f"{function.module}:{function.name}"
+    try:
+        module = _from_source(function) if function.source else _imported(function.module)
+        found = getattr(module, function.name)
+    except (Exception, SystemExit) as error:  # whatever the user's module raises
+        raise ModelError(
+            f"{where}: must be a function that can be imported but cannot be "
+            f"({type(error).__name__}: {error}); mend it, or put its file beside the config"
+        ) from error
+    if not callable(found):
+        raise ModelError(f"{where}: must be a function but is a {type(found).__name__}")
+    called: Callable[[Run], Any] = found
+    return called
+
+
+def _imported(name: str) -> types.ModuleType:
+    return importlib.import_module(name)
+
+
+def _from_source(function: Function) -> types.ModuleType:
+    name = f"{__name__}.of_the_user.{function.module}"  # it must not hide an installed module
+    module = types.ModuleType(name)
+    sys.modules[name] = module  # dataclasses look their module up there
+    exec(compile(function.source, f"{function.module}.py", "exec"), module.__dict__)
+    return module
