@@ -16,13 +16,8 @@ from cluster_est.uncertainty.bootstrap import (
 from cluster_est.uncertainty.covariance import assess, intervals
 from cluster_est.uncertainty.derivatives import examine, linearise, sharpen
 from cluster_est.uncertainty.directions import Direction
-from cluster_est.uncertainty.profile import (
-    ProfilePoint,
-    ProfileResult,
-    check_profiles,
-    profiles,
-    select,
-)
+from cluster_est.uncertainty.profile import check_profiles, profiles, select
+from cluster_est.uncertainty.profile_result import ProfilePoint, ProfileResult
 from cluster_est.uncertainty.result import DerivedInterval, Interval, Uncertainty
 from cluster_est.uncertainty.settings import UncertaintySettings
 

@@ -15,7 +15,7 @@ are active: refits keep all of them. It costs some ten fits for each side of eac
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import f as fisher
@@ -27,6 +27,7 @@ from cluster_est.space import Space
 from cluster_est.uncertainty.covariance import assess
 from cluster_est.uncertainty.derivatives import linearise
 from cluster_est.uncertainty.layout import is_shared
+from cluster_est.uncertainty.profile_result import ProfilePoint, ProfileResult
 from cluster_est.uncertainty.result import Uncertainty
 from cluster_est.uncertainty.settings import UncertaintySettings
 from cluster_est.uncertainty.spaces import moved
@@ -35,73 +36,6 @@ from workers.description import nearest
 
 BETTER = 1e-3
 """Of the rise: a cost lower than the optimum's by more means that it was none."""
-NO_RISE = (
-    "uncertainty.profiles: must be told by the scatter of the residuals how far the cost may rise, "
-    "but {}; give uncertainty.rise (3.84 for twice a negative log-likelihood) or use "
-    "uncertainty.bootstrap"
-)
-
-
-@dataclass(frozen=True)
-class ProfilePoint:
-    """A refit: the kept value, the cost, and all unknowns, in physical units.
-
-    `root` is the signed root of the rise of the cost, -1 and 1 at the ends of the interval.
-    """
-
-    value: float
-    cost: float
-    root: float
-    estimates: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class ProfileResult:
-    """The profile of one unknown.
-
-    Attributes
-    ----------
-    label, value, cost
-        Whose it is, its estimate and the cost there.
-    rise, confidence
-        How much higher the cost is at the ends of the interval.
-    points
-        From low to high values, the optimum among them; `labels` are those of their estimates.
-    lower, upper
-        The ends of the interval, in physical units. Where there is none they are infinite, or NaN
-        if refits failed, and `open_lower` or `open_upper` says why: "bound" if the profile reaches
-        the unknown's bound first, "flat" if it never rises enough, "failed" if refits failed.
-    better
-        (estimates, cost) of a point that is better than the optimum; None if there is none.
-    """
-
-    label: str
-    value: float
-    cost: float
-    rise: float
-    confidence: float
-    labels: tuple[str, ...] = field(repr=False)
-    points: tuple[ProfilePoint, ...] = field(repr=False)
-    lower: float
-    upper: float
-    open_lower: Open
-    open_upper: Open
-    better: tuple[dict[str, float], float] | None = None
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """What a person should know besides the interval."""
-        ends = [
-            ("lower", self.open_lower, self.points[0]),
-            ("upper", self.open_upper, self.points[-1]),
-        ]
-        found = [_sentence(self.label, side, why, point.value) for side, why, point in ends if why]
-        if self.better is not None:
-            found.append(
-                f"{self.label}: while its profile was taken, a better minimum turned up (cost "
-                f"{self.better[1]:.6g} instead of {self.cost:.6g}); fit again from there"
-            )
-        return tuple(found)
 
 
 def profiles(
@@ -123,14 +57,18 @@ def profiles(
     Raises
     ------
     ProblemError
-        If a label is unknown, or nothing says how far the cost must rise.
+        See `check_profiles`. Where it is only the solution that does not say how far the cost may
+        rise, such as one without residuals, the profiles are open and say so.
     """
+    check_profiles(space, settings)
     chosen = select(space, settings.profiles)
     if not chosen or not np.isfinite(solution.cost):
         return ()
     solution = linearise(runner, space, solution)
     known = assess(space, solution)
     rise = _rise(known, settings)
+    if not rise > 0.0:
+        return tuple(_none(space, solution, i, settings) for i in chosen)
     here = moved(space, solution.x)
     requests = [
         SearchRequest(
@@ -197,7 +135,11 @@ def check_profiles(space: Space, settings: UncertaintySettings) -> None:
     if not select(space, settings.profiles) or settings.rise > 0.0:
         return
     if len(probe) and cost.weights(probe, space.outputs) is None:
-        raise ProblemError(NO_RISE.format(f"the cost {cost.name!r} has no weights"))
+        raise ProblemError(
+            "uncertainty.profiles: must be told by the scatter of the residuals how far the cost "
+            f"may rise, but the cost {cost.name!r} has no weights; give uncertainty.rise (3.84 for "
+            "twice a negative log-likelihood) or use uncertainty.bootstrap"
+        )
 
 
 def _rise(known: Uncertainty, settings: UncertaintySettings) -> float:
@@ -205,7 +147,25 @@ def _rise(known: Uncertainty, settings: UncertaintySettings) -> float:
         return settings.rise
     if known.degrees > 0 and known.variance > 0.0:
         return known.variance * float(fisher.ppf(settings.confidence, 1, known.degrees))
-    raise ProblemError(NO_RISE.format("those at the solution do not say it"))
+    return np.nan
+
+
+def _none(space: Space, solution: Solution, i: int, settings: UncertaintySettings) -> ProfileResult:
+    """The profile that was not taken."""
+    estimates = tuple(space.estimates(solution.x).values())
+    return ProfileResult(
+        label=space.unknowns[i].label,
+        value=estimates[i],
+        cost=solution.cost,
+        rise=np.nan,
+        confidence=settings.confidence,
+        labels=tuple(each.label for each in space.unknowns),
+        points=(ProfilePoint(estimates[i], solution.cost, 0.0, estimates),),
+        lower=np.nan,
+        upper=np.nan,
+        open_lower="unknown",
+        open_upper="unknown",
+    )
 
 
 def _first(space: Space, solution: Solution, known: Uncertainty, i: int, steps: int) -> float:
@@ -281,11 +241,3 @@ def _side(request: SearchRequest, found: Solution) -> _Side:
     path.sort(key=lambda step: walk.side * float(step.x[walk.unknown]))
     why = next(word for word in WORDS if word == found.message)
     return _Side(walk, path, why)
-
-
-def _sentence(label: str, side: str, why: Open, value: float) -> str:
-    if why == "bound":
-        return f"{label} has no {side} limit: its profile reaches the bound {value:.6g} first"
-    if why == "flat":
-        return f"{label} has no {side} limit: the cost does not rise enough as far as {value:.6g}"
-    return f"{label} has no {side} limit: the refits beyond {value:.6g} failed"

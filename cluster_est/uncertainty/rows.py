@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cluster_est.uncertainty.bootstrap import BootstrapResult
-from cluster_est.uncertainty.profile import ProfileResult
+from cluster_est.uncertainty.profile_result import ProfileResult
 from cluster_est.uncertainty.result import Uncertainty
 
 

@@ -25,9 +25,9 @@ from cluster_est.space import Space
 from cluster_est.uncertainty.spaces import without
 from workers.messages import FloatArray
 
-Open = Literal["", "bound", "flat", "failed"]
+Open = Literal["", "bound", "flat", "failed", "unknown"]
 """Why a profile has no end on one side; "" where it has one."""
-WORDS: tuple[Open, ...] = ("", "bound", "flat", "failed")
+WORDS: tuple[Open, ...] = ("", "bound", "flat", "failed", "unknown")
 
 CLOSE = 1e-3
 """How close to the end, in units of `height`, a point is close enough."""

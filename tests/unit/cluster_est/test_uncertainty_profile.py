@@ -240,6 +240,26 @@ class TestOpen:
         assert "refits" in found.sentences[0]
         assert found.open_lower == ""
 
+    @pytest.mark.parametrize("count", [3, 2])
+    def test_where_the_residuals_do_not_say_how_far_the_cost_may_rise(self, count):
+        """None of them, or as many as unknowns, must not undo a fit that is done."""
+        curves = lines()
+        short = replace(
+            curves,
+            formula=lambda times, values, experiment: line(times, (*values, 0.0), 0),
+            parameters=curves.parameters[:2],
+            times=TIMES[1 : count + 1],
+            measured=[line(TIMES[1 : count + 1], (1.0, 1.0, 0.0), 0)],
+        )
+        runner, space, solution = short.solve()
+        solution = replace(solution, x=np.ones(2), at=None, jacobian=None, cost=1.0)
+        found = profiles(runner, space, solution, METHOD, UncertaintySettings(("all",)))
+        assert [p.open_lower for p in found] == ["unknown", "unknown"]
+        assert np.isnan([p.upper for p in found]).all()
+        assert "uncertainty.rise" in found[0].sentences[0]
+        (row, _) = interval_rows(found, None)
+        assert row.open_upper == "unknown"
+
     def test_when_the_budget_ends(self):
         curves = puromycin()
         _, space, solution = curves.solve()

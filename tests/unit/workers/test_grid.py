@@ -115,12 +115,13 @@ def test_inputs_keep_their_end_values_outside_their_samples(experiment: Experime
 @given(experiments)
 def test_gather_picks_each_output_at_its_own_times(experiment: Experiment) -> None:
     grid = build_grid(experiment)
-    width = len(experiment.outputs)
+    names = experiment.recorded
+    width = len(names)
     record = np.empty((len(grid.times), width, 2))
     record[:, :, 0] = grid.times[:, None]
     record[:, :, 1] = np.arange(width)
     picked = record.reshape(-1, 2)[grid.gather]
-    expected = [(t, c) for c, output in enumerate(experiment.outputs) for t in output.times]
+    expected = [(t, names.index(o.variable)) for o in experiment.outputs for t in o.times]
     np.testing.assert_array_equal(picked, np.array(expected).reshape(-1, 2))
     for found, name in ((grid.measured, "values"), (grid.sigmas, "sigma")):
         whole = [np.full(len(o.times), getattr(o, name)) for o in experiment.outputs]

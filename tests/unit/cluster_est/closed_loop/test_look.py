@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.methods.look import Look
 from cluster_est.methods.base import Ending, Evaluation
+from cluster_est.methods.look import Look
 from workers.messages import Outcome, Status
 
 
