@@ -12,7 +12,7 @@ from cluster_est.config import Config, ParameterSection
 from cluster_est.costs import ALIASES as COST_ALIASES
 from cluster_est.costs import COSTS, Cost
 from cluster_est.costs.total import Total
-from cluster_est.demands import parameter_constraints
+from cluster_est.demands import check_signals, parameter_constraints
 from cluster_est.effects import build_effects
 from cluster_est.errors import ConfigError, EffectError, ModelError
 from cluster_est.experiments import build_experiments
@@ -209,6 +209,7 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     description = describe(path.name, archive)
     for name in config.values:
         description.variable(name, "values")
+    check_signals(config, description)
     interface = _interface(config, description)
     return Model(path.name, archive, interface, _solver(config, description, interface), targets)
 

@@ -11,7 +11,7 @@ from cluster_est.code import Code
 from cluster_est.config import Config, ConstraintSection, StepSection, TrackingSection
 from cluster_est.errors import ConfigError
 from cluster_est.formulas import ParameterConstraint, parse_constraint
-from workers.description import nearest
+from workers.description import Description, nearest
 from workers.messages import FloatArray, Function, Output, SignalBound
 
 _SIGNAL_KEYS = (
@@ -46,6 +46,19 @@ def parameter_constraints(
             key = f"{where}.expression"
             found += parse_constraint(text, parameters, key, section.name, scale)
     return tuple(found)
+
+
+def check_signals(config: Config, description: Description) -> None:
+    """Refuse constraints on signals that the FMU does not have.
+
+    Raises
+    ------
+    ModelError
+        With names that are close.
+    """
+    for i, section in enumerate(config.constraints):
+        if section.signal:
+            description.variable(section.signal, f"constraints[{section.name or i}].signal")
 
 
 def signal_bounds(
@@ -179,6 +192,10 @@ def _bands(
 def _bound(section: ConstraintSection, where: str, start: float, stop: float) -> SignalBound:
     first, last = section.between or (start, stop)
     first, last = max(first, start), min(last, stop)
+    if section.between is not None and section.between[0] > section.between[1]:
+        raise ConfigError(
+            f"{where}.between: must be [from, to] but is {list(section.between)}; swap them"
+        )
     if not first <= last:
         raise ConfigError(
             f"{where}.between: must overlap with the simulation, {start:g} to {stop:g} s, but is "
@@ -186,6 +203,8 @@ def _bound(section: ConstraintSection, where: str, start: float, stop: float) ->
         )
     if section.final is not None:
         return _final(section, stop)
+    if section.step_response is not None:
+        _check_step(section.step_response, where)
     corners = np.array(_corners(section))
     corners = corners[(corners >= first) & (corners <= last)]
     times = np.union1d(np.linspace(first, last, section.samples), corners)
@@ -209,6 +228,19 @@ def _bound(section: ConstraintSection, where: str, start: float, stop: float) ->
         upper=upper,
         scale=section.scale or _size(lower, upper),
     )
+
+
+def _check_step(step: StepSection, where: str) -> None:
+    if step.settling_time < step.rise_time:
+        raise ConfigError(
+            f"{where}.step_response.settling_time: must not be before rise_time, "
+            f"{step.rise_time:g} s, but is {step.settling_time:g} s; swap them"
+        )
+    if step.initial == step.final:
+        raise ConfigError(
+            f"{where}.step_response.initial: must not be the final value but both are "
+            f"{step.final:g}; use lower and upper for a signal that stays where it is"
+        )
 
 
 def _corners(section: ConstraintSection) -> list[float]:

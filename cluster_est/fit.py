@@ -11,7 +11,7 @@ from cluster_est import rows
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.multistart import Multistart, search_from_starts
+from cluster_est.multistart import Multistart, check_starts, search_from_starts
 from cluster_est.problem import Problem
 from cluster_est.resources import Resources, one_blas_thread, open_executor
 from cluster_est.result import Result, Simulation, output_errors
@@ -74,13 +74,14 @@ def fit(
     begin = time.monotonic()
     description = problem.describe()
     settings = uncertainty or UncertaintySettings()
-    train = check_search(problem, method, settings)
+    multistart = multistart or Multistart()
+    train = check_search(problem, method, settings, multistart)
     units = {name: variable.unit for name, variable in description.variables.items()}
     with one_blas_thread(), open_executor(problem, resources) as executor:
         ready = time.monotonic()
         runner = Runner(executor, resources.budget, record, show, note)
         before = simulate_all(runner, problem, {})
-        found = search_from_starts(runner, train, method, multistart or Multistart(), seed)
+        found = search_from_starts(runner, train, method, multistart, seed)
         solution, known = found.best, None
         if solution.ending is not Ending.INTERRUPTED:
             known = examine(runner, train, solution)
@@ -186,16 +187,19 @@ def simulate(
         return simulate_all(Runner(executor), problem, values or {})
 
 
-def check_search(problem: Problem, method: Method, settings: UncertaintySettings) -> Space:
+def check_search(
+    problem: Problem, method: Method, settings: UncertaintySettings, multistart: Multistart
+) -> Space:
     """The space of the training experiments, if it can be searched as is asked.
 
     Raises
     ------
     ProblemError
-        If the method or the intervals do not suit the problem.
+        If the method, the starts or the intervals do not suit the problem.
     """
     train = make_space(problem, problem.indices("train"))
     check_method(method, train)
+    check_starts(train, multistart)
     check_profiles(train, settings)
     if settings.bootstrap:
         check_bootstrap(train)

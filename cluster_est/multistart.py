@@ -123,6 +123,21 @@ def search_from_starts(
     return Found(starts[: len(solutions)], tuple(solutions), minima, minimum)
 
 
+def check_starts(space: Space, multistart: Multistart) -> None:
+    """Refuse starts that this space cannot have, before anything is simulated.
+
+    Raises
+    ------
+    ProblemError
+        If a point of the user's names no unknown or lies out of bounds, or samples are wanted but
+        an unknown has no finite bounds.
+    """
+    for values in multistart.points:
+        _named(space, values)
+    if multistart.searches > 1 + len(multistart.points):
+        _check_bounds(space)
+
+
 def make_starts(runner: Runner, space: Space, multistart: Multistart) -> FloatArray:
     """(searches, unknowns): the space's own start, the user's, then samples."""
     given = [space.start, *(_named(space, values) for values in multistart.points)]
@@ -150,15 +165,7 @@ def sample(space: Space, count: int, multistart: Multistart) -> FloatArray:
     ProblemError
         If an unknown has no finite bounds.
     """
-    for i, unknown in enumerate(space.unknowns):
-        if not (np.isfinite(space.lower[i]) and np.isfinite(space.upper[i])):
-            positive = " that are positive" if unknown.log else ""
-            parameter = unknown.parameter
-            raise ProblemError(
-                f"parameters.{parameter.name}.bounds: must be finite{positive}, because starts "
-                f"are sampled between them, but are [{parameter.lower:g}, {parameter.upper:g}]; "
-                "narrow them, or give multistart.points instead"
-            )
+    _check_bounds(space)
     wanted = space.parameter_constraints(space.start)
     drawn = count * (ATTEMPTS if len(wanted) else 1)
     generator = np.random.default_rng(multistart.seed)
@@ -170,6 +177,18 @@ def sample(space: Space, count: int, multistart: Multistart) -> FloatArray:
     worst = np.array([_violation(space.parameter_constraints(x), equality) for x in points])
     order = np.argsort(np.maximum(worst, 0.0), kind="stable")
     return np.asarray(points[order[:count]])
+
+
+def _check_bounds(space: Space) -> None:
+    for i, unknown in enumerate(space.unknowns):
+        if not (np.isfinite(space.lower[i]) and np.isfinite(space.upper[i])):
+            positive = " and positive" if unknown.log else ""
+            parameter = unknown.parameter
+            raise ProblemError(
+                f"parameters.{parameter.name}.bounds: must be finite{positive}, because starts "
+                f"are sampled between them, but are [{parameter.lower:g}, {parameter.upper:g}]; "
+                "narrow them, or give multistart.points instead"
+            )
 
 
 def _unit(sampler: Sampler, count: int, size: int, generator: np.random.Generator) -> FloatArray:
@@ -242,9 +261,10 @@ def _same(space: Space, one: Solution, other: Solution, same: float) -> bool:
 def _nothing_new(space: Space, solutions: Sequence[Solution], multistart: Multistart) -> bool:
     if multistart.patience == 0 or len(solutions) <= multistart.patience:
         return False
-    now, _ = cluster(space, solutions, multistart.same)
-    before, _ = cluster(space, solutions[: -multistart.patience], multistart.same)
-    return len(before) > 0 and len(now) == len(before)
+    _, number = cluster(space, solutions, multistart.same)
+    before = set(number[: -multistart.patience]) - {-1}
+    latest = set(number[-multistart.patience :]) - {-1}
+    return bool(before) and latest <= before
 
 
 def _rank(solution: Solution) -> tuple[float, float]:

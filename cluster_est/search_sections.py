@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, Strict
 from pydantic_core import PydanticCustomError
 
-from cluster_est.section_types import Count, Finite, Pair, Section
+from cluster_est.section_types import Count, Finite, Pair, Positive, Section
 
 
 def _level(value: Any) -> Any:
@@ -111,17 +111,17 @@ class MethodSection(Section):
 
 
 class MultistartSection(Section):
-    n: Count = Field(1, gt=0, description="starts, the parameters' own first")
+    n: Positive = Field(1, description="starts, the parameters' own first")
     sampler: Literal["sobol", "latin_hypercube", "uniform"] = Field(
         "sobol", description="how the others are spread over the bounds"
     )
     points: list[dict[str, Finite]] = Field(
         default_factory=list, description="starts of your own: [{ parameter = value }, ...]"
     )
-    screen: Count = Field(
-        1, gt=0, description="points looked at for each start; the best ones are started from"
+    screen: Positive = Field(
+        1, description="points looked at for each start; the best ones are started from"
     )
-    at_once: Count = Field(16, gt=0, description="starts under way at the same time")
+    at_once: Positive = Field(16, description="starts under way at the same time")
     patience: Count = Field(
         0, description="stop after so many starts in a row without a new minimum; 0: never"
     )
@@ -138,9 +138,9 @@ class UncertaintySection(Section):
     )
     bootstrap: Count = Field(0, description="draws of experiments with a refit each; 0: none")
     confidence: Finite = Field(0.95, ge=0.5, lt=1.0, description="of profiles and bootstrap")
-    steps: Count = Field(4, ge=1, description="refits at least on each side of a profile")
-    max_steps: Count = Field(20, ge=2, description="refits on a side, then it is called flat")
+    steps: Positive = Field(4, description="refits at least on each side of a profile")
+    max_steps: Count = Field(20, gt=1, description="refits on a side, then it is called flat")
     rise: Finite = Field(
         0.0, ge=0.0, description="of the cost at a profile's ends; 0: from the residuals"
     )
-    at_once: Count = Field(16, gt=0, description="refits under way at the same time")
+    at_once: Positive = Field(16, description="refits under way at the same time")

@@ -38,6 +38,7 @@ def as_group(value: Any) -> Any:
 
 
 Count = Annotated[int, Field(ge=0, le=_LARGEST)]
+Positive = Annotated[int, Field(gt=0, le=_LARGEST)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Known = Annotated[float | int | bool, PlainValidator(_known)]
 Pair = Annotated[tuple[Finite, Finite], Strict(False)]

@@ -108,7 +108,7 @@ class ClosedLoopSection(Section):
     significance: Finite = Field(
         0.01, gt=0.0, lt=1.0, description="largest p-value at which something counts as missing"
     )
-    draws: Count = Field(2000, ge=100, description="Monte Carlo draws of each null distribution")
+    draws: Count = Field(2000, gt=99, description="Monte Carlo draws of each null distribution")
     trials: Count = Field(30, gt=0, description="candidates tried by a real simulation")
     refits: Count = Field(12, gt=0, description="of those, how many are refitted")
     starts: Count = Field(

@@ -7,6 +7,9 @@ from scipy.optimize import lsq_linear
 
 from workers.messages import FloatArray
 
+WIDE = 1e10
+"""Columns whose sizes differ by more than this are brought to one size before they are factored."""
+
 
 class StepSolver:
     """Minimises |J p + r|^2 + damping |D p|^2 subject to lower <= p <= upper.
@@ -34,9 +37,11 @@ class StepSolver:
         lower: FloatArray,
         upper: FloatArray,
     ) -> None:
-        joined = np.column_stack([matrix, residuals])
+        self._units = _units(scale)
+        joined = np.column_stack([matrix / self._units, residuals])
         self._triangle = np.asarray(np.linalg.qr(joined, mode="r"), np.float64)
-        self._scale, self._lower, self._upper = scale, lower, upper
+        self._scale = scale / self._units
+        self._lower, self._upper = lower * self._units, upper * self._units
 
     def step(self, damping: float) -> FloatArray:
         """The step for one damping factor; it is zero for unknowns whose column is zero."""
@@ -46,12 +51,22 @@ class StepSolver:
         target = np.concatenate([right, np.zeros(size)])
         free = np.linalg.lstsq(system, target, rcond=None)[0]
         if (free >= self._lower).all() and (free <= self._upper).all():
-            return np.asarray(free)
+            return np.asarray(free / self._units)
         bounds = (self._lower, np.maximum(self._upper, np.nextafter(self._lower, np.inf)))
         solved = lsq_linear(system, target, bounds, method="bvls", tol=1e-14).x
-        return np.asarray(np.clip(solved, self._lower, self._upper))
+        return np.asarray(np.clip(solved, self._lower, self._upper) / self._units)
 
     def predicted_cost(self, step: FloatArray) -> float:
         """|J p + r|^2, the cost that the linear model expects after a step."""
-        values = self._triangle @ np.append(step, 1.0)
+        values = self._triangle @ np.append(step * self._units, 1.0)
         return float(values @ values)
+
+
+def _units(scale: FloatArray) -> FloatArray:
+    """Powers of two that bring the columns to one size, where sizes are far apart; else ones.
+
+    Small columns would be lost in the rounding of large ones. Dividing by ones changes no bit.
+    """
+    if np.max(scale, initial=0.0) <= WIDE * np.min(scale, initial=np.inf):
+        return np.ones_like(scale)
+    return np.asarray(2.0 ** np.round(np.log2(scale)), np.float64)

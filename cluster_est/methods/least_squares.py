@@ -1,8 +1,10 @@
-"""A bounded Levenberg-Marquardt method that asks for as much as it can at once.
+"""A Levenberg-Marquardt method within bounds and constraints, that asks for much at once.
 
 An iteration is two requests: one point for each colour of unknowns (the Jacobian), then steps for
 several damping factors at the same time, of which the best is taken. The number of trial steps is
-an option and never the number of workers, so the result does not depend on the machine.
+an option and never the number of workers, so the result does not depend on the machine. Where the
+model promised much more than the best trial gained, a third request follows the curvature that the
+trials have shown.
 
 Each step minimises the linear model within the bounds exactly, so a bound that becomes active does
 not bend the step of the other unknowns. Damping is scaled by the largest column norms seen, which
@@ -14,56 +16,59 @@ Levenberg-Marquardt algorithm, Lecture Notes in Mathematics 630 (1978), doi:10.1
 
 from __future__ import annotations
 
-from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
 import numpy as np
 
-from cluster_est.methods.base import (
-    Ending,
-    Evaluation,
-    Method,
-    Points,
-    Progress,
-    Search,
-    Solution,
-)
-from cluster_est.methods.bounded_step import StepSolver
+from cluster_est.methods.base import Ending, Method, Points, Progress, Search, Solution
+from cluster_est.methods.descent import LEAST_DAMPING, Descent, State, Steps
 from cluster_est.methods.differences import Jacobian, Scheme, jacobian
+from cluster_est.methods.local_model import LocalModel
+from cluster_est.methods.polish import polish
+from cluster_est.methods.sequential import Settings, sequential_search
 from cluster_est.space import Space
 from workers.messages import FloatArray
 
-DAMPING_RATIO = 10.0
-LEAST_DAMPING, LARGEST_DAMPING = 1e-14, 1e14
+FIRST_DAMPING = 1e-3
+SHRUNK = 0.1
+"""An unknown this much smaller than its start deserves smaller differences at the end."""
+CONSTRAINED_XTOL = 1e-6
+"""Shortest step under constraints; at their kinks the cost stops falling long before it."""
 
 
 @dataclass(frozen=True)
 class LeastSquares(Method):
     """Levenberg-Marquardt with coloured differences and parallel trial steps.
 
-    The method to try first for any sum of squares: few evaluations, and each request keeps many
-    workers busy. It finds the minimum that the start leads to; for others use several starts.
+    The method to try first for any sum of squares, and for the costs that weight them: few
+    evaluations, and each request keeps many workers busy. It finds the minimum that the start leads
+    to; for others use several starts. It keeps bounds at every point. Under constraints of other
+    kinds its Gauss-Newton model goes through the steps of `sqp`, and they are satisfied in the end.
+    Not for costs without weights, or with jumps.
 
     Attributes
     ----------
     trials
-        Steps that are tried at once, each with ten times the damping of the one before.
+        Steps that are tried at once, each with ten times the damping of the one before. Without
+        effect under constraints.
     max_iterations
         Limit on the number of Jacobians.
     ftol, xtol, gtol
-        Converged when the model expects to lower the cost by less than `ftol` of it, when a step is
-        shorter than `xtol` of the point, or when the cosine between the residuals and every column
-        of the Jacobian that is not held by a bound is below `gtol`.
+        Converged when the model expects to lower the cost by less than `ftol` of the weighted sum
+        of squares, when a step is shorter than `xtol` of the point, or when the cosine between the
+        residuals and every column of the Jacobian that is not held by a bound is below `gtol`.
     differences
         "forward", "central", or "auto": forward until converged, then central to the end, which
-        removes the error that forward differences leave in the minimum.
+        removes the error that forward differences leave in the minimum. Where they are central, the
+        last steps go on to a millionth of `ftol`.
     relative_step
         Relative step of the differences; 0 takes the one that suits the solver's noise.
     """
 
     name: ClassVar[str] = "least_squares"
     needs_residuals: ClassVar[bool] = True
+    keeps_constraints: ClassVar[bool] = True
 
     trials: int = field(default=4, metadata={"least": 1})
     max_iterations: int = field(default=100, metadata={"least": 1})
@@ -74,23 +79,39 @@ class LeastSquares(Method):
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
 
     def search(self, space: Space, generator: np.random.Generator) -> Search:
+        return self._constrained(space) if space.constraint_names else self._free(space)
+
+    def _constrained(self, space: Space) -> Search:
+        settings = Settings(
+            max_iterations=self.max_iterations,
+            ftol=self.ftol,
+            xtol=max(self.xtol, CONSTRAINED_XTOL),
+            differences=self.differences,
+            relative_step=self.relative_step,
+            hessian="gauss_newton",
+            speculative_gradient=False,
+        )
+        return sequential_search(space, settings)
+
+    def _free(self, space: Space) -> Search:
         x = space.start
         (at,) = yield Points(x[None, :], "start", Progress(0, np.nan))
         if not at.ok:
             return Solution(x, np.nan, Ending.START_FAILED, at.reason)
-        state = _State(x, at, Progress(0, at.cost), np.zeros(space.size), damping=1e-3)
+        state = State(x, at, Progress(0, at.cost), np.zeros(space.size), FIRST_DAMPING)
         scheme: Scheme = "central" if self.differences == "central" else "forward"
         while True:
+            near = _shrunk(space, state.x) if scheme == "central" else space
             derivatives = yield from jacobian(
-                space, state.x, state.at, scheme, self.relative_step, state.progress
+                near, state.x, state.at, scheme, self.relative_step, state.progress
             )
-            state, ending = yield from self._iterate(space, state, derivatives)
+            state, ending = yield from self._iterate(space, state, derivatives, scheme)
             if ending is None:
                 continue
             refine = self.differences == "auto" and scheme == "forward"
             if refine and ending in (Ending.CONVERGED, Ending.STALLED):
                 scheme = "central"
-                state = replace(state, damping=min(state.damping, 1e-3))
+                state = replace(state, damping=min(state.damping, FIRST_DAMPING))
                 continue
             return Solution(
                 x=state.x,
@@ -102,110 +123,31 @@ class LeastSquares(Method):
                 at=state.at,
             )
 
-    def _iterate(
-        self, space: Space, state: _State, derivatives: Jacobian
-    ) -> Generator[Points, list[Evaluation], tuple[_State, Ending | None]]:
+    def _iterate(self, space: Space, state: State, derivatives: Jacobian, scheme: Scheme) -> Steps:
         """From a Jacobian to the next point. Returns the new state, and why to stop if so."""
-        matrix, residuals = derivatives.matrix, state.at.residuals
         if derivatives.frozen.all():
             return state, Ending.DERIVATIVES_FAILED
-        if state.at.cost == 0.0:
+        model = LocalModel(space, state.x, state.at, derivatives, state.largest)
+        if model.squares == 0.0:
             return state, Ending.PERFECT
-        optimality = _optimality(space, state.x, matrix, residuals)
-        scale = np.maximum(state.scale, np.linalg.norm(matrix, axis=0))
-        progress = replace(state.progress, optimality=optimality, damping=state.damping)
-        state = replace(state, scale=scale, progress=progress)
-        if optimality <= self.gtol:
+        progress = replace(state.progress, optimality=model.optimality, damping=state.damping)
+        state = replace(state, largest=model.scale, progress=progress)
+        if model.optimality <= self.gtol:
             return state, Ending.CONVERGED
         if state.progress.iteration >= self.max_iterations:
             return state, Ending.MAX_ITERATIONS
-        weights = np.where(scale > 0.0, scale, 1.0)
-        solver = StepSolver(
-            matrix, residuals, weights, space.lower - state.x, space.upper - state.x
-        )
-        return (yield from self._step(space, state, solver))
-
-    def _step(
-        self, space: Space, state: _State, solver: StepSolver
-    ) -> Generator[Points, list[Evaluation], tuple[_State, Ending | None]]:
-        """Try steps, with ever more damping, until one lowers the cost or none ever will."""
-        damping = state.damping
-        bolder = min(1, self.trials - 1)
-        while True:
-            dampings = damping * DAMPING_RATIO ** (np.arange(float(self.trials)) - bolder)
-            steps = [solver.step(d) for d in dampings]
-            points = np.clip(state.x + steps, space.lower, space.upper)
-            if self._negligible(space, state, solver, steps[0]):
-                return state, Ending.CONVERGED
-            tried = yield Points(points, "trial", state.progress)
-            best = _best(tried)
-            if best is not None and tried[best].cost < state.at.cost:
-                return self._accept(space, state, solver, points[best], tried[best], dampings[best])
-            damping = dampings[-1] * DAMPING_RATIO ** (1 + bolder)
-            if damping > LARGEST_DAMPING:
-                return state, Ending.STALLED
-
-    def _accept(
-        self,
-        space: Space,
-        state: _State,
-        solver: StepSolver,
-        x: FloatArray,
-        at: Evaluation,
-        damping: float,
-    ) -> tuple[_State, Ending | None]:
-        step = x - state.x
-        expected = state.at.cost - solver.predicted_cost(step)
-        gained = state.at.cost - at.cost
-        trusted = gained > 0.25 * expected
-        if self.trials == 1 and trusted:
-            damping /= DAMPING_RATIO
-        progress = Progress(
-            state.progress.iteration + 1,
-            at.cost,
-            step=float(np.linalg.norm(step / space.typical)),
-            damping=damping,
-        )
-        damping = min(max(damping, LEAST_DAMPING), LARGEST_DAMPING)
-        new = _State(x, at, progress, state.scale, damping)
-        small = max(gained, expected) <= self.ftol * state.at.cost
-        short = np.all(np.abs(step) <= self.xtol * np.maximum(np.abs(x), space.typical))
-        return new, Ending.CONVERGED if small or (short and trusted) else None
-
-    def _negligible(
-        self, space: Space, state: _State, solver: StepSolver, step: FloatArray
-    ) -> bool:
-        """Whether even the boldest step would change or gain nothing."""
-        gain = state.at.cost - solver.predicted_cost(step)
-        size = np.maximum(np.abs(state.x), space.typical)
-        bold = state.damping <= 1.0
-        return bold and (
-            bool(np.all(np.abs(step) <= self.xtol * size))
-            or gain <= 1e-3 * self.ftol * state.at.cost
-        )
+        if scheme == "central":
+            polished = yield from polish(space, state, model, self.ftol)
+            if polished is not None:
+                return polished
+        state = replace(state, offset=model.gain(model.step(LEAST_DAMPING)) / model.squares)
+        descent = Descent(space, self.trials, self.ftol, self.xtol)
+        return (yield from descent.iterate(state, model))
 
 
-@dataclass(frozen=True)
-class _State:
-    """Where the iteration stands: the point, its evaluation, the scale and damping of the next."""
-
-    x: FloatArray
-    at: Evaluation
-    progress: Progress
-    scale: FloatArray
-    damping: float
-
-
-def _best(tried: list[Evaluation]) -> int | None:
-    """The trial of lowest cost, the boldest of equals."""
-    ok = [i for i, evaluation in enumerate(tried) if evaluation.ok]
-    return min(ok, key=lambda i: tried[i].cost) if ok else None
-
-
-def _optimality(space: Space, x: FloatArray, matrix: FloatArray, residuals: FloatArray) -> float:
-    """Largest cosine between residuals and a column whose unknown can still move downhill."""
-    gradient = matrix.T @ residuals
-    norms = np.linalg.norm(matrix, axis=0) * np.linalg.norm(residuals)
-    blocked = ((x <= space.lower) & (gradient > 0.0)) | ((x >= space.upper) & (gradient < 0.0))
-    usable = ~blocked & (norms > 0.0)
-    return float(np.max(np.abs(gradient[usable]) / norms[usable], initial=0.0))
+def _shrunk(space: Space, x: FloatArray) -> Space:
+    """The same space, for differences, with starts as small as unknowns have become."""
+    small = (np.abs(x) < SHRUNK * space.typical) & (space.start != 0.0)
+    size = np.maximum(np.abs(x), SHRUNK**2 * space.typical)
+    start = np.where(small, np.copysign(size, x), space.start)
+    return space.starting_at(np.clip(start, space.lower, space.upper))

@@ -8,6 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from scipy.optimize import least_squares
 
+from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.methods.differences import Scheme, jacobian
@@ -54,6 +55,12 @@ class ScipyLeastSquares(Method):
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
 
     def check(self, space: Space) -> None:
+        cost = space.problem.cost
+        if not isinstance(cost, SumSquared):
+            raise ProblemError(
+                f"method.name: {self.name} minimises the sum of squares but cost.name is "
+                f'{cost.name!r}; choose "least_squares", which weights residuals, or "sse"'
+            )
         bounded = np.isfinite(space.lower).any() or np.isfinite(space.upper).any()
         if self.algorithm == "lm" and bounded:
             raise ProblemError(
@@ -76,18 +83,21 @@ class ScipyLeastSquares(Method):
             return found.matrix
 
         try:
-            result = least_squares(
-                known.residuals,
-                space.start,
-                jac=derivatives,
-                bounds=(space.lower, space.upper) if self.algorithm != "lm" else (-np.inf, np.inf),
-                method=self.algorithm,
-                ftol=_tolerance(self.ftol),
-                xtol=_tolerance(self.xtol),
-                gtol=_tolerance(self.gtol),
-                x_scale="jac",
-                max_nfev=self.max_evaluations or None,
-            )
+            with np.errstate(over="ignore"):  # of a trial step, whose cost is then infinite
+                result = least_squares(
+                    known.residuals,
+                    space.start,
+                    jac=derivatives,
+                    bounds=(space.lower, space.upper)
+                    if self.algorithm != "lm"
+                    else (-np.inf, np.inf),
+                    method=self.algorithm,
+                    ftol=_tolerance(self.ftol),
+                    xtol=_tolerance(self.xtol),
+                    gtol=_tolerance(self.gtol),
+                    x_scale="jac",
+                    max_nfev=self.max_evaluations or None,
+                )
         except _StartFailedError as failure:
             return Solution(space.start, np.nan, Ending.START_FAILED, str(failure))
         return Solution(

@@ -1,0 +1,86 @@
+"""A pattern search that never waits for the slowest simulation.
+
+Every direction of the poll has a step of its own. As soon as a point is better than the one that
+is polled around, the search moves there, and what was asked around the old one and has not begun is
+taken back; a direction in which a point was no better is tried again with a smaller step, whatever
+the others do. P. D. Hough, T. G. Kolda, V. J. Torczon, Asynchronous parallel pattern search for
+nonlinear optimization, SIAM J. Sci. Comput. 23 (2001) 134-156, doi:10.1137/S1064827599365823; with
+one coordinator, T. G. Kolda, SIAM J. Optim. 16 (2005) 563-586, doi:10.1137/040603589.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from cluster_est.methods.asynchronous_course import Course
+from cluster_est.methods.base import Ending, Method, Points, Progress, Search, Solution
+from cluster_est.methods.pattern_search import check_contraction, solution_of
+from cluster_est.methods.pattern_state import PatternState, SearchStep
+from cluster_est.methods.patterns import Axes, Basis
+from cluster_est.space import Space
+
+
+@dataclass(frozen=True)
+class AsynchronousPatternSearch(Method):
+    """Pattern search that uses each simulation as soon as it ends.
+
+    For simulations that take very different times, as with adaptive solvers or machines that others
+    use too, and many workers: the slowest holds up nothing. Where all take equally long,
+    `pattern_search` does the same with fewer evaluations. What it finds depends on the order in
+    which simulations end, so a run cannot be repeated exactly. Only before it ends it waits for all
+    that was asked around its last point.
+
+    Attributes
+    ----------
+    outstanding
+        How many points are asked for and not answered at any time, slow ones not counted; 0 for
+        twice the number of unknowns. Should be more than there are workers: those that wait fill
+        gaps.
+    basis, axes, search_step, search_points, initial_mesh, mesh_tolerance, expansion, contraction
+        As in `pattern_search`, for each direction on its own.
+    max_iterations
+        Limit on the evaluations, in polls of twice the number of unknowns.
+    """
+
+    name: ClassVar[str] = "asynchronous_pattern_search"
+    needs_residuals: ClassVar[bool] = False
+    keeps_constraints: ClassVar[bool] = True
+    asynchronous: ClassVar[bool] = True
+
+    outstanding: int = field(default=0, metadata={"least": 0})
+    basis: Basis = "2n"
+    axes: Axes = "aligned"
+    search_step: SearchStep = "quadratic"
+    search_points: int = field(default=0, metadata={"least": 0})
+    initial_mesh: float = field(default=0.25, metadata={"least": 1e-9})
+    mesh_tolerance: float = field(default=1e-6, metadata={"least": 1e-10})
+    expansion: float = field(default=2.0, metadata={"least": 1.0})
+    contraction: float = field(default=0.5, metadata={"least": 0.01})
+    max_iterations: int = field(default=1000, metadata={"least": 1})
+
+    def check(self, space: Space) -> None:
+        check_contraction(self.contraction)
+
+    def search(self, space: Space, generator: np.random.Generator) -> Search:
+        (at,) = yield Points(space.start[None, :], "start", Progress(0, np.nan))
+        if not at.ok:
+            return Solution(space.start, np.nan, Ending.START_FAILED, at.reason)
+        state = PatternState(space, self, generator, at)
+        course = Course(state, self, self.outstanding or 2 * space.size)
+        while True:
+            asked = course.next()
+            drop = course.unwanted()
+            if course.ending is not None:
+                break
+            x = np.array([state.frame.x(point.u) for point in asked]).reshape(-1, space.size)
+            answers = yield Points(x, "poll", course.progress, asynchronous=True, drop=drop)
+            course.receive(answers)
+            if course.progress.iteration >= self.max_iterations and course.ending is None:
+                course.ending = Ending.MAX_ITERATIONS
+        if drop:
+            nothing = np.zeros((0, space.size))
+            yield Points(nothing, "poll", course.progress, asynchronous=True, drop=drop)
+        return solution_of(state, course.ending, course.progress.iteration)

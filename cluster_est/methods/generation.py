@@ -1,0 +1,114 @@
+"""What a generation is made of, what picks the next one, and what all of them are after.
+
+Points are compared by the rules that hold for all methods: constraints first, then cost.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cluster_est.methods.base import Evaluation, Other
+from workers.messages import FloatArray
+
+LARGEST = 1e300
+"""Costs and violations are cut to this, to stay finite."""
+FAILED = 1e301
+"""Cost and violation of a failed simulation: worse than any other, and finite, as pymoo needs."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """A point of a population.
+
+    Attributes
+    ----------
+    unit, x : (unknowns,)
+        In the strategy's coordinates and in those of the search.
+    cost
+        Of the point.
+    values : (objectives,)
+        What the strategy minimises.
+    violation
+        0 where all constraints are satisfied.
+    """
+
+    unit: FloatArray
+    x: FloatArray
+    cost: float
+    values: FloatArray
+    violation: float
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Less is better, in the order of `Evaluation.rank`."""
+        return self.violation, self.cost
+
+
+def member_of(unit: FloatArray, x: FloatArray, evaluation: Evaluation, goal: Goal) -> Member:
+    """What became of a point; a failed simulation is worse than any other."""
+    if not evaluation.ok or np.isnan(evaluation.cost):
+        return Member(unit, x, FAILED, np.full(goal.objectives, FAILED), FAILED)
+    values = np.nan_to_num(goal.values(evaluation), nan=LARGEST)
+    violation = min(evaluation.rank[0], LARGEST)
+    return Member(unit, x, evaluation.cost, np.clip(values, -LARGEST, LARGEST), violation)
+
+
+class Strategy(ABC):
+    """What picks a generation from those before it."""
+
+    @abstractmethod
+    def ask(self) -> FloatArray:
+        """(points, unknowns): the next generation; no points if it can make no new ones."""
+
+    @abstractmethod
+    def tell(self, numbers: range, members: Sequence[Member]) -> None:
+        """Take what became of the generation, whose points have these numbers."""
+
+    @abstractmethod
+    def survivors(self) -> list[int]:
+        """The numbers of the points that make up the population now."""
+
+
+class Goal(ABC):
+    """What a population is after."""
+
+    objectives: int
+
+    @abstractmethod
+    def values(self, evaluation: Evaluation) -> FloatArray:
+        """(objectives,): what is minimised, of an evaluation without failures."""
+
+    @abstractmethod
+    def settled(self, best: Member, members: Sequence[Member]) -> bool:
+        """Whether the last generations brought nothing; asked once after each."""
+
+    @abstractmethod
+    def others(self, best: Member, members: Sequence[Member]) -> tuple[Other, ...]:
+        """What the solution shall name besides the best point."""
+
+
+class LeastCost(Goal):
+    """The least cost, until it falls by less than `ftol` of itself in `window` generations."""
+
+    objectives = 1
+
+    def __init__(self, ftol: float, window: int) -> None:
+        self._ftol, self._window = ftol, window
+        self._ranks: list[tuple[float, float]] = []
+
+    def values(self, evaluation: Evaluation) -> FloatArray:
+        return np.array([evaluation.cost])
+
+    def settled(self, best: Member, members: Sequence[Member]) -> bool:
+        self._ranks.append(best.rank)
+        if len(self._ranks) <= self._window:
+            return False
+        pairs = zip(self._ranks[-1 - self._window], best.rank, strict=True)
+        return all(before - now <= self._ftol * abs(now) for before, now in pairs)
+
+    def others(self, best: Member, members: Sequence[Member]) -> tuple[Other, ...]:
+        return ()

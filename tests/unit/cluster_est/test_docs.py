@@ -1,0 +1,38 @@
+"""The pages for users name files and tests that exist."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "cluster_est" / "docs").glob("*.md"))]
+TEST = re.compile(r"`(tests/[\w/]+\.py)((?:::\w+)*)`")
+LINK = re.compile(r"\]\(([^)#:]+)\)")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_test_that_a_page_names_exists(page):
+    missing = []
+    for path, names in TEST.findall(page.read_text(encoding="utf-8")):
+        file = ROOT / path
+        source = file.read_text(encoding="utf-8") if file.is_file() else ""
+        wanted = [name for name in names.split("::") if name]
+        if not source or not all(re.search(rf"(class|def) {name}\b", source) for name in wanted):
+            missing.append(path + names)
+    assert missing == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_to_a_file_leads_somewhere(page):
+    links = LINK.findall(page.read_text(encoding="utf-8"))
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+def test_every_method_and_cost_is_in_the_page_that_helps_to_choose():
+    from cluster_est.methods import METHODS
+
+    page = (ROOT / "cluster_est" / "docs" / "which_method.md").read_text(encoding="utf-8")
+    assert [name for name in METHODS if f"`{name}`" not in page] == []

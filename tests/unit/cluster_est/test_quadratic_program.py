@@ -1,0 +1,141 @@
+"""The penalised quadratic program, against SciPy on random convex problems."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear, minimize
+
+from cluster_est.methods.quadratic_program import Model, penalised_step
+
+SEEDS = range(20)
+
+
+def random_model(seed, unknowns=4, rows=5, equalities=1, constraints=None):
+    """With `constraints`, rows are dealt out to so many that are the largest of several terms."""
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(unknowns, unknowns))
+    which = np.arange(rows) if constraints is None else np.arange(rows) % constraints
+    return Model(
+        random.normal(size=unknowns),
+        root.T @ root + 0.1 * np.eye(unknowns),
+        random.normal(size=rows),
+        random.normal(size=(rows, unknowns)),
+        which.astype(np.intp),
+        np.arange(rows) < equalities,
+    )
+
+
+def objective(model, penalty, step):
+    return model.change(step) + penalty * model.violation(step)
+
+
+def by_scipy(model, penalty, radius):
+    """The same with SLSQP: the violations are unknowns of their own, above all their terms."""
+    n, m = len(model.gradient), 1 + int(model.constraint.max())
+    signed = np.vstack([model.slopes, -model.slopes[model.equality]])
+    values = np.concatenate([model.values, -model.values[model.equality]])
+    of = np.concatenate([model.constraint, model.constraint[model.equality]])
+    matrix = np.hstack([-signed, np.eye(m)[of]])
+    found = minimize(
+        lambda z: model.change(z[:n]) + penalty * z[n:].sum(),
+        np.concatenate([np.zeros(n), np.full(m, 10.0)]),
+        jac=lambda z: np.append(model.gradient + model.hessian @ z[:n], np.full(m, penalty)),
+        method="SLSQP",
+        bounds=[(-radius, radius)] * n + [(0.0, None)] * m,
+        constraints={"type": "ineq", "fun": lambda z: matrix @ z - values, "jac": lambda z: matrix},
+        options={"ftol": 1e-14, "maxiter": 500},
+    )
+    return found.x[:n]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+class TestAgainstScipy:
+    @pytest.mark.parametrize("penalty", [0.1, 100.0])
+    @pytest.mark.parametrize("constraints", [None, 2])
+    def test_constraints(self, seed, penalty, constraints):
+        equalities = 1 if constraints is None else 0
+        model = random_model(seed, equalities=equalities, constraints=constraints)
+        step, _ = penalised_step(model, penalty, np.full(4, -1.0), np.full(4, 1.0))
+        wanted = objective(model, penalty, by_scipy(model, penalty, 1.0))
+        assert objective(model, penalty, step) <= wanted + 1e-7 * max(1.0, abs(wanted))
+
+    def test_bounds_only(self, seed):
+        model = random_model(seed, rows=0, equalities=0)
+        step, _ = penalised_step(model, 1.0, np.full(4, -0.3), np.full(4, 0.5))
+        root = np.linalg.cholesky(model.hessian).T
+        target = -np.linalg.solve(root.T, model.gradient)
+        found = lsq_linear(root, target, (-0.3, 0.5), method="bvls", tol=1e-14)
+        np.testing.assert_allclose(step, found.x, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_multipliers_balance_the_gradient(seed):
+    """In a wide box, where no bound takes part: the conditions of Karush, Kuhn and Tucker."""
+    model, penalty = random_model(seed), 3.0
+    step, multipliers = penalised_step(model, penalty, np.full(4, -30.0), np.full(4, 30.0))
+    slope = model.gradient + model.hessian @ step + model.slopes.T @ multipliers
+    np.testing.assert_allclose(slope, 0.0, atol=1e-6)
+    values = model.values + model.slopes @ step
+    assert (np.abs(multipliers) <= penalty * (1.0 + 1e-9)).all()
+    assert (multipliers[~model.equality] >= -1e-9).all()
+    np.testing.assert_allclose(multipliers[values > 1e-6], penalty, rtol=1e-6)
+    slack = ~model.equality & (values < -1e-6)
+    np.testing.assert_allclose(multipliers[slack], 0.0, atol=1e-6)
+
+
+def test_a_large_penalty_satisfies_constraints_that_can_be_satisfied():
+    model = Model(
+        np.array([-1.0, 0.0]),
+        np.zeros((2, 2)),
+        np.array([-0.25, 0.0]),
+        np.array([[1.0, 1.0], [1.0, -1.0]]),
+        np.arange(2, dtype=np.intp),
+        np.array([False, True]),
+    )
+    step, multipliers = penalised_step(model, 100.0, -np.ones(2), np.ones(2))
+    np.testing.assert_allclose(step, [0.125, 0.125], atol=1e-9)
+    np.testing.assert_allclose(multipliers, [0.5, 0.5], atol=1e-9)
+
+
+def test_units_of_the_unknowns_do_not_matter():
+    model, scale = random_model(3), np.array([1e8, 1e-6, 1.0, 1e3])
+    scaled = Model(
+        model.gradient / scale,
+        model.hessian / np.outer(scale, scale),
+        model.values,
+        model.slopes / scale,
+        model.constraint,
+        model.equality,
+    )
+    plain, _ = penalised_step(model, 5.0, -np.ones(4), np.ones(4))
+    step, _ = penalised_step(scaled, 5.0, -scale, scale)
+    np.testing.assert_allclose(step / scale, plain, rtol=1e-9, atol=1e-12)
+
+
+def test_unknowns_without_room_stay():
+    model = random_model(1)
+    lower, upper = np.array([-1.0, 0.0, -1.0, 0.0]), np.array([1.0, 0.0, 1.0, 0.0])
+    step, _ = penalised_step(model, 5.0, lower, upper)
+    assert (step[[1, 3]] == 0.0).all()
+    assert (step[[0, 2]] != 0.0).all()
+    step, multipliers = penalised_step(model, 5.0, np.zeros(4), np.zeros(4))
+    assert (step == 0.0).all()
+    assert (multipliers == 0.0).all()
+
+
+@pytest.mark.parametrize("value", [-1e3, -1.0, 1.0])
+def test_constraints_that_no_step_changes_do_not_matter(value):
+    model = random_model(2)
+    flat = Model(
+        model.gradient,
+        model.hessian,
+        np.append(model.values, value),
+        np.vstack([model.slopes, np.zeros(4)]),
+        np.arange(6, dtype=np.intp),
+        np.append(model.equality, False),
+    )
+    plain, multipliers = penalised_step(model, 5.0, -np.ones(4), np.ones(4))
+    step, more = penalised_step(flat, 5.0, -np.ones(4), np.ones(4))
+    np.testing.assert_allclose(step, plain, atol=1e-6)
+    np.testing.assert_allclose(more[:5], multipliers, atol=1e-5)
