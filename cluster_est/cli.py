@@ -1,4 +1,4 @@
-"""The command line: check, fit, close-loop, show, simulate.
+"""The command line: check, fit, close-loop, show, simulate, sweep.
 
 Exit codes: 0 done; 1 ran, but did not reach a solution; 2 bad input, with a sentence; 130
 interrupted.
@@ -76,6 +76,7 @@ def _parser() -> argparse.ArgumentParser:
         "--run", dest="run_folder", type=Path, help="take the values from this run's estimates"
     )
     simulate.set_defaults(run=_simulate)
+    _add_sweep(commands)
 
     show = commands.add_parser("show", help="print a run's parameters and errors")
     show.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
@@ -85,18 +86,36 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_sweep(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "do every fit of a sweep that is not done yet"
+    sweep = commands.add_parser("sweep", help=summary, description=summary[0].upper() + summary[1:])
+    sweep.add_argument("sweep", metavar="SWEEP", type=Path, help="the TOML file of the sweep")
+    sweep.add_argument(
+        "--out", type=Path, required=True, help="folder with a run folder for each run"
+    )
+    sweep.add_argument(
+        "--retry-failed", action="store_true", help="try again what failed, even if unchanged"
+    )
+    _add_allow_code(sweep)
+    sweep.set_defaults(run=_sweep)
+
+
 def _command(
     commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, summary: str
 ) -> argparse.ArgumentParser:
     command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:])
     command.add_argument("config", metavar="CONFIG", type=Path, help="the TOML file")
     command.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides of keys")
+    _add_allow_code(command)
+    return command
+
+
+def _add_allow_code(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--allow-code",
         action="store_true",
         help="let Python functions that the config names run, here and on the workers",
     )
-    return command
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -137,6 +156,17 @@ def _simulate(options: argparse.Namespace) -> int:
         options.overrides,
         options.out,
         options.run_folder,
+        allow_code=options.allow_code,
+    )
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    from cluster_est.commands import sweep
+
+    return sweep(
+        options.sweep,
+        options.out,
+        retry_failed=options.retry_failed,
         allow_code=options.allow_code,
     )
 

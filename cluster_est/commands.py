@@ -39,6 +39,7 @@ from cluster_est.run_folder import (
 )
 from cluster_est.runner import Iteration, Origin
 from cluster_est.space import make_space
+from cluster_est.sweep_printing import print_sweep
 from cluster_est.toml import to_toml
 from workers.messages import Outcome
 
@@ -175,6 +176,25 @@ def show(run_folder: Path, *, iterations: bool, search: str | None) -> int:
     else:
         print_any_run(Console(), run_folder)
     return DONE
+
+
+def sweep(path: Path, out: Path, *, retry_failed: bool, allow_code: bool) -> int:
+    """Do what a sweep still lacks, and print a line for each of its runs."""
+    from cluster_est.sweep import sweep as run_sweep
+
+    errors = Console(stderr=True)
+    swept = run_sweep(
+        path,
+        out,
+        lambda text: say(errors, text),
+        lambda budget: ProgressLine(errors, budget),
+        retry_failed=retry_failed,
+        allow_code=allow_code,
+    )
+    print_sweep(Console(), out, swept.rows, swept.ran)
+    if swept.interrupted:
+        return INTERRUPTED
+    return DONE if swept.success else NO_SOLUTION
 
 
 def read_estimates(run_folder: Path) -> dict[str, float]:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, Strict
 from pydantic_core import PydanticCustomError
 
-from cluster_est.section_types import Count, Finite, Pair, Positive, Section
+from cluster_est.section_types import LARGEST, Count, Finite, Pair, Positive, Section
 
 
 def _level(value: Any) -> Any:
@@ -139,7 +139,9 @@ class UncertaintySection(Section):
     bootstrap: Count = Field(0, description="draws of experiments with a refit each; 0: none")
     confidence: Finite = Field(0.95, ge=0.5, lt=1.0, description="of profiles and bootstrap")
     steps: Positive = Field(4, description="refits at least on each side of a profile")
-    max_steps: Count = Field(20, gt=1, description="refits on a side, then it is called flat")
+    max_steps: int = Field(
+        20, ge=2, le=LARGEST, description="refits on a side, then it is called flat"
+    )
     rise: Finite = Field(
         0.0, ge=0.0, description="of the cost at a profile's ends; 0: from the residuals"
     )

@@ -7,13 +7,13 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, Strict
 from pydantic_core import PydanticCustomError
 
-_LARGEST = 2**63 - 1
+LARGEST = 2**63 - 1
 """Of the integers that compiled code counts with."""
 
 
 def _known(value: Any) -> Any:
     """A known value keeps its type: the FMU's variable decides which it must be."""
-    largest = _LARGEST if isinstance(value, int) else float("inf")
+    largest = LARGEST if isinstance(value, int) else float("inf")
     if isinstance(value, bool | int | float) and abs(value) < largest:
         return value
     raise PydanticCustomError("known", "must be a finite number, true or false")
@@ -37,8 +37,8 @@ def as_group(value: Any) -> Any:
     raise PydanticCustomError("group", 'must be a label or { KEY = "label" }')
 
 
-Count = Annotated[int, Field(ge=0, le=_LARGEST)]
-Positive = Annotated[int, Field(gt=0, le=_LARGEST)]
+Count = Annotated[int, Field(ge=0, le=LARGEST)]
+Positive = Annotated[int, Field(gt=0, le=LARGEST)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Known = Annotated[float | int | bool, PlainValidator(_known)]
 Pair = Annotated[tuple[Finite, Finite], Strict(False)]

@@ -14,7 +14,7 @@ from cluster_est.search_sections import (
     MultistartSection,
     UncertaintySection,
 )
-from cluster_est.section_types import Count, Finite, Known, Section
+from cluster_est.section_types import LARGEST, Count, Finite, Known, Section
 
 
 class ModelSection(Section):
@@ -108,7 +108,9 @@ class ClosedLoopSection(Section):
     significance: Finite = Field(
         0.01, gt=0.0, lt=1.0, description="largest p-value at which something counts as missing"
     )
-    draws: Count = Field(2000, gt=99, description="Monte Carlo draws of each null distribution")
+    draws: int = Field(
+        2000, ge=100, le=LARGEST, description="Monte Carlo draws of each null distribution"
+    )
     trials: Count = Field(30, gt=0, description="candidates tried by a real simulation")
     refits: Count = Field(12, gt=0, description="of those, how many are refitted")
     starts: Count = Field(

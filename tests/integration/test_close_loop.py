@@ -205,6 +205,7 @@ def test_an_interrupt_ends_it_with_a_sentence(closed, tmp_path):
     code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
     code += "from cluster_est.cli import main; sys.exit(main(sys.argv[1:]))"
     endless = ["closed_loop.effects=[]", "closed_loop.sites=[]", "closed_loop.trials=1000"]
+    endless += ["closed_loop.draws=200000"]
     arguments = ["close-loop", str(closed[0]), "--out", str(run), *endless]
     process = subprocess.Popen(
         [sys.executable, "-c", code, *arguments], stderr=subprocess.PIPE, text=True
