@@ -28,6 +28,7 @@ from workers.description import Description, describe, nearest
 from workers.effects.site import parse_site
 from workers.messages import (
     Interface,
+    Limits,
     Model,
     Solver,
     SolverName,
@@ -182,7 +183,14 @@ def build_resources(config: Config) -> Resources:
         workers=config.executor.workers,
         address=config.executor.address,
         budget=Budget(config.budget.evaluations, config.budget.seconds),
+        limits=_limits(config),
     )
+
+
+def _limits(config: Config) -> Limits:
+    section = config.executor
+    memory = float("inf") if section.memory is None else section.memory * 2.0**20
+    return Limits(section.timeout, section.patience, memory, section.growth * 2.0**20)
 
 
 def _check_option(where: str, value: Any, hint: Any, least: float | None) -> None:

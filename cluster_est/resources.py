@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 from cluster_est.executors import Executor, executor_class
 from cluster_est.problem import Problem
 from cluster_est.runner import Budget
+from workers.messages import Limits
 
 
 @dataclass(frozen=True)
@@ -19,19 +20,22 @@ class Resources:
     Attributes
     ----------
     executor
-        "local" or "ray".
+        "local", "processes" or "ray".
     workers
-        None for one with "local", and every core of the cluster with "ray".
+        None for every core of the cluster with "ray", and one with the others.
     address
         Of a Ray cluster; None for this machine alone.
     budget
         When to stop.
+    limits
+        When a simulation is ended from outside; "local" cannot do that.
     """
 
     executor: str = "local"
     workers: int | None = None
     address: str | None = None
     budget: Budget = field(default_factory=Budget)
+    limits: Limits = field(default_factory=Limits)
 
 
 def one_blas_thread() -> Any:
@@ -46,4 +50,5 @@ def one_blas_thread() -> Any:
 def open_executor(problem: Problem, resources: Resources) -> Executor:
     """Start the workers for a problem."""
     kind = executor_class(resources.executor)
-    return kind.open(problem.model, problem.experiments, resources.workers, resources.address)
+    where = resources.workers, resources.address, resources.limits
+    return kind.open(problem.model, problem.experiments, *where)

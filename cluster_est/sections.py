@@ -124,12 +124,26 @@ class ClosedLoopSection(Section):
 
 
 class ExecutorSection(Section):
-    name: str = Field("local", description="local or ray")
+    name: str = Field("local", description="local, processes or ray")
     workers: Count | None = Field(
-        None, gt=0, description="default: 1 for local, every core of the cluster for ray"
+        None, gt=0, description="default: every core of the cluster for ray, else 1"
     )
     address: str | None = Field(
         None, description='of a Ray cluster, e.g. "auto"; default: this machine alone'
+    )
+    timeout: Finite = Field(
+        600.0, gt=0.0, description="seconds that one simulation may take; not with local"
+    )
+    patience: Finite = Field(
+        50.0,
+        ge=0.0,
+        description="times as long as usual that one may take, and a second; 0: no such limit",
+    )
+    memory: Finite | None = Field(
+        None, gt=0.0, description="MB that a worker's simulation may have; default: no limit"
+    )
+    growth: Finite = Field(
+        256.0, gt=0.0, description="MB by which an FMU may leak before its process is replaced"
     )
 
 

@@ -21,7 +21,7 @@ class SharedPools:
     def __init__(self) -> None:
         self._key: tuple[Any, ...] = ()
         self._executor: Executor | None = None
-        self._ray: Executor | None = None
+        self._connected = False
 
     def open(self, problem: Problem, resources: Resources) -> Executor:
         """The workers for a problem; they must not be closed.
@@ -35,10 +35,10 @@ class SharedPools:
         # What a run left behind, stopped by its budget, must not come back in the next one.
         if self._executor is None or key != self._key or self._executor.busy:
             self._drop()
+            if resources.executor == "ray":
+                self._connected |= _connect(resources)
             self._executor = open_executor(problem, resources)
             self._key = key
-            if resources.executor == "ray" and self._ray is None:
-                self._ray = _take_ray(self._executor, problem)
         return self._executor
 
     def _drop(self) -> None:
@@ -49,9 +49,11 @@ class SharedPools:
     def close(self) -> None:
         """Stop the workers, and Ray if it was started here."""
         self._drop()
-        if self._ray is not None:
-            self._ray.close()
-            self._ray = None
+        if self._connected:
+            from cluster_est.executors.ray_cluster import disconnect
+
+            self._connected = False
+            disconnect()
 
     def __enter__(self) -> Self:
         return self
@@ -76,10 +78,7 @@ def pool_key(problem: Problem, resources: Resources) -> tuple[Any, ...]:
     )
 
 
-def _take_ray(pool: Any, problem: Problem) -> Executor:
-    """A pool without workers that stops Ray in the end, if this one would have."""
-    from cluster_est.executors.ray_pool import RayPool  # a second to import
+def _connect(resources: Resources) -> bool:
+    from cluster_est.executors.ray_cluster import connect  # a second to import
 
-    owner = RayPool(problem.model, (), 0, owns_ray=pool._owns_ray)
-    pool._owns_ray = False
-    return owner
+    return connect(resources.workers, resources.address)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import itertools
 import os
 import threading
 import weakref
@@ -45,7 +44,12 @@ _BOTH = {
 }
 
 _loading = threading.Lock()
-_serial = itertools.count()
+_made = 0
+
+
+def instances() -> int:
+    """How many instances of FMUs this process has made so far."""
+    return _made
 
 
 class Instance:
@@ -92,7 +96,10 @@ class Instance:
         exchange = self._model.interface == "model_exchange"
         make = FMU2Model if exchange else FMU2Slave
         interface = raw.modelExchange if exchange else raw.coSimulation
-        name = f"{interface.modelIdentifier}-{next(_serial)}"
+        global _made
+        with _loading:
+            _made += 1
+            name = f"{interface.modelIdentifier}-{_made}"
         _logs[name] = self.log
         try:
             with _loading, _same_folder():

@@ -351,6 +351,28 @@ class Task:
     effects: tuple[Effect, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a simulation in a process of its own is ended from outside.
+
+    Attributes
+    ----------
+    seconds
+        Longest that one simulation may take.
+    patience
+        How many times as long as usual it may take, beyond a second; 0 for no such limit.
+    memory
+        Most bytes that the process may have in memory.
+    growth
+        Bytes by which it may grow over many simulations before it is replaced by a fresh one.
+    """
+
+    seconds: float = 600.0
+    patience: float = 50.0
+    memory: float = float("inf")
+    growth: float = 256.0 * 2**20
+
+
 class Status(enum.StrEnum):
     """How a task ended. A member's text is what a person reads."""
 
@@ -358,6 +380,7 @@ class Status(enum.StrEnum):
     SOLVER_FAILURE = "solver failure"
     NOT_FINITE = "not finite"
     TIMEOUT = "timeout"
+    OUT_OF_MEMORY = "out of memory"
     CRASH = "crash"
     LOST_WORKER = "lost worker"
 

@@ -12,6 +12,7 @@ from cluster_est.executors.base import Executor
 
 EXECUTORS = {
     "local": "cluster_est.executors.local:LocalExecutor",
+    "processes": "cluster_est.executors.processes:ProcessExecutor",
     "ray": "cluster_est.executors.ray_pool:RayPool",
 }
 

@@ -37,6 +37,14 @@ class Backlog:
     def add(self, tasks: Iterable[Task]) -> None:
         self._tasks.extend(tasks)
 
+    def add_first(self, task: Task) -> None:
+        """Queue a task before all others: it has waited once already."""
+        self._tasks.appendleft(task)
+
+    def expected(self, batch: Batch) -> float:
+        """Seconds that a batch usually takes."""
+        return sum(self._seconds.get(e, FIRST_GUESS) for e in batch.experiments.tolist())
+
     def clear(self) -> None:
         self._tasks.clear()
 

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from types import TracebackType
 from typing import ClassVar, Self
 
-from workers.messages import Experiment, Model, Outcome, Task
+from workers.messages import Experiment, Limits, Model, Outcome, Task
 
 
 class Executor(ABC):
@@ -31,6 +31,7 @@ class Executor(ABC):
         experiments: tuple[Experiment, ...],
         workers: int | None,
         address: str | None,
+        limits: Limits | None = None,
     ) -> Self:
         """Start workers and install the model and its experiments on each.
 
@@ -42,6 +43,8 @@ class Executor(ABC):
             How many; None for the executor's default.
         address
             Of a cluster, for executors that have one.
+        limits
+            When a simulation is ended from outside, for executors that can.
 
         Raises
         ------

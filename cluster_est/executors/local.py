@@ -5,29 +5,37 @@ from __future__ import annotations
 import queue
 from collections.abc import Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from typing import ClassVar, Self
+from typing import ClassVar, Protocol, Self
 
 from cluster_est.executors.backlog import Backlog
 from cluster_est.executors.base import Executor
 from workers.description import describe
 from workers.evaluate import Evaluator
-from workers.messages import Experiment, Model, Outcome, Task
+from workers.messages import Experiment, Limits, Model, Outcome, Task
 from workers.wire import Batch
+
+
+class _Evaluates(Protocol):
+    """An evaluator, or what stands before one."""
+
+    def evaluate(self, batch: Batch) -> list[Outcome]: ...
+
+    def close(self) -> None: ...
 
 
 class LocalExecutor(Executor):
     """One thread for each worker, each with an instance of the FMU; with one worker, no thread.
 
     The default, for fits that take seconds. An FMU that crashes takes this process with it, and not
-    every FMU allows several instances in one process: `ray` has neither weakness.
+    every FMU allows several instances in one process: `processes` and `ray` have neither weakness.
     """
 
     name: ClassVar[str] = "local"
 
-    def __init__(self, evaluators: Sequence[Evaluator]) -> None:
+    def __init__(self, evaluators: Sequence[_Evaluates]) -> None:
         self.workers = len(evaluators)
         self._evaluators = list(evaluators)
-        self._idle: queue.SimpleQueue[Evaluator] = queue.SimpleQueue()
+        self._idle: queue.SimpleQueue[_Evaluates] = queue.SimpleQueue()
         for evaluator in evaluators:
             self._idle.put(evaluator)
         self._backlog = Backlog(shares=2 * self.workers)
@@ -41,6 +49,7 @@ class LocalExecutor(Executor):
         experiments: tuple[Experiment, ...],
         workers: int | None,
         address: str | None,
+        limits: Limits | None = None,
     ) -> Self:
         count = workers or 1
         if count > 1 and describe(model.name, model.archive).once_per_process:

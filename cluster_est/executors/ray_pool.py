@@ -1,30 +1,40 @@
 """Simulations in Ray actors, one for each core, on this machine or a cluster.
 
-Two batches are in flight for each actor, so that it never waits for the coordinator. An actor that
-dies is replaced, and each task that it had is asked again with nothing else in flight on the same
-actor: the one that kills its actor even then becomes an outcome with the status "crash".
+Two batches are in flight for each actor, so that it never waits for the coordinator. Actors may
+come and go: what a lost one had is asked again elsewhere, what takes much longer than usual is
+asked twice where a worker is idle, and the first answer counts. An FMU that crashes or hangs takes
+no actor with it (see `workers.guard`), so a task is given up only after many lost workers.
 """
 
 from __future__ import annotations
 
-import contextlib
-import logging
-import os
+import time
 from collections import Counter, deque
 from collections.abc import Collection, Sequence
 from typing import Any, ClassVar, NamedTuple, Self
 
 import ray
-from ray.exceptions import RayActorError, RayError, RayTaskError
+from ray.exceptions import RayError, RayTaskError
 
-from cluster_est.errors import ExecutorError, ModelError
 from cluster_est.executors.backlog import Backlog
 from cluster_est.executors.base import Executor
+from cluster_est.executors.ray_cluster import connect, cores, disconnect, why_not_started
 from workers.actor import Worker
-from workers.messages import Experiment, Model, Outcome, Status, Task
+from workers.messages import Experiment, Limits, Model, Outcome, Status, Task
 from workers.wire import Answers, Batch
 
 IN_FLIGHT = 2
+LOOK_SECONDS = 0.5
+"""How often stragglers are looked for while nothing comes back."""
+CLUSTER_SECONDS = 5.0
+"""How often the size of the cluster is looked at."""
+LATE, GRACE_SECONDS = 3.0, 0.5
+"""A batch is late after so many times what is usual, and this."""
+ALONE, GIVEN_UP = 3, 6
+"""Lost workers after which a task is sent alone, and after which it is not sent any more."""
+START_SECONDS = 10.0
+"""How long all workers are waited for, once there is one."""
+FAILED_STARTS = 20
 
 
 class _Flight(NamedTuple):
@@ -33,6 +43,7 @@ class _Flight(NamedTuple):
     actor: str
     batch: Batch
     alone: bool
+    begin: float
 
 
 class RayPool(Executor):
@@ -44,21 +55,25 @@ class RayPool(Executor):
         self,
         model: Model,
         experiments: tuple[Experiment, ...],
-        workers: int,
+        workers: int | None,
+        limits: Limits,
         *,
         owns_ray: bool,
     ) -> None:
-        self.workers = workers
+        self._fixed = workers
         self._owns_ray = owns_ray
-        self._model = ray.put(model)
-        self._experiments = ray.put(experiments)
-        self._backlog = Backlog(shares=2 * IN_FLIGHT * workers)
+        self._installation = ray.put(model), ray.put(experiments), limits
+        self._backlog = Backlog(shares=2 * IN_FLIGHT * self.workers)
+        self._starting: dict[Any, tuple[str, Any]] = {}
         self._actors: dict[str, Any] = {}
         self._flying: dict[Any, _Flight] = {}
         self._suspects: deque[Task] = deque()
-        self._started = 0
-        for _ in range(workers):
-            self._start_actor()
+        self._open: set[int] = set()
+        self._twice: set[int] = set()
+        self._lost: Counter[int] = Counter()
+        self._started = self._failed = 0
+        self._looked = time.monotonic()
+        self._start_missing()
 
     @classmethod
     def open(
@@ -67,57 +82,113 @@ class RayPool(Executor):
         experiments: tuple[Experiment, ...],
         workers: int | None,
         address: str | None,
+        limits: Limits | None = None,
     ) -> Self:
-        owns_ray = not ray.is_initialized()
-        if owns_ray:
-            _connect(workers, address)
-        count = workers or int(ray.cluster_resources().get("CPU", 1))
-        pool = cls(model, experiments, count, owns_ray=owns_ray)
+        owns_ray = connect(workers, address)
+        pool = cls(model, experiments, workers, limits or Limits(), owns_ray=owns_ray)
         try:
-            ray.get([actor.ready.remote() for actor in pool._actors.values()])
-        except (RayError, ModelError) as error:
+            pool._wait_for_workers()
+        except BaseException:
             pool.close()
-            raise _why_not_started(error) from error
+            raise
         return pool
 
+    @property
+    def workers(self) -> int:  # type: ignore[override]
+        """As many as wanted, or as there are cores at the moment."""
+        return self._fixed or cores()
+
     def submit(self, tasks: Sequence[Task]) -> None:
+        self._open.update(task.id for task in tasks)
         self._backlog.add(tasks)
         self._fill()
 
     def completed(self) -> list[Outcome]:
         outcomes: list[Outcome] = []
-        while self._flying and not outcomes:
-            done, _ = ray.wait(list(self._flying), num_returns=1)
-            also, _ = ray.wait(list(self._flying), num_returns=len(self._flying), timeout=0)
+        while self._open and not outcomes:
+            waiting = [*self._flying, *self._starting]
+            done, _ = ray.wait(waiting, num_returns=1, timeout=LOOK_SECONDS)
+            also, _ = ray.wait(waiting, num_returns=len(waiting), timeout=0)
             for reference in dict.fromkeys([*done, *also]):
-                outcomes += self._collect(reference)
+                if reference in self._starting:
+                    self._join(reference)
+                else:
+                    outcomes += self._collect(reference)
+            self._look()
             self._fill()
         return outcomes
 
     def cancel(self, tasks: Collection[int]) -> list[int]:
-        return self._backlog.remove(tasks)
+        removed = self._backlog.remove(tasks)
+        self._open.difference_update(removed)
+        return removed
 
     @property
     def busy(self) -> int:
         return len({flight.actor for flight in self._flying.values()})
 
     def close(self) -> None:
-        for actor in self._actors.values():
+        for actor in [*self._actors.values(), *(actor for _, actor in self._starting.values())]:
             ray.kill(actor)
-        self._actors.clear()
-        self._flying.clear()
-        self._suspects.clear()
+        for kept in (self._actors, self._starting, self._flying, self._suspects, self._open):
+            kept.clear()
         self._backlog.clear()
         if self._owns_ray:
             self._owns_ray = False
-            ray.shutdown()
+            disconnect()
 
-    def _start_actor(self) -> None:
-        name = f"ray-{self._started}"
-        self._started += 1
-        self._actors[name] = Worker.remote(  # type: ignore[attr-defined]
-            self._model, self._experiments, name
-        )
+    def _wait_for_workers(self) -> None:
+        """Wait for one worker however long it takes, and a little for the others."""
+        begin = time.monotonic()
+        while self._starting:
+            left = max(begin + START_SECONDS - time.monotonic(), 0.0) if self._actors else None
+            done, _ = ray.wait(list(self._starting), num_returns=1, timeout=left)
+            if not done:
+                return
+            self._join(done[0])
+
+    def _start_missing(self) -> None:
+        for _ in range(self.workers - len(self._actors) - len(self._starting)):
+            name = f"ray-{self._started}"
+            self._started += 1
+            actor = Worker.remote(*self._installation, name)  # type: ignore[attr-defined]
+            self._starting[actor.ready.remote()] = name, actor
+
+    def _join(self, reference: Any) -> None:
+        """A worker is ready, or has failed to start."""
+        name, actor = self._starting.pop(reference)
+        try:
+            ray.get(reference)
+        except RayError as error:
+            self._failed += 1
+            if isinstance(error, RayTaskError) or not self._actors or self._failed > FAILED_STARTS:
+                raise why_not_started(error) from error
+            self._start_missing()
+            return
+        self._failed = 0
+        self._actors[name] = actor
+
+    def _look(self) -> None:
+        """Give what is late to idle workers too; follow a cluster that grows."""
+        now = time.monotonic()
+        if not (self._backlog or self._suspects):
+            self._duplicate(now)
+        if now - self._looked > CLUSTER_SECONDS:
+            self._looked = now
+            self._start_missing()
+
+    def _duplicate(self, now: float) -> None:
+        load = Counter(flight.actor for flight in self._flying.values())
+        idle = [name for name in self._actors if not load[name]]
+        for flight in sorted(self._flying.values(), key=lambda flight: flight.begin):
+            ids = self._open.intersection(flight.batch.ids.tolist()) - self._twice
+            usual = self._backlog.expected(flight.batch)
+            if not idle or now - flight.begin < GRACE_SECONDS + LATE * usual:
+                return
+            if ids:
+                self._twice |= ids
+                again = Batch.of([task for task in flight.batch.tasks() if task.id in ids])
+                self._send(idle.pop(), again, alone=flight.alone)
 
     def _fill(self) -> None:
         """Give idle actors one suspect each, and all others their share of what waits."""
@@ -125,6 +196,7 @@ class RayPool(Executor):
         for name in self._actors:
             if self._suspects and not load[name]:
                 self._send(name, Batch.of([self._suspects.popleft()]), alone=True)
+                load[name] += 1
         reserved = {flight.actor for flight in self._flying.values() if flight.alone}
         for level in range(IN_FLIGHT):
             for name in self._actors:
@@ -134,66 +206,55 @@ class RayPool(Executor):
 
     def _send(self, name: str, batch: Batch, *, alone: bool) -> None:
         reference = self._actors[name].evaluate.remote(batch)
-        self._flying[reference] = _Flight(name, batch, alone)
+        self._flying[reference] = _Flight(name, batch, alone, time.monotonic())
 
     def _collect(self, reference: Any) -> list[Outcome]:
+        """Outcomes that nobody else has given yet."""
         flight = self._flying.pop(reference)
         try:
             answers: Answers = ray.get(reference)
-        except RayActorError as error:
-            self._replace(flight.actor)
-            if flight.alone:
-                return [_crash(flight.batch, error)]
-            self._suspects += flight.batch.tasks()
-            return []
+        except RayTaskError:
+            raise
+        except RayError as error:
+            return self._recover(flight, error)
         outcomes = answers.outcomes()
         self._backlog.learn(flight.batch, outcomes)
-        return outcomes
+        return self._first(outcomes)
+
+    def _first(self, outcomes: list[Outcome]) -> list[Outcome]:
+        first = [outcome for outcome in outcomes if outcome.task in self._open]
+        for outcome in first:
+            self._open.discard(outcome.task)
+            self._twice.discard(outcome.task)
+            self._lost.pop(outcome.task, None)
+        return first
+
+    def _recover(self, flight: _Flight, error: RayError) -> list[Outcome]:
+        """Replace a lost worker and ask again for what it had; outcomes of what is given up."""
+        self._replace(flight.actor)
+        given_up = []
+        for task in flight.batch.tasks():
+            if task.id not in self._open:
+                continue
+            self._twice.discard(task.id)
+            self._lost[task.id] += 1
+            if self._lost[task.id] >= GIVEN_UP:
+                given_up.append(_lost(task, error))
+            elif self._lost[task.id] >= ALONE:
+                self._suspects.append(task)
+            else:
+                self._backlog.add_first(task)
+        return self._first(given_up)
 
     def _replace(self, name: str) -> None:
         """Start another actor instead of a dead one, which is killed in case it only seems dead."""
         actor = self._actors.pop(name, None)
         if actor is not None:
             ray.kill(actor)
-            self._start_actor()
+            self._start_missing()
 
 
-def _crash(batch: Batch, error: RayActorError) -> Outcome:
+def _lost(task: Task, error: RayError) -> Outcome:
     line = (str(error).splitlines() or ["the process ended"])[0]
-    message = f"the worker process died during this simulation ({line})"
-    return Outcome(int(batch.ids[0]), Status.CRASH, message=message)
-
-
-def _connect(workers: int | None, address: str | None) -> None:
-    """Join a cluster, or start Ray on this machine alone."""
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    local = address in (None, "", "local")
-    try:
-        ray.init(
-            address="local" if local else address,
-            num_cpus=workers if local else None,
-            include_dashboard=False if local else None,
-            logging_level=logging.ERROR,
-            log_to_driver=False,
-        )
-    except (ConnectionError, RuntimeError, ValueError, RayError) as error:
-        line = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ExecutorError(
-            f"executor.address: no Ray cluster answers at {address!r} ({line}); start one, or "
-            "remove the key to use this machine"
-        ) from error
-
-
-def _why_not_started(error: Exception) -> Exception:
-    """The model's own error where there is one, else a sentence around Ray's."""
-    cause: BaseException | None = error
-    with contextlib.suppress(AttributeError):
-        cause = error.cause if isinstance(error, RayTaskError) else error
-    if isinstance(cause, ModelError):
-        return ModelError(str(cause))
-    text = str(error)
-    marker = "ModelError: "
-    if marker in text:
-        return ModelError(text.split(marker, 1)[1].splitlines()[0])
-    line = (text.splitlines() or [type(error).__name__])[0]
-    return ExecutorError(f"executor: the workers did not start ({line})")
+    message = f"{GIVEN_UP} workers were lost during this simulation; the last one said: {line}"
+    return Outcome(task.id, Status.LOST_WORKER, message=message)

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from cluster_est.executors.base import Executor
-from workers.messages import Experiment, FloatArray, Model, Outcome, Status, Task
+from workers.messages import Experiment, FloatArray, Limits, Model, Outcome, Status, Task
 
 Answer = Callable[[Task], FloatArray]
 Seconds = Callable[[Task, np.random.Generator], float]
@@ -72,6 +72,7 @@ class VirtualExecutor(Executor):
         experiments: tuple[Experiment, ...],
         workers: int | None,
         address: str | None,
+        limits: Limits | None = None,
     ) -> Self:
         raise NotImplementedError("a virtual executor is made from functions, not from a model")
 

@@ -19,7 +19,13 @@ from workers.evaluate import Evaluator
 from workers.messages import Experiment, Input, Model, Outcome, Output, Solver, Status, Task, Want
 from workers.wire import Batch
 
-OPENERS = {"local-1": ("local", 1), "local-3": ("local", 3), "ray-2": ("ray", 2)}
+OPENERS = {
+    "local-1": ("local", 1),
+    "local-3": ("local", 3),
+    "processes-1": ("processes", 1),
+    "processes-2": ("processes", 2),
+    "ray-2": ("ray", 2),
+}
 
 SPRING = Model(
     "mass.fmu",
@@ -189,7 +195,7 @@ class TestContract:
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("setup", ["ray-2"], indirect=True)
+@pytest.mark.parametrize("setup", ["processes-1", "processes-2", "ray-2"], indirect=True)
 def test_task_that_aborts_its_process_is_a_crash_and_spares_all_others(
     setup: Setup, built_fmu: Callable[[str], bytes]
 ) -> None:
@@ -206,7 +212,9 @@ def test_task_that_aborts_its_process_is_a_crash_and_spares_all_others(
             for i, outcome in gather(executor, tasks).items():
                 if i in killers:
                     assert outcome.status is Status.CRASH
-                    assert outcome.message.startswith("the worker process died during this")
+                    assert outcome.message.startswith(
+                        "the process crashed during this simulation (SIGABRT"
+                    )
                     assert outcome.residuals is None
                 else:
                     assert same(outcome, evaluator.evaluate(Batch.of([tasks[i]]))[0])

@@ -1,0 +1,71 @@
+"""Joining a Ray cluster, or starting one on this machine alone."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+
+import ray
+from ray.exceptions import RayError, RayTaskError
+
+from cluster_est.errors import ExecutorError, ModelError
+
+
+def connect(workers: int | None, address: str | None) -> bool:
+    """Join the cluster at an address, or start Ray here with as many cores as workers.
+
+    Returns
+    -------
+    bool
+        False if this process was connected already: then somebody else disconnects it.
+
+    Raises
+    ------
+    ExecutorError
+        If no cluster answers there.
+    """
+    if ray.is_initialized():
+        return False
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    local = address in (None, "", "local")
+    try:
+        ray.init(
+            address="local" if local else address,
+            num_cpus=workers if local else None,
+            include_dashboard=False if local else None,
+            logging_level=logging.ERROR,
+            log_to_driver=False,
+        )
+    except (ConnectionError, RuntimeError, ValueError, RayError) as error:
+        line = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ExecutorError(
+            f"executor.address: no Ray cluster answers at {address!r} ({line}); start one, or "
+            "remove the key to use this machine"
+        ) from error
+    return True
+
+
+def disconnect() -> None:
+    """Leave the cluster; stop Ray if `connect` started it."""
+    ray.shutdown()
+
+
+def cores() -> int:
+    """How many the cluster has at the moment, at least one."""
+    return max(1, int(ray.cluster_resources().get("CPU", 1)))
+
+
+def why_not_started(error: Exception) -> Exception:
+    """The model's own error where there is one, else a sentence around Ray's."""
+    cause: BaseException | None = error
+    with contextlib.suppress(AttributeError):
+        cause = error.cause if isinstance(error, RayTaskError) else error
+    if isinstance(cause, ModelError):
+        return ModelError(str(cause))
+    text = str(error)
+    marker = "ModelError: "
+    if marker in text:
+        return ModelError(text.split(marker, 1)[1].splitlines()[0])
+    line = (text.splitlines() or [type(error).__name__])[0]
+    return ExecutorError(f"executor: the workers did not start ({line})")
