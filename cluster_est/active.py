@@ -11,8 +11,10 @@ from cluster_est.methods.base import Evaluation, Method, Progress, Search, Solut
 from cluster_est.space import Space
 from workers.messages import Effect, FloatArray, Outcome
 
-MEMORY_BYTES = 64 * 2**20
-"""Residuals that are remembered to answer a repeated question without simulating."""
+MEMORY_BYTES = 256 * 2**20
+"""What is remembered to answer repeated questions without simulating."""
+OUTCOME_BYTES = 800
+"""What an outcome takes besides its residuals."""
 
 Question = tuple[int, bytes, tuple[Effect, ...]]
 """Experiment, values and effects: what makes a simulation's outcome."""
@@ -97,7 +99,7 @@ class Memory:
         return self._known.get(question)
 
     def remember(self, question: Question, outcome: Outcome) -> None:
-        size = 0 if outcome.residuals is None else outcome.residuals.nbytes
+        size = OUTCOME_BYTES + (0 if outcome.residuals is None else outcome.residuals.nbytes)
         if self._bytes + size > MEMORY_BYTES:
             self._known.clear()
             self._bytes = 0

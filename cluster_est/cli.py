@@ -1,4 +1,4 @@
-"""The command line: check, fit, close-loop, show, simulate, sweep.
+"""The command line: check, fit, close-loop, replay, show, simulate, sweep.
 
 Exit codes: 0 done; 1 ran, but did not reach a solution; 2 bad input, with a sentence; 130
 interrupted.
@@ -7,13 +7,17 @@ interrupted.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from cluster_est.errors import ClusterEstError
+from cluster_est.interrupts import terminations
+from cluster_est.sentences import readable
 
 DONE, NO_SOLUTION, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -23,14 +27,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parse(arguments)
     errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
     try:
-        code: int = options.run(options)
+        with (
+            terminations(),
+            np.errstate(all="ignore"),
+        ):  # who meets what is not finite says so in a sentence
+            code: int = options.run(options)
     except ClusterEstError as error:
-        errors.print(f"cluster-est: {error}")
+        errors.print(f"cluster-est: {readable(str(error))}")
         return BAD_INPUT
     except KeyboardInterrupt:
         errors.print("cluster-est: interrupted")
         return INTERRUPTED
     return code
+
+
+def run() -> None:
+    """Run a command as a program: end with its exit code, whatever still runs in threads."""
+    code = main()
+    if code == INTERRUPTED:  # a simulation that nobody can stop must not keep the process
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -64,8 +82,14 @@ def _parser() -> argparse.ArgumentParser:
     loop.set_defaults(run=_close_loop)
     for command in (fit, loop):
         command.add_argument("--out", type=Path, required=True, help="folder to write the run to")
-        command.add_argument(
+        present = command.add_mutually_exclusive_group()
+        present.add_argument(
             "--overwrite", action="store_true", help="replace the run in that folder"
+        )
+        present.add_argument(
+            "--resume",
+            action="store_true",
+            help="take up the run in that folder where it was interrupted; begin if there is none",
         )
 
     simulate = _command(commands, "simulate", "simulate every experiment at the start values")
@@ -77,10 +101,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     simulate.set_defaults(run=_simulate)
     _add_sweep(commands)
+    _add_replay(commands)
 
     show = commands.add_parser("show", help="print a run's parameters and errors")
     show.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
     show.add_argument("--iterations", action="store_true", help="print the iteration table instead")
+    show.add_argument("--failures", action="store_true", help="list what failed, for replay")
     show.add_argument("--search", help="of this search, such as 'start 3'; without: of the best")
     show.set_defaults(run=_show)
     return parser
@@ -98,6 +124,22 @@ def _add_sweep(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     _add_allow_code(sweep)
     sweep.set_defaults(run=_sweep)
+
+
+def _add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "run one logged simulation again and show what the FMU says"
+    replay = commands.add_parser(
+        "replay", help=summary, description=summary[0].upper() + summary[1:]
+    )
+    replay.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    replay.add_argument(
+        "number", metavar="ID", type=int, help="row of the log, from 0; see show RUN --failures"
+    )
+    replay.add_argument(
+        "--config", type=Path, help="the config that the run was made from, if it has moved"
+    )
+    _add_allow_code(replay)
+    replay.set_defaults(run=_replay)
 
 
 def _command(
@@ -132,6 +174,7 @@ def _fit(options: argparse.Namespace) -> int:
         options.overrides,
         options.out,
         overwrite=options.overwrite,
+        resume=options.resume,
         allow_code=options.allow_code,
     )
 
@@ -144,6 +187,7 @@ def _close_loop(options: argparse.Namespace) -> int:
         options.overrides,
         options.out,
         overwrite=options.overwrite,
+        resume=options.resume,
         allow_code=options.allow_code,
     )
 
@@ -171,12 +215,23 @@ def _sweep(options: argparse.Namespace) -> int:
     )
 
 
+def _replay(options: argparse.Namespace) -> int:
+    from cluster_est.commands import replay
+
+    return replay(options.run_folder, options.number, options.config, allow_code=options.allow_code)
+
+
 def _show(options: argparse.Namespace) -> int:
     from cluster_est.commands import show
 
     iterations = options.iterations or options.search is not None
-    return show(options.run_folder, iterations=iterations, search=options.search)
+    return show(
+        options.run_folder,
+        iterations=iterations,
+        search=options.search,
+        failures=options.failures,
+    )
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -27,23 +28,26 @@ from cluster_est.errors import BudgetError, ProblemError, RunFolderError
 from cluster_est.fit import check_search
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
+from cluster_est.interrupts import stopped_by
+from cluster_est.logged import LoggedOutcomes
 from cluster_est.loop_printing import print_any_run
 from cluster_est.printing import print_check, print_iterations, print_run, read_run_table, say
 from cluster_est.problem import Problem
 from cluster_est.progress import ProgressLine
+from cluster_est.replay import prepare, read_logged
+from cluster_est.replay import replay as run_replay
+from cluster_est.replay_printing import print_answer, print_failures, print_question
 from cluster_est.resources import Resources
-from cluster_est.run_folder import (
-    RunFolder,
-    check_free,
-    hash_config,
-)
+from cluster_est.resuming import check_resumable, is_finished, open_folder
+from cluster_est.run_folder import RunFolder, check_free
 from cluster_est.runner import Iteration, Origin
 from cluster_est.space import make_space
 from cluster_est.sweep_printing import print_sweep
-from cluster_est.toml import to_toml
 from workers.messages import Outcome
 
 DONE, NO_SOLUTION, INTERRUPTED = 0, 1, 130
+STOP = "stop"
+"""File in a run folder that ends the run as Ctrl-C does."""
 
 STEPS = {
     "weights": "weighting the outputs",
@@ -73,17 +77,31 @@ def check(path: Path, overrides: list[str], *, allow_code: bool) -> int:
     return DONE if all(s.outcome.ok for s in simulations) else NO_SOLUTION
 
 
-def fit(path: Path, overrides: list[str], out: Path, *, overwrite: bool, allow_code: bool) -> int:
+def fit(
+    path: Path,
+    overrides: list[str],
+    out: Path,
+    *,
+    overwrite: bool,
+    resume: bool,
+    allow_code: bool,
+) -> int:
     """Estimate, write the run folder, print the tables."""
     config = read_config(path, overrides)
     problem = build_problem(config, path.parent, allow_code=allow_code)
-    method, resources = build_method(config), build_resources(config)
+    method = build_method(config)
     multistart, uncertainty = build_multistart(config), build_uncertainty(config)
     check_search(problem, method, uncertainty, multistart)
     make_space(problem, problem.indices("test"))
-    check_free(out, overwrite=overwrite)
-    keeper = _Keeper(lambda: _open_folder(out, problem, config, "closed_loop", overwrite=overwrite))
-    with ProgressLine(Console(stderr=True), resources.budget) as line, keeper:
+    keeper = _Keeper(
+        out, problem, config, path.parent, "closed_loop", overwrite=overwrite, resume=resume
+    )
+    if keeper.finished:
+        print_run(Console(), out)
+        return DONE
+    resources = replace(build_resources(config), log=keeper.logged)
+    progress = ProgressLine(Console(stderr=True), resources.budget)
+    with progress as line, keeper, stopped_by(out / STOP):
         result = run_fit(
             problem,
             method,
@@ -104,19 +122,31 @@ def fit(path: Path, overrides: list[str], out: Path, *, overwrite: bool, allow_c
 
 
 def close_loop(
-    path: Path, overrides: list[str], out: Path, *, overwrite: bool, allow_code: bool
+    path: Path,
+    overrides: list[str],
+    out: Path,
+    *,
+    overwrite: bool,
+    resume: bool,
+    allow_code: bool,
 ) -> int:
     """Find what the model lacks, write the run folder, print what was found."""
     from cluster_est.closed_loop.loop import close_loop as run_loop  # needs SymPy, which is slow
 
     config = read_config(path, overrides)
     problem = build_problem(config, path.parent, allow_code=allow_code)
-    settings, resources = build_settings(config), build_resources(config)
+    settings = build_settings(config)
     make_space(problem, problem.indices("test"))
-    check_free(out, overwrite=overwrite)
-    keeper = _Keeper(lambda: _open_folder(out, problem, config, "method", overwrite=overwrite))
+    keeper = _Keeper(
+        out, problem, config, path.parent, "method", overwrite=overwrite, resume=resume
+    )
+    if keeper.finished:
+        print_any_run(Console(), out)
+        return DONE
+    resources = replace(build_resources(config), log=keeper.logged)
     try:
-        with ProgressLine(Console(stderr=True), resources.budget) as line, keeper:
+        progress = ProgressLine(Console(stderr=True), resources.budget)
+        with progress as line, keeper, stopped_by(out / STOP):
             seed = config.closed_loop.seed
             result = run_loop(
                 problem, resources, settings, seed, keeper.record, line.show, keeper.note
@@ -169,9 +199,21 @@ def simulate(
     return DONE if len(good) == len(simulations) else NO_SOLUTION
 
 
-def show(run_folder: Path, *, iterations: bool, search: str | None) -> int:
-    """Print the tables of a run, or one search's iterations."""
-    if iterations:
+def replay(run_folder: Path, number: int, config: Path | None, *, allow_code: bool) -> int:
+    """Run one logged simulation again, in a process of its own that shows the FMU's messages."""
+    logged = read_logged(run_folder, number)
+    question = prepare(run_folder, logged, config, allow_code=allow_code)
+    print_question(Console(), logged, question)
+    outcome = run_replay(question)
+    print_answer(Console(), logged, outcome)
+    return DONE if outcome.ok else NO_SOLUTION
+
+
+def show(run_folder: Path, *, iterations: bool, search: str | None, failures: bool) -> int:
+    """Print the tables of a run, what failed in it, or one search's iterations."""
+    if failures:
+        print_failures(Console(), run_folder)
+    elif iterations:
         print_iterations(Console(), run_folder, search)
     else:
         print_any_run(Console(), run_folder)
@@ -210,12 +252,39 @@ def read_estimates(run_folder: Path) -> dict[str, float]:
 
 
 class _Keeper:
-    """Opens the run folder with the first simulation, so that bad input leaves nothing behind."""
+    """Opens the run folder with the first simulation, so that bad input leaves nothing behind.
 
-    def __init__(self, open_folder: Callable[[], RunFolder]) -> None:
-        self._open_folder = open_folder
+    `logged` is what a run that is resumed has simulated already; `finished` is whether nothing is
+    left to do.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        problem: Problem,
+        config: Config,
+        base: Path,
+        unused: str,
+        *,
+        overwrite: bool,
+        resume: bool,
+    ) -> None:
         self._searches: dict[str, None] = {}
         self.folder: RunFolder | None = None
+        self.logged: LoggedOutcomes | None = None
+        self.finished = False
+        if not resume:
+            check_free(out, overwrite=overwrite)
+        elif check_resumable(out, problem, config, unused):
+            self.finished = is_finished(out)
+            self.logged = None if self.finished else LoggedOutcomes(out / "evaluations")
+            found = "holds a finished run"
+            if self.logged is not None:
+                found = f"is resumed; {len(self.logged)} simulations stand in its log"
+            say(Console(stderr=True), f"cluster-est: {out} {found}")
+        self._open: Callable[[], RunFolder] = lambda: open_folder(
+            out, problem, config, unused, overwrite=overwrite, logged=self.logged, base=base
+        )
 
     @property
     def steps(self) -> str:
@@ -225,7 +294,7 @@ class _Keeper:
 
     def record(self, origin: Origin, outcome: Outcome) -> None:
         if self.folder is None:
-            self.folder = self._open_folder()
+            self.folder = self._open()
         self._searches.pop(origin.search, None)
         self._searches[origin.search] = None
         self.folder.record(origin, outcome)
@@ -249,20 +318,6 @@ class _Keeper:
             status = "interrupted" if stopped else "failed"
             reason = status if stopped else str(error) or type(error).__name__
             self.folder.abandon(f"{reason}; {self.steps}", status)
-
-
-def _open_folder(
-    out: Path, problem: Problem, config: Config, unused: str, *, overwrite: bool
-) -> RunFolder:
-    tree = config.model_dump(mode="json", exclude_defaults=False)
-    return RunFolder(
-        out,
-        problem,
-        to_toml(config.model_dump(mode="python")),
-        hash_config(tree, unused),
-        config.method.seed if unused == "closed_loop" else config.closed_loop.seed,
-        overwrite=overwrite,
-    )
 
 
 def _table_writer(out: Path):  # type: ignore[no-untyped-def]

@@ -41,6 +41,7 @@ from cluster_est.sections import (
     Config,
     EffectSection,
     ExecutorSection,
+    LogSection,
     ModelSection,
     ParameterSection,
 )
@@ -60,6 +61,7 @@ __all__ = [
     "ExecutorSection",
     "ExperimentSection",
     "InputSection",
+    "LogSection",
     "MethodSection",
     "ModelSection",
     "MultistartSection",

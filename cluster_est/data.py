@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import warnings
 from collections import Counter
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ import pyarrow.feather
 import pyarrow.parquet
 
 from cluster_est.errors import DataError
+from cluster_est.mat_file import contents
 from workers.description import nearest
 from workers.messages import FloatArray
 
@@ -203,10 +205,13 @@ def _read_mat(path: Path) -> Table:
     """Every variable of a MAT file that is a vector of numbers."""
     from scipy.io import loadmat
 
+    content = path.read_bytes()
     try:
+        found = contents(content)
+        wanted = None if found is None else found.numbers
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            variables = loadmat(path, squeeze_me=True)
+            variables = loadmat(io.BytesIO(content), squeeze_me=True, variable_names=wanted)
     except NotImplementedError:
         raise DataError(
             "must be a MAT file of version 7 or older but is of version 7.3, which is HDF5; save "
@@ -220,7 +225,8 @@ def _read_mat(path: Path) -> Table:
             "save it again"
         ) from error
     columns: dict[str, pa.ChunkedArray | FloatArray] = {}
-    unusable = {}
+    others = {} if found is None else found.others
+    unusable = {name: f"must be a vector of numbers but is {it}" for name, it in others.items()}
     for name, values in variables.items():
         vector = np.atleast_1d(values) if isinstance(values, np.ndarray) else None
         if vector is not None and vector.ndim == 1 and vector.dtype.kind in "fiub":

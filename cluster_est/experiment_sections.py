@@ -6,7 +6,16 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, Strict
 
-from cluster_est.section_types import Count, Finite, Known, Pair, Section, as_column, as_group
+from cluster_est.section_types import (
+    Count,
+    Finite,
+    Known,
+    Pair,
+    Samples,
+    Section,
+    as_column,
+    as_group,
+)
 
 
 class InputSection(Section):
@@ -36,8 +45,8 @@ class CurveSection(Section):
         default_factory=dict,
         description="FMU output = how far any simulated point may lie from the curve; a constraint",
     )
-    samples: Count = Field(
-        1000, gt=1, description="points of the simulated curve, evenly from start to stop"
+    samples: Samples = Field(
+        1000, description="points of the simulated curve, evenly from start to stop"
     )
 
 

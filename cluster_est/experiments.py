@@ -13,6 +13,7 @@ from cluster_est.data import Table, read_table
 from cluster_est.demands import constraint_functions, signal_bounds
 from cluster_est.errors import ConfigError
 from cluster_est.reading import Reader, find_file
+from cluster_est.section_types import MOST_TIMES
 from cluster_est.time_base import compared_at, counted, snapped, weighted
 from workers.description import nearest
 from workers.messages import Curve, Experiment, FloatArray, Input, Output
@@ -122,16 +123,9 @@ def _compared(
 ) -> tuple[Output, ...]:
     """Outputs on their time base, in their windows, with their weights."""
     cost = config.cost
-    step = cost.step or config.model.step
-    if cost.time_base in ("simulated", "both") and step is None:
-        raise ConfigError(
-            f"cost.step: must be given in seconds, because the time base is {cost.time_base!r}, "
-            "but is not; add it, or model.step"
-        )
-    simulated = np.arange(start, stop + 1e-9 * (stop - start), step) if step else np.zeros(0)
     inside = [counted(output, start, stop, ()) for output in measured]
     hows = [section.outputs[output.variable].interpolation for output in measured]
-    found = compared_at(inside, hows, cost.time_base, np.minimum(simulated, stop))
+    found = compared_at(inside, hows, cost.time_base, _simulated(config, start, stop))
     result = []
     for output in found:
         given = section.outputs[output.variable].weight * section.weight
@@ -139,6 +133,26 @@ def _compared(
         kept = counted(output, start + section.warm_up, stop, section.windows)
         result.append(weighted(kept, cost.normalise, weight))
     return tuple(result)
+
+
+def _simulated(config: Config, start: float, stop: float) -> FloatArray:
+    """Every `step` seconds, where the time base asks for that."""
+    cost = config.cost
+    if cost.time_base not in ("simulated", "both"):
+        return np.zeros(0)
+    step = cost.step or config.model.step
+    if step is None:
+        raise ConfigError(
+            f"cost.step: must be given in seconds, because the time base is {cost.time_base!r}, "
+            "but is not; add it, or model.step"
+        )
+    if not stop - start <= step * MOST_TIMES:
+        raise ConfigError(
+            f"cost.step: must leave at most {MOST_TIMES} times between {start:g} and {stop:g} s "
+            f"but is {step:g} s; make it longer (without it, model.step counts)"
+        )
+    times: FloatArray = np.arange(start, stop + 1e-9 * (stop - start), step)
+    return np.minimum(times, stop)
 
 
 def _curve(

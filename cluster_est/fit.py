@@ -9,7 +9,7 @@ import numpy as np
 
 from cluster_est import rows
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Method, Solution
+from cluster_est.methods.base import Method, Solution
 from cluster_est.methods.least_squares import LeastSquares
 from cluster_est.multistart import Multistart, check_starts, search_from_starts
 from cluster_est.problem import Problem
@@ -72,25 +72,49 @@ def fit(
     method = method or LeastSquares()
     resources = resources or Resources()
     begin = time.monotonic()
-    description = problem.describe()
+    problem.describe()
     settings = uncertainty or UncertaintySettings()
     multistart = multistart or Multistart()
     train = check_search(problem, method, settings, multistart)
-    units = {name: variable.unit for name, variable in description.variables.items()}
     with one_blas_thread(), open_executor(problem, resources) as executor:
-        ready = time.monotonic()
         runner = Runner(executor, resources.budget, record, show, note)
-        before = simulate_all(runner, problem, {})
-        found = search_from_starts(runner, train, method, multistart, seed)
-        solution, known = found.best, None
-        if solution.ending is not Ending.INTERRUPTED:
-            known = examine(runner, train, solution)
-        result = complete(runner, train, solution, method, before, units, seed, begin, known)
-        starts, minima = rows.starts_and_minima(train, found)
-        result = replace(result, starts=starts, minima=minima)
-        if solution.ending.success:
-            result = refine(runner, train, result, method, settings, seed)
-        return replace(result, search_seconds=time.monotonic() - ready)
+        result = fit_on(runner, train, method, seed, multistart, settings)
+    return replace(result, seconds=time.monotonic() - begin)
+
+
+def fit_on(
+    runner: Runner,
+    train: Space,
+    method: Method,
+    seed: int,
+    multistart: Multistart,
+    settings: UncertaintySettings,
+) -> Result:
+    """A fit on workers that are there already; linear algebra must be in one thread.
+
+    Parameters
+    ----------
+    runner
+        Its executor has the experiments of the space's problem.
+    train
+        As `check_search` gave it.
+    method, seed, multistart, settings
+        As of `fit`.
+    """
+    begin = time.monotonic()
+    problem = train.problem
+    units = {name: each.unit for name, each in problem.describe().variables.items()}
+    before = simulate_all(runner, problem, {})
+    found = search_from_starts(runner, train, method, multistart, seed)
+    solution, known = found.best, None
+    if not runner.interrupted:
+        known = examine(runner, train, solution)
+    result = complete(runner, train, solution, method, before, units, seed, begin, known)
+    starts, minima = rows.starts_and_minima(train, found)
+    result = replace(result, starts=starts, minima=minima)
+    if solution.ending.success and not runner.interrupted:
+        result = refine(runner, train, result, method, settings, seed)
+    return replace(result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin)
 
 
 def complete(
@@ -126,8 +150,7 @@ def complete(
     problem = train.problem
     units = units | rows.coefficient_units(problem)
     test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
-    stopped = solution.ending is Ending.INTERRUPTED
-    test_solution = None if stopped else _fit_test_records(runner, method, test, seed)
+    test_solution = _fit_test_records(runner, method, test, seed)
     known = train.estimates(solution.x)
     if test_solution is not None:
         known |= test.estimates(test_solution.x)
@@ -246,7 +269,7 @@ def check_method(method: Method, space: Space) -> None:
 
 def _fit_test_records(runner: Runner, method: Method, space: Space, seed: int) -> Solution | None:
     """Estimate what belongs to test records alone. None if there is nothing to estimate."""
-    if space.size == 0:
+    if space.size == 0 or runner.interrupted:
         return None
     (solution,) = runner.run([SearchRequest("test", method, space, seed)])
     return solution

@@ -47,11 +47,12 @@ def expand(problem: Problem, experiments: Sequence[Experiment]) -> tuple[Demand,
 def evaluate(demands: Sequence[Demand], problem: Problem, table: FloatArray) -> FloatArray:
     """The constraints from an (experiments, parameters) table of values, over their scales."""
     columns = {p.name: table[:, i] for i, p in enumerate(problem.parameters)}
-    found = [
-        demand.constraint.formula.values(columns, len(table))[demand.position]
-        / demand.constraint.scale
-        for demand in demands
-    ]
+    with np.errstate(over="ignore"):  # a scale may be tiny
+        found = [
+            demand.constraint.formula.values(columns, len(table))[demand.position]
+            / demand.constraint.scale
+            for demand in demands
+        ]
     return np.array(found, np.float64)
 
 

@@ -8,6 +8,8 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from cluster_est.executors import Executor, executor_class
+from cluster_est.executors.recall import Recall
+from cluster_est.logged import LoggedOutcomes
 from cluster_est.problem import Problem
 from cluster_est.runner import Budget
 from workers.messages import Limits
@@ -29,6 +31,8 @@ class Resources:
         When to stop.
     limits
         When a simulation is ended from outside; "local" cannot do that.
+    log
+        What an interrupted run has simulated already, if this one takes it up again.
     """
 
     executor: str = "local"
@@ -36,6 +40,7 @@ class Resources:
     address: str | None = None
     budget: Budget = field(default_factory=Budget)
     limits: Limits = field(default_factory=Limits)
+    log: LoggedOutcomes | None = field(default=None, repr=False, compare=False)
 
 
 def one_blas_thread() -> Any:
@@ -48,7 +53,10 @@ def one_blas_thread() -> Any:
 
 
 def open_executor(problem: Problem, resources: Resources) -> Executor:
-    """Start the workers for a problem."""
+    """Start the workers for a problem; behind the log, if there is one."""
     kind = executor_class(resources.executor)
     where = resources.workers, resources.address, resources.limits
-    return kind.open(problem.model, problem.experiments, *where)
+    executor = kind.open(problem.model, problem.experiments, *where)
+    if resources.log is None:
+        return executor
+    return Recall(executor, problem.model, problem.experiments, resources.log)

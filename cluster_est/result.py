@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Solution
+from cluster_est.methods.base import Solution
 from cluster_est.problem import Problem
 from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
 from workers.messages import Experiment, FloatArray, Outcome, Output, Role
@@ -191,15 +191,12 @@ class Result:
     uncertainty: Uncertainty | None = field(default=None, repr=False)
     profiles: tuple[ProfileResult, ...] = field(default=(), repr=False)
     bootstrap: BootstrapResult | None = field(default=None, repr=False)
+    interrupted: bool = False
 
     @property
     def success(self) -> bool:
         """Whether the search reached a solution."""
         return self.solution.ending.success
-
-    @property
-    def interrupted(self) -> bool:
-        return self.solution.ending is Ending.INTERRUPTED
 
     @property
     def x(self) -> dict[str, float]:

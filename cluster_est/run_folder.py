@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import platform
+import os
+import re
 import shutil
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +21,11 @@ from cluster_est.closed_loop import tables
 from cluster_est.closed_loop.result import LoopResult
 from cluster_est.curves import residual_table, trajectory_table
 from cluster_est.errors import RunFolderError
-from cluster_est.evaluation_log import EvaluationLog
+from cluster_est.evaluation_log import EvaluationLog, LogSettings
+from cluster_est.logged import LoggedOutcomes
 from cluster_est.problem import Problem
 from cluster_est.result import Result
+from cluster_est.run_identity import FORMAT, versions
 from cluster_est.runner import Iteration, Origin
 from cluster_est.uncertainty.rows import (
     bootstrap_rows,
@@ -33,10 +34,10 @@ from cluster_est.uncertainty.rows import (
     interval_rows,
     profile_rows,
 )
-from workers.messages import Outcome, content_hash
+from workers.messages import Outcome
 
-LIBRARIES = ("cluster-est", "fmpy", "numba", "numpy", "pyarrow", "ray", "scipy")
-FORMAT = "1"
+BEGUN = {"evaluations", "config.toml", ".config.toml", ".run.json"}
+"""All that a folder can hold if its process was killed before it wrote run.json."""
 
 
 class RunFolder:
@@ -54,6 +55,15 @@ class RunFolder:
         Hash of what determines the result.
     seed
         Of the method.
+    overwrite
+        Whether to replace the run that is there.
+    log_settings
+        How much of each simulation is kept.
+    logged
+        What the run that is there has simulated, if it is taken up again: its log goes on.
+
+    config_folder
+        The folder that the config's paths start from.
 
     Raises
     ------
@@ -70,31 +80,42 @@ class RunFolder:
         seed: int,
         *,
         overwrite: bool = False,
+        log_settings: LogSettings | None = None,
+        logged: LoggedOutcomes | None = None,
+        config_folder: Path | None = None,
     ) -> None:
-        check_free(path, overwrite=overwrite)
+        check_free(path, overwrite=overwrite or logged is not None)
         self.path = path
         self._problem, self._seed = problem, seed
         self._metadata = {"cluster_est.config_hash": config_hash, "cluster_est.format": FORMAT}
         self._config_hash = config_hash
+        self._logged = logged
+        self._config_folder = config_folder
         self._iterations: dict[tuple[str, int, str], dict[str, Any]] = {}
         self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
         self._begin = time.time()
         if overwrite and path.exists():
             _remove_run(path)
+        experiments = [(e.id, e.key) for e in problem.experiments]
+        first = 0 if logged is None else logged.next_segment
         try:
-            path.mkdir(parents=True, exist_ok=True)
-            (path / "config.toml").write_text(config_text, encoding="utf-8")
+            self._log = EvaluationLog(
+                path / "evaluations",
+                problem.model.key,
+                experiments,
+                self._metadata,
+                log_settings,
+                first,
+            )
+            _write_text(path / "config.toml", config_text)
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be written ({error}); choose another") from error
-        experiments = [(e.id, e.key) for e in problem.experiments]
-        self._log = EvaluationLog(
-            path / "evaluations", problem.model.key, experiments, self._metadata
-        )
         self._write_status("running", {})
 
     def record(self, origin: Origin, outcome: Outcome) -> None:
-        """Log one simulation."""
-        self._log.record(origin, outcome)
+        """Log one simulation, unless it stands in the log since before the run was resumed."""
+        if self._logged is None or not self._logged.was_answered(outcome.task):
+            self._log.record(origin, outcome)
         worker = self._workers[outcome.worker]
         worker["simulations"] += 1
         worker["failures"] += not outcome.ok
@@ -137,7 +158,8 @@ class RunFolder:
 
     def _write_fit(self, result: Result) -> None:
         """Iterations, workers, residuals and trajectories."""
-        self._table("searches", list(self._iterations.values()))
+        iterations = sorted(self._iterations.values(), key=lambda row: _natural(row["search"]))
+        self._table("searches", iterations)
         rows = [{"worker": name, **numbers} for name, numbers in sorted(self._workers.items())]
         seconds = result.search_seconds if np.isfinite(result.search_seconds) else result.seconds
         self._table("workers", [row | {"seconds": seconds} for row in rows])
@@ -170,6 +192,7 @@ class RunFolder:
             "seed": self._seed,
             "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._begin)),
             "config_hash": self._config_hash,
+            "config_folder": str(self._config_folder.resolve()) if self._config_folder else "",
             "fmu": {
                 "name": self._problem.model.name,
                 "sha256": self._problem.model.archive_hash,
@@ -179,9 +202,7 @@ class RunFolder:
             "experiments": {e.id: e.key for e in self._problem.experiments},
             "versions": versions(),
         }
-        partial = self.path / ".run.json"
-        partial.write_text(json.dumps(_finite(facts), indent=2) + "\n", encoding="utf-8")
-        partial.rename(self.path / "run.json")
+        _write_text(self.path / "run.json", json.dumps(_finite(facts), indent=2) + "\n")
 
 
 def _tables(result: Result) -> dict[str, Sequence[Any]]:
@@ -212,6 +233,8 @@ def check_free(path: Path, *, overwrite: bool) -> None:
         raise RunFolderError(f"{path}: must be a folder but is a file; choose another --out")
     if not path.is_dir() or not any(path.iterdir()):
         return
+    if only_begun(path):
+        return
     if not (path / "run.json").is_file():
         raise RunFolderError(f"{path}: must be new or empty but holds other files; choose another")
     if not overwrite:
@@ -220,21 +243,11 @@ def check_free(path: Path, *, overwrite: bool) -> None:
         )
 
 
-def versions() -> dict[str, str]:
-    """Versions of what a result may depend on."""
-    found = {"python": platform.python_version(), "platform": sys.platform}
-    for library in LIBRARIES:
-        try:
-            found[library] = version(library)
-        except PackageNotFoundError:
-            continue
-    return found
-
-
-def hash_config(parts: dict[str, Any], unused: str) -> str:
-    """Hash of a config without what changes no result: where and for how long, and one section."""
-    kept = {k: v for k, v in parts.items() if k not in ("executor", "budget", unused)}
-    return content_hash([json.dumps(kept, sort_keys=True, default=str)])
+def only_begun(path: Path) -> bool:
+    """Whether a folder holds what a run leaves that was killed before it simulated anything."""
+    names = {each.name for each in path.iterdir()}
+    log = path / "evaluations"
+    return "evaluations" in names and names <= BEGUN and log.is_dir() and not any(log.iterdir())
 
 
 def _status(result: Result) -> str:
@@ -268,6 +281,22 @@ def _notes(result: Result) -> list[str]:
     for profile in result.profiles:
         notes += profile.sentences
     return notes
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Sorts "start 2" before "start 10", so that no table depends on which search was faster."""
+    parts = re.split(r"(\d+)", name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+
+
+def _write_text(path: Path, text: str) -> None:
+    """Write a file in one step."""
+    partial = path.with_name(f".{path.name}")
+    with partial.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
 
 
 def _finite(value: Any) -> Any:

@@ -6,73 +6,37 @@ experiments, so a search sees the same numbers whatever the workers did.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.active import Active, Memory, Pending, Question, SearchRequest
+from cluster_est.active import Active, Pending, SearchRequest
 from cluster_est.errors import BudgetError
 from cluster_est.executors.base import Executor
-from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Solution
-from cluster_est.space import Space
+from cluster_est.interrupts import Interrupts, later
+from cluster_est.methods.base import Ending, Evaluation, Points, Solution
+from cluster_est.questions import Questions
+from cluster_est.run_records import Budget, Iteration, Note, Origin, Record, Show, Snapshot
 from workers.messages import Effect, FloatArray, Outcome, Status, Task, Want
 
-__all__ = ["Budget", "Iteration", "Origin", "Runner", "SearchRequest", "Snapshot"]
+__all__ = [
+    "Budget",
+    "Iteration",
+    "Note",
+    "Origin",
+    "Record",
+    "Runner",
+    "SearchRequest",
+    "Show",
+    "Snapshot",
+]
 
 
-@dataclass(frozen=True)
-class Budget:
-    """When to stop asking. An evaluation is one point with all its experiments."""
-
-    evaluations: int | None = None
-    seconds: float | None = None
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Who asked for a task: what the log says of it besides its outcome.
-
-    `installed` is (id, key) of the experiment where it is none of the problem's own.
-    """
-
-    search: str
-    evaluation: int
-    purpose: str
-    experiment: int
-    values: FloatArray
-    effects: tuple[Effect, ...] = ()
-    installed: tuple[str, str] | None = None
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """What a display shows."""
-
-    search: str
-    progress: Progress
-    evaluations: int
-    simulations: int
-    failures: int
-    busy: int
-    workers: int
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Iteration:
-    """A line of a search's iteration table; `evaluations` are those of this search so far."""
-
-    search: str
-    progress: Progress
-    evaluations: int
-
-
-_Slot = tuple[Active, int, int]  # search, index of the point, position of the experiment
-Record = Callable[[Origin, Outcome], None]
-Show = Callable[[Snapshot], None]
-Note = Callable[[Iteration], None]
+SUBMITTED_AT_ONCE = 1000
+HURRY_SECONDS = 2.0
 Enough = Callable[[Sequence[Solution]], bool]
 
 
@@ -108,19 +72,22 @@ class Runner:
     ) -> None:
         self._executor = executor
         self._budget = budget or Budget()
-        self._record = record or (lambda origin, outcome: None)
+        self._questions = Questions(executor, record or (lambda origin, outcome: None))
         self._show = show or (lambda snapshot: None)
         self._iteration = note or (lambda iteration: None)
         self._whole = whole
         self._begin = time.monotonic()
-        self._next_task = 0
-        self._origins: dict[int, Origin] = {}
-        self._waiting: dict[Question, list[_Slot]] = {}
-        self._known = Memory()
-        self._sizes: dict[int, int] = {}
         self.evaluations = 0
-        self.simulations = 0
-        self.failures = 0
+        self.interrupted = False
+        """Whether it was: no search goes on after that, and simulations get a few seconds."""
+
+    @property
+    def simulations(self) -> int:
+        return self._questions.simulations
+
+    @property
+    def failures(self) -> int:
+        return self._questions.failures
 
     def run(
         self,
@@ -156,27 +123,40 @@ class Runner:
         self._refuse_if_exhausted([])
         searches = [self._open(request) for request in requests]
         try:
-            searches = self._run(searches, at_once, enough or (lambda solutions: False))
+            if not self.interrupted:
+                with Interrupts() as interrupts:
+                    enough = enough or (lambda solutions: False)
+                    searches = self._run(searches, at_once, enough, interrupts)
         except KeyboardInterrupt:
+            self._interrupt()
             if self._whole:
                 raise
-            for search in searches:
-                if search.solution is None:
-                    self._finish(search, Ending.INTERRUPTED)
         finally:
             for search in searches:
                 search.steps.close()
+        for search in searches:
+            if search.solution is None:
+                self._finish(search, Ending.INTERRUPTED)
         self._refuse_if_exhausted(searches)
         return _solutions(searches)
 
-    def _run(self, searches: list[Active], at_once: int | None, enough: Enough) -> list[Active]:
+    def _interrupt(self) -> None:
+        """From now on nothing of what was asked for is wanted any more."""
+        self.interrupted = True
+        self._questions.drop_all()
+
+    def _run(
+        self, searches: list[Active], at_once: int | None, enough: Enough, interrupts: Interrupts
+    ) -> list[Active]:
         """Run until all have ended, or the first of them are enough; those that count."""
         waiting = searches[::-1]
         counted = 0
         while counted < len(searches):
             self._begin_searches(waiting, searches, at_once)
             if searches[counted].solution is None:
-                for outcome in self._executor.completed():
+                with interrupts.waiting():
+                    outcomes = self._executor.completed()
+                for outcome in outcomes:
                     self._receive(outcome)
                 self._display(searches)
                 continue
@@ -230,18 +210,33 @@ class Runner:
         """
         tasks = []
         for row, experiment in zip(values, experiments, strict=True):
-            origin = Origin(name, 0, want, experiment, row, effects)
-            tasks.append(self._task(origin, want))
+            origin = Origin(name, 0, want, experiment, row, effects, want=want)
+            tasks.append(self._questions.task(origin, want))
         own = {task.id for task in tasks}
         answers: dict[int, Outcome] = {}
         self._executor.submit(tasks)
-        while len(answers) < len(tasks):
-            for outcome in self._executor.completed():
-                if outcome.task in own:
-                    answers[outcome.task] = self._note(self._origins.pop(outcome.task), outcome)
-                else:  # left over from a search that was ended from outside
-                    self._receive(outcome)
-        return [answers[task.id] for task in tasks]
+        try:
+            with Interrupts() as interrupts, self._hurry():
+                while len(answers) < len(tasks):
+                    with interrupts.waiting():
+                        outcomes = self._executor.completed()
+                    for outcome in outcomes:
+                        self._answer(own, outcome, answers)
+        except KeyboardInterrupt:
+            self._interrupt()
+            if self._whole:
+                raise
+        return [answers.get(task.id, _not_simulated(task)) for task in tasks]
+
+    def _hurry(self) -> contextlib.AbstractContextManager[None]:
+        """After an interrupt only what takes a few seconds is simulated still."""
+        return later(HURRY_SECONDS) if self.interrupted else contextlib.nullcontext()
+
+    def _answer(self, own: set[int], outcome: Outcome, answers: dict[int, Outcome]) -> None:
+        if outcome.task in own:
+            answers[outcome.task] = self._questions.note(outcome)
+        else:  # left over from a search that was ended from outside
+            self._receive(outcome)
 
     def _open(self, request: SearchRequest) -> Active:
         generator = np.random.default_rng(request.seed)
@@ -285,81 +280,25 @@ class Runner:
         tasks: list[Task] = []
         for p, e in places:
             slot = (search, first + p, e)
-            task = self._question(slot, space.experiments[e], physical[p][e])
+            task = self._questions.ask(slot, space.experiments[e], physical[p][e])
             tasks += [task] if task is not None else []
+            if len(tasks) == SUBMITTED_AT_ONCE:  # workers begin while the others are prepared
+                self._executor.submit(tasks)
+                tasks = []
         self._executor.submit(tasks)
 
-    def _question(self, slot: _Slot, experiment: int, values: FloatArray) -> Task | None:
-        """A task for what is not known yet and nobody has asked for."""
-        search, index, _ = slot
-        effects = search.request.space.problem.effects
-        question = (experiment, values.tobytes(), effects)
-        if not np.isfinite(values).all():
-            self._place(slot, _no_values(search.request.space, values))
-            return None
-        if (known := self._known.get(question)) is not None:
-            self._place(slot, known)
-            return None
-        if question in self._waiting:
-            self._waiting[question].append(slot)
-            return None
-        self._waiting[question] = [slot]
-        name, purpose = search.request.name, search.purpose
-        return self._task(Origin(name, index, purpose, experiment, values, effects), "residuals")
-
-    def _task(self, origin: Origin, want: Want) -> Task:
-        task = Task(self._next_task, origin.experiment, origin.values, want, origin.effects)
-        self._next_task += 1
-        self._origins[task.id] = origin
-        return task
-
     def _receive(self, outcome: Outcome) -> None:
-        origin = self._origins.pop(outcome.task, None)
-        if origin is None:
-            return
-        outcome = self._note(origin, outcome)
-        question = (origin.experiment, origin.values.tobytes(), origin.effects)
-        self._known.remember(question, outcome)
-        for slot in self._waiting.pop(question, []):
-            self._place(slot, outcome)
-            search = slot[0]
+        """Hand an outcome to who waits for it; let those go on that have all they asked for."""
+        for search in self._questions.receive(outcome):
             if search.ready and search.solution is None:
                 self._advance(search, search.take_answers())
-
-    def _place(self, slot: _Slot, outcome: Outcome) -> None:
-        search, index, e = slot
-        search.place(index, e, outcome)
 
     def _drop(self, search: Active, indices: tuple[int, ...]) -> None:
         """Forget points that nobody wants; those simulations that have not begun need not."""
         for index in indices:
             search.pending.pop(index, None)
-        if not indices:
-            return
-        unwanted = {
-            question
-            for question, slots in self._waiting.items()
-            if not any(index in owner.pending for owner, index, _ in slots)
-        }
-        ids = [task for task, origin in self._origins.items() if _asked(origin) in unwanted]
-        for task in self._executor.cancel(ids):
-            self._waiting.pop(_asked(self._origins.pop(task)), None)
-
-    def _note(self, origin: Origin, outcome: Outcome) -> Outcome:
-        """Count and record an outcome; what it is taken for."""
-        if outcome.residuals is not None:
-            found = len(outcome.residuals)
-            wanted = self._sizes.setdefault(origin.experiment, found)
-            if found != wanted:  # of a user's function, on a worker that saw no other point yet
-                message = f"there are {found} residuals but there were {wanted} at the first point"
-                seconds, worker = outcome.seconds, outcome.worker
-                outcome = Outcome(
-                    outcome.task, Status.NOT_FINITE, message=message, seconds=seconds, worker=worker
-                )
-        self.simulations += 1
-        self.failures += not outcome.ok
-        self._record(origin, outcome)
-        return outcome
+        if indices:
+            self._questions.drop_unwanted()
 
     def _finish(self, search: Active, ending: Ending) -> None:
         """End a search from outside, with the best point that it has seen."""
@@ -425,16 +364,5 @@ def _solutions(searches: Sequence[Active]) -> list[Solution]:
     return [search.solution for search in searches if search.solution is not None]
 
 
-def _asked(origin: Origin) -> Question:
-    return origin.experiment, origin.values.tobytes(), origin.effects
-
-
-def _no_values(space: Space, values: FloatArray) -> Outcome:
-    """The outcome of a point at which a parameter has no value."""
-    named = [p.name for p in space.problem.parameters if not p.auxiliary]
-    first = int(np.flatnonzero(~np.isfinite(values))[0])
-    return Outcome(
-        -1,
-        Status.NOT_FINITE,
-        message=f"parameter {named[first]!r} is {values[first]}, so nothing was simulated",
-    )
+def _not_simulated(task: Task) -> Outcome:
+    return Outcome(task.id, Status.NOT_RUN, message="the run was interrupted before it ran")

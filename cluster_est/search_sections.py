@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, Strict
 from pydantic_core import PydanticCustomError
 
-from cluster_est.section_types import LARGEST, Count, Finite, Pair, Positive, Section
+from cluster_est.section_types import LARGEST, Count, Finite, Pair, Positive, Samples, Section
 
 
 def _level(value: Any) -> Any:
     """A number, or points of a curve over time."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if number:
+    if number and abs(value) <= sys.float_info.max:
         return [(0.0, float(value))]
     if isinstance(value, list) and value and all(isinstance(v, list | tuple) for v in value):
         return value
-    raise PydanticCustomError("level", "must be a number or [[time, value], ...]")
+    raise PydanticCustomError("level", "must be a finite number or [[time, value], ...]")
 
 
 Level = Annotated[list[Pair], BeforeValidator(_level)]
@@ -93,9 +94,7 @@ class ConstraintSection(Section):
     between: Annotated[tuple[Finite, Finite], Strict(False)] | None = Field(
         None, description="[from, to] seconds; default: the whole simulation"
     )
-    samples: Count = Field(
-        200, gt=1, description="times at which the signal is checked, evenly spaced"
-    )
+    samples: Samples = Field(200, description="times at which the signal is checked, evenly spaced")
     scale: Finite | None = Field(
         None, gt=0.0, description="what a violation is counted in; default: the size of its limits"
     )

@@ -9,6 +9,8 @@ from pydantic_core import PydanticCustomError
 
 LARGEST = 2**63 - 1
 """Of the integers that compiled code counts with."""
+MOST_TIMES = 10_000_000
+"""At which a signal may be looked at in one experiment: 80 MB of numbers."""
 
 
 def _known(value: Any) -> Any:
@@ -40,6 +42,7 @@ def as_group(value: Any) -> Any:
 Count = Annotated[int, Field(ge=0, le=LARGEST)]
 Positive = Annotated[int, Field(gt=0, le=LARGEST)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Samples = Annotated[int, Field(gt=1, le=MOST_TIMES)]
 Known = Annotated[float | int | bool, PlainValidator(_known)]
 Pair = Annotated[tuple[Finite, Finite], Strict(False)]
 """TOML has lists, which strictly are no tuples."""

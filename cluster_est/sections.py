@@ -152,6 +152,18 @@ class BudgetSection(Section):
     seconds: Finite | None = Field(None, gt=0.0, description="after which nothing new is asked")
 
 
+class LogSection(Section):
+    residuals: bool = Field(
+        True,
+        description="false: leave residuals and trajectories out; a resumed run computes them anew",
+    )
+    max_megabytes: Finite = Field(
+        4096.0,
+        ge=0.0,
+        description="size beyond which the oldest simulations lose theirs; 0: no limit",
+    )
+
+
 class Config(Section):
     """A whole config file."""
 
@@ -184,3 +196,4 @@ class Config(Section):
     )
     executor: ExecutorSection = Field(ExecutorSection(), description="where")
     budget: BudgetSection = Field(BudgetSection(), description="for how long")
+    log: LogSection = Field(LogSection(), description="how much of each simulation is kept")

@@ -30,6 +30,8 @@ _MUST = {
     "literal_error": "must be {expected}",
 }
 
+LONGEST_LINE = 2000
+
 
 def sentences(
     error: ValidationError, where: str, raw: dict[str, Any], root: type[BaseModel]
@@ -60,6 +62,23 @@ def shown(value: Any) -> str:
     except ValueError:  # Python refuses to write integers of thousands of digits
         return "a number of thousands of digits"
     return text if len(text) < 60 else text[:57] + "..."
+
+
+def readable(text: str) -> str:
+    """A message as a terminal may get it, whatever a file made it quote.
+
+    What is not printable is written out, because a terminal may obey it; a line that nobody would
+    read to its end loses its middle.
+    """
+    return "\n".join(_cut("".join(map(_printable, line))) for line in text.split("\n"))
+
+
+def _printable(letter: str) -> str:
+    return letter if letter.isprintable() else repr(letter)[1:-1]
+
+
+def _cut(line: str) -> str:
+    return line if len(line) <= LONGEST_LINE else f"{line[:1000]} ... {line[-500:]}"
 
 
 def _sentence(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel]) -> str:

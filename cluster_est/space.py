@@ -197,26 +197,35 @@ class Space:
         return np.where(np.isfinite(slopes), slopes, 0.0)
 
     @cached_property
-    def acts_on(self) -> npt.NDArray[np.bool_]:
-        """(unknowns, experiments): whether an unknown can move an experiment's residuals."""
-        result = np.zeros((self.size, len(self.experiments)), dtype=bool)
+    def acting(self) -> tuple[IntArray, ...]:
+        """For each experiment the unknowns that can move its residuals, in their order."""
+        found: list[list[int]] = [[] for _ in self.experiments]
         for i, unknown in enumerate(self.unknowns):
-            result[i, list(unknown.experiments)] = True
+            for e in unknown.experiments:
+                found[e].append(i)
+        return tuple(np.array(each, dtype=np.intp) for each in found)
+
+    @property
+    def acts_on(self) -> npt.NDArray[np.bool_]:
+        """(unknowns, experiments): whether an unknown is in `acting` of an experiment."""
+        result = np.zeros((self.size, len(self.experiments)), dtype=bool)
+        for e, unknowns in enumerate(self.acting):
+            result[unknowns, e] = True
         return result
 
     @cached_property
     def colours(self) -> tuple[IntArray, ...]:
         """Unknowns that share no experiment, colour after colour; each unknown has one colour."""
-        taken: list[npt.NDArray[np.bool_]] = []
+        taken: list[set[int]] = []
         members: list[list[int]] = []
-        for i, touched in enumerate(self.acts_on):
+        for i, unknown in enumerate(self.unknowns):
             for colour, used in enumerate(taken):
-                if not (used & touched).any():
-                    used |= touched
+                if used.isdisjoint(unknown.experiments):
+                    used.update(unknown.experiments)
                     members[colour].append(i)
                     break
             else:
-                taken.append(touched.copy())
+                taken.append(set(unknown.experiments))
                 members.append([i])
         return tuple(np.array(group, dtype=np.intp) for group in members)
 
@@ -230,13 +239,32 @@ class Space:
     def _table(self, x: FloatArray) -> FloatArray:
         """(experiments, all parameters): with what follows from others, and auxiliary ones."""
         values = self.base.copy()
-        for unknown, searched in zip(self.unknowns, x.tolist(), strict=True):
-            values[list(unknown.experiments), unknown.column] = unknown.to_physical(searched)
+        rows, places, counts = self._places
+        values[rows, places] = np.repeat(self._physical(x), counts)
         if self.problem.derived:
             columns = {p.name: values[:, i] for i, p in enumerate(self.problem.parameters)}
             for i, formula in self.problem.derived:
                 free = self._free[:, i]
                 values[free, i] = formula.values(columns, len(values))[free]
+        return values
+
+    @cached_property
+    def _places(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Where the unknowns stand in the table, one after the other, and how often each does."""
+        counts = np.array([len(u.experiments) for u in self.unknowns], np.intp)
+        rows = np.fromiter((e for u in self.unknowns for e in u.experiments), np.intp)
+        columns = np.array([u.column for u in self.unknowns], np.intp)
+        return rows, np.repeat(columns, counts), counts
+
+    @cached_property
+    def _logarithmic(self) -> IntArray:
+        return np.array([i for i, u in enumerate(self.unknowns) if u.log], np.intp)
+
+    def _physical(self, x: FloatArray) -> FloatArray:
+        """(unknowns,): physical values."""
+        values = x.astype(np.float64)
+        for i in self._logarithmic.tolist():
+            values[i] = self.unknowns[i].to_physical(float(x[i]))
         return values
 
     @cached_property

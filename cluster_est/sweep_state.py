@@ -17,7 +17,8 @@ from cluster_est.config import Config
 from cluster_est.errors import RunFolderError
 from cluster_est.printing import read_facts, read_run_table
 from cluster_est.problem import Problem
-from cluster_est.run_folder import hash_config, versions
+from cluster_est.run_folder import BEGUN
+from cluster_est.run_identity import hash_config, versions
 from cluster_est.sweep_matrix import SweepRun
 from workers.messages import content_hash
 
@@ -25,8 +26,6 @@ STATE, SUMMARY = "sweep.json", "summary.parquet"
 SUCCESS = "done"
 FAILED = ("failed", "not converged")
 NOT_RUN = "not run"
-TORN = {"config.toml", "evaluations", ".run.json"}
-"""All that a run folder can hold if its process was killed before it wrote run.json."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +162,7 @@ def _row(out: Path, run: SweepRun, state: str, axes: list[str]) -> dict[str, Any
 def _check_strange(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise RunFolderError(f"{folder}: must be a run's folder but is a file; move it away")
-    strange = {each.name for each in folder.iterdir()} - TORN if folder.is_dir() else set()
+    strange = {each.name for each in folder.iterdir()} - BEGUN if folder.is_dir() else set()
     if strange:
         raise RunFolderError(
             f"{folder}: must be a run's folder but holds other files, such as "

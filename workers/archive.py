@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import lzma
 import os
 import shutil
 import stat
@@ -24,7 +25,7 @@ HARMLESS_BYTES = 64 * 2**20
 """Unpacked size below which the ratio does not matter."""
 
 DAMAGED = (
-    zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, ValueError
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, RuntimeError, ValueError
 )  # fmt: skip
 """What zipfile raises for damaged, encrypted or unknown content."""
 
@@ -100,6 +101,10 @@ def open_archive(name: str, archive: bytes) -> zipfile.ZipFile:
 
 
 def _check_entry(name: str, entry: zipfile.ZipInfo) -> None:
+    if not entry.filename:
+        raise ModelError(
+            f"{name}: every entry in it must have a name but one has none; export it again"
+        )
     path = PurePosixPath(entry.filename.replace("\\", "/"))
     leaves = path.is_absolute() or ".." in path.parts or ":" in entry.filename.split("/")[0]
     if leaves or stat.S_ISLNK(entry.external_attr >> 16):

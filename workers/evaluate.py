@@ -29,6 +29,9 @@ from workers.wire import Batch
 MAX_VALUES = 4_000_000
 """Simulated values that are kept at once: 32 MB, however long the experiments are."""
 
+TOO_LARGE = 1e100
+"""Of a residual or constraint: with its square, or its derivative, a method could not count."""
+
 
 class Evaluator:
     """Everything that one worker needs to answer tasks: a loaded FMU and its experiments.
@@ -104,7 +107,8 @@ class Evaluator:
         want: Want,
         seconds: float,
     ) -> Outcome:
-        finite = np.isfinite(judged.residuals[p]).all() and np.isfinite(judged.constraints[p]).all()
+        found = np.concatenate([judged.residuals[p], judged.constraints[p]])
+        finite = (np.abs(found) < TOO_LARGE).all()  # no number is not less
         if record.codes[p] != failure.FINISHED:
             status, message = Status.SOLVER_FAILURE, record.messages[p]
         elif p in judged.failures:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import sys
 import threading
 import weakref
 from collections import deque
@@ -101,6 +102,8 @@ class Instance:
             _made += 1
             name = f"{interface.modelIdentifier}-{_made}"
         _logs[name] = self.log
+        if self._model.talks:
+            _talking.add(name)
         try:
             with _loading, _same_folder():
                 fmu = make(
@@ -109,7 +112,7 @@ class Instance:
                     unzipDirectory=str(self._folder),
                     instanceName=name,
                 )
-                fmu.instantiate(callbacks=_callbacks, loggingOn=False)
+                fmu.instantiate(callbacks=_callbacks, loggingOn=self._model.talks)
         except Exception as error:  # fmpy raises bare exceptions here
             said = f" It said: {self.log[-1].rstrip('.')}." if self.log else ""
             raise ModelError(
@@ -157,13 +160,21 @@ def _check_platform(description: Description) -> None:
 
 
 _logs: weakref.WeakValueDictionary[str, deque[str]] = weakref.WeakValueDictionary()
+_talking: set[str] = set()
+"""Instances whose messages are shown."""
+_STATUSES = ("ok", "warning", "discard", "error", "fatal", "pending")
 
 
 def _log(environment: object, instance: bytes, status: int, category: bytes, text: bytes) -> None:
     """Receive a message from any instance; fmpy's proxy knows one logger for all of them."""
-    log = _logs.get((instance or b"").decode(errors="replace"))
+    name, said = (each.decode(errors="replace").strip() for each in (instance or b"", text or b""))
+    log = _logs.get(name)
     if log is not None and status > 0:
-        log.append((text or b"").decode(errors="replace").strip())
+        log.append(said)
+    if name in _talking:
+        of = _STATUSES[status] if 0 <= status < len(_STATUSES) else str(status)
+        sys.stderr.write(f"{of}: {said}\n")
+        sys.stderr.flush()  # the next call may end the process
 
 
 def _make_callbacks() -> ctypes.Structure:

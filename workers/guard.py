@@ -11,23 +11,18 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import socket
 import statistics
-import subprocess
-import sys
 import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from multiprocessing import reduction
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 from workers.child import Report, resident_bytes
 from workers.errors import ModelError
+from workers.forking import Forks
 from workers.messages import Experiment, Limits, Model, Outcome, Status, Task
 from workers.wire import Batch
-from workers.zygote import FORK
 
 LOOK_SECONDS = 0.1
 """How often the memory of a running simulation is looked at."""
@@ -35,6 +30,8 @@ GRACE_SECONDS = 1.0
 """What a simulation may always take beyond what is usual."""
 REMEMBERED = 31
 """Durations of each experiment, whose median is what is usual."""
+TRIES, LOST = 2, 10
+"""How often a simulation may fail, and how often it may be killed from outside."""
 CAREFUL = 500
 """Tasks in a row without a failure before they travel in batches again."""
 MOST_INSTANCES = 900
@@ -48,6 +45,15 @@ class Failure:
 
     status: Status
     message: str
+
+    @property
+    def from_outside(self) -> bool:
+        """Whether somebody else ended it, so that the simulation is not to blame."""
+        return self.status is Status.LOST_WORKER
+
+
+class LostError(Exception):
+    """A process was killed from outside while it began; another one may do."""
 
 
 class Guard:
@@ -74,32 +80,29 @@ class Guard:
         self._careful = 0
         self._base = 0
         self._stopped = False
-        mine, theirs = socket.socketpair()
-        with theirs:
-            self._zygote = subprocess.Popen(
-                [sys.executable, "-m", "workers.zygote", str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
-                start_new_session=True,
-                env={**os.environ, "PYTHONPATH": _import_path(), "OPENBLAS_NUM_THREADS": "1"},
-            )
-        self._orders = Connection(mine.detach())
+        self._forks = Forks((model, tuple(experiments), name))
         self._child: tuple[int, Connection] | None = None
         try:
-            self._orders.send((model, tuple(experiments), name))
-            self._begin()
+            self._begin_at_last()
         except BaseException:
             self.close()
             raise
 
     def evaluate(self, batch: Batch) -> list[Outcome]:
         """Answer every task of a batch, in its order."""
+        failed = 0
         if self._careful == 0 and self._is_usual(batch):
             answered = self._ask(batch)
             if not isinstance(answered, Failure):
                 return answered
             self._careful = CAREFUL
-            return [self._alone(task, None) for task in batch.tasks()]
-        return [self._alone(task, self._ask(Batch.of([task]))) for task in batch.tasks()]
+            failed = 0 if answered.from_outside else 1
+        return [self._alone(task, failed) for task in batch.tasks()]
+
+    def once(self, task: Task) -> Outcome:
+        """Answer one task at the first attempt, whatever becomes of it."""
+        found = self._ask(Batch.of([task]))
+        return found[0] if isinstance(found, list) else self._failed(task, found)
 
     def stop(self) -> None:
         """End what is simulated, from another thread; all that is asked from now on fails."""
@@ -112,21 +115,25 @@ class Guard:
     def close(self) -> None:
         """End the processes, whatever they are doing; only after `stop` if a thread waits."""
         self._stopped = True
-        if not self._orders.closed:
-            self._end(kill=True)
-            self._orders.close()
-            self._zygote.wait()
+        self._end(kill=True)
+        self._forks.close()
 
-    def _alone(self, task: Task, first: list[Outcome] | Failure | None) -> Outcome:
-        """The outcome of one task after a first attempt, or after its batch has failed."""
+    def _alone(self, task: Task, failed: int) -> Outcome:
+        """The outcome of one task, which has failed so many times with its batch."""
         self._careful = max(self._careful - 1, 0)
-        if isinstance(first, list):
-            return first[0]
-        second = self._ask(Batch.of([task]))
-        if isinstance(second, list):
-            return second[0]
-        self._careful = CAREFUL
-        return Outcome(task.id, second.status, message=second.message, worker=self._name)
+        lost = 0
+        while True:
+            answered = self._ask(Batch.of([task]))
+            if not isinstance(answered, Failure):
+                return answered[0]
+            self._careful = CAREFUL
+            lost += answered.from_outside
+            failed += not answered.from_outside
+            if failed >= TRIES or lost >= LOST:
+                return self._failed(task, answered)
+
+    def _failed(self, task: Task, failure: Failure) -> Outcome:
+        return Outcome(task.id, failure.status, message=failure.message, worker=self._name)
 
     def _ask(self, batch: Batch) -> list[Outcome] | Failure:
         """One attempt: the outcomes, or why there are none."""
@@ -134,6 +141,8 @@ class Guard:
             child, connection = self._child or self._begin()
         except ModelError as error:
             return Failure(Status.CRASH, str(error))
+        except LostError as error:
+            return Failure(Status.LOST_WORKER, str(error))
         begin = time.monotonic()
         try:
             connection.send(batch)
@@ -146,7 +155,7 @@ class Guard:
             raise
         if report is None:
             code = self._end(kill=failure is not None)
-            return failure or Failure(Status.CRASH, _how_it_ended(code))
+            return failure or _ended(code)
         outcomes = report.answers.outcomes()
         self._learn(batch, outcomes)
         if self._has_grown(report):
@@ -199,22 +208,24 @@ class Guard:
         grown = report.resident - self._base > self._limits.growth
         return grown or report.instances > MOST_INSTANCES
 
+    def _begin_at_last(self) -> None:
+        for left in reversed(range(LOST)):
+            try:
+                self._begin()
+                return
+            except LostError as error:
+                if not left:
+                    raise ModelError(f"{self._file}: must load, but {error}") from error
+
     def _begin(self) -> tuple[int, Connection]:
         """Fork a process and wait until it has loaded the FMU."""
         if self._stopped:
             raise ModelError(f"{self._file}: its worker was stopped")
-        mine, theirs = socket.socketpair()
         self._base = 0
         try:
-            with theirs:
-                self._orders.send(FORK)
-                reduction.send_handle(self._orders, theirs.fileno(), self._zygote.pid)
-                child = self._orders.recv()
-        except (EOFError, OSError) as error:
-            mine.close()
-            raise ModelError(f"{self._file}: no process can be started for it ({error})") from error
-        connection = Connection(mine.detach())
-        self._child = child, connection
+            self._child = _, connection = self._forks.fork()
+        except OSError as error:
+            raise LostError(f"no process can be started ({error})") from error
         said: ModelError | None
         try:
             if not connection.poll(LOAD_SECONDS):
@@ -225,10 +236,12 @@ class Guard:
                 )
             said = connection.recv()
         except (EOFError, OSError) as error:
-            code = self._end(kill=False)
+            ended = _ended(self._end(kill=False))
+            if ended.from_outside:
+                raise LostError(ended.message) from error
             raise ModelError(
-                f"{self._file}: must load but {_how_it_ended(code)} while it did; check that it "
-                "runs on this machine"
+                f"{self._file}: must load, but {ended.message.replace('this simulation', 'that')}; "
+                "check that it runs on this machine"
             ) from error
         if said is not None:
             self._end(kill=False)
@@ -245,26 +258,19 @@ class Guard:
         if kill:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
-        try:
-            self._orders.send(child)
-            code: int = self._orders.recv()
-        except (EOFError, OSError):
-            return None
-        return code
+        return self._forks.wait(child)
 
 
-def _how_it_ended(code: int | None) -> str:
-    """A sentence's end: what became of a process."""
-    if code is None:
-        return "the process was lost during this simulation"
-    if code == -signal.SIGKILL:
-        return (
-            "the process was killed from outside during this simulation, perhaps because memory "
-            "ran out"
-        )
+def _ended(code: int | None) -> Failure:
+    """What became of a process that ended in the middle of a simulation."""
+    if code is None or code == -signal.SIGKILL:
+        message = "the process was killed from outside, perhaps because memory ran out"
+        return Failure(Status.LOST_WORKER, message)
     if code < 0:
-        return f"the process crashed during this simulation ({_signal_name(-code)})"
-    return f"the process was ended by the FMU during this simulation (exit code {code})"
+        name = _signal_name(-code)
+        return Failure(Status.CRASH, f"the process crashed during this simulation ({name})")
+    message = f"the process was ended by the FMU during this simulation (exit code {code})"
+    return Failure(Status.CRASH, message)
 
 
 def _signal_name(number: int) -> str:
@@ -272,9 +278,3 @@ def _signal_name(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
-
-
-def _import_path() -> str:
-    """Where this package stands, for the process to find it too."""
-    own = str(Path(__file__).parent.parent)
-    return os.pathsep.join([own, *filter(None, [os.environ.get("PYTHONPATH")])])

@@ -97,6 +97,8 @@ class Model:
         Which of the FMU's interfaces, and how.
     parameters
         Names of the variables that every task's `values` are for, in that order.
+    talks
+        Whether the FMU logs all that it can, and its messages go to stderr too as they come.
     """
 
     name: str
@@ -104,6 +106,7 @@ class Model:
     interface: Interface
     solver: Solver
     parameters: tuple[str, ...]
+    talks: bool = False
 
     @cached_property
     def archive_hash(self) -> str:
@@ -383,6 +386,7 @@ class Status(enum.StrEnum):
     OUT_OF_MEMORY = "out of memory"
     CRASH = "crash"
     LOST_WORKER = "lost worker"
+    NOT_RUN = "not run"
 
 
 @dataclass(frozen=True, slots=True)

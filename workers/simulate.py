@@ -304,7 +304,7 @@ def _settings(model: Model, description: Description, own_states: int) -> Settin
     return Settings(
         step=solver.step or 0.0,
         rtol=rtol,
-        atols=atol * np.array(nominals, np.float64),
+        atols=np.maximum(atol * np.array(nominals, np.float64), np.finfo(np.float64).tiny),
         max_steps=solver.max_steps,
         fmu_tolerance=solver.rtol or 0.0,
     )

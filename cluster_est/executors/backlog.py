@@ -45,6 +45,11 @@ class Backlog:
         """Seconds that a batch usually takes."""
         return sum(self._seconds.get(e, FIRST_GUESS) for e in batch.experiments.tolist())
 
+    @property
+    def next_seconds(self) -> float:
+        """Seconds that the next simulation usually takes; a guess if there was none like it."""
+        return self._seconds.get(self._tasks[0].experiment, FIRST_GUESS)
+
     def clear(self) -> None:
         self._tasks.clear()
 

@@ -14,6 +14,10 @@ from workers.evaluate import Evaluator
 from workers.messages import Experiment, Limits, Model, Outcome, Task
 from workers.wire import Batch
 
+SLOW_SECONDS = 0.5
+"""What an interrupt may wait for a simulation that runs in the caller's thread."""
+CLOSE_SECONDS = 1.0
+
 
 class _Evaluates(Protocol):
     """An evaluator, or what stands before one."""
@@ -24,7 +28,10 @@ class _Evaluates(Protocol):
 
 
 class LocalExecutor(Executor):
-    """One thread for each worker, each with an instance of the FMU; with one worker, no thread.
+    """One thread for each worker, each with an instance of the FMU.
+
+    With one worker quick simulations run in the caller's thread. Slow ones do not: an interrupt
+    could not come through.
 
     The default, for fits that take seconds. An FMU that crashes takes this process with it, and not
     every FMU allows several instances in one process: `processes` and `ray` have neither weakness.
@@ -39,7 +46,7 @@ class LocalExecutor(Executor):
         for evaluator in evaluators:
             self._idle.put(evaluator)
         self._backlog = Backlog(shares=2 * self.workers)
-        self._threads = ThreadPoolExecutor(self.workers) if self.workers > 1 else None
+        self._threads = ThreadPoolExecutor(self.workers)
         self._running: dict[Future[list[Outcome]], Batch] = {}
 
     @classmethod
@@ -61,8 +68,9 @@ class LocalExecutor(Executor):
         self._fill()
 
     def completed(self) -> list[Outcome]:
-        if self._threads is None:
-            return self._evaluate_here() if self._backlog else []
+        if self._here:
+            return self._evaluate_here()
+        self._fill()
         if not self._running:
             return []
         done, _ = wait(self._running, return_when=FIRST_COMPLETED)
@@ -80,20 +88,26 @@ class LocalExecutor(Executor):
 
     @property
     def busy(self) -> int:
-        if self._threads is None:
-            return min(1, len(self._backlog))
-        return min(self.workers, len(self._running))
+        waiting = len(self._backlog) if self.workers == 1 else 0
+        return min(self.workers, len(self._running) + waiting)
 
     def close(self) -> None:
-        if self._threads is not None:
-            self._threads.shutdown(cancel_futures=True)
-        self._running.clear()
         self._backlog.clear()
-        for evaluator in self._evaluators:
-            evaluator.close()
+        _, endless = wait(self._running, CLOSE_SECONDS)
+        self._threads.shutdown(wait=not endless, cancel_futures=True)
+        self._running.clear()
+        if not endless:  # what is simulated still must not lose its FMU
+            for evaluator in self._evaluators:
+                evaluator.close()
+
+    @property
+    def _here(self) -> bool:
+        """Whether what comes next runs in the caller's thread."""
+        quick = len(self._backlog) > 0 and self._backlog.next_seconds < SLOW_SECONDS
+        return self.workers == 1 and not self._running and quick
 
     def _fill(self) -> None:
-        while self._threads is not None and self._backlog and len(self._running) < self.workers:
+        while not self._here and self._backlog and len(self._running) < self.workers:
             batch = self._backlog.take()
             self._running[self._threads.submit(self._evaluate, batch)] = batch
 

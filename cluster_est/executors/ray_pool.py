@@ -34,7 +34,8 @@ ALONE, GIVEN_UP = 3, 6
 """Lost workers after which a task is sent alone, and after which it is not sent any more."""
 START_SECONDS = 10.0
 """How long all workers are waited for, once there is one."""
-FAILED_STARTS = 20
+FAILED_FIRST_STARTS, FAILED_STARTS = 3, 50
+"""Workers in a row that may be lost while they start: the first ones, and later ones."""
 
 
 class _Flight(NamedTuple):
@@ -72,6 +73,7 @@ class RayPool(Executor):
         self._twice: set[int] = set()
         self._lost: Counter[int] = Counter()
         self._started = self._failed = 0
+        self._ready = False
         self._looked = time.monotonic()
         self._start_missing()
 
@@ -161,11 +163,12 @@ class RayPool(Executor):
             ray.get(reference)
         except RayError as error:
             self._failed += 1
-            if isinstance(error, RayTaskError) or not self._actors or self._failed > FAILED_STARTS:
+            most = FAILED_STARTS if self._ready else FAILED_FIRST_STARTS
+            if isinstance(error, RayTaskError) or self._failed >= most:
                 raise why_not_started(error) from error
             self._start_missing()
             return
-        self._failed = 0
+        self._failed, self._ready = 0, True
         self._actors[name] = actor
 
     def _look(self) -> None:

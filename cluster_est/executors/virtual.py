@@ -13,6 +13,7 @@ from cluster_est.executors.base import Executor
 from workers.messages import Experiment, FloatArray, Limits, Model, Outcome, Status, Task
 
 Answer = Callable[[Task], FloatArray]
+Clock = Callable[[], float]
 Seconds = Callable[[Task, np.random.Generator], float]
 
 
@@ -20,9 +21,9 @@ class VirtualExecutor(Executor):
     """Answers with the values of functions, at the times at which workers would have them.
 
     For studies of how methods use workers that simulations keep busy for different times. Nothing
-    sleeps: a clock jumps from one end of a task to the next. The coordinator's own work takes no
-    virtual time, and a task travels alone and at once. It is not for users' fits, so no config can
-    choose it.
+    sleeps: a clock jumps from one end of a task to the next. A task travels alone and at once. The
+    coordinator's own work takes no virtual time unless a clock measures it. It is not for users'
+    fits, so no config can choose it.
 
     Parameters
     ----------
@@ -38,11 +39,16 @@ class VirtualExecutor(Executor):
         Of a task; none if left out.
     seed
         Of those generators.
+    clock
+        Reads seconds. What passes on it while the coordinator works passes on the virtual clock
+        too; workers go on meanwhile with what is queued, and stand idle where nothing is.
 
     Attributes
     ----------
     now
         Virtual seconds since the beginning.
+    coordinator
+        Of these, how many the coordinator has worked, as the clock says.
     """
 
     name: ClassVar[str] = "virtual"
@@ -54,16 +60,20 @@ class VirtualExecutor(Executor):
         workers: int = 1,
         constraints: Answer | None = None,
         seed: int = 0,
+        clock: Clock | None = None,
     ) -> None:
         self.workers = workers
         self.now = 0.0
+        self.coordinator = 0.0
         self._residuals = residuals
         self._constraints = constraints or (lambda task: np.zeros(0))
         self._seconds = seconds
         self._seed = seed
-        self._queue: deque[Task] = deque()
+        self._queue: deque[tuple[float, Task]] = deque()  # when it was submitted
         self._running: list[tuple[float, int, float, Task]] = []  # end, id, begin
         self._worked = 0.0
+        self._clock = clock or (lambda: 0.0)
+        self._left = self._clock()
 
     @classmethod
     def open(
@@ -77,28 +87,35 @@ class VirtualExecutor(Executor):
         raise NotImplementedError("a virtual executor is made from functions, not from a model")
 
     def submit(self, tasks: Sequence[Task]) -> None:
-        self._queue.extend(tasks)
-        self._begin()
+        self._resume()
+        self._queue.extend((self.now, task) for task in tasks)
+        self._begin(self.now)
+        self._left = self._clock()
 
     def completed(self) -> list[Outcome]:
-        """Advance the clock to the end of the next task; all that end at that moment."""
-        if not self._running:
-            return []
+        """All that have ended meanwhile; else advance to the moment at which the next one ends."""
+        self._resume()
         outcomes: list[Outcome] = []
-        self.now = self._running[0][0]
+        if self._running:
+            self.now = max(self.now, self._running[0][0])
         if self.now == np.inf:
             raise RuntimeError("every worker is busy with a task that never ends")
         while self._running and self._running[0][0] <= self.now:
-            end, _, begin, task = heapq.heappop(self._running)
-            self._worked += end - begin
-            outcomes.append(self._answer(task, end - begin))
-        self._begin()
+            moment = self._running[0][0]
+            while self._running and self._running[0][0] <= moment:
+                end, _, begin, task = heapq.heappop(self._running)
+                self._worked += end - begin
+                outcomes.append(self._answer(task, end - begin))
+            self._begin(moment)
+        self._left = self._clock()
         return outcomes
 
     def cancel(self, tasks: Collection[int]) -> list[int]:
+        self._resume()
         wanted = set(tasks)
-        found = [task.id for task in self._queue if task.id in wanted]
-        self._queue = deque(task for task in self._queue if task.id not in wanted)
+        found = [task.id for _, task in self._queue if task.id in wanted]
+        self._queue = deque(queued for queued in self._queue if queued[1].id not in wanted)
+        self._left = self._clock()
         return found
 
     @property
@@ -108,18 +125,26 @@ class VirtualExecutor(Executor):
     @property
     def busy_share(self) -> float:
         """Part of the workers' time so far in which they had something to do."""
-        under_way = sum(self.now - begin for _, _, begin, _ in self._running)
+        under_way = sum(min(end, self.now) - begin for end, _, begin, _ in self._running)
         return (self._worked + under_way) / (self.workers * self.now) if self.now > 0.0 else 0.0
 
     def close(self) -> None:
         self._queue.clear()
         self._running.clear()
 
-    def _begin(self) -> None:
+    def _resume(self) -> None:
+        """Let pass what the coordinator has worked since it was left."""
+        worked = self._clock() - self._left
+        self.now += worked
+        self.coordinator += worked
+
+    def _begin(self, moment: float) -> None:
+        """Give idle workers what is queued, at the moment at which the last one ended its task."""
         while self._queue and len(self._running) < self.workers:
-            task = self._queue.popleft()
+            submitted, task = self._queue.popleft()
+            begin = max(moment, submitted)
             seconds = self._seconds(task, np.random.default_rng([self._seed, task.id]))
-            heapq.heappush(self._running, (self.now + seconds, task.id, self.now, task))
+            heapq.heappush(self._running, (begin + seconds, task.id, begin, task))
 
     def _answer(self, task: Task, seconds: float) -> Outcome:
         with np.errstate(all="ignore"):

@@ -25,6 +25,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.space import Space
 from workers.messages import FloatArray, Outcome
 
@@ -201,7 +202,9 @@ class Solution:
     iterations
         How many.
     jacobian : (residuals, unknowns) or None
-        d residuals / d x at `x`, where the method has it.
+        d residuals / d x at `x`, where the method has it and it is not too large.
+    block_jacobian
+        The same, experiment by experiment, where it is too large for one array.
     difference_steps : (unknowns,) or None
         Steps of its finite differences, in search coordinates.
     at
@@ -216,6 +219,7 @@ class Solution:
     message: str = ""
     iterations: int = 0
     jacobian: FloatArray | None = field(default=None, repr=False)
+    block_jacobian: BlockMatrix | None = field(default=None, repr=False)
     difference_steps: FloatArray | None = field(default=None, repr=False)
     at: Evaluation | None = field(default=None, repr=False)
     others: tuple[Other, ...] = field(default=(), repr=False)

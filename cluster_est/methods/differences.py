@@ -11,16 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from cluster_est.methods.base import Evaluation, Points, Progress
+from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.space import Space
 from workers.messages import FloatArray, Solver
 
 Scheme = Literal["forward", "central"]
+LARGE = 2**23
+"""Entries above which a solution keeps its Jacobian in blocks, where those are much smaller."""
 NOISE_OF_TOLERANCE = 1e-3
 """Part of an adaptive solver's tolerance by which its result jumps."""
 NOISE_FIXED = 1e-14
@@ -34,8 +38,8 @@ class Jacobian:
 
     Attributes
     ----------
-    matrix : (residuals, unknowns)
-        Zero in the columns of frozen unknowns.
+    blocks
+        Of the residuals, (residuals, unknowns); zero in the columns of frozen unknowns.
     frozen : (unknowns,)
         Unknowns whose derivative could not be computed because a simulation failed.
     steps : (unknowns,)
@@ -44,10 +48,26 @@ class Jacobian:
         Derivatives of `Evaluation.constraints`; zero in frozen columns too.
     """
 
-    matrix: FloatArray
+    blocks: BlockMatrix
     frozen: npt.NDArray[np.bool_]
     steps: FloatArray
     constraints: FloatArray
+
+    @cached_property
+    def matrix(self) -> FloatArray:
+        """(residuals, unknowns): the whole matrix, for those who need it in one piece."""
+        return self.blocks.dense()
+
+    @property
+    def whole(self) -> FloatArray | None:
+        """`matrix`, unless it is too large for `Solution.jacobian`."""
+        return None if self.large is not None else self.matrix
+
+    @property
+    def large(self) -> BlockMatrix | None:
+        """`blocks`, where the whole matrix is too large."""
+        entries = self.blocks.height * self.blocks.size
+        return self.blocks if self.blocks.sparse and entries > LARGE else None
 
 
 def relative_noise(solver: Solver) -> float:
@@ -120,24 +140,28 @@ def _assemble(
     widths: FloatArray,
 ) -> Jacobian:
     """Take each unknown's column from the experiments that it acts on, in its colour's point."""
-    rows = at.rows
     places = space.constraint_rows
-    matrix = np.zeros((rows[-1].stop if rows else 0, space.size))
+    pairs = zip(at.rows, space.acting, strict=True)
+    parts = [np.zeros((row.stop - row.start, len(columns))) for row, columns in pairs]
     constraints = np.zeros((len(space.constraint_names), space.size))
     own = space.parameter_constraint_slopes(x)
     constraints[: len(own)] = own
     frozen = np.zeros(space.size, dtype=bool)
+    colour_of = np.zeros(space.size, np.intp)
     for colour, members in enumerate(space.colours):
-        for i in members.tolist():
+        colour_of[members] = colour
+    for e, columns in enumerate(space.acting):
+        for j, i in enumerate(columns.tolist()):
+            colour = colour_of[i]
+            high, low = ahead[colour].outcomes[e], behind[colour].outcomes[e]
             width = widths[colour, i]
-            for e in space.unknowns[i].experiments:
-                high, low = ahead[colour].outcomes[e], behind[colour].outcomes[e]
-                if high.residuals is None or low.residuals is None or width == 0.0:
-                    frozen[i] = True
-                    continue
-                matrix[rows[e], i] = (high.residuals - low.residuals) / width
-                if places[e].stop > places[e].start:
-                    constraints[places[e], i] = (high.constraints - low.constraints) / width
-    matrix[:, frozen] = 0.0
+            if high.residuals is None or low.residuals is None or width == 0.0:
+                frozen[i] = True
+                continue
+            parts[e][:, j] = (high.residuals - low.residuals) / width
+            if places[e].stop > places[e].start:
+                constraints[places[e], i] = (high.constraints - low.constraints) / width
+    for part, columns in zip(parts, space.acting, strict=True):
+        part[:, frozen[columns]] = 0.0
     constraints[:, frozen] = 0.0
-    return Jacobian(matrix, frozen, steps, constraints)
+    return Jacobian(BlockMatrix(tuple(parts), space.acting, space.size), frozen, steps, constraints)

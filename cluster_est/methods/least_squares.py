@@ -118,7 +118,8 @@ class LeastSquares(Method):
                 cost=state.at.cost,
                 ending=ending,
                 iterations=state.progress.iteration,
-                jacobian=derivatives.matrix,
+                jacobian=derivatives.whole,
+                block_jacobian=derivatives.large,
                 difference_steps=derivatives.steps,
                 at=state.at,
             )

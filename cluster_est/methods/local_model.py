@@ -6,8 +6,8 @@ import numpy as np
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation
-from cluster_est.methods.bounded_step import StepSolver
 from cluster_est.methods.differences import Jacobian
+from cluster_est.methods.linear_map import LinearMap, linear_map
 from cluster_est.space import Space
 from workers.messages import FloatArray
 
@@ -52,15 +52,16 @@ class LocalModel:
     ) -> None:
         self._roots = np.sqrt(_weights(space, at))
         self._residuals = self._roots * at.residuals
-        self._matrix = self._roots[:, None] * derivatives.matrix
+        self._map = linear_map(derivatives, self._roots)
         with np.errstate(over="ignore"):
             self.squares = float(np.add.reduce(self._residuals * self._residuals))
-        self.scale = np.maximum(largest, np.linalg.norm(self._matrix, axis=0))
-        self.optimality = _optimality(space, x, self._matrix, self._residuals)
+        norms = self._map.norms()
+        self.scale = np.maximum(largest, norms)
+        self.optimality = _optimality(space, x, self._map, norms, self._residuals)
         room = _longest_step(space, x)
         self._bounds = np.maximum(space.lower - x, -room), np.minimum(space.upper - x, room)
         self._damped = np.where(self.scale > 0.0, self.scale, 1.0)
-        self._solver = StepSolver(self._matrix, self._residuals, self._damped, *self._bounds)
+        self._solver = self._map.solver(self._residuals, self._damped, *self._bounds)
 
     def step(self, damping: float) -> FloatArray:
         """The step p that minimises the model plus damping |D p|^2."""
@@ -68,8 +69,8 @@ class LocalModel:
 
     def corrected(self, step: FloatArray, at: Evaluation, damping: float) -> FloatArray:
         """The same step, had the model known how the residuals bend towards `at`, its end."""
-        bent = self._roots * at.residuals - self._matrix @ step
-        return StepSolver(self._matrix, bent, self._damped, *self._bounds).step(damping)
+        bent = self._roots * at.residuals - self._map.product(step)
+        return self._map.solver(bent, self._damped, *self._bounds).step(damping)
 
     def gain(self, step: FloatArray) -> float:
         """By how much the model expects a step to lower the cost."""
@@ -105,9 +106,11 @@ def _weights(space: Space, at: Evaluation) -> FloatArray:
     return np.maximum(weights, 0.0)
 
 
-def _optimality(space: Space, x: FloatArray, matrix: FloatArray, residuals: FloatArray) -> float:
-    gradient = matrix.T @ residuals
-    norms = np.linalg.norm(matrix, axis=0) * np.linalg.norm(residuals)
+def _optimality(
+    space: Space, x: FloatArray, map_: LinearMap, norms: FloatArray, residuals: FloatArray
+) -> float:
+    gradient = map_.transposed_product(residuals)
+    norms = norms * np.linalg.norm(residuals)
     blocked = ((x <= space.lower) & (gradient > 0.0)) | ((x >= space.upper) & (gradient < 0.0))
     usable = ~blocked & (norms > 0.0)
     return float(np.max(np.abs(gradient[usable]) / norms[usable], initial=0.0))

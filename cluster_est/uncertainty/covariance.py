@@ -24,6 +24,7 @@ from cluster_est.methods.base import Solution
 from cluster_est.space import Space
 from cluster_est.uncertainty.layout import HELD, Layout, bound_sides, lay_out
 from cluster_est.uncertainty.result import DerivedInterval, Interval, Uncertainty
+from cluster_est.uncertainty.slopes import has_slopes
 from cluster_est.uncertainty.system import System, build, directions
 from workers.messages import FloatArray
 
@@ -53,7 +54,7 @@ def assess(space: Space, solution: Solution, reach: float = 0.0) -> Uncertainty:
 def prepare(space: Space, solution: Solution, reach: float = 0.0) -> System | None:
     """The factored Jacobian of a solution; None if the solution lacks what that takes."""
     known = solution.at is not None or isinstance(space.problem.cost, SumSquared)
-    if solution.jacobian is None or not known or not np.isfinite(solution.cost):
+    if not has_slopes(solution) or not known or not np.isfinite(solution.cost):
         return None
     constraints = np.zeros(0) if solution.at is None else solution.at.constraints
     layouts = [lay_out(space, solution.x, constraints, held=held) for held in (True, False)]

@@ -9,12 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Search, Solution
+from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.differences import jacobian, relative_noise
 from cluster_est.runner import Runner, SearchRequest
 from cluster_est.space import Space
 from cluster_est.uncertainty.accuracy import sizes
 from cluster_est.uncertainty.covariance import assess, prepare
 from cluster_est.uncertainty.result import Uncertainty
+from cluster_est.uncertainty.slopes import has_slopes, slopes_of, with_slopes
 from cluster_est.uncertainty.spaces import moved
 from cluster_est.uncertainty.system import System, vectors
 from workers.messages import FloatArray
@@ -55,17 +57,22 @@ def linearise(runner: Runner, space: Space, solution: Solution) -> Solution:
     """
     if not np.isfinite(solution.cost):
         return solution
-    if solution.jacobian is not None and solution.at is not None:
+    if has_slopes(solution) and solution.at is not None:
         return solution
-    asked = _Linearise(solution.jacobian is None)
+    asked = _Linearise(not has_slopes(solution))
     here = moved(space, solution.x)
     (found,) = runner.run([SearchRequest("derivatives", asked, here)])
     if not found.ending.success:
         return solution
     solution = replace(solution, cost=found.cost, at=found.at)
-    if solution.jacobian is not None:
+    if has_slopes(solution):
         return solution
-    return replace(solution, jacobian=found.jacobian, difference_steps=found.difference_steps)
+    return replace(
+        solution,
+        jacobian=found.jacobian,
+        block_jacobian=found.block_jacobian,
+        difference_steps=found.difference_steps,
+    )
 
 
 def sharpen(runner: Runner, space: Space, solution: Solution) -> tuple[Solution, float]:
@@ -78,8 +85,8 @@ def sharpen(runner: Runner, space: Space, solution: Solution) -> tuple[Solution,
     reach
         The relative step that was used; 0 if there was nothing to measure or it failed.
     """
-    system = prepare(space, solution)
-    if system is None or not system.bad or solution.jacobian is None:
+    system, matrix = prepare(space, solution), slopes_of(space, solution)
+    if system is None or not system.bad or matrix is None:
         return solution, 0.0
     found = vectors(space, system.unheld, system.bad)
     scaled = np.asarray(np.linalg.qr(found.T)[0])
@@ -100,8 +107,7 @@ def sharpen(runner: Runner, space: Space, solution: Solution) -> tuple[Solution,
     if measured.jacobian is None or solution.at is None:
         return solution, 0.0
     slopes = measured.jacobian / lengths
-    corrected = _corrected(space, solution.jacobian, solution.at, system, scaled, slopes)
-    return replace(solution, jacobian=corrected), reach
+    return with_slopes(solution, _corrected(matrix, system, scaled, slopes)), reach
 
 
 def _lengths(space: Space, x: FloatArray, moves: FloatArray) -> tuple[FloatArray, float]:
@@ -117,25 +123,19 @@ def _lengths(space: Space, x: FloatArray, moves: FloatArray) -> tuple[FloatArray
 
 
 def _corrected(
-    space: Space,
-    matrix: FloatArray,
-    at: Evaluation,
-    system: System,
-    directions: FloatArray,
-    slopes: FloatArray,
-) -> FloatArray:
+    matrix: BlockMatrix, system: System, directions: FloatArray, slopes: FloatArray
+) -> BlockMatrix:
     """The least change of the Jacobian that gives the measured slopes, experiment by experiment.
 
     Columns of unknowns that do not act on an experiment stay 0 there.
     """
-    result = matrix.copy()
-    for e, rows in enumerate(at.rows):
-        acting = np.flatnonzero(space.acts_on[:, e])
+    parts = []
+    for own, acting, rows in zip(matrix.parts, matrix.columns, matrix.rows, strict=True):
         part = directions[acting]
-        scaled = matrix[rows][:, acting] / system.scale[acting]
+        scaled = own / system.scale[acting]
         change = (slopes[rows] - scaled @ part) @ np.linalg.pinv(part, rcond=1e-8)
-        result[rows][:, acting] = (scaled + change) * system.scale[acting]
-    return result
+        parts.append((scaled + change) * system.scale[acting])
+    return replace(matrix, parts=tuple(parts))
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,13 @@ class _Linearise(Method):
         found = yield from jacobian(space, x, at, "central", 0.0, None)
         ending = Ending.DERIVATIVES_FAILED if found.frozen.all() else Ending.CONVERGED
         return Solution(
-            x, at.cost, ending, jacobian=found.matrix, difference_steps=found.steps, at=at
+            x,
+            at.cost,
+            ending,
+            jacobian=found.whole,
+            block_jacobian=found.large,
+            difference_steps=found.steps,
+            at=at,
         )
 
 

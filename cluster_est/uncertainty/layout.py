@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from cluster_est.methods.base import TOLERANCE
+from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.space import Space
 from cluster_est.uncertainty.blocks import Block
 from workers.messages import FloatArray, IntArray
@@ -58,7 +58,8 @@ def bound_sides(space: Space, x: FloatArray) -> tuple[str, ...]:
 def is_shared(space: Space) -> npt.NDArray[np.bool_]:
     """(unknowns,): whether an unknown is declared for all experiments, or acts on several."""
     declared = np.array([u.parameter.per is None for u in space.unknowns], dtype=bool)
-    return np.asarray(declared | (space.acts_on.sum(axis=1) > 1))
+    several = np.array([len(u.experiments) > 1 for u in space.unknowns], dtype=bool)
+    return np.asarray(declared | several)
 
 
 def lay_out(space: Space, x: FloatArray, constraints: FloatArray, *, held: bool = True) -> Layout:
@@ -80,10 +81,7 @@ def lay_out(space: Space, x: FloatArray, constraints: FloatArray, *, held: bool 
     return Layout(
         sides=sides,
         shared=np.flatnonzero(free & shared),
-        local=tuple(
-            np.flatnonzero(free & ~shared & space.acts_on[:, e])
-            for e in range(len(space.experiments))
-        ),
+        local=tuple(acting[(free & ~shared)[acting]] for acting in space.acting),
         active=tuple(names[j] for j in np.flatnonzero(active)),
         slopes=slopes[active][:, free & shared],
         ignored=tuple(
@@ -106,11 +104,14 @@ def free_coordinates(slopes: FloatArray) -> FloatArray:
     return np.ascontiguousarray(rows[rank:].T)
 
 
-def blocks(
-    matrix: FloatArray, rows: Sequence[slice], layout: Layout, coordinates: FloatArray
-) -> list[Block]:
-    """Cut a scaled Jacobian into one block for each experiment."""
-    return [
-        Block(matrix[row][:, layout.shared] @ coordinates, matrix[row][:, local])
-        for row, local in zip(rows, layout.local, strict=True)
-    ]
+def blocks(matrix: BlockMatrix, layout: Layout, coordinates: FloatArray) -> list[Block]:
+    """Part the blocks of a scaled Jacobian into shared coordinates and local unknowns."""
+    place = np.full(matrix.size, -1)
+    place[layout.shared] = np.arange(len(layout.shared))
+    found = []
+    for part, columns, local in zip(matrix.parts, matrix.columns, layout.local, strict=True):
+        shared = place[columns] >= 0
+        moves = coordinates[place[columns[shared]]]
+        own = np.searchsorted(columns, local)
+        found.append(Block(part[:, shared] @ moves, part[:, own]))
+    return found

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluster_est.methods.base import Solution
+from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.space import Space
 from cluster_est.uncertainty import accuracy
 from cluster_est.uncertainty.blocks import (
@@ -20,6 +21,7 @@ from cluster_est.uncertainty.blocks import (
 )
 from cluster_est.uncertainty.directions import Direction, direction, sparse_basis
 from cluster_est.uncertainty.layout import Layout, blocks, free_coordinates
+from cluster_est.uncertainty.slopes import slopes_of
 from cluster_est.uncertainty.weighting import Scatter, Weighting, weigh
 from workers.messages import FloatArray
 
@@ -70,21 +72,21 @@ def build(space: Space, solution: Solution, layout: Layout, unheld: Layout, reac
 
     `reach` is the relative step with which its bad directions were measured; 0 if they were not.
     """
-    assert solution.jacobian is not None
-    weighting, rows = _weighting(space, solution, len(solution.jacobian))
-    matrix = solution.jacobian * weighting.factor[:, None]
-    norms = np.linalg.norm(matrix, axis=0)
+    slopes = slopes_of(space, solution)
+    assert slopes is not None
+    weighting, rows = _weighting(space, solution, slopes.height)
+    matrix = slopes.weighted(weighting.factor)
+    norms = matrix.norms()
     scale = np.where(norms > 0.0, norms, 1.0)
     limits = _limits(space, solution, weighting, norms, reach)
-    matrix /= scale
     noise = limits >= 1.0  # such columns would mix with others that are determined
-    matrix[:, noise], limits[noise] = 0.0, accuracy.ROUNDING
+    matrix, limits[noise] = matrix.over(np.where(noise, np.inf, scale)), accuracy.ROUNDING
     coordinates = free_coordinates(layout.slopes / scale[layout.shared])
-    factors = _factorise(matrix, rows, layout, coordinates, limits)
+    factors = _factorise(matrix, layout, coordinates, limits)
     bad = factors.combinations
     if any(layout.sides):
         moves = free_coordinates(unheld.slopes / scale[unheld.shared])
-        bad = _factorise(matrix, rows, unheld, moves, limits).combinations
+        bad = _factorise(matrix, unheld, moves, limits).combinations
     scatter = weighting.scatter(factors.rank)
     spread = None if scatter.spread is None else [scatter.spread[row] for row in rows]
     chosen = [c for c in bad if c.lost]
@@ -105,13 +107,9 @@ def build(space: Space, solution: Solution, layout: Layout, unheld: Layout, reac
 
 
 def _factorise(
-    matrix: FloatArray,
-    rows: Sequence[slice],
-    layout: Layout,
-    coordinates: FloatArray,
-    limits: FloatArray,
+    matrix: BlockMatrix, layout: Layout, coordinates: FloatArray, limits: FloatArray
 ) -> Factors:
-    parts = blocks(matrix, rows, layout, coordinates)
+    parts = blocks(matrix, layout, coordinates)
     local = tuple(limits[each] for each in layout.local)
     return factorise(parts, Limits(limits[layout.shared], local, coordinates), WEAK)
 

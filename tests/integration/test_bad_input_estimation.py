@@ -120,6 +120,14 @@ def test_methods(refuse, changes, phrases):
             ["cost.step: must be given in seconds, because the time base is 'both'"],
         ),
         ({"cost.step": 0}, ["cost.step: must be greater than 0 but is 0"]),
+        (
+            {"cost.time_base": "both", "cost.step": 1e-12},
+            ["cost.step: must leave at most 10000000 times between 0 and 0.3 s but is 1e-12 s"],
+        ),
+        (
+            {"cost.time_base": "both", "cost.step": 0.1, f"{A}.stop": 1e300},
+            ["cost.step: must leave at most 10000000 times between 0 and 1e+300 s", "longer"],
+        ),
         ({"cost.normalise": "mean"}, ["must be 'sigma', 'max' or 'range' but is 'mean'"]),
         ({"cost.weights": {"z": 1.0}}, ["cost.weights.z: must be named as an output", "has 'y'"]),
         ({"cost.weights": {"y": 0}}, ["cost.weights.y: must be greater than 0 but is 0"]),
@@ -191,9 +199,11 @@ def test_constraints_on_parameters(refuse, changes, phrases):
         (constraint(signal="F", upper=1.0), ["of causality 'input'", "choose an output"]),
         (on_y(), ["constraints[0].signal: must have a limit but has none; add lower, upper"]),
         (on_y(uper=1.0), ["unknown key constraints[0].uper; did you mean 'upper'?"]),
-        (on_y(upper="high"), ["must be a number or [[time, value], ...] but is 'high'"]),
+        (on_y(upper="high"), ["must be a finite number or [[time, value], ...] but is 'high'"]),
         (on_y(upper=[[0]]), ["constraints[0].upper[0]: must be a list of two numbers but is [0]"]),
-        (on_y(upper=[]), ["constraints[0].upper: must be a number or", "but is []"]),
+        (on_y(upper=[]), ["constraints[0].upper: must be a finite number", "but is []"]),
+        (on_y(upper=float("nan")), ["constraints[0].upper: must be a finite number", "is nan"]),
+        (on_y(upper=10**400), ["constraints[0].upper: must be a finite number", "but is 1000"]),
         (on_y(upper=[[1, 0], [0, 1]]), ["its times must not go back but do; sort the points"]),
         (
             on_y(upper=[[7, 1], [8, 1]]),
@@ -203,6 +213,7 @@ def test_constraints_on_parameters(refuse, changes, phrases):
         (on_y(upper=1, between=[5, 6]), ["constraints[0].between: must overlap with", "[5.0, 6"]),
         (on_y(upper=1, experiments=["b"]), ["constraints[0].experiments: there is no 'b'", "'a'"]),
         (on_y(upper=1, samples=1), ["constraints[0].samples: must be greater than 1 but is 1"]),
+        (on_y(upper=1, samples=2**62), ["constraints[0].samples: must be at most 1e+07 but is 46"]),
         (on_y(upper=1, scale=0), ["constraints[0].scale: must be greater than 0 but is 0"]),
         (on_y(final=1, upper=2), ["constraints[0].final: must stand alone but upper and final"]),
         (on_y(final=1, tolerance=-1), ["constraints[0].tolerance: must be at least 0 but is -1"]),
@@ -312,6 +323,10 @@ def test_derived_parameters(refuse, changes, phrases):
         (
             {f"{A}.curve": {"columns": {"y": "position"}, "samples": 1}},
             ["curve.samples: must be greater than 1 but is 1"],
+        ),
+        (
+            {f"{A}.curve": {"columns": {"y": "position"}, "samples": 2**62}},
+            ["curve.samples: must be at most 1e+07 but is 46"],
         ),
         ({f"{A}.data": REMOVED}, ["experiments['a'].data is missing; add it"]),
         (

@@ -18,6 +18,7 @@ class SignalBounds(Comparison):
     def __init__(self, bounds: tuple[SignalBound, ...]) -> None:
         self._bounds = bounds
 
+    @np.errstate(over="ignore", invalid="ignore")  # what overflows is said to be not finite
     def compare(self, simulated: Simulated) -> Compared:
         columns = [column for bound in self._bounds for column in _sides(bound, simulated)]
         table = np.array(columns, np.float64).reshape(-1, len(simulated.record))

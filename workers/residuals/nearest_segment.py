@@ -109,6 +109,7 @@ def farthest_components(points: FloatArray, reference: FloatArray) -> FloatArray
     return farthest
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def tolerance_constraints(
     points: FloatArray, reference: FloatArray, tolerances: FloatArray
 ) -> FloatArray:

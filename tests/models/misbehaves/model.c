@@ -1,4 +1,6 @@
-/* A decay that misbehaves at some of its rates: at how many of them, and how, parameters say. */
+/* A decay that misbehaves at some of its rates: at how many of them, and how, parameters say.
+   It appends a byte to the file that SIMULATIONS_COUNTED_IN names for each simulation. */
+#include <fcntl.h>
 #include <signal.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -31,11 +33,24 @@ static void take(double megabytes)
     taken = block;
 }
 
+static void count(void)
+{
+    const char *name = getenv("SIMULATIONS_COUNTED_IN");
+    int file = name != NULL ? open(name, O_WRONLY | O_APPEND | O_CREAT, 0600) : -1;
+    if (file >= 0) {
+        if (write(file, "x", 1) != 1)
+            abort();
+        close(file);
+    }
+}
+
 fmi2Status model_equations(Model *m)
 {
-    static double before = 0.0;
-    if (M(time) < before)
-        take(M(leak)); /* once a simulation */
+    static double before = 1e300;
+    if (M(time) == 0.0 && before > 0.0) { /* once a simulation, which begins at 0 */
+        count();
+        take(M(leak));
+    }
     before = M(time);
 
     if (M(time) > 0.5 && chance(M(rate)) < M(share)) {

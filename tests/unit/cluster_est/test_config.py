@@ -13,6 +13,7 @@ from spoiled import INF, NAN, REMOVED, mutate, spoiled_tree, valid_tree, write_i
 
 from cluster_est import parse_config, read_config
 from cluster_est.errors import ClusterEstError, ConfigError
+from cluster_est.sentences import readable
 from cluster_est.toml import to_toml
 
 A = "experiments.0"
@@ -236,6 +237,15 @@ def test_overrides_reach_into_lists_and_quoted_keys(tmp_path):
     assert config.experiments[0].role == "test"
     assert config.values == {"c": 0.6, "body.m": 2.0, "der(x)": 1}
     assert config.model.solver == "rk4"
+
+
+def test_a_message_is_made_fit_for_a_terminal():
+    assert readable("one\ntwo: ü 時") == "one\ntwo: ü 時"
+    assert readable("a\x1b[1mb\u202e\x00") == "a\\x1b[1mb\\u202e\\x00"
+    long = readable("first\n" + "a" * 5000 + "; mend it")
+    assert len(long) < 2000
+    assert long.startswith("first\naaa")
+    assert long.endswith("aaa; mend it")
 
 
 @settings(max_examples=200)

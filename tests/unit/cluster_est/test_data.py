@@ -194,7 +194,7 @@ MAT_73 = (
     ("content", "sentence"),
     [
         ({"t": np.ones((3, 4))}, "column 't': must be a vector of numbers but is 3 x 4 float64"),
-        ({"t": "text"}, "column 't': must be a vector of numbers but is a str"),
+        ({"t": "text"}, "column 't': must be a vector of numbers but is text"),
         ({"t": np.array([1j, 2.0])}, "must be a vector of numbers but is 2 complex128"),
         ({"run": {"t": np.ones(3)}}, "has no column 't'"),
         (MAT_73, 'but is of version 7.3, which is HDF5; save it with save(..., "-v7")'),

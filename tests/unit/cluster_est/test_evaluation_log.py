@@ -11,9 +11,10 @@ import pytest
 
 from cluster_est import evaluation_log
 from cluster_est.errors import RunFolderError
-from cluster_est.evaluation_log import SCHEMA, EvaluationLog, read_log
+from cluster_est.evaluation_log import SCHEMA, EvaluationLog, LogSettings, read_log
+from cluster_est.log_format import END_OF_STREAM, mend
 from cluster_est.runner import Origin
-from workers.messages import Effect, Outcome, Status
+from workers.messages import Effect, Outcome, Status, Trajectory
 
 EXPERIMENTS = [("first", "key1"), ("second", "key2")]
 METADATA = {"config_hash": "abc", "format": "1"}
@@ -191,3 +192,126 @@ def test_folder_without_segments_is_refused(tmp_path: Path) -> None:
     open_log(tmp_path).close()
     with pytest.raises(RunFolderError, match="holds none"):
         read_log(tmp_path)
+
+
+def test_a_torn_segment_is_mended_wherever_it_was_cut(tmp_path: Path) -> None:
+    recorded = rows(12)
+    write(tmp_path, recorded, 4).close()
+    path = tmp_path / "00000.arrows"
+    content = path.read_bytes()
+    left = set()
+    for size in [*range(0, len(content), 61), len(content) - 8, len(content) - 3, len(content)]:
+        path.write_bytes(content[:size])
+        mend(path)
+        if not path.exists():
+            left.add(0)
+            continue
+        assert path.read_bytes().endswith(END_OF_STREAM)
+        table = read_log(tmp_path)  # a warning would be an error
+        check(table, recorded[: table.num_rows])
+        left.add(table.num_rows)
+    assert left == {0, 4, 8, 12}
+    assert path.read_bytes() == content
+
+
+def test_a_resumed_log_goes_on_behind_what_is_there(tmp_path: Path) -> None:
+    recorded = rows(9)
+    write(tmp_path, recorded[:6], 3).close()
+    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, first_segment=1)
+    for row in recorded[6:]:
+        log.record(*row)
+    log.close()
+    check(read_log(tmp_path), recorded)
+
+
+def test_nothing_that_is_there_is_written_over(tmp_path: Path) -> None:
+    write(tmp_path, rows(3), 3).close()
+    log = open_log(tmp_path)
+    log.record(*rows(1)[0])
+    with pytest.raises(RunFolderError, match="must be written but cannot be"):
+        log.flush()
+
+
+def test_rows_are_written_while_the_run_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation_log, "SECONDS_PER_WRITE", 0.02)
+    log = open_log(tmp_path)
+    log._written = np.inf  # nothing that is recorded comes late
+    log.record(*rows(1)[0])
+    assert log._writer is not None
+    while not list(tmp_path.glob("*.arrows")):
+        log._writer.join(0.01)
+    log.close()
+    check(read_log(tmp_path), rows(1))
+
+
+def test_a_log_that_cannot_be_written_is_said_with_the_next_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation_log, "SECONDS_PER_WRITE", 0.02)
+    (tmp_path / "00000.arrows").write_bytes(b"")
+    log = open_log(tmp_path)
+    log._written = np.inf
+    log.record(*rows(1)[0])
+    assert log._writer is not None
+    log._writer.join()
+    with pytest.raises(RunFolderError, match="must be written but cannot be"):
+        log.record(*rows(1)[0])
+
+
+def trajectories(count: int) -> list[Row]:
+    found = []
+    for i in range(count):
+        origin = Origin("before", 0, "trajectory", i % 2, np.array([float(i)]))
+        path = Trajectory(("y", "z"), np.arange(40.0), np.arange(80.0).reshape(40, 2) + i)
+        found.append((origin, Outcome(i, Status.OK, np.arange(30.0), path)))
+    return found
+
+
+def test_trajectories_are_kept_and_what_was_wanted_is_said(tmp_path: Path) -> None:
+    write(tmp_path, [*trajectories(1), *rows(1)], 2).close()
+    with_path, without = read_log(tmp_path).to_pylist()
+    assert (with_path["want"], without["want"]) == ("trajectory", "residuals")
+    assert with_path["variables"] == ["y", "z"]
+    assert with_path["times"] == list(range(40))
+    assert with_path["trajectory"] == list(range(80))
+    assert without["trajectory"] is None
+
+
+def test_residuals_can_be_left_out(tmp_path: Path) -> None:
+    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, LogSettings(residuals=False))
+    for row in [*trajectories(2), *rows(2)]:
+        log.record(*row)
+    log.close()
+    table = read_log(tmp_path)
+    for column in ("residuals", "trajectory", "times", "variables"):
+        assert table[column].null_count == 4
+    assert table["cost"].null_count == 0
+    assert np.isfinite(table["cost"].to_numpy()).all()
+
+
+def test_the_oldest_segments_of_a_full_log_lose_their_residuals(tmp_path: Path) -> None:
+    recorded = trajectories(300)
+    settings = LogSettings(megabytes=0.25)
+    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, settings)
+    for first in range(0, 300, 10):
+        for row in recorded[first : first + 10]:
+            log.record(*row)
+        log.flush()
+        size = sum(path.stat().st_size for path in tmp_path.iterdir())
+        assert size <= 0.25 * 2**20 * 9 / 8  # the segment that is being written comes on top
+    log.close()
+    table = read_log(tmp_path)
+    assert table["values"].to_pylist() == [[float(i)] for i in range(300)]
+    missing = [residuals is None for residuals in table["residuals"].to_pylist()]
+    assert missing == sorted(missing, reverse=True)
+    assert 0 < sum(missing) < 300
+
+
+def test_a_log_of_the_first_format_can_be_read(tmp_path: Path) -> None:
+    write(tmp_path, rows(4), 4).close()
+    table = read_log(tmp_path).drop_columns(["want", "variables", "times", "trajectory"])
+    with pa.ipc.new_stream(tmp_path / "00000.arrows", table.schema) as writer:
+        writer.write_table(table)
+    check(read_log(tmp_path), rows(4))

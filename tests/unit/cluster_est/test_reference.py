@@ -42,6 +42,7 @@ SECTIONS = {
     "method": config.MethodSection,
     "executor": config.ExecutorSection,
     "budget": config.BudgetSection,
+    "log": config.LogSection,
 }
 SHOWN = ("time", "effects", "form", "data", "expression", "outputs", "constraints", "start")
 """Keys of which the reference has to show an example: one of several is needed."""

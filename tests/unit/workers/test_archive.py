@@ -65,9 +65,13 @@ def test_an_fmu_is_unpacked_once(cache):
         (FMU[:200] + b"\xff" * 60 + FMU[260:], ["cannot be unpacked (", "; export it again"]),
         (flagged(FMU, 8, 1), ["cannot be unpacked (", "encrypted"]),
         (flagged(FMU, 10, 77), "cannot be unpacked (That compression method is not supported"),
+        (flagged(FMU, 10, zipfile.ZIP_LZMA), "cannot be unpacked ("),
         (spoiled_fmu(lambda e: e.update({"a": b"", "a/b": b""})), "cannot be unpacked into"),
     ],
-    ids=["empty", "random", "truncated", "damaged", "encrypted", "unknown method", "conflict"],
+    ids=[
+        *("empty", "random", "truncated", "damaged", "encrypted", "unknown method"),
+        *("other method", "conflict"),
+    ],
 )
 def test_a_damaged_archive_is_refused(cache, content, sentence):
     message = refusal(content)
@@ -84,6 +88,14 @@ def test_a_damaged_archive_is_refused(cache, content, sentence):
 def test_a_path_that_leaves_the_folder_is_refused(cache, name):
     message = refusal(with_entry(name))
     assert f"the path {name!r} in it must stay inside the FMU's folder but leaves it" in message
+    assert not cache.exists()
+
+
+def test_an_entry_without_a_name_is_refused(cache, tmp_path):
+    path = tmp_path / "x.zip"
+    with zipfile.ZipFile(path, "w") as packed, packed.open(zipfile.ZipInfo(""), "w") as entry:
+        entry.write(b"x")
+    assert "every entry in it must have a name but one has none" in refusal(path.read_bytes())
     assert not cache.exists()
 
 

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from fmpy.fmi2 import FMU2Model
 from hypothesis import given
 from hypothesis import settings as limits
 from hypothesis import strategies as st
@@ -151,10 +152,12 @@ class TestEverySolver:
         assert outcome.status in (Status.SOLVER_FAILURE, Status.NOT_FINITE)
         assert outcome.message
 
-    def test_residuals_that_overflow_are_an_outcome(self, solver: str) -> None:
+    @pytest.mark.parametrize("sigma", [1e-309, 1e-150])
+    def test_residuals_that_overflow_are_an_outcome(self, solver: str, sigma: float) -> None:
+        """Or their squares would."""
         interface, chosen = SOLVERS[solver]
         (output,) = EXPERIMENTS[0].outputs
-        narrow = replace(EXPERIMENTS[0], outputs=(replace(output, sigma=1e-309),))
+        narrow = replace(EXPERIMENTS[0], outputs=(replace(output, sigma=sigma),))
         archive = (MODELS / "mass_spring_damper.fmu").read_bytes()
         model = Model("mass.fmu", archive, interface, chosen, ("m", "k"))
         (outcome,) = ask(Evaluator(model, [narrow], "test"), [(0, POINTS[0])])
@@ -167,6 +170,34 @@ class TestEverySolver:
         (outcome,) = ask(limited, [(0, POINTS[0])])
         assert outcome.status is Status.SOLVER_FAILURE
         assert outcome.message.startswith("the limit on the number of steps was reached at t = ")
+
+
+def test_a_tolerance_that_vanishes_is_no_division_by_zero():
+    chosen = Solver("dormand_prince", rtol=1e-6, atol=5e-324, max_steps=2000)
+    (outcome,) = ask(fresh("model_exchange", chosen), [(0, POINTS[0])])
+    assert outcome.ok or outcome.message
+
+
+def test_an_instance_that_talks_is_made_to_log_and_shows_it(built_fmu, monkeypatch, capfd):
+    asked = []
+    instantiate = FMU2Model.instantiate
+
+    def seen(fmu, *arguments, **options):
+        asked.append(options["loggingOn"])
+        return instantiate(fmu, *arguments, **options)
+
+    monkeypatch.setattr(FMU2Model, "instantiate", seen)
+    times = np.linspace(0.0, 2.0, 5)
+    run = Experiment("a", 0.0, 2.0, (), (Output("y", times, np.zeros(5)),))
+    quiet = Model("talks.fmu", built_fmu("talks"), "model_exchange", Solver("rk4", 0.1), ("rate",))
+    for model in (quiet, replace(quiet, talks=True)):
+        asking = Evaluator(model, [run], "w")
+        (outcome,) = ask(asking, [(0, np.array([3.0]))])
+        assert "it said: rate 3 is too much" in outcome.message
+        asking.close()
+    assert asked == [False, True]
+    assert model.key == quiet.key
+    assert set(capfd.readouterr().err.splitlines()) == {"error: rate 3 is too much"}
 
 
 @pytest.mark.parametrize(

@@ -150,6 +150,17 @@ def test_a_signal_that_is_no_number_violates_nothing_in_silence():
     assert found[1].tolist() == [-1.0, -1.0]
 
 
+def test_violations_that_overflow_are_an_outcome():
+    tiny = 5e-324
+    for spoiled in (
+        replace(EXPERIMENT, bounds=(replace(BOUND, scale=tiny),)),
+        replace(EXPERIMENT, curve=replace(LOOP, tolerances=(tiny, 0.0))),
+    ):
+        (outcome,) = ask(spoiled, np.array([[1.2, 30.0, 0.6]])[:, : len(MODEL.parameters)])
+        assert outcome.status is Status.NOT_FINITE
+        assert "too large" in outcome.message
+
+
 def test_a_curve_has_a_residual_for_each_segment_and_constraints_for_tolerances():
     """The simulated curve stands still at (3, 0); the measured one goes from (0, 0) over (4, 0)."""
     reference = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0]])

@@ -1,0 +1,124 @@
+"""Ctrl-C, SIGTERM and a stop file: they end a run where that spoils nothing.
+
+An interrupt in the middle of a write would tear the log, so while a runner is at work it is only
+noted, and raised where the runner waits for workers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+LOOK_SECONDS = 0.5
+INSISTED = 3
+"""Interrupts after which one is raised at once, wherever that is."""
+
+
+class Interrupts:
+    """Notes interrupts while it is entered; raises them as KeyboardInterrupt while `waiting`.
+
+    Only the main thread receives signals: in others this does nothing. Where somebody has installed
+    a handler of his own, that stays.
+    """
+
+    def __init__(self) -> None:
+        self.noted = 0
+        self._waiting = self._raised = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in SIGNALS:
+                if signal.getsignal(number) is signal.default_int_handler:
+                    self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self._before.clear()
+        if self.noted and not self._raised:
+            raise KeyboardInterrupt
+
+    @contextlib.contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Where an interrupt may be raised, also one that was noted before."""
+        self._waiting = True
+        try:
+            if self.noted:
+                self._raised = True
+                raise KeyboardInterrupt
+            yield
+        finally:
+            self._waiting = False
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.noted += 1
+        if self._waiting or self.noted >= INSISTED:
+            self._raised = True
+            raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def terminations() -> Iterator[None]:
+    """Let SIGTERM, which batch systems send, interrupt as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextlib.contextmanager
+def later(seconds: float) -> Iterator[None]:
+    """Interrupt the main thread if the block takes longer."""
+    timer = threading.Timer(seconds, interrupt)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+@contextlib.contextmanager
+def stopped_by(path: Path) -> Iterator[None]:
+    """Interrupt the main thread once a file is there; one that is left from before is removed."""
+    path.unlink(missing_ok=True)
+    ended = threading.Event()
+
+    def look() -> None:
+        while not ended.wait(LOOK_SECONDS):
+            if path.exists():
+                interrupt()
+                return
+
+    watcher = threading.Thread(target=look, daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watcher.join()
+        path.unlink(missing_ok=True)
+
+
+def interrupt() -> None:
+    """Interrupt the main thread as Ctrl-C does, even if it waits in a system call."""
+    main = threading.main_thread().ident
+    if main is not None:
+        signal.pthread_kill(main, signal.SIGINT)

@@ -1,0 +1,147 @@
+"""What stands in the segments of an evaluation log, and how they are read and mended."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow as pa
+
+from cluster_est.errors import RunFolderError
+from workers.messages import Effect, FloatArray, content_hash
+
+SCHEMA = pa.schema(
+    [
+        ("key", pa.string()),
+        ("want", pa.string()),
+        ("search", pa.string()),
+        ("evaluation", pa.int64()),
+        ("purpose", pa.string()),
+        ("experiment", pa.string()),
+        ("values", pa.list_(pa.float64())),
+        ("effects", pa.list_(pa.string())),
+        ("status", pa.string()),
+        ("message", pa.string()),
+        ("cost", pa.float64()),
+        ("residuals", pa.list_(pa.float64())),
+        ("constraints", pa.list_(pa.float64())),
+        ("seconds", pa.float64()),
+        ("worker", pa.string()),
+        ("variables", pa.list_(pa.string())),
+        ("times", pa.list_(pa.float64())),
+        ("trajectory", pa.list_(pa.float64())),
+    ]
+)
+"""`trajectory` is (times, variables), row after row, where that was wanted."""
+LARGE = ("residuals", "variables", "times", "trajectory")
+"""Columns that can be left out: a resumed run simulates those rows again."""
+END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+
+
+def simulation_key(
+    model_key: str, experiment_key: str, effects: tuple[Effect, ...], values: FloatArray
+) -> str:
+    """Hash of all that a simulation's outcome depends on."""
+    return content_hash([model_key, experiment_key, repr(effects), values.tobytes()])
+
+
+def segments(folder: Path) -> list[Path]:
+    """The segments of a log, the oldest first."""
+    return sorted(folder.glob("*.arrows"))
+
+
+def read_batches(
+    opened: pa.NativeFile, visit: Callable[[int, pa.RecordBatch], None]
+) -> tuple[int, str]:
+    """Go through the whole batches of a segment.
+
+    Parameters
+    ----------
+    opened
+        The segment.
+    visit
+        Called with the position at which a batch begins, and the batch.
+
+    Returns
+    -------
+    tuple of int and str
+        Where the last whole batch ends, 0 if there is not even a schema; and what is wrong with
+        what follows, empty if nothing is.
+    """
+    end = 0
+    try:
+        with pa.ipc.open_stream(opened) as reader:
+            end = opened.tell()
+            for batch in reader:
+                visit(end, batch)
+                end = opened.tell()
+    except (pa.ArrowInvalid, OSError) as error:
+        return end, str(error)
+    return end, ""
+
+
+def mend(path: Path) -> None:
+    """Cut a torn segment back to its last whole batch, and end it there.
+
+    A kill in the middle of this loses nothing: only what cannot be read is cut off.
+    """
+    with pa.OSFile(str(path)) as opened:
+        end, _ = read_batches(opened, lambda position, batch: None)
+    if end == 0:
+        path.unlink()
+        return
+    with path.open("r+b") as file:
+        file.seek(end)
+        if file.read() != END_OF_STREAM:
+            file.truncate(end)
+            file.seek(end)
+            file.write(END_OF_STREAM)
+            file.flush()
+            os.fsync(file.fileno())
+
+
+def slim(path: Path) -> None:
+    """Rewrite a segment without its large columns, in one step."""
+    partial = path.with_name(f".{path.stem}.slim")
+    with pa.OSFile(str(path)) as opened, pa.ipc.open_stream(opened) as reader:
+        schema = reader.schema
+        with partial.open("wb") as file:
+            with pa.ipc.new_stream(file, schema) as writer:
+                for batch in reader:
+                    writer.write_batch(_without(batch, schema))
+            file.flush()
+            os.fsync(file.fileno())
+    partial.replace(path)
+
+
+def _without(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
+    columns = [
+        pa.nulls(batch.num_rows, field.type) if field.name in LARGE else batch.column(field.name)
+        for field in schema
+    ]
+    return pa.RecordBatch.from_arrays(columns, schema=schema)
+
+
+def read_log(folder: Path) -> pa.Table:
+    """All simulations in a folder of segments, in the order in which they ended.
+
+    A torn end, left by a process that was killed while writing, is dropped with a warning. Where
+    the log was told to leave residuals out, they are null.
+
+    Raises
+    ------
+    RunFolderError
+        If there are no segments.
+    """
+    batches: list[pa.RecordBatch] = []
+    paths = segments(folder)
+    if not paths:
+        raise RunFolderError(f"{folder}: must hold evaluation segments but holds none")
+    for path in paths:
+        with pa.OSFile(str(path)) as opened:
+            _, wrong = read_batches(opened, lambda position, batch: batches.append(batch))
+        if wrong:
+            warnings.warn(f"{path}: its torn end was dropped ({wrong})", stacklevel=2)
+    return pa.Table.from_batches(batches, schema=batches[0].schema if batches else SCHEMA)

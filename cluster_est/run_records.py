@@ -1,0 +1,62 @@
+"""What a runner is told, and what it tells: budget, origin of a task, progress of a search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from cluster_est.methods.base import Progress
+from workers.messages import Effect, FloatArray, Outcome, Want
+
+
+@dataclass(frozen=True)
+class Budget:
+    """When to stop asking. An evaluation is one point with all its experiments."""
+
+    evaluations: int | None = None
+    seconds: float | None = None
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Who asked for a task: what the log says of it besides its outcome.
+
+    `installed` is (id, key) of the experiment where it is none of the problem's own.
+    """
+
+    search: str
+    evaluation: int
+    purpose: str
+    experiment: int
+    values: FloatArray
+    effects: tuple[Effect, ...] = ()
+    installed: tuple[str, str] | None = None
+    want: Want = "residuals"
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What a display shows."""
+
+    search: str
+    progress: Progress
+    evaluations: int
+    simulations: int
+    failures: int
+    busy: int
+    workers: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """A line of a search's iteration table; `evaluations` are those of this search so far."""
+
+    search: str
+    progress: Progress
+    evaluations: int
+
+
+Record = Callable[[Origin, Outcome], None]
+Show = Callable[[Snapshot], None]
+Note = Callable[[Iteration], None]

@@ -1,0 +1,28 @@
+"""Logs as a killed process leaves them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+
+from cluster_est.evaluation_log import read_log
+
+
+def cut(folder: Path, rows: int, torn: int = 0) -> None:
+    """Leave the first rows of a log, then so many bytes of the batch that follows."""
+    table = read_log(folder)
+    for path in folder.glob("*.arrows"):
+        path.unlink()
+    path = folder / "00000.arrows"
+    with path.open("wb") as file:
+        writer = pa.ipc.new_stream(file, table.schema)
+        for batch in table.slice(0, rows).to_batches(max_chunksize=17):
+            writer.write_batch(batch)
+        file.flush()
+        whole = file.tell()
+        for batch in table.slice(rows).combine_chunks().to_batches():
+            writer.write_batch(batch)
+        writer.close()
+    with path.open("r+b") as file:
+        file.truncate(whole + torn)
