@@ -98,7 +98,7 @@ def later(seconds: float) -> Iterator[None]:
 @contextlib.contextmanager
 def stopped_by(path: Path) -> Iterator[None]:
     """Interrupt the main thread once a file is there; one that is left from before is removed."""
-    path.unlink(missing_ok=True)
+    _remove(path)
     ended = threading.Event()
 
     def look() -> None:
@@ -114,7 +114,12 @@ def stopped_by(path: Path) -> Iterator[None]:
     finally:
         ended.set()
         watcher.join()
-        path.unlink(missing_ok=True)
+        _remove(path)
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):  # there is no such folder, or it is none: others say so
+        path.unlink()
 
 
 def interrupt() -> None:
