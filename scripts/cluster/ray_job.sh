@@ -28,4 +28,4 @@ export RAY_AUTH_MODE=token
 export RAY_AUTH_TOKEN_PATH=$token_file
 
 ray job submit --address "$address" --working-dir "$folder" -- \
-    cluster-est fit "$config" --out "$out" executor.name=ray executor.address=auto
+    cluster-est fit "$config" --out "$out" --resume executor.name=ray executor.address=auto

@@ -40,7 +40,7 @@ head_address=$(srun --nodes=1 --ntasks=1 --nodelist="$head" hostname --ip-addres
 srun --nodes="$SLURM_JOB_NUM_NODES" --ntasks="$SLURM_JOB_NUM_NODES" --kill-on-bad-exit=0 \
     ray symmetric-run --address "$head_address:6379" --min-nodes "$SLURM_JOB_NUM_NODES" \
     --num-cpus "$SLURM_CPUS_PER_TASK" -- \
-    cluster-est fit "$config" --out "$out" executor.name=ray executor.address=auto
+    cluster-est fit "$config" --out "$out" --resume executor.name=ray executor.address=auto
 
 # `ray symmetric-run` also ends with 0 if Ray did not start
 if [ ! -f "$out/run.json" ]; then
