@@ -19,6 +19,7 @@ import numpy as np
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Points, Progress, Search, Solution
+from cluster_est.methods.known import worst_constraint
 from cluster_est.methods.pattern_state import Ahead, PatternOptions, PatternState, SearchStep
 from cluster_est.methods.patterns import Axes, Basis
 from cluster_est.space import Space
@@ -154,8 +155,9 @@ def progress_of(state: PatternState, iteration: int, mesh: float, length: float)
 
 def solution_of(state: PatternState, ending: Ending, iterations: int) -> Solution:
     """The best point as the end of a search."""
-    x = state.frame.x(state.best_u)
-    return Solution(x, state.best.cost, ending, iterations=iterations, at=state.best)
+    x, at = state.frame.x(state.best_u), state.best
+    message = "" if at.feasible else worst_constraint(state.frame.space, at)
+    return Solution(x, at.cost, ending, message, iterations, at=at)
 
 
 def check_contraction(contraction: float) -> None:

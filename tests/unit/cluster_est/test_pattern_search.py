@@ -153,6 +153,7 @@ class TestConstraints:
         )
         solution = either.solve(PatternSearch())
         assert solution.ending is Ending.INFEASIBLE
+        assert "is violated most, by" in solution.message
         assert solution.at.violation == pytest.approx(1.0, abs=1e-3)
 
     def test_without_residuals_any_point_that_satisfies_them_will_do(self):
