@@ -12,8 +12,17 @@ import pytest
 from build_fmus import build
 from hypothesis import settings
 
+from cluster_est.resources import one_blas_thread
+
 settings.register_profile("project", deadline=None, derandomize=True)
 settings.load_profile("project")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def blas_in_one_thread() -> Iterator[None]:
+    """Sums round as in a fit, whatever number of cores there is."""
+    with one_blas_thread():
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

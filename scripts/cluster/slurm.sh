@@ -32,10 +32,11 @@ export RAY_AUTH_MODE RAY_AUTH_TOKEN
 export OPENBLAS_NUM_THREADS=1
 export RAY_SYMMETRIC_RUN_CLUSTER_WAIT_TIMEOUT=300 # s; a cold file system is slow
 
-head=$(scontrol show hostnames "$SLURM_JOB_NODELIST" | head -n 1)
+# awk reads to the end: with pipefail, a reader that leaves early makes the writer fail
+head=$(scontrol show hostnames "$SLURM_JOB_NODELIST" | awk 'NR == 1')
 # The first IPv4 address that the head gives itself
 head_address=$(srun --nodes=1 --ntasks=1 --nodelist="$head" hostname --ip-address \
-    | tr ' ' '\n' | grep -m 1 -F .)
+    | tr ' ' '\n' | awk '/[.]/ && !found { print; found = 1 }')
 
 srun --nodes="$SLURM_JOB_NUM_NODES" --ntasks="$SLURM_JOB_NUM_NODES" --kill-on-bad-exit=0 \
     ray symmetric-run --address "$head_address:6379" --min-nodes "$SLURM_JOB_NUM_NODES" \
