@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,13 +30,16 @@ class Interrupts:
 
     def __init__(self) -> None:
         self.noted = 0
-        self._waiting = self._raised = False
+        self._waiting = False
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
             for number in SIGNALS:
-                if signal.getsignal(number) is signal.default_int_handler:
+                before = signal.getsignal(number)
+                if isinstance(before, _Raising):
+                    self.noted += before.noted
+                if before is signal.default_int_handler or isinstance(before, _Raising):
                     self._before[number] = signal.signal(number, self._note)
         return self
 
@@ -48,7 +52,7 @@ class Interrupts:
         for number, handler in self._before.items():
             signal.signal(number, handler)
         self._before.clear()
-        if self.noted and not self._raised:
+        if self.noted and kind is None:
             raise KeyboardInterrupt
 
     @contextlib.contextmanager
@@ -57,30 +61,71 @@ class Interrupts:
         self._waiting = True
         try:
             if self.noted:
-                self._raised = True
                 raise KeyboardInterrupt
             yield
+            if self.noted:  # it was raised where nothing can be, as in a callback from C
+                raise KeyboardInterrupt
         finally:
             self._waiting = False
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.noted += 1
         if self._waiting or self.noted >= INSISTED:
-            self._raised = True
             raise KeyboardInterrupt
+
+
+class _Raising:
+    """A handler that interrupts at once, and remembers it in case nothing could be raised there.
+
+    Compiled code of other libraries prints such an exception and goes on.
+    """
+
+    def __init__(self) -> None:
+        self.noted = 0
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.noted += 1
+        raise KeyboardInterrupt
 
 
 @contextlib.contextmanager
 def terminations() -> Iterator[None]:
-    """Let SIGTERM, which batch systems send, interrupt as Ctrl-C does."""
+    """Let SIGTERM, which batch systems send, interrupt as Ctrl-C does; lose neither of them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    handler = _Raising()
+    before: dict[signal.Signals, Any] = {signal.SIGTERM: signal.signal(signal.SIGTERM, handler)}
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        before[signal.SIGINT] = signal.signal(signal.SIGINT, handler)
+    try:
+        with _quiet():
+            yield
+    finally:
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Print no traceback of an interrupt that nobody could raise: it comes again later."""
+    printing, unraisable = sys.excepthook, sys.unraisablehook
+
+    def print_others(
+        kind: type[BaseException], error: BaseException, traceback: TracebackType | None
+    ) -> None:
+        if not issubclass(kind, KeyboardInterrupt):
+            printing(kind, error, traceback)
+
+    def tell_others(unraised: sys.UnraisableHookArgs) -> None:
+        if not issubclass(unraised.exc_type, KeyboardInterrupt):
+            unraisable(unraised)
+
+    sys.excepthook, sys.unraisablehook = print_others, tell_others
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        sys.excepthook, sys.unraisablehook = printing, unraisable
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import ray
 from ray.exceptions import RayError, RayTaskError
 
+from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import Backlog
 from cluster_est.executors.base import Executor
 from cluster_est.executors.ray_cluster import connect, cores, disconnect, why_not_started
@@ -186,9 +187,9 @@ class RayPool(Executor):
         for flight in sorted(self._flying.values(), key=lambda flight: flight.begin):
             ids = self._open.intersection(flight.batch.ids.tolist()) - self._twice
             usual = self._backlog.expected(flight.batch)
-            if not idle or now - flight.begin < GRACE_SECONDS + LATE * usual:
+            if not idle:
                 return
-            if ids:
+            if ids and now - flight.begin > GRACE_SECONDS + LATE * usual:
                 self._twice |= ids
                 again = Batch.of([task for task in flight.batch.tasks() if task.id in ids])
                 self._send(idle.pop(), again, alone=flight.alone)
@@ -216,8 +217,9 @@ class RayPool(Executor):
         flight = self._flying.pop(reference)
         try:
             answers: Answers = ray.get(reference)
-        except RayTaskError:
-            raise
+        except RayTaskError as error:
+            line = str(error).strip().splitlines()[-1]
+            raise ExecutorError(f"executor: a worker failed unexpectedly ({line})") from error
         except RayError as error:
             return self._recover(flight, error)
         outcomes = answers.outcomes()

@@ -214,7 +214,7 @@ def test_an_interrupt_ends_it_with_a_sentence(closed, tmp_path):
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == 130, said
     assert "cluster-est: interrupted; stopped while " in said
     assert "Traceback" not in said
     assert facts(run)["status"] == "interrupted"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import threading
@@ -24,6 +25,18 @@ def interrupt_here():
     time.sleep(0.01)
 
 
+def wait_after_an_interrupt(interrupts):
+    interrupt_here()
+    assert interrupts.noted == 1
+    with interrupts.waiting():
+        pytest.fail("an interrupt that was noted before must come at once")
+
+
+def interrupt_in_vain():
+    with contextlib.suppress(KeyboardInterrupt):
+        interrupt_here()
+
+
 def insist():
     for _ in range(3):
         interrupt_here()
@@ -31,22 +44,23 @@ def insist():
 
 class TestInterrupts:
     def test_is_noted_at_work_and_raised_when_it_waits(self):
-        with Interrupts() as interrupts:
-            interrupt_here()
-            assert interrupts.noted == 1
-            with pytest.raises(KeyboardInterrupt), interrupts.waiting():
-                pytest.fail("an interrupt that was noted before must come at once")
+        with pytest.raises(KeyboardInterrupt), Interrupts() as interrupts:
+            wait_after_an_interrupt(interrupts)
+
+    def test_is_not_lost_where_nothing_can_be_raised(self):
+        with pytest.raises(KeyboardInterrupt), Interrupts() as interrupts, interrupts.waiting():
+            interrupt_in_vain()
 
     def test_is_not_lost_where_nothing_waits_any_more(self):
         with pytest.raises(KeyboardInterrupt), Interrupts():
             interrupt_here()
 
     def test_comes_at_once_while_it_waits(self):
-        with Interrupts() as interrupts, pytest.raises(KeyboardInterrupt), interrupts.waiting():
+        with pytest.raises(KeyboardInterrupt), Interrupts() as interrupts, interrupts.waiting():
             interrupt_here()
 
     def test_whoever_insists_is_heard_anywhere(self):
-        with Interrupts(), pytest.raises(KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt), Interrupts():
             insist()
 
     def test_leaves_the_handlers_as_they_were(self):
@@ -79,6 +93,12 @@ class TestInterrupts:
         thread.start()
         thread.join()
         assert raised == []
+
+    def test_one_that_a_library_swallowed_is_not_lost(self):
+        with terminations():
+            interrupt_in_vain()
+            with pytest.raises(KeyboardInterrupt), Interrupts():
+                pass
 
     def test_a_termination_is_one(self):
         with terminations(), pytest.raises(KeyboardInterrupt), Interrupts():
