@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation
+from cluster_est.methods.pattern_options import PatternMethod
 from cluster_est.methods.pattern_search import progress_of, shrunk, stepped
-from cluster_est.methods.pattern_state import PatternOptions, PatternState
+from cluster_est.methods.pattern_state import PatternState
 from cluster_est.methods.polled import key
 from workers.messages import FloatArray
 
@@ -54,7 +55,7 @@ class Course:
         Where it stands.
     """
 
-    def __init__(self, state: PatternState, options: PatternOptions, most: int) -> None:
+    def __init__(self, state: PatternState, options: PatternMethod, most: int) -> None:
         self._state = state
         self._options = options
         self._most = most

@@ -16,15 +16,15 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.methods.asynchronous_course import Course
-from cluster_est.methods.base import Ending, Method, Points, Progress, Search, Solution
-from cluster_est.methods.pattern_search import check_contraction, solution_of
-from cluster_est.methods.pattern_state import PatternState, SearchStep
-from cluster_est.methods.patterns import Axes, Basis
+from cluster_est.methods.base import Ending, Points, Progress, Search, Solution
+from cluster_est.methods.pattern_options import PatternMethod
+from cluster_est.methods.pattern_search import solution_of
+from cluster_est.methods.pattern_state import PatternState
 from cluster_est.space import Space
 
 
 @dataclass(frozen=True)
-class AsynchronousPatternSearch(Method):
+class AsynchronousPatternSearch(PatternMethod):
     """Pattern search that uses each simulation as soon as it ends.
 
     For simulations that take very different times, as with adaptive solvers or machines that others
@@ -46,23 +46,9 @@ class AsynchronousPatternSearch(Method):
     """
 
     name: ClassVar[str] = "asynchronous_pattern_search"
-    needs_residuals: ClassVar[bool] = False
-    keeps_constraints: ClassVar[bool] = True
     asynchronous: ClassVar[bool] = True
 
     outstanding: int = field(default=0, metadata={"least": 0})
-    basis: Basis = "2n"
-    axes: Axes = "aligned"
-    search_step: SearchStep = "quadratic"
-    search_points: int = field(default=0, metadata={"least": 0})
-    initial_mesh: float = field(default=0.25, metadata={"least": 1e-9})
-    mesh_tolerance: float = field(default=1e-6, metadata={"least": 1e-10})
-    expansion: float = field(default=2.0, metadata={"least": 1.0})
-    contraction: float = field(default=0.5, metadata={"least": 0.01})
-    max_iterations: int = field(default=1000, metadata={"least": 1})
-
-    def check(self, space: Space) -> None:
-        check_contraction(self.contraction)
 
     def search(self, space: Space, generator: np.random.Generator) -> Search:
         (at,) = yield Points(space.start[None, :], "start", Progress(0, np.nan))

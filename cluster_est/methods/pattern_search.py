@@ -12,16 +12,15 @@ doi:10.1137/S003614450242889.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Method, Points, Progress, Search, Solution
+from cluster_est.methods.base import Ending, Points, Progress, Search, Solution
 from cluster_est.methods.known import worst_constraint
-from cluster_est.methods.pattern_state import Ahead, PatternOptions, PatternState, SearchStep
-from cluster_est.methods.patterns import Axes, Basis
+from cluster_est.methods.pattern_options import PatternMethod
+from cluster_est.methods.pattern_state import Ahead, PatternState
 from cluster_est.space import Space
 from workers.messages import FloatArray
 
@@ -32,7 +31,7 @@ WHOLE = 0.99
 
 
 @dataclass(frozen=True)
-class PatternSearch(Method):
+class PatternSearch(PatternMethod):
     """Generalised pattern search with complete polls.
 
     For costs that have no derivatives: with noise, with jumps, with simulations that fail here and
@@ -72,21 +71,6 @@ class PatternSearch(Method):
     """
 
     name: ClassVar[str] = "pattern_search"
-    needs_residuals: ClassVar[bool] = False
-    keeps_constraints: ClassVar[bool] = True
-
-    basis: Basis = "2n"
-    axes: Axes = "aligned"
-    search_step: SearchStep = "quadratic"
-    search_points: int = field(default=0, metadata={"least": 0})
-    initial_mesh: float = field(default=0.25, metadata={"least": 1e-9})
-    mesh_tolerance: float = field(default=1e-6, metadata={"least": 1e-10})
-    expansion: float = field(default=2.0, metadata={"least": 1.0})
-    contraction: float = field(default=0.5, metadata={"least": 0.01})
-    max_iterations: int = field(default=1000, metadata={"least": 1})
-
-    def check(self, space: Space) -> None:
-        check_contraction(self.contraction)
 
     def search(self, space: Space, generator: np.random.Generator) -> Search:
         (at,) = yield Points(space.start[None, :], "start", Progress(0, np.nan))
@@ -123,7 +107,7 @@ def _batch(state: PatternState, ahead: Ahead, mesh: float) -> FloatArray:
 
 
 def _next_mesh(
-    state: PatternState, options: PatternOptions, mesh: float, ahead: Ahead, numbers: list[int]
+    state: PatternState, options: PatternMethod, mesh: float, ahead: Ahead, numbers: list[int]
 ) -> tuple[float, float]:
     """Move to the best of what an iteration learnt, if it is better; the next mesh, and how far."""
     best = state.better(numbers)
@@ -134,14 +118,14 @@ def _next_mesh(
     return stepped(options, mesh, length), length
 
 
-def stepped(options: PatternOptions, mesh: float, length: float) -> float:
+def stepped(options: PatternMethod, mesh: float, length: float) -> float:
     """The mesh after a step of some length that led down."""
     if length >= WHOLE * mesh:
         return options.expansion * mesh
     return min(mesh, max(options.contraction * mesh, 2.0 * length))
 
 
-def shrunk(options: PatternOptions, mesh: float, ahead: Ahead) -> float:
+def shrunk(options: PatternMethod, mesh: float, ahead: Ahead) -> float:
     """The mesh after a poll that failed."""
     finer = options.contraction * mesh
     return options.contraction * finer if ahead.model_step < NEAR_MINIMUM else finer
@@ -158,12 +142,3 @@ def solution_of(state: PatternState, ending: Ending, iterations: int) -> Solutio
     x, at = state.frame.x(state.best_u), state.best
     message = "" if at.feasible else worst_constraint(state.frame.space, at)
     return Solution(x, at.cost, ending, message, iterations, at=at)
-
-
-def check_contraction(contraction: float) -> None:
-    """Refuse a mesh that never becomes finer."""
-    if not contraction < 1.0:
-        raise ProblemError(
-            f"method.options.contraction: must be below 1 but is {contraction:g}; 0.5 halves the "
-            "mesh where no direction leads down"
-        )

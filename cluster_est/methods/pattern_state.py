@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
 
 import numpy as np
 
 from cluster_est.methods.augmented_lagrangian import CLOSE, first_lagrangian, first_penalty
 from cluster_est.methods.base import Ending, Evaluation
 from cluster_est.methods.pattern_frame import Frame
-from cluster_est.methods.patterns import Axes, Basis, aligned_axes, directions, reflection
+from cluster_est.methods.pattern_options import PatternMethod
+from cluster_est.methods.patterns import aligned_axes, directions, reflection
 from cluster_est.methods.polled import Polled, key
 from cluster_est.methods.quadratic_model import QuadraticModel, fit_model, points_needed
 from cluster_est.space import Space
 from workers.messages import FloatArray
 
-SearchStep = Literal["none", "latin_hypercube", "quadratic"]
 MODEL_REACH = 4.0
 """The model is made of points within so many meshes,"""
 MODEL_STEPS = (1.0, 3.0)
@@ -29,27 +28,6 @@ ESCAPED = 10.0
 """A search that violates constraints so much more than it began with has too little penalty."""
 LARGEST_PENALTY = 1e12
 """Times the first one."""
-
-
-class PatternOptions(Protocol):
-    """The options that all pattern searches have; `PatternSearch` says what they mean."""
-
-    @property
-    def basis(self) -> Basis: ...
-    @property
-    def axes(self) -> Axes: ...
-    @property
-    def search_step(self) -> SearchStep: ...
-    @property
-    def search_points(self) -> int: ...
-    @property
-    def initial_mesh(self) -> float: ...
-    @property
-    def mesh_tolerance(self) -> float: ...
-    @property
-    def expansion(self) -> float: ...
-    @property
-    def contraction(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -99,7 +77,7 @@ class PatternState:
     def __init__(
         self,
         space: Space,
-        options: PatternOptions,
+        options: PatternMethod,
         generator: np.random.Generator,
         at: Evaluation,
     ) -> None:
