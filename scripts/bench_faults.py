@@ -85,7 +85,7 @@ def report(undisturbed: Path, out: Path, name: str, spent: float, peak: float) -
     status = log["status"].to_pylist()
     failed = {each: status.count(each) for each in sorted(set(status) - {"ok"})}
     one, other = (pq.read_table(folder / "parameters.parquet") for folder in (undisturbed, out))
-    errors = np.array(one["standard_error"].to_pylist(), np.float64)
+    errors = np.array(one["std_error"].to_pylist(), np.float64)
     away = np.abs(np.array(other["value"].to_pylist()) - np.array(one["value"].to_pylist()))
     waited = 2 * TIMEOUT * status.count("timeout") / WORKERS
     print(

@@ -78,7 +78,9 @@ def model(interface: str, solver: str) -> Model:
 
 def simulator(interface: str, solver: str) -> Simulator:
     asked = model(interface, solver)
-    return Simulator(asked, describe(FMU.name, asked.archive), (experiment(),))
+    simulator = Simulator(asked, describe(FMU.name, asked.archive), (experiment(),))
+    simulator.load()
+    return simulator
 
 
 def experiment() -> Experiment:

@@ -14,7 +14,6 @@ from pathlib import Path
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.fmu import instances
-from workers.messages import Experiment, Model
 from workers.wire import Answers
 
 DIES_WITH_PARENT = 1
@@ -32,15 +31,15 @@ class Report:
     instances: int
 
 
-def serve(
-    connection: Connection, model: Model, experiments: tuple[Experiment, ...], name: str
-) -> None:
+def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
     """Load the FMU, say None or the ModelError, then answer batches until there are no more."""
     gc.freeze()  # what was forked is shared with others as long as nobody writes to it
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _leave_before_others()
     try:
-        evaluator = Evaluator(model, experiments, name)
+        if isinstance(evaluator, ModelError):
+            raise evaluator
+        evaluator.load()
     except ModelError as error:
         connection.send(error)
         return

@@ -42,6 +42,9 @@ class Evaluator:
         What tasks refer to.
     name
         What outcomes call this worker.
+    load
+        Whether the FMU is loaded. If not, all else is made ready, and `load` follows later: in
+        processes that are forked from this one, each of which loads it for itself.
 
     Raises
     ------
@@ -49,7 +52,9 @@ class Evaluator:
         If the FMU cannot be loaded on this machine or lacks a variable.
     """
 
-    def __init__(self, model: Model, experiments: Sequence[Experiment], name: str) -> None:
+    def __init__(
+        self, model: Model, experiments: Sequence[Experiment], name: str, *, load: bool = True
+    ) -> None:
         description = describe(model.name, model.archive)
         self._simulator = Simulator(model, description, tuple(experiments))
         self._experiments = tuple(experiments)
@@ -58,6 +63,20 @@ class Evaluator:
             for i, e in enumerate(experiments)
         ]
         self._name = name
+        if load:
+            self.load()
+        else:
+            self._simulator.warm_up()
+
+    def load(self) -> None:
+        """Load the FMU.
+
+        Raises
+        ------
+        ModelError
+            If that does not work on this machine.
+        """
+        self._simulator.load()
 
     def evaluate(self, batch: Batch) -> list[Outcome]:
         """Answer every task of a batch, in its order."""

@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from workers.zygote import FORK
+from workers.zygote import FORK, FORK_FOR_EFFECTS
 
 
 class Forks:
@@ -30,8 +30,13 @@ class Forks:
         self._installation = installation
         self._start()
 
-    def fork(self) -> tuple[int, Connection]:
+    def fork(self, *, effects: bool = False) -> tuple[int, Connection]:
         """A new process: its id, and a connection to it.
+
+        Parameters
+        ----------
+        effects
+            Whether it will be asked for effects, which take half a second to import.
 
         Raises
         ------
@@ -39,12 +44,12 @@ class Forks:
             If none can be started.
         """
         try:
-            return self._fork()
+            return self._fork(effects)
         except (EOFError, OSError):
             self.close()
             self._start()
         try:
-            return self._fork()
+            return self._fork(effects)
         except EOFError as error:
             raise OSError("the process that should have started it has ended") from error
 
@@ -79,11 +84,11 @@ class Forks:
         with contextlib.suppress(OSError):  # it has ended already: the first fork will say so
             self._orders.send(self._installation)
 
-    def _fork(self) -> tuple[int, Connection]:
+    def _fork(self, effects: bool) -> tuple[int, Connection]:
         mine, theirs = socket.socketpair()
         try:
             with theirs:
-                self._orders.send(FORK)
+                self._orders.send(FORK_FOR_EFFECTS if effects else FORK)
                 reduction.send_handle(self._orders, theirs.fileno(), self._zygote.pid)
                 process: int = self._orders.recv()
         except BaseException:

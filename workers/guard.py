@@ -28,6 +28,9 @@ LOOK_SECONDS = 0.1
 """How often the memory of a running simulation is looked at."""
 GRACE_SECONDS = 1.0
 """What a simulation may always take beyond what is usual."""
+NEIGHBOURS = 5.0
+"""How many times as long as usual the other simulations of a batch may take on average. If they
+take longer, each is asked again alone and has all its time."""
 REMEMBERED = 31
 """Durations of each experiment, whose median is what is usual."""
 TRIES, LOST = 2, 10
@@ -80,6 +83,7 @@ class Guard:
         self._careful = 0
         self._base = 0
         self._stopped = False
+        self._effects = False
         self._forks = Forks((model, tuple(experiments), name))
         self._child: tuple[int, Connection] | None = None
         try:
@@ -144,6 +148,7 @@ class Guard:
         except LostError as error:
             return Failure(Status.LOST_WORKER, str(error))
         begin = time.monotonic()
+        self._effects |= bool(batch.effects)
         try:
             connection.send(batch)
             failure = self._wait(child, connection, begin, self._limit(batch))
@@ -183,12 +188,14 @@ class Guard:
         return None
 
     def _limit(self, batch: Batch) -> float:
-        """Seconds that a batch may take."""
-        hard = self._limits.seconds * len(batch.ids)
+        """Seconds that a batch may take: what one of it may, and some times what is usual."""
+        hard = self._limits.seconds
         if self._limits.patience == 0.0 or not self._is_usual(batch):
-            return hard
-        usual = sum(statistics.median(self._seconds[e]) for e in batch.experiments.tolist())
-        return min(hard, GRACE_SECONDS + self._limits.patience * usual)
+            return hard * len(batch.ids)
+        usual = [statistics.median(self._seconds[e]) for e in batch.experiments.tolist()]
+        longest = max(usual)
+        one = min(hard, GRACE_SECONDS + self._limits.patience * longest)
+        return one + NEIGHBOURS * (sum(usual) - longest)
 
     def _is_usual(self, batch: Batch) -> bool:
         """Whether it is known how long these simulations take; a first one goes alone."""
@@ -223,7 +230,7 @@ class Guard:
             raise ModelError(f"{self._file}: its worker was stopped")
         self._base = 0
         try:
-            self._child = _, connection = self._forks.fork()
+            self._child = _, connection = self._forks.fork(effects=self._effects)
         except OSError as error:
             raise LostError(f"no process can be started ({error})") from error
         said: ModelError | None

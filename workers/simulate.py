@@ -15,7 +15,7 @@ from workers.install import Installed, install
 from workers.kernels import failure, linearise
 from workers.kernels.co_simulation import co_simulate_batch
 from workers.kernels.dormand_prince import dormand_prince_batch
-from workers.kernels.fmi2 import Workspace, workspace
+from workers.kernels.fmi2 import Component, Workspace, workspace
 from workers.kernels.hooks import Hooks, no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
@@ -63,6 +63,8 @@ class Record:
 class Simulator:
     """One instance of an FMU and the experiments that it can be asked to simulate.
 
+    It must be loaded before it can be asked anything.
+
     Parameters
     ----------
     model, description
@@ -73,8 +75,10 @@ class Simulator:
     Raises
     ------
     ModelError
-        If the FMU cannot be loaded, or lacks a variable that an experiment or the model names.
+        If the FMU lacks a variable that an experiment or the model names.
     """
+
+    instance: Instance
 
     def __init__(
         self, model: Model, description: Description, experiments: tuple[Experiment, ...]
@@ -91,7 +95,28 @@ class Simulator:
         self._prepared: dict[tuple[int, tuple[tuple[Definition, int], ...], int], Prepared] = {}
         self._batch = BATCHES[model.solver.name]
         self._workspaces: dict[tuple[int, int, int, int], Workspace] = {}
-        self.instance = Instance(model, description)
+
+    def load(self) -> None:
+        """Load the FMU and instantiate it.
+
+        Raises
+        ------
+        ModelError
+            If that does not work on this machine.
+        """
+        self.instance = Instance(self._model, self._description)
+
+    def warm_up(self) -> None:
+        """Have the loops compiled, or read from disk, before there is an FMU to run them on."""
+        ready = self._installed[0]
+        rows = np.empty((0, len(self._model.parameters) + len(ready.known)))
+        sizes = len(ready.grid.times), len(ready.outputs)
+        nowhere = Component(
+            *(0,) * 18, interpolates_inputs=False, completes_steps=False, n_states=0
+        )
+        self._call(
+            self._batch, nowhere, ready, no_hooks(0), 0, rows, Record.empty(0, *sizes), np.empty(0)
+        )
 
     def installed(self, experiment: int) -> Installed:
         return self._installed[experiment]
@@ -237,30 +262,21 @@ class Simulator:
         rows = np.ascontiguousarray(np.hstack([values, known]))
         record = Record.empty(len(rows), len(ready.grid.times), len(ready.outputs))
         stopped_at = np.zeros(len(rows))
-        settings = _settings(self._model, self._description, own_states)
-        work = self._workspace(ready, hooks, own_states)
         batch = self._batch if batch is None else batch
         tried = 0
         while tried < len(rows):
             self.instance.log.clear()
-            first, left = tried, slice(tried, None)
-            rest = hooks._replace(
-                substeps=hooks.substeps[left],
-                coefficients=hooks.coefficients[left],
-                base=hooks.base[left],
-            )
-            tried += batch(
+            first = tried
+            tried += self._call(
+                batch,
                 self.instance.component,
-                ready.references,
-                ready.constants,
-                settings,
-                rest,
-                ready.grid,
-                rows[left],
-                work,
-                record.outputs[left],
-                record.codes[left],
-                stopped_at[left],
+                ready,
+                hooks,
+                own_states,
+                rows,
+                record,
+                stopped_at,
+                first,
             )
             last = tried - 1
             code = int(record.codes[last])
@@ -273,6 +289,39 @@ class Simulator:
             if code >= failure.FATAL:
                 self.instance.renew()
         return record
+
+    def _call(
+        self,
+        batch: Callable[..., int],
+        component: Component,
+        ready: Installed,
+        hooks: Hooks,
+        own_states: int,
+        rows: FloatArray,
+        record: Record,
+        stopped_at: FloatArray,
+        first: int = 0,
+    ) -> int:
+        """Simulate rows from the first to one that fails; how many."""
+        left = slice(first, None)
+        rest = hooks._replace(
+            substeps=hooks.substeps[left],
+            coefficients=hooks.coefficients[left],
+            base=hooks.base[left],
+        )
+        return batch(
+            component,
+            ready.references,
+            ready.constants,
+            _settings(self._model, self._description, own_states),
+            rest,
+            ready.grid,
+            rows[left],
+            self._workspace(ready, hooks, own_states),
+            record.outputs[left],
+            record.codes[left],
+            stopped_at[left],
+        )
 
     def _workspace(self, ready: Installed, hooks: Hooks, own_states: int) -> Workspace:
         states = own_states

@@ -15,26 +15,29 @@ from multiprocessing import reduction
 from multiprocessing.connection import Connection
 
 from workers.child import serve
-from workers.kernels.calling import kernel
+from workers.errors import ModelError
+from workers.evaluate import Evaluator
+from workers.messages import Experiment, Model
 
-FORK = "fork"
+FORK, FORK_FOR_EFFECTS = "fork", "fork for effects"
 
 
 def main(descriptor: int) -> None:
-    """Fork and wait as told: `FORK` with a connection's handle, or the id of an ended process."""
+    """Fork and wait as told: `FORK` and a connection's handle, or the id of an ended process."""
     orders = Connection(descriptor)
-    installation = orders.recv()
-    _nothing(0)
+    evaluator = _prepare(*orders.recv())
     running: set[int] = set()
     with contextlib.suppress(EOFError, OSError):
         while True:
             order = orders.recv()
-            if order == FORK:
+            if order == FORK_FOR_EFFECTS:
+                import workers.augment  # noqa: F401 (for all processes that follow)
+            if order in (FORK, FORK_FOR_EFFECTS):
                 handle = reduction.recv_handle(orders)
                 child = os.fork()
                 if child == 0:
                     orders.close()
-                    serve(Connection(handle), *installation)
+                    serve(Connection(handle), evaluator)
                     os._exit(0)
                 os.close(handle)
                 running.add(child)
@@ -48,10 +51,14 @@ def main(descriptor: int) -> None:
             os.kill(child, signal.SIGKILL)
 
 
-@kernel
-def _nothing(number: int) -> int:
-    """Called once before any fork: it makes numba ready, which takes longer than all else."""
-    return number
+def _prepare(
+    model: Model, experiments: tuple[Experiment, ...], name: str
+) -> Evaluator | ModelError:
+    """All but the FMU, ready once for all processes; or what is wrong with it, for them to say."""
+    try:
+        return Evaluator(model, experiments, name, load=False)
+    except ModelError as error:
+        return error
 
 
 if __name__ == "__main__":

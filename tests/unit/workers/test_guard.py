@@ -24,7 +24,7 @@ EXPERIMENTS = tuple(
     Experiment(name, 0.0, 2.0, INPUTS, (Output("y", TIMES, np.zeros(9)),)) for name in "ab"
 )
 RATES = np.linspace(0.1, 1.9, 60)
-QUICK = Limits(seconds=1.5, patience=10.0)
+QUICK = Limits(seconds=3.0, patience=100.0)
 
 
 @pytest.fixture
@@ -119,7 +119,7 @@ def test_no_task_is_tried_a_third_time(open_guard, monkeypatch):
 
 
 def test_too_much_memory_is_said_to_be_that(open_guard):
-    limits = Limits(seconds=20.0, memory=700.0 * 2**20)
+    limits = Limits(seconds=120.0, patience=0.0, memory=700.0 * 2**20)
     outcomes = in_batches(open_guard(limits), tasks(RATES[:20], EATS_MEMORY, 0.1))
     expected = {i for i in bad(0.1) if i < 20}
     failed = {outcome.task: outcome for outcome in outcomes if not outcome.ok}
