@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Sequence
 from workers.messages import Outcome, Task
 from workers.wire import Batch
 
-BATCH_SECONDS = 0.05
+BATCH_SECONDS = 0.1
 LEAST_SECONDS = 0.005
 """A batch of less is not worth the trip, even if other workers are idle."""
 FIRST_GUESS = 0.005
@@ -62,7 +62,7 @@ class Backlog:
         return found
 
     def take(self) -> Batch:
-        """Remove the next batch: about 50 ms of work, all of it wanting the same."""
+        """Remove the next batch: about 0.1 s of work, all of it wanting the same."""
         most = max(1, -(-len(self._tasks) // self._shares))
         batch: list[Task] = []
         seconds = 0.0

@@ -1,0 +1,119 @@
+"""What it costs to have simulations done elsewhere, by the time that one of them takes.
+
+    python scripts/bench_overhead.py [--seconds 4] [--rounds 3] [--workers 2]
+
+The same tasks go to one core of this process, to processes and to Ray workers by turns. Printed are
+the share of time in which each worker simulates, and how many times as many simulations a second
+are done as on the one core: the median of the rounds. Executors alone are measured here; a fit
+adds what its coordinator needs for a task (see `bench_scaling.py`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from build_fmus import build
+
+from cluster_est.executors import executor_class
+from cluster_est.executors.base import Executor
+from cluster_est.resources import one_blas_thread
+from workers.messages import Experiment, Model, Output, Solver, Task
+
+MODEL = Path(__file__).resolve().parent.parent / "tests" / "models" / "misbehaves"
+WANTED = (50e-6, 200e-6, 1e-3, 5e-3, 20e-3, 100e-3)
+FIRST_STEP, END, SAMPLES = 1e-4, 2.0, 21
+AT_ONCE = 400
+"""Simulations in one request, where they are short."""
+
+
+def main() -> None:
+    """Print a line for each time of a simulation and each executor."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=4.0, help="of work for one core")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    times = np.linspace(0.0, END, SAMPLES)
+    experiments = (Experiment("e", 0.0, END, (), (Output("y", times, np.zeros(SAMPLES)),)),)
+    with tempfile.TemporaryDirectory() as folder, one_blas_thread():
+        archive = build(MODEL, Path(folder)).read_bytes()
+        for wanted in WANTED:
+            compare(model(archive, wanted, experiments), experiments, wanted, options)
+
+
+def model(archive: bytes, wanted: float, experiments: tuple[Experiment, ...]) -> Model:
+    """The FMU with a step that makes a simulation take about so long."""
+
+    def with_step(step: float) -> Model:
+        parameters, solver = ("rate", "kind", "share", "leak"), Solver("rk4", step, max_steps=10**8)
+        return Model("misbehaves.fmu", archive, "model_exchange", solver, parameters)
+
+    executor = executor_class("local").open(with_step(FIRST_STEP), experiments, 1, None)
+    measure(executor, 100)
+    rate, _ = measure(executor, 200)
+    executor.close()
+    return with_step(FIRST_STEP / (wanted * rate))
+
+
+def compare(
+    model: Model, experiments: tuple[Experiment, ...], wanted: float, options: argparse.Namespace
+) -> None:
+    """Measure all executors by turns with simulations of one length."""
+    counts = {"local": 1, "processes": options.workers, "ray": options.workers}
+    opened = {
+        name: executor_class(name).open(model, experiments, count, None)
+        for name, count in counts.items()
+    }
+    number = max(4 * options.workers, int(options.seconds / wanted))
+    rates: dict[str, list[float]] = {name: [] for name in counts}
+    shares: dict[str, list[float]] = {name: [] for name in counts}
+    for executor in opened.values():
+        measure(executor, max(20, number // 20))
+    for _ in range(options.rounds):
+        for name, executor in opened.items():
+            rate, busy = measure(executor, number)
+            rates[name].append(rate)
+            shares[name].append(min(busy))
+    for executor in opened.values():
+        executor.close()
+    one = statistics.median(rates["local"])
+    for name, each in rates.items():
+        print(
+            f"{wanted * 1e3:g} ms, {counts[name]} x {name}: each worker busy at least "
+            f"{100 * statistics.median(shares[name]):.1f} %, "
+            f"{statistics.median(each) / one:.2f} of one local core",
+            flush=True,
+        )
+
+
+def measure(executor: Executor, number: int) -> tuple[float, list[float]]:
+    """Do so many simulations: how many a second, and the share of time each worker simulated."""
+    points = np.zeros((number, 4))
+    points[:, 0] = np.linspace(0.5, 1.5, number)
+    tasks = [Task(i, 0, point) for i, point in enumerate(points)]
+    busy: Counter[str] = Counter()
+    begin = time.perf_counter()
+    left = iter(range(0, number, AT_ONCE))
+    asked = answered = 0
+    while answered < number:
+        while asked - answered < 2 * AT_ONCE and (first := next(left, None)) is not None:
+            executor.submit(tasks[first : first + AT_ONCE])
+            asked += len(tasks[first : first + AT_ONCE])
+        for outcome in executor.completed():
+            assert outcome.ok, outcome.message
+            busy[outcome.worker] += outcome.seconds
+            answered += 1
+    seconds = time.perf_counter() - begin
+    per_worker = [busy[worker] / seconds for worker in busy]
+    per_worker += [0.0] * (executor.workers - len(busy))
+    return number / seconds, per_worker
+
+
+if __name__ == "__main__":
+    main()
