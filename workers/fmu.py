@@ -9,40 +9,62 @@ import sys
 import threading
 import weakref
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from ctypes import c_void_p
+from typing import Any
 
 from fmpy.fmi2 import FMU2Model, FMU2Slave
+from fmpy.fmi3 import FMU3Model, FMU3Slave
 
 from workers.archive import unpack
-from workers.description import PLATFORM, Description
+from workers.description import Description
 from workers.errors import ModelError
-from workers.kernels.fmi2 import Component
+from workers.kernels.component import Component
+from workers.kernels.values import TYPES
 from workers.messages import Model
+from workers.platforms import binary_path, missing_libraries
 
-_ONLY_MODEL_EXCHANGE = {
-    "set_time": "fmi2SetTime",
-    "set_continuous_states": "fmi2SetContinuousStates",
-    "get_continuous_states": "fmi2GetContinuousStates",
-    "get_derivatives": "fmi2GetDerivatives",
-    "new_discrete_states": "fmi2NewDiscreteStates",
-    "enter_continuous_time_mode": "fmi2EnterContinuousTimeMode",
-    "completed_integrator_step": "fmi2CompletedIntegratorStep",
+_CLASSES = {
+    ("2.0", "model_exchange"): FMU2Model,
+    ("2.0", "co_simulation"): FMU2Slave,
+    ("3.0", "model_exchange"): FMU3Model,
+    ("3.0", "co_simulation"): FMU3Slave,
 }
-_ONLY_CO_SIMULATION = {
-    "do_step": "fmi2DoStep",
-    "set_real_input_derivatives": "fmi2SetRealInputDerivatives",
+_ALWAYS = {
+    "reset": "Reset",
+    "enter_initialization_mode": "EnterInitializationMode",
+    "exit_initialization_mode": "ExitInitializationMode",
+    "set_string": "SetString",
 }
-_BOTH = {
-    "reset": "fmi2Reset",
-    "setup_experiment": "fmi2SetupExperiment",
-    "enter_initialization_mode": "fmi2EnterInitializationMode",
-    "exit_initialization_mode": "fmi2ExitInitializationMode",
-    "set_real": "fmi2SetReal",
-    "set_integer": "fmi2SetInteger",
-    "set_boolean": "fmi2SetBoolean",
-    "get_real": "fmi2GetReal",
+_IN_2 = {"setup_experiment": "SetupExperiment"}
+_IN_3 = {
+    "enter_configuration_mode": "EnterConfigurationMode",
+    "exit_configuration_mode": "ExitConfigurationMode",
 }
+_MODEL_EXCHANGE = {
+    "set_time": "SetTime",
+    "set_continuous_states": "SetContinuousStates",
+    "get_continuous_states": "GetContinuousStates",
+    "get_nominals": "GetNominalsOfContinuousStates",
+    "get_event_indicators": "GetEventIndicators",
+    "enter_event_mode": "EnterEventMode",
+    "enter_continuous_time_mode": "EnterContinuousTimeMode",
+    "completed_integrator_step": "CompletedIntegratorStep",
+}
+_MODEL_EXCHANGE_2 = {
+    "get_derivatives": "GetDerivatives",
+    "update_discrete_states": "NewDiscreteStates",
+}
+_MODEL_EXCHANGE_3 = {
+    "get_derivatives": "GetContinuousStateDerivatives",
+    "update_discrete_states": "UpdateDiscreteStates",
+}
+_CO_SIMULATION = {"do_step": "DoStep"}
+_CO_SIMULATION_2 = {"set_real_input_derivatives": "SetRealInputDerivatives"}
+_SOMETIMES = {"set_string", "get_nominals", "get_event_indicators", "set_real_input_derivatives"}
+"""Fields of functions that are called only where the description promises them."""
+_TYPES_IN_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
+"""How FMI 2.0 calls those types that it has."""
 
 _loading = threading.Lock()
 _made = 0
@@ -70,7 +92,7 @@ class Instance:
     def __init__(self, model: Model, description: Description) -> None:
         self._model = model
         self._description = description
-        _check_platform(description)
+        description.check_platform(model.interface)
         self._folder = unpack(model.name, model.archive, model.archive_hash)
         self.log: deque[str] = deque(maxlen=20)
         self._freed = False
@@ -92,48 +114,101 @@ class Instance:
                 self._freed = True
                 self._fmu.freeInstance()
 
-    def _load(self) -> FMU2Model | FMU2Slave:
-        raw = self._description.raw
-        exchange = self._model.interface == "model_exchange"
-        make = FMU2Model if exchange else FMU2Slave
-        interface = raw.modelExchange if exchange else raw.coSimulation
+    def _load(self) -> Any:
+        """The instance as fmpy has it; its class depends on version and interface."""
+        version, interface = self._description.version, self._model.interface
+        make = _CLASSES[version, interface]
+        identifier = self._description.offer(interface).identifier
         global _made
         with _loading:
             _made += 1
-            name = f"{interface.modelIdentifier}-{_made}"
+            name = f"{identifier}-{_made}"
         _logs[name] = self.log
         if self._model.talks:
             _talking.add(name)
         try:
             with _loading, _same_folder():
                 fmu = make(
-                    guid=raw.guid,
-                    modelIdentifier=interface.modelIdentifier,
+                    guid=self._description.guid,
+                    modelIdentifier=identifier,
                     unzipDirectory=str(self._folder),
                     instanceName=name,
+                    requireFunctions=False,
                 )
-                fmu.instantiate(callbacks=_callbacks, loggingOn=self._model.talks)
+                if version == "2.0":
+                    fmu.instantiate(callbacks=_callbacks, loggingOn=self._model.talks)
+                else:
+                    fmu.instantiate(logMessage=_log_3(name), loggingOn=self._model.talks)
         except Exception as error:  # fmpy raises bare exceptions here
-            said = f" It said: {self.log[-1].rstrip('.')}." if self.log else ""
-            raise ModelError(
-                f"{self._model.name}: cannot be loaded and instantiated ({error}).{said} "
-                "Check that it runs on this machine and that everything it needs is installed"
-            ) from error
+            raise ModelError(self._why_not(error)) from error
         return fmu
 
-    def _addresses(self) -> Component:
-        exchange = self._model.interface == "model_exchange"
-        used = _BOTH | (_ONLY_MODEL_EXCHANGE if exchange else _ONLY_CO_SIMULATION)
-        unused = _ONLY_CO_SIMULATION if exchange else _ONLY_MODEL_EXCHANGE
-        handle: int = self._fmu.component
-        return Component(
-            handle=int(handle),
-            interpolates_inputs=self._description.interpolates_inputs,
-            completes_steps=self._description.completes_steps,
-            n_states=len(self._description.states) if exchange else 0,
-            **{field: _address(self._fmu.dll, name) for field, name in used.items()},
-            **dict.fromkeys(unused, 0),
+    def _why_not(self, error: Exception) -> str:
+        """What kept the FMU from being loaded, and what can be done."""
+        identifier = self._description.offer(self._model.interface).identifier
+        missing = missing_libraries(
+            self._folder / binary_path(self._description.version, identifier)
         )
+        if missing:
+            return (
+                f"{self._model.name}: needs {', '.join(missing)}, which this machine lacks; "
+                "install what that belongs to"
+            )
+        said = f" It said: {self.log[-1].rstrip('.')}." if self.log else ""
+        return (
+            f"{self._model.name}: cannot be loaded and instantiated ({error}).{said} "
+            "Check that it runs on this machine and that everything it needs is installed"
+        )
+
+    def _addresses(self) -> Component:
+        description, exchange = self._description, self._model.interface == "model_exchange"
+        version = 2 if description.version == "2.0" else 3
+        used = _ALWAYS | (_IN_2 if version == 2 else _IN_3)
+        if exchange:
+            used |= _MODEL_EXCHANGE | (_MODEL_EXCHANGE_2 if version == 2 else _MODEL_EXCHANGE_3)
+        else:
+            used |= _CO_SIMULATION | (_CO_SIMULATION_2 if version == 2 else {})
+        found = {field: self._address(name) for field, name in used.items()}
+        absent = [used[field] for field, at in found.items() if not at and field not in _SOMETIMES]
+        if absent:
+            raise ModelError(
+                f"{self._model.name}: its binary must have the function fmi{version}{absent[0]} "
+                "but has not; export it again"
+            )
+        types = [_TYPES_IN_2.get(t, "") if version == 2 else t for t in TYPES]
+        return nothing_loaded()._replace(
+            handle=int(self._fmu.component),
+            version=version,
+            getters=tuple(self._address(f"Get{t}") if t else 0 for t in types),
+            setters=tuple(self._address(f"Set{t}") if t else 0 for t in types),
+            interpolates_inputs=description.interpolates_inputs,
+            completes_steps=description.completes_steps,
+            eventful=_is_eventful(description),
+            n_states=len(description.states) if exchange else 0,
+            n_indicators=description.event_indicators if exchange else 0,
+            **found,
+        )
+
+    def _address(self, name: str) -> int:
+        """Of a function of the FMU; 0 if it has none."""
+        whole = f"fmi{self._description.version[0]}{name}"
+        function = getattr(self._fmu.dll, whole, None)
+        return 0 if function is None else ctypes.cast(function, c_void_p).value or 0
+
+
+def nothing_loaded() -> Component:
+    """A component whose functions must not be called, for compiled loops that call none."""
+    addresses = dict.fromkeys(Component._fields, 0)
+    none = (0,) * len(TYPES)
+    flags = dict.fromkeys(("interpolates_inputs", "completes_steps", "eventful"), False)
+    return Component(**{**addresses, "getters": none, "setters": none, **flags})
+
+
+def _is_eventful(description: Description) -> bool:
+    """Whether an input that jumps may be an event for the FMU."""
+    if description.event_indicators > 0:
+        return True
+    return any(v.variability == "discrete" for v in description.variables.values())
 
 
 @contextlib.contextmanager
@@ -146,19 +221,6 @@ def _same_folder() -> Iterator[None]:
         os.chdir(before)
 
 
-def _address(library: ctypes.CDLL, name: str) -> int:
-    return ctypes.cast(getattr(library, name), c_void_p).value or 0
-
-
-def _check_platform(description: Description) -> None:
-    if PLATFORM not in description.platforms:
-        there = ", ".join(description.platforms) or "no platform at all"
-        raise ModelError(
-            f"{description.file}: must have a binary for {PLATFORM}, this machine's platform, but "
-            f"has one for {there}; export it for {PLATFORM}"
-        )
-
-
 _logs: weakref.WeakValueDictionary[str, deque[str]] = weakref.WeakValueDictionary()
 _talking: set[str] = set()
 """Instances whose messages are shown."""
@@ -167,8 +229,17 @@ _STATUSES = ("ok", "warning", "discard", "error", "fatal", "pending")
 
 def _log(environment: object, instance: bytes, status: int, category: bytes, text: bytes) -> None:
     """Receive a message from any instance; fmpy's proxy knows one logger for all of them."""
-    name, said = (each.decode(errors="replace").strip() for each in (instance or b"", text or b""))
-    log = _logs.get(name)
+    _note((instance or b"").decode(errors="replace"), status, text)
+
+
+def _log_3(name: str) -> Callable[[object, int, bytes, bytes], None]:
+    """Receives the messages of one instance of FMI 3.0."""
+    return lambda environment, status, category, text: _note(name, status, text)
+
+
+def _note(name: str, status: int, text: bytes) -> None:
+    said = (text or b"").decode(errors="replace").strip()
+    log = _logs.get(name.strip())
     if log is not None and status > 0:
         log.append(said)
     if name in _talking:

@@ -24,6 +24,8 @@ class Grid(NamedTuple):
         Each input, then each signal, at each time; where a held one jumps, its value after it.
     slopes : (n, m)
         The slope of each in the interval that starts at this time; 0 where it is held.
+    jumps : (n,)
+        Whether a held input jumps at this time.
     gather : (k,)
         Where each measured value's simulated one stands in the flattened (n, recorded) record.
     measured : (k,)
@@ -35,6 +37,7 @@ class Grid(NamedTuple):
     times: FloatArray
     inputs: FloatArray
     slopes: FloatArray
+    jumps: IntArray
     gather: IntArray
     measured: FloatArray
     sigmas: FloatArray
@@ -55,6 +58,10 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Grid:
     times = np.unique(np.concatenate([*knots, [start, stop]]))
     times = times[(times >= start) & (times <= stop)]
     inputs = [_sample(given, times) for given in driving]
+    jumps = np.zeros(len(times), np.bool_)
+    for given, (at, _) in zip(experiment.inputs, inputs, strict=False):
+        if given.interpolation == "hold":
+            jumps[1:] |= at[1:] != at[:-1]
     width = len(recorded)
     gather = [
         np.searchsorted(times, output.times) * width + recorded.index(output.variable)
@@ -64,6 +71,7 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Grid:
         times=times,
         inputs=_columns([value for value, _ in inputs], len(times)),
         slopes=_columns([slope for _, slope in inputs], len(times)),
+        jumps=jumps,
         gather=np.concatenate([np.zeros(0, np.intp), *gather]),
         measured=np.concatenate([np.zeros(0), *(output.values for output in experiment.outputs)]),
         sigmas=np.concatenate(

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from workers.access import access
 from workers.description import Description
 from workers.errors import ModelError
 from workers.grid import Grid, build_grid
-from workers.kernels.fmi2 import Constants, References
+from workers.kernels.component import References
 from workers.messages import Experiment, FloatArray, IntArray, Model
+from workers.variables import Variable
 
 
 @dataclass(frozen=True)
@@ -20,8 +23,9 @@ class Installed:
     grid: Grid
     outputs: tuple[str, ...]
     references: References
-    constants: Constants
     known: FloatArray
+    held: IntArray
+    """The memory that strings stand in."""
 
 
 def install(
@@ -40,34 +44,51 @@ def install(
         If the FMU has no such variable, or it is of the wrong kind.
     """
     where = f"experiment {experiment.id!r}"
-    known = [(n, v) for n, v in experiment.values if n not in model.parameters]
-    reals = [(n, float(v)) for n, v in known if _kind(description, n, where) == "real"]
-    integers = [(n, int(v)) for n, v in known if _kind(description, n, where) == "integer"]
-    booleans = [(n, int(bool(v))) for n, v in known if _kind(description, n, where) == "boolean"]
+    given = {n: v for n, v in experiment.values if n not in model.parameters}
+    chosen = {n: description.variable(n, where) for n in given}
+    texts = {n: str(given[n]) for n, v in chosen.items() if v.kind == "string"}
+    structure = [v for v in chosen.values() if v.causality == "structuralParameter"]
+    known = [v for n, v in chosen.items() if n not in texts and v not in structure]
     outputs = recorded or experiment.recorded
     grid = build_grid(experiment, outputs)
     if model.interface == "co_simulation" and not description.variable_steps:
         _check_equal_steps(model, description, grid, where)
 
-    def references(names: list[str]) -> IntArray:
-        return np.array([description.variable(n, where).reference for n in names], np.uint32)
+    def bases(variable: Variable) -> list[float]:
+        own = (variable.reference, variable.type)
+        found = [v for v in description.variables.values() if (v.reference, v.type) == own]
+        starts = {v.element: v.start or 0.0 for v in found}
+        return [starts.get(e, 0.0) for e in range(variable.size)]
 
+    def at(names: Sequence[str]) -> list[Variable]:
+        return [description.variable(n, where) for n in names]
+
+    inputs = at([each.variable for each in experiment.inputs])
+    moving = [v if v.kind == "real" and v.variability == "continuous" else None for v in inputs]
+    first = len(model.parameters) + len(known)
     return Installed(
         grid=grid,
         outputs=outputs,
         references=References(
-            start_reals=references([*model.parameters, *(n for n, _ in reals)]),
-            start_integers=references([n for n, _ in integers]),
-            start_booleans=references([n for n, _ in booleans]),
-            inputs=references([given.variable for given in experiment.inputs]),
-            outputs=references(list(outputs)),
+            structure=access([*[None] * first, *structure], bases),
+            starts=access([*at(model.parameters), *known], bases),
+            strings=np.array([chosen[n].reference for n in texts], np.uint32),
+            texts=(held := _texts(list(texts.values())))[0],
+            inputs=access(inputs, bases),
+            moving=access(moving, bases),
+            outputs=access(at(outputs), bases),
         ),
-        constants=Constants(
-            integers=np.array([v for _, v in integers], np.int32),
-            booleans=np.array([v for _, v in booleans], np.int32),
-        ),
-        known=np.array([v for _, v in reals], np.float64),
+        known=np.array([float(given[v.name]) for v in [*known, *structure]], np.float64),
+        held=held[1],
     )
+
+
+def _texts(texts: Sequence[str]) -> tuple[IntArray, IntArray]:
+    """Addresses of strings that end with a zero byte, and the memory that holds them."""
+    encoded = [text.encode() + b"\0" for text in texts]
+    memory = np.frombuffer(bytearray(b"".join(encoded)) or bytearray(1), np.uint8)
+    begins = np.cumsum([0, *(len(each) for each in encoded)], dtype=np.int64)[:-1]
+    return begins + memory.ctypes.data, memory
 
 
 def _check_equal_steps(model: Model, description: Description, grid: Grid, where: str) -> None:
@@ -88,13 +109,3 @@ def _check_equal_steps(model: Model, description: Description, grid: Grid, where
             f"apart and no multiples of {step:g} s; set model.step to a divisor of them all"
             f"{advice}, or resample the data"
         )
-
-
-def _kind(description: Description, name: str, where: str) -> str:
-    kind = description.variable(name, where).kind
-    if kind == "string":
-        raise ModelError(
-            f"{where}: {name!r} is a string variable of {description.file}, which cannot be set "
-            "yet; choose its value when exporting the FMU"
-        )
-    return kind

@@ -12,7 +12,7 @@ from workers.description import Description, Variable
 from workers.effects.definition import Definition, define
 from workers.grid import Grid
 from workers.install import Installed, install
-from workers.kernels.fmi2 import Component, Constants, References, Workspace
+from workers.kernels.component import Component, References, Workspace
 from workers.kernels.hooks import Hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.linearise import Found, Probe, Range, linearise
@@ -114,7 +114,6 @@ class Pass:
         self,
         c: Component,
         references: References,
-        constants: Constants,
         settings: Settings,
         hooks: Hooks,
         grid: Grid,
@@ -126,7 +125,7 @@ class Pass:
     ) -> int:
         adaptive = self.prepared.model.solver.name == "dormand_prince"
         codes[0], stopped_at[0] = linearise(
-            adaptive, c, references, constants, settings, hooks, self.probing, grid, points[0],
+            adaptive, c, references, settings, hooks, self.probing, grid, points[0],
             work, self.probe, self.found, outputs[0],
         )  # fmt: skip
         return 1

@@ -10,12 +10,12 @@ import numpy as np
 
 from workers.description import Description
 from workers.errors import ModelError
-from workers.fmu import Instance
+from workers.fmu import Instance, nothing_loaded
 from workers.install import Installed, install
 from workers.kernels import failure, linearise
 from workers.kernels.co_simulation import co_simulate_batch
+from workers.kernels.component import Component, Workspace, workspace
 from workers.kernels.dormand_prince import dormand_prince_batch
-from workers.kernels.fmi2 import Component, Workspace, workspace
 from workers.kernels.hooks import Hooks, no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
@@ -94,7 +94,7 @@ class Simulator:
         ] = {}
         self._prepared: dict[tuple[int, tuple[tuple[Definition, int], ...], int], Prepared] = {}
         self._batch = BATCHES[model.solver.name]
-        self._workspaces: dict[tuple[int, int, int, int], Workspace] = {}
+        self._workspaces: dict[tuple[int, ...], Workspace] = {}
 
     def load(self) -> None:
         """Load the FMU and instantiate it.
@@ -111,12 +111,8 @@ class Simulator:
         ready = self._installed[0]
         rows = np.empty((0, len(self._model.parameters) + len(ready.known)))
         sizes = len(ready.grid.times), len(ready.outputs)
-        nowhere = Component(
-            *(0,) * 18, interpolates_inputs=False, completes_steps=False, n_states=0
-        )
-        self._call(
-            self._batch, nowhere, ready, no_hooks(0), 0, rows, Record.empty(0, *sizes), np.empty(0)
-        )
+        nowhere, record = nothing_loaded(), Record.empty(0, *sizes)
+        self._call(self._batch, nowhere, ready, no_hooks(0), 0, rows, record, np.empty(0))
 
     def installed(self, experiment: int) -> Installed:
         return self._installed[experiment]
@@ -312,7 +308,6 @@ class Simulator:
         return batch(
             component,
             ready.references,
-            ready.constants,
             _settings(self._model, self._description, own_states),
             rest,
             ready.grid,
@@ -332,6 +327,8 @@ class Simulator:
             states,
             hooks.coefficients.shape[1],
             hooks.base.shape[1],
+            self._description.event_indicators,
+            max((v.size for v in self._description.variables.values()), default=1),
         )
         if sizes not in self._workspaces:
             self._workspaces[sizes] = workspace(*sizes)
@@ -353,6 +350,7 @@ def _settings(model: Model, description: Description, own_states: int) -> Settin
     return Settings(
         step=solver.step or 0.0,
         rtol=rtol,
+        atol=atol,
         atols=np.maximum(atol * np.array(nominals, np.float64), np.finfo(np.float64).tiny),
         max_steps=solver.max_steps,
         fmu_tolerance=solver.rtol or 0.0,

@@ -8,23 +8,19 @@ from workers.kernels.failure import (
     INITIALISATION,
     OUTPUT,
     STEP,
+    TERMINATED,
     TOO_MANY_STEPS,
     failed,
 )
-from workers.kernels.fmi2 import (
-    DISCARD,
-    do_step,
-    get_real,
-    set_real,
-    set_real_input_derivatives,
-)
+from workers.kernels.fmi import do_step, set_real_input_derivatives
 from workers.kernels.hooks import before, begin, first_inputs, inside, take_inputs, take_point
 from workers.kernels.initialise import initialise, n_steps
+from workers.kernels.values import DISCARD, get_values, set_reals, set_values
 
 
 @kernel
 def co_simulate_batch(  # type: ignore[no-untyped-def]
-    c, references, constants, settings, hooks, grid, points, work, outputs, codes, stopped_at
+    c, references, settings, hooks, grid, points, work, outputs, codes, stopped_at
 ):
     """Simulate one experiment for many points.
 
@@ -48,7 +44,7 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
     for p in range(len(points)):
         take_point(hooks, p, work)
         codes[p], stopped_at[p] = _co_simulate(
-            c, references, constants, settings, hooks, grid, points[p], work, outputs[p]
+            c, references, settings, hooks, grid, points[p], work, outputs[p]
         )
         if codes[p] != FINISHED:
             return p + 1
@@ -56,11 +52,12 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _co_simulate(c, references, constants, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
+def _co_simulate(c, references, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
     times = grid.times
     tolerance = settings.fmu_tolerance
     inputs = first_inputs(hooks, grid, work)
-    status = initialise(c, references, constants, point, inputs, tolerance, times[0])
+    work.flags[1] = 0
+    status = initialise(c, references, point, inputs, tolerance, times[0], work)
     if status >= DISCARD:
         return failed(INITIALISATION, status), times[0]
     if hooks.before != 0:
@@ -76,9 +73,9 @@ def _go(c, references, settings, grid, work, record):  # type: ignore[no-untyped
     for i in range(len(times)):
         status = 0
         if grid.inputs.shape[1] > 0:
-            status = set_real(c, references.inputs, grid.inputs[i])
+            status = set_values(c, references.inputs, grid.inputs[i], work.cells)
         if status < DISCARD:
-            status = get_real(c, references.outputs, record[i])
+            status = get_values(c, references.outputs, record[i], work.cells)
         if status >= DISCARD:
             return failed(OUTPUT, status), times[i]
         if i + 1 == len(times):
@@ -90,6 +87,8 @@ def _go(c, references, settings, grid, work, record):  # type: ignore[no-untyped
         status = _advance(c, references, grid, i, steps, work)
         if status >= DISCARD:
             return failed(STEP, status), times[i]
+        if work.flags[1] != 0:
+            return TERMINATED, times[i]
     return FINISHED, times[-1]
 
 
@@ -100,7 +99,7 @@ def _go_with_effects(c, references, settings, hooks, grid, work, record):  # typ
     for i in range(len(times)):
         status = _write_edited(c, references, hooks, grid, i, times[i], work)
         if status < DISCARD:
-            status = get_real(c, references.outputs, record[i])
+            status = get_values(c, references.outputs, record[i], work.cells)
         if status >= DISCARD:
             return failed(OUTPUT, status), times[i]
         if i + 1 == len(times):
@@ -112,6 +111,8 @@ def _go_with_effects(c, references, settings, hooks, grid, work, record):  # typ
         status = _advance_with_effects(c, references, hooks, grid, i, steps, work)
         if status >= DISCARD:
             return failed(STEP, status), times[i]
+        if work.flags[1] != 0:
+            return TERMINATED, times[i]
     return FINISHED, times[-1]
 
 
@@ -125,13 +126,19 @@ def _advance(c, references, grid, i, steps, work):  # type: ignore[no-untyped-de
     step = (grid.times[i + 1] - grid.times[i]) / steps
     status = 0
     for s in range(steps):
+        if work.flags[1] != 0:
+            break
         if s > 0 and status < DISCARD and len(work.inputs) > 0:
             take_inputs(grid, i, grid.times[i] + s * step, work)
-            status = max(status, set_real(c, references.inputs, work.inputs))
+            status = max(status, set_values(c, references.inputs, work.inputs, work.cells))
         if c.interpolates_inputs and len(work.inputs) > 0 and status < DISCARD:
-            status = set_real_input_derivatives(c, references.inputs, work.orders, grid.slopes[i])
+            status = set_real_input_derivatives(
+                c, references.inputs.reals, work.orders, grid.slopes[i]
+            )
         if status < DISCARD:
-            status = do_step(c, grid.times[i] + s * step, step)
+            status = do_step(
+                c, grid.times[i] + s * step, step, work.flags, work.bits, work.event_time
+            )
     return status
 
 
@@ -142,13 +149,17 @@ def _advance_with_effects(c, references, hooks, grid, i, steps, work):  # type: 
     status = 0
     for s in range(steps):
         time = grid.times[i] + s * step
+        if work.flags[1] != 0:
+            break
         if s > 0 and status < DISCARD:
             status = _write_edited(c, references, hooks, grid, i, time, work)
         _take_slopes(hooks, grid, i, time, step, work)
         if c.interpolates_inputs and len(work.inputs) > 0 and status < DISCARD:
-            status = set_real_input_derivatives(c, references.inputs, work.orders, work.slopes)
+            status = set_real_input_derivatives(
+                c, references.inputs.reals, work.orders, work.slopes
+            )
         if status < DISCARD:
-            status = do_step(c, time, step)
+            status = do_step(c, time, step, work.flags, work.bits, work.event_time)
     return status
 
 
@@ -159,9 +170,9 @@ def _write_edited(c, references, hooks, grid, i, time, work):  # type: ignore[no
     before(hooks, time, work.states, work)
     status = 0
     if len(work.edited) > 0:
-        status = set_real(c, references.inputs, work.edited)
+        status = set_values(c, references.inputs, work.edited, work.cells)
     if status < DISCARD and len(work.varied) > 0:
-        status = max(status, set_real(c, hooks.parameters, work.varied))
+        status = max(status, set_reals(c, hooks.parameters, work.varied))
     return status
 
 

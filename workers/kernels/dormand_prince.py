@@ -16,16 +16,20 @@ from math import isfinite, sqrt
 import numpy as np
 
 from workers.kernels.calling import inlined, kernel
-from workers.kernels.failure import FINISHED, OUTPUT, STEP, STEP_TOO_SMALL, TOO_MANY_STEPS, failed
-from workers.kernels.fmi2 import DISCARD, ERROR
-from workers.kernels.hooks import take_point
-from workers.kernels.model_exchange import (
-    complete_step,
-    derivative,
-    record_outputs,
-    slopes_here,
-    start,
+from workers.kernels.events import find_event, handle_event, shortest
+from workers.kernels.failure import (
+    EVENT,
+    FINISHED,
+    OUTPUT,
+    STEP,
+    STEP_TOO_SMALL,
+    TOO_MANY_STEPS,
+    failed,
 )
+from workers.kernels.hooks import take_point
+from workers.kernels.model_exchange import arrive, complete_step, start
+from workers.kernels.moving import derivative, record_outputs, slopes_here
+from workers.kernels.values import DISCARD, ERROR
 
 NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
 WEIGHTS = np.array(
@@ -42,18 +46,31 @@ WEIGHTS = np.array(
 ERROR_WEIGHTS = np.array(
     [71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40]
 )
+INTERPOLANT = np.array(
+    [
+        [1, -8048581381 / 2820520608, 8663915743 / 2820520608, -12715105075 / 11282082432],
+        [0, 0, 0, 0],
+        [0, 131558114200 / 32700410799, -68118460800 / 10900136933, 87487479700 / 32700410799],
+        [0, -1754552775 / 470086768, 14199869525 / 1410260304, -10690763975 / 1880347072],
+        [0, 127303824393 / 49829197408, -318862633887 / 49829197408, 701980252875 / 199316789632],
+        [0, -282668133 / 205662961, 2019193451 / 616988883, -1453857185 / 822651844],
+        [0, 40617522 / 29380423, -110615467 / 29380423, 69997945 / 29380423],
+    ]
+)
+"""Of order 4 within a step, see `workers.kernels.events.find_event`. Source: L. F. Shampine, Math.
+Comp. 46 (1986) 135-150, doi:10.1090/S0025-5718-1986-0815836-3."""
 SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 
 
 @kernel
 def dormand_prince_batch(  # type: ignore[no-untyped-def]
-    c, references, constants, settings, hooks, grid, points, work, outputs, codes, stopped_at
+    c, references, settings, hooks, grid, points, work, outputs, codes, stopped_at
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     for p in range(len(points)):
         take_point(hooks, p, work)
         codes[p], stopped_at[p] = _dormand_prince(
-            c, references, constants, settings, hooks, grid, points[p], work, outputs[p]
+            c, references, settings, hooks, grid, points[p], work, outputs[p]
         )
         if codes[p] != FINISHED:
             return p + 1
@@ -61,68 +78,118 @@ def dormand_prince_batch(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _dormand_prince(c, references, constants, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
-    times, k = grid.times, work.stages
-    code = start(c, references, constants, hooks, grid, point, work)
-    if code != FINISHED:
-        return code, times[0]
-    proposed, steps_left = 0.0, settings.max_steps
+def _dormand_prince(c, references, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
+    times, steps_left = grid.times, settings.max_steps
+    time, proposed = times[0], 0.0
+    code = start(c, references, settings, hooks, grid, point, work)
     for i in range(len(times)):
-        status = record_outputs(c, references, hooks, grid, i, work, record[i])
-        if status >= DISCARD:
-            return failed(OUTPUT, status), times[i]
-        if i + 1 == len(times):
-            break
-        status = slopes_here(c, hooks, times[i], work.states, work, k[0])
-        if status >= DISCARD:
-            return failed(STEP, status), times[i]
-        if i == 0:
-            proposed = _first_step(work.states, k[0], settings)
-        code, reached, proposed, steps_left = _advance(
-            c, references, settings, hooks, grid, i, proposed, steps_left, work
-        )
+        if code == FINISHED:
+            code = arrive(c, references, settings, hooks, grid, i, time, work)
         if code != FINISHED:
-            return code, reached
-    return FINISHED, times[-1]
+            return code, time
+        status = record_outputs(c, references, hooks, grid, i, time, work, record[i])
+        if status >= DISCARD:
+            return failed(OUTPUT, status), time
+        if i + 1 < len(times):
+            code, time, proposed, steps_left = adaptive_steps(
+                c, references, settings, hooks, grid, i, time, proposed, steps_left, work
+            )
+    return code, time
 
 
 @kernel
-def _advance(c, references, settings, hooks, grid, i, proposed, steps_left, work):  # type: ignore[no-untyped-def]
-    """From grid time i to the next. Returns (code, time, step to try next, steps left)."""
-    time, last = grid.times[i], grid.times[i + 1]
-    shortest = 16.0 * np.finfo(np.float64).eps * max(abs(time), abs(last))
-    if not proposed >= shortest:  # or not a number, after an overflow: a step of 0 would never end
-        proposed = shortest
+def adaptive_steps(  # type: ignore[no-untyped-def]
+    c, references, settings, hooks, grid, i, time, proposed, steps_left, work
+):
+    """From a time, where the FMU stands, to grid time i + 1, from event to event.
+
+    Returns (code, time, step to try next, steps left). A proposed step of 0 stands for none.
+    """
+    last, still = grid.times[i + 1], 0
+    close = shortest(time, last)
     while True:
-        if steps_left <= 0:
-            return TOO_MANY_STEPS, time, proposed, steps_left
-        if settings.step > 0.0:
-            proposed = min(proposed, settings.step)
+        begin = time
+        end = min(last, work.next_event[0])
+        if abs(work.next_event[0] - last) <= close:  # not once before the grid time and once after
+            end = work.next_event[0]
+        code = FINISHED
+        if end > begin:
+            code, time, proposed, steps_left = _to_next_event(
+                c, references, settings, hooks, grid, i, begin, end, proposed, steps_left, work
+            )
+        if code == EVENT or (code == FINISHED and time >= work.next_event[0]):
+            still = still + 1 if time - begin <= close else 0
+            code = handle_event(c, references, settings, hooks, grid, i, i, time, still, work)
+            proposed = 0.0
+        if code != FINISHED or last - time <= close:
+            return code, time, proposed, steps_left
+
+
+@kernel
+def _to_next_event(  # type: ignore[no-untyped-def]
+    c, references, settings, hooks, grid, i, time, last, proposed, steps_left, work
+):
+    """Steps up to a time or a state event. Returns (code, time, step to try next, steps left)."""
+    close = shortest(time, last)
+    status, proposed = _first_slopes(c, settings, hooks, time, proposed, close, work)
+    if status >= DISCARD:
+        return failed(STEP, status), time, proposed, steps_left
+    while steps_left > 0:
+        proposed = min(proposed, settings.step) if settings.step > 0.0 else proposed
         remaining = last - time
         final = proposed >= remaining * (1.0 - 1e-10)
         step = remaining if final else min(proposed, 0.5 * remaining)
-        status, error = _try_step(c, references, settings, hooks, grid, i, time, step, work)
+        status, error, part = _try_step(c, references, settings, hooks, grid, i, time, step, work)
         steps_left -= 1
         if status >= ERROR:
             return failed(STEP, status), time, proposed, steps_left
+        wanted = step * _factor(status, error)
         if status >= DISCARD or not error <= 1.0:
-            proposed = step * _factor(status, error)
-            if proposed < shortest:
+            proposed = wanted
+            if proposed < close:
                 return STEP_TOO_SMALL, time, proposed, steps_left
             continue
-        time = last if final else time + step
-        for j in range(len(work.states)):
-            work.states[j] = work.trial[j]
-            work.stages[0, j] = work.stages[6, j]
-        wanted = step * _factor(status, error)
+        code = _accept(c, part, work)
+        time = last if final and part > 1.0 else time + step * min(part, 1.0)
         proposed = max(proposed, wanted) if final else wanted
-        code = complete_step(c, work)
         if code != FINISHED or final:
             return code, time, proposed, steps_left
+    return TOO_MANY_STEPS, time, proposed, steps_left
+
+
+@inlined
+def _first_slopes(c, settings, hooks, time, proposed, close, work):  # type: ignore[no-untyped-def]
+    """The first stage, where the FMU stands, and a step to try. Returns (status, step)."""
+    status = slopes_here(c, hooks, time, work.states, work, work.stages[0])
+    if proposed == 0.0 and status < DISCARD:
+        proposed = _first_step(work.states, work.stages[0], settings.rtol, work.atols)
+    if not proposed >= close:  # or not a number, after an overflow: a step of 0 would never end
+        proposed = close
+    return status, proposed
+
+
+@inlined
+def _accept(c, part, work):  # type: ignore[no-untyped-def]
+    """Take over a step, or its part up to an event. Returns FINISHED, EVENT or why it must end."""
+    for j in range(len(work.states)):
+        work.states[j] = work.trial[j]
+        work.stages[0, j] = work.stages[6, j]
+    code = complete_step(c, work)
+    return EVENT if code == FINISHED and part <= 1.0 else code
 
 
 @inlined
 def _try_step(c, references, settings, hooks, grid, i, time, step, work):  # type: ignore[no-untyped-def]
+    """A step, and a look for events in it. Returns (status, error, part up to an event or 2)."""
+    status, error = _stages(c, references, settings, hooks, grid, i, time, step, work)
+    part = 2.0
+    if c.n_indicators > 0 and status < DISCARD and error <= 1.0:
+        status, part = find_event(c, references, hooks, grid, i, time, step, INTERPOLANT, work)
+    return status, error, part
+
+
+@inlined
+def _stages(c, references, settings, hooks, grid, i, time, step, work):  # type: ignore[no-untyped-def]
     """Six stages after the first. Leaves the new states in `trial`; returns (status, error).
 
     The error is scaled: the step meets the tolerance if it is at most 1.
@@ -143,7 +210,7 @@ def _try_step(c, references, settings, hooks, grid, i, time, step, work):  # typ
         estimate = 0.0
         for stage in range(7):
             estimate += ERROR_WEIGHTS[stage] * k[stage, j]
-        scale = settings.atols[j] + settings.rtol * max(abs(x[j]), abs(trial[j]))
+        scale = work.atols[j] + settings.rtol * max(abs(x[j]), abs(trial[j]))
         total += (step * estimate / scale) ** 2
     return status, sqrt(total / max(1, len(x)))
 
@@ -159,11 +226,11 @@ def _factor(status, error):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _first_step(states, derivatives, settings):  # type: ignore[no-untyped-def]
+def _first_step(states, derivatives, rtol, atols):  # type: ignore[no-untyped-def]
     """A hundredth of the time in which the states would change by their own scale."""
     size, speed = 0.0, 0.0
     for j in range(len(states)):
-        scale = settings.atols[j] + settings.rtol * abs(states[j])
+        scale = atols[j] + rtol * abs(states[j])
         size += (states[j] / scale) ** 2
         speed += (derivatives[j] / scale) ** 2
     if size < 1e-10 or speed < 1e-10:

@@ -13,6 +13,7 @@ TOO_MANY_STEPS = 5
 NOT_FINITE = 6
 EVENT = 7
 TERMINATED = 8
+CHATTERING = 10
 
 SENTENCES = {
     INITIALISATION: "the FMU could not be initialised",
@@ -21,7 +22,8 @@ SENTENCES = {
     STEP_TOO_SMALL: "no step was short enough for the tolerance",
     TOO_MANY_STEPS: "the limit on the number of steps was reached",
     NOT_FINITE: "an output became infinite or not a number",
-    EVENT: "the FMU asked for an event, which this solver does not handle",
+    EVENT: "the FMU could not handle an event",
+    CHATTERING: "events followed each other without end",
     TERMINATED: "the FMU ended the simulation by itself",
 }
 

@@ -1,4 +1,4 @@
-"""From a used instance to the start of a simulation, in the order of the FMI 2.0 standard."""
+"""From a used instance to the start of a simulation, in the order of the FMI standard."""
 
 from __future__ import annotations
 
@@ -6,27 +6,27 @@ from math import ceil
 from typing import NamedTuple
 
 from workers.kernels.calling import inlined
-from workers.kernels.fmi2 import (
-    DISCARD,
+from workers.kernels.fmi import (
+    enter_configuration_mode,
     enter_initialization_mode,
+    exit_configuration_mode,
     exit_initialization_mode,
     reset,
-    set_boolean,
-    set_integer,
-    set_real,
-    setup_experiment,
+    set_strings,
 )
+from workers.kernels.values import DISCARD, set_values
 from workers.messages import FloatArray
 
 
 class Settings(NamedTuple):
     """A `workers.messages.Solver` for compiled code: 0 stands for "not given".
 
-    `atols` holds the absolute tolerance of each state.
+    `atols` holds the absolute tolerance of each state: `atol` times its nominal value.
     """
 
     step: float
     rtol: float
+    atol: float
     atols: FloatArray
     max_steps: int
     fmu_tolerance: float
@@ -42,25 +42,34 @@ def n_steps(length, longest, limit):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def initialise(c, references, constants, values, inputs, tolerance, start):  # type: ignore[no-untyped-def]
+def initialise(c, references, values, inputs, tolerance, start, work):  # type: ignore[no-untyped-def]
     """Reset, write every start value, initialise. Returns the worst status.
 
     Everything is written after each reset, because some FMUs do not reset their parameters. After a
     failure nothing more is called: the standard forbids it.
     """
     worst = reset(c)
-    if worst < DISCARD and len(values) > 0:
-        worst = max(worst, set_real(c, references.start_reals, values))
-    if worst < DISCARD and len(constants.integers) > 0:
-        worst = max(worst, set_integer(c, references.start_integers, constants.integers))
-    if worst < DISCARD and len(constants.booleans) > 0:
-        worst = max(worst, set_boolean(c, references.start_booleans, constants.booleans))
+    if worst < DISCARD and len(references.structure.codes) > 0:
+        worst = max(worst, _configure(c, references.structure, values, work))
     if worst < DISCARD:
-        worst = max(worst, setup_experiment(c, tolerance, start))
+        worst = max(worst, set_values(c, references.starts, values, work.cells))
+    if worst < DISCARD and len(references.strings) > 0:
+        worst = max(worst, set_strings(c, references.strings, references.texts))
     if worst < DISCARD:
-        worst = max(worst, enter_initialization_mode(c))
-    if worst < DISCARD and len(inputs) > 0:
-        worst = max(worst, set_real(c, references.inputs, inputs))
+        worst = max(worst, enter_initialization_mode(c, tolerance, start))
+    if worst < DISCARD:
+        worst = max(worst, set_values(c, references.inputs, inputs, work.cells))
     if worst < DISCARD:
         worst = max(worst, exit_initialization_mode(c))
+    return worst
+
+
+@inlined
+def _configure(c, structure, values, work):  # type: ignore[no-untyped-def]
+    """Set structural parameters, which say how large arrays are."""
+    worst = enter_configuration_mode(c)
+    if worst < DISCARD:
+        worst = max(worst, set_values(c, structure, values, work.cells))
+    if worst < DISCARD:
+        worst = max(worst, exit_configuration_mode(c))
     return worst

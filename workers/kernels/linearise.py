@@ -12,19 +12,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from workers.kernels.calling import inlined, kernel
-from workers.kernels.dormand_prince import _advance, _first_step
-from workers.kernels.failure import FINISHED, OUTPUT, STEP, TOO_MANY_STEPS, failed
-from workers.kernels.fmi2 import DISCARD, get_real, set_real
+from workers.kernels.dormand_prince import adaptive_steps
+from workers.kernels.failure import FINISHED, OUTPUT, failed
 from workers.kernels.hooks import take_point
-from workers.kernels.initialise import n_steps
-from workers.kernels.model_exchange import (
-    complete_step,
-    go_to,
-    record_outputs,
-    slopes_here,
-    start,
-)
-from workers.kernels.rk4 import _step
+from workers.kernels.model_exchange import arrive, start
+from workers.kernels.moving import go_to, record_outputs, slopes_here
+from workers.kernels.rk4 import equal_steps
+from workers.kernels.values import DISCARD, get_values, set_reals
 from workers.messages import FloatArray, IntArray
 
 LINEARISATION = 9
@@ -83,7 +77,7 @@ class Found(NamedTuple):
 
 @kernel
 def linearise(  # type: ignore[no-untyped-def]
-    adaptive, c, references, constants, settings, hooks, probing, grid, point, work,
+    adaptive, c, references, settings, hooks, probing, grid, point, work,
     probe, found, record,
 ):  # fmt: skip
     """Simulate one experiment for one point, and linearise the model at each time of the grid.
@@ -106,57 +100,32 @@ def linearise(  # type: ignore[no-untyped-def]
     (code, time)
         0, or what went wrong, and the time of it.
     """
-    times, k = grid.times, work.stages
+    times, steps_left = grid.times, settings.max_steps
+    time, proposed = times[0], 0.0
     take_point(hooks, 0, work)
-    code = start(c, references, constants, hooks, grid, point, work)
-    if code != FINISHED:
-        return code, times[0]
-    proposed, reached, steps_left = 0.0, times[0], settings.max_steps
+    code = start(c, references, settings, hooks, grid, point, work)
     for i in range(len(times)):
-        status = record_outputs(c, references, hooks, grid, i, work, record[i])
+        if code == FINISHED:
+            code = arrive(c, references, settings, hooks, grid, i, time, work)
+        if code != FINISHED:
+            return code, time
+        status = record_outputs(c, references, hooks, grid, i, time, work, record[i])
         if status >= DISCARD:
-            return failed(OUTPUT, status), times[i]
+            return failed(OUTPUT, status), time
         status = _linearise_here(c, references, hooks, probing, grid, i, work, probe, found)
         if status >= DISCARD:
-            return failed(LINEARISATION, status), times[i]
+            return failed(LINEARISATION, status), time
         if i + 1 == len(times):
             break
         if adaptive:
-            status = slopes_here(c, hooks, times[i], work.states, work, k[0])
-            if status >= DISCARD:
-                return failed(STEP, status), times[i]
-            if i == 0:
-                proposed = _first_step(work.states, k[0], settings)
-            code, reached, proposed, steps_left = _advance(
-                c, references, settings, hooks, grid, i, proposed, steps_left, work
+            code, time, proposed, steps_left = adaptive_steps(
+                c, references, settings, hooks, grid, i, time, proposed, steps_left, work
             )
         else:
-            code, reached, steps_left = _equal_steps(
-                c, references, settings, hooks, grid, i, steps_left, work
+            code, time, steps_left = equal_steps(
+                c, references, settings, hooks, grid, i, time, steps_left, work
             )
-        if code != FINISHED:
-            return code, reached
-    return FINISHED, times[-1]
-
-
-@kernel
-def _equal_steps(c, references, settings, hooks, grid, i, steps_left, work):  # type: ignore[no-untyped-def]
-    """From grid time i to the next by classic Runge-Kutta. Returns (code, time, steps left)."""
-    first = grid.times[i]
-    length = grid.times[i + 1] - first
-    steps = n_steps(length, settings.step, steps_left)
-    if steps > steps_left:
-        return TOO_MANY_STEPS, first, steps_left
-    step = length / steps
-    for s in range(steps):
-        time = first + s * step
-        status = _step(c, references, hooks, grid, i, time, step, s > 0, work)
-        if status >= DISCARD:
-            return failed(STEP, status), time, steps_left
-        code = complete_step(c, work)
-        if code != FINISHED:
-            return code, time + step, steps_left
-    return FINISHED, grid.times[i + 1], steps_left - steps
+    return code, time
 
 
 @kernel
@@ -166,7 +135,7 @@ def _linearise_here(c, references, hooks, probing, grid, i, work, probe, found):
     status = slopes_here(c, hooks, time, x, work, found.slopes[i])
     for j in range(len(x)):
         found.states[i, j] = x[j]
-    for j in range(len(references.inputs)):  # measured signals may follow them in `work`
+    for j in range(len(probe.inputs.nominals)):  # measured signals may follow them in `work`
         found.edited[i, j] = work.edited[j] if hooks.before != 0 else work.inputs[j]
     if status < DISCARD:
         status = max(status, _by_states(c, references, probing, time, i, work, probe, found))
@@ -204,7 +173,7 @@ def _by_states(c, references, hooks, time, i, work, probe, found):  # type: igno
 @kernel
 def _by_inputs(c, references, hooks, time, i, work, probe, found):  # type: ignore[no-untyped-def]
     x, status = work.states, 0
-    for j in range(len(references.inputs)):
+    for j in range(len(probe.inputs.nominals)):
         u = found.edited[i, j]
         upper, lower = _ends(u, probe.inputs.nominals[j], probe.inputs, j)
         _turn(hooks, work, probe, j, u, upper)
@@ -238,17 +207,17 @@ def _by_parameters(c, references, hooks, time, i, work, probe, found):  # type: 
         size = abs(p) if p != 0.0 else probe.parameters.nominals[j]
         upper, lower = _ends(p, size, probe.parameters, j)
         found.value[0] = upper
-        status = max(status, set_real(c, reference, found.value))
+        status = max(status, set_reals(c, reference, found.value))
         if status < DISCARD:
             status = max(status, _answer(c, references, hooks, time, x, work, found, True))
         found.value[0] = lower
         if status < DISCARD:
-            status = max(status, set_real(c, reference, found.value))
+            status = max(status, set_reals(c, reference, found.value))
         if status < DISCARD:
             status = max(status, _answer(c, references, hooks, time, x, work, found, False))
         found.value[0] = p
         if status < DISCARD:
-            status = max(status, set_real(c, reference, found.value))
+            status = max(status, set_reals(c, reference, found.value))
         if status >= DISCARD:
             return status
         _divide(
@@ -282,7 +251,11 @@ def _answer(c, references, hooks, time, states, work, found, upper):  # type: ig
     slopes = found.upper_slopes if upper else found.lower_slopes
     outputs = found.upper_outputs if upper else found.lower_outputs
     status = slopes_here(c, hooks, time, states, work, slopes)
-    return max(status, get_real(c, references.outputs, outputs)) if status < DISCARD else status
+    return (
+        max(status, get_values(c, references.outputs, outputs, work.cells))
+        if status < DISCARD
+        else status
+    )
 
 
 @inlined

@@ -7,19 +7,21 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from ctypes import c_double, c_int32, c_size_t, c_uint32, c_void_p
+from ctypes import c_double, c_int32, c_size_t, c_void_p
 
 import numpy as np
 import pytest
 
+from workers.fmu import nothing_loaded
 from workers.grid import Grid, build_grid
 from workers.kernels import failure
 from workers.kernels.co_simulation import co_simulate_batch
+from workers.kernels.component import Component, References, workspace
 from workers.kernels.dormand_prince import dormand_prince_batch
-from workers.kernels.fmi2 import Component, Constants, References, workspace
 from workers.kernels.hooks import no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
+from workers.kernels.values import TYPES, Access
 from workers.messages import Experiment, FloatArray, Output
 
 OK, DISCARD, ERROR, FATAL = 0, 2, 3, 4
@@ -38,7 +40,9 @@ SIGNATURES = {
     "set_continuous_states": (doubles, c_size_t),
     "get_continuous_states": (doubles, c_size_t),
     "get_derivatives": (doubles, c_size_t),
-    "new_discrete_states": (flags,),
+    "update_discrete_states": (flags,),
+    "enter_event_mode": (),
+    "get_event_indicators": (doubles, c_size_t),
     "enter_continuous_time_mode": (),
     "completed_integrator_step": (c_int32, flags, flags),
     "do_step": (c_double, c_double, c_int32),
@@ -47,6 +51,8 @@ SIGNATURES = {
 
 class FakeFmu:
     """x' = -x, x(0) = 1, y = x; a test replaces the functions that should misbehave."""
+
+    indicators = 0
 
     def __init__(self) -> None:
         self.time, self.x = 0.0, 1.0
@@ -58,13 +64,17 @@ class FakeFmu:
             for name, signature in SIGNATURES.items()
         ]
         addresses = [ctypes.cast(function, c_void_p).value or 0 for function in self._kept]
-        unused = set(Component._fields) - set(SIGNATURES)
-        return Component(
-            **dict.fromkeys(unused - {"interpolates_inputs", "completes_steps", "n_states"}, 0),
-            **dict(zip(SIGNATURES, addresses, strict=True)),
-            interpolates_inputs=False,
+        known = dict(zip(SIGNATURES, addresses, strict=True))
+        none = (0,) * (len(TYPES) - 1)
+        setters, getters = (known.pop("set_real"), *none), (known.pop("get_real"), *none)
+        return nothing_loaded()._replace(
+            version=2,
+            getters=getters,
+            setters=setters,
             completes_steps=completes_steps,
             n_states=1,
+            n_indicators=self.indicators,
+            **known,
         )
 
     def _counting(self, name: str) -> Callable[..., int]:
@@ -100,7 +110,7 @@ class FakeFmu:
         derivatives[0] = -self.x
         return OK
 
-    def new_discrete_states(self, info: flags) -> int:
+    def update_discrete_states(self, info: flags) -> int:
         info[0] = 0
         return OK
 
@@ -125,21 +135,28 @@ def grid() -> Grid:
     return build_grid(Experiment("e", 0.0, 2.0, (), (Output("y", TIMES, 0.0 * TIMES),)))
 
 
+def reals(*references: int) -> Access:
+    none = np.zeros(0, np.int64)
+    return Access(
+        np.array(references, np.uint32), none, none.astype(np.uint32), np.zeros(1, np.int64), none,
+        np.zeros(0),
+    )  # fmt: skip
+
+
 def run(
     fmu: FakeFmu, solver: str, *, completes_steps: bool = True
 ) -> tuple[int, float, FloatArray]:
     """Simulate one point: its code, where it stopped and its outputs."""
-    none, one = np.zeros(0, np.uint32), np.array([7], c_uint32)
+    none, one = reals(), reals(7)
     outputs, codes, stopped = np.full((1, 5, 1), np.nan), np.zeros(1, np.int64), np.zeros(1)
     tried = BATCHES[solver](
         fmu.component(completes_steps=completes_steps),
-        References(none, none, none, none, one),
-        Constants(np.zeros(0, np.int32), np.zeros(0, np.int32)),
-        Settings(0.05 if solver == "rk4" else 0.0, 1e-8, np.array([1e-8]), 3000, 0.0),
+        References(none, none, none.reals, none.codes, none, none, one),
+        Settings(0.05 if solver == "rk4" else 0.0, 1e-8, 1e-8, np.array([1e-8]), 3000, 0.0),
         no_hooks(1),
         grid(),
         np.zeros((1, 0)),
-        workspace(0, 1),
+        workspace(0, 1, n_indicators=fmu.indicators),
         outputs,
         codes,
         stopped,
@@ -161,7 +178,7 @@ def test_fake_fmu_decays(solver: str, completes_steps: bool) -> None:
 
 INITIAL = ["reset", "setup_experiment", "enter_initialization_mode", "exit_initialization_mode"]
 ADVANCING = [
-    "new_discrete_states",
+    "update_discrete_states",
     "enter_continuous_time_mode",
     "get_continuous_states",
     "set_time",
@@ -206,31 +223,128 @@ def test_nothing_is_asked_after_a_fatal_status(solver: str, function: str, nth: 
 
 
 @pytest.mark.parametrize("solver", EXCHANGE)
-@pytest.mark.parametrize(
-    ("function", "place", "code"),
-    [
-        ("new_discrete_states", 1, failure.TERMINATED),
-        ("new_discrete_states", 4, failure.EVENT),
-        ("completed_integrator_step", 0, failure.EVENT),
-        ("completed_integrator_step", 1, failure.TERMINATED),
-    ],
-)
-def test_events_and_endings_by_the_fmu_are_reported(
-    solver: str, function: str, place: int, code: int
-) -> None:
-    def new_discrete_states(info: flags) -> int:
-        info[0], info[place] = 0, 1
+@pytest.mark.parametrize("function", ["update_discrete_states", "completed_integrator_step"])
+def test_an_ending_by_the_fmu_is_reported(solver: str, function: str) -> None:
+    def update_discrete_states(info: flags) -> int:
+        info[0], info[1] = 0, 1
         return OK
 
-    def completed_integrator_step(prior: int, *both: flags) -> int:
-        both[1 - place][0], both[place][0] = 0, int(fmu.time > 1.0)
+    def completed_integrator_step(prior: int, event: flags, terminate: flags) -> int:
+        event[0], terminate[0] = 0, int(fmu.time > 1.0)
         return OK
 
     fmu = FakeFmu()
     setattr(fmu, function, locals()[function])
     found, stopped, _ = run(fmu, solver)
-    assert found == code
-    assert stopped == 0.0 if function == "new_discrete_states" else 1.0 < stopped <= 1.5
+    assert found == failure.TERMINATED
+    assert stopped == 0.0 if function == "update_discrete_states" else 1.0 < stopped <= 1.5
+
+
+@pytest.mark.parametrize("solver", EXCHANGE)
+def test_an_event_after_a_step_is_handled_once(solver: str) -> None:
+    """The FMU asks for an event after the first step behind 0.7 s; x is 5 then."""
+    fmu = FakeFmu()
+    asked: list[float] = []
+
+    def completed_integrator_step(prior: int, event: flags, terminate: flags) -> int:
+        event[0], terminate[0] = int(fmu.time > 0.7 and not asked), 0
+        return OK
+
+    def update_discrete_states(info: flags) -> int:
+        for j in range(5):
+            info[j] = 0
+        if fmu.time > 0.0:
+            asked.append(fmu.time)
+            info[3], fmu.x = 1, 5.0
+        return OK
+
+    fmu.completed_integrator_step = completed_integrator_step  # type: ignore[method-assign]
+    fmu.update_discrete_states = update_discrete_states  # type: ignore[method-assign]
+    code, _, outputs = run(fmu, solver)
+    assert code == failure.FINISHED
+    (at,) = asked
+    assert 0.7 < at <= 1.0
+    expected = np.where(at <= TIMES, 5.0 * np.exp(at - TIMES), np.exp(-TIMES))
+    np.testing.assert_allclose(outputs, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("at", [0.3, 0.5, 1.0000000000000002, 0.9999999999999999, 0.0, 2.0])
+@pytest.mark.parametrize("solver", EXCHANGE)
+def test_a_time_event_comes_in_time(solver: str, at: float) -> None:
+    """x is 5 from the event on, also where it is at a time of the grid, but for rounding."""
+    fmu = FakeFmu()
+    begun: list[float] = []
+
+    def update_discrete_states(info: flags) -> int:
+        for j in range(5):
+            info[j] = 0
+        if not begun:
+            info[4] = 1
+            ctypes.cast(info, doubles)[3] = at
+        elif fmu.time >= at:
+            info[3], fmu.x = 1, 5.0
+        begun.append(fmu.time)
+        return OK
+
+    fmu.update_discrete_states = update_discrete_states  # type: ignore[method-assign]
+    code, _, outputs = run(fmu, solver)
+    assert code == failure.FINISHED
+    assert begun == [0.0, at]
+    late = at - 1e-12 < TIMES
+    if at == 0.0:
+        late = TIMES > 0.0
+    np.testing.assert_allclose(
+        outputs, np.where(late, 5.0 * np.exp(at - TIMES), np.exp(-TIMES)), rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("solver", EXCHANGE)
+@pytest.mark.parametrize("level", [0.9, 0.5, 0.13533528323661270])
+def test_a_state_event_is_located(solver: str, level: float) -> None:
+    """Where x crosses a level it is doubled; x is known on both sides."""
+    fmu = FakeFmu()
+    fmu.indicators = 1
+    events: list[tuple[float, float]] = []
+
+    def get_event_indicators(values: doubles, count: int) -> int:
+        values[0] = fmu.x - level
+        return OK
+
+    def update_discrete_states(info: flags) -> int:
+        for j in range(5):
+            info[j] = 0
+        if fmu.time > 0.0 and fmu.x <= level:
+            events.append((fmu.time, fmu.x))
+            info[3], fmu.x = 1, 2.0 * level
+        return OK
+
+    fmu.get_event_indicators = get_event_indicators  # type: ignore[attr-defined]
+    fmu.update_discrete_states = update_discrete_states  # type: ignore[method-assign]
+    code, _, outputs = run(fmu, solver)
+    assert code == failure.FINISHED
+    period = np.log(2.0)
+    expected = [-np.log(level) + k * period for k in range(10)]
+    expected = [t for t in expected if 1e-9 < t < 2.0]
+    found = [t for t, _ in events]
+    np.testing.assert_allclose(found[: len(expected)], expected, rtol=1e-6)
+    passed = np.array([sum(t <= at + 1e-9 for t in found) for at in TIMES])
+    np.testing.assert_allclose(outputs, np.exp(-TIMES) * 2.0**passed, rtol=1e-6)
+
+
+@pytest.mark.parametrize("solver", EXCHANGE)
+def test_events_without_end_are_a_failure(solver: str) -> None:
+    fmu = FakeFmu()
+
+    def update_discrete_states(info: flags) -> int:
+        for j in range(5):
+            info[j] = 0
+        info[4] = 1
+        ctypes.cast(info, doubles)[3] = max(fmu.time, 0.4)
+        return OK
+
+    fmu.update_discrete_states = update_discrete_states  # type: ignore[method-assign]
+    code, stopped, _ = run(fmu, solver)
+    assert (code, stopped) == (failure.CHATTERING, 0.4)
 
 
 def test_discarded_step_is_tried_again_shorter() -> None:
