@@ -135,6 +135,7 @@ def pop_library(entries: dict[str, bytes]) -> None:
         (spoiled_fmu(lambda e: e.pop(XML)), ["must hold a modelDescription.xml"]),
         (spoiled_fmu(lambda e: e.update({"../x": b""})), ["the path '../x' in it must stay"]),
         (spoiled_fmu(xml={'fmiVersion="2.0"': 'fmiVersion="3.0"'}), ["version 2.0 but is of 3.0"]),
+        (spoiled_fmu(xml={'fmiVersion="2.0"': 'fmiVersion="1.0"'}), ["or 3.0 but is of 1.0"]),
         (
             spoiled_fmu(rename("binaries/linux64", "binaries/linux32")),
             ["must have a binary for linux64, this machine's platform, but has one for darwin64"],
