@@ -230,9 +230,10 @@ def _interface(config: Config, description: Description) -> Interface:
         simple = "model_exchange" in offered and description.event_indicators == 0
         return "model_exchange" if simple else offered[-1]
     if wanted not in offered:
+        unusable = [w for w in description.warnings if w.endswith("and is left out")]
         raise ModelError(
             f"model.interface: {description.file} must offer {wanted} but offers "
-            f"{' and '.join(offered)}; choose that"
+            f"{' and '.join(offered)}{''.join(f' ({w})' for w in unusable)}; choose that"
         )
     return wanted
 

@@ -60,7 +60,7 @@ def elements_of(
     texts = [] if scalar.kind in ("string", "binary", "clock") else _starts(raw, shape)
     starts: list[float | None] = [_start(text, scalar, notes) for text in texts]
     if not shape:
-        return (replace(scalar, start=starts[0] if starts else None),)
+        return (replace(scalar, start=starts[0]) if starts else scalar,)
     size = math.prod(shape)
     if len(starts) not in (0, 1, size):
         notes.add("start values that are not as many as the array's elements are ignored", raw.name)

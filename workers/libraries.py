@@ -122,7 +122,7 @@ def _listed(names: tuple[str, ...] | list[str]) -> str:
 def _read(path: Path) -> _Elf | None:
     try:
         return _parse(path.read_bytes())
-    except (OSError, struct.error, ValueError, OverflowError):  # damaged in any way
+    except (OSError, struct.error, ValueError, IndexError, OverflowError):  # damaged in any way
         return None
 
 

@@ -155,6 +155,16 @@ def test_a_bad_fmu(tmp_path, run, content, phrases):
     refused(run, FIT, *phrases)
 
 
+def test_faults_that_do_no_harm_are_said_by_check(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.fmu").write_bytes(spoiled_fmu(xml={'nominal="0.1"': 'nominal="much"'}))
+    write_input(tmp_path, {"model.fmu": "x.fmu"})
+    assert main(["check", "config.toml"]) == 0
+    said = capsys.readouterr()
+    assert "x.fmu: attributes nominal that are no number are ignored: 'x'\n" in said.out
+    assert said.err == ""
+
+
 def test_an_out_folder_that_is_not_free(tmp_path, run):
     write_input(tmp_path)
     (tmp_path / "other").mkdir()
