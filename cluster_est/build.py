@@ -18,7 +18,7 @@ from cluster_est.errors import ConfigError, EffectError, ModelError
 from cluster_est.experiments import build_experiments
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.multistart import Multistart
-from cluster_est.problem import Parameter, Problem
+from cluster_est.problem import Parameter, Problem, check_version
 from cluster_est.reading import find_file
 from cluster_est.resources import Resources
 from cluster_est.runner import Budget
@@ -215,6 +215,7 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     except OSError as error:
         raise ModelError(f"model.fmu: {path} cannot be read ({error.strerror})") from error
     description = describe(path.name, archive)
+    check_version(description)
     for name in config.values:
         description.variable(name, "values")
     check_signals(config, description)
@@ -229,9 +230,10 @@ def _interface(config: Config, description: Description) -> Interface:
         simple = "model_exchange" in offered and description.event_indicators == 0
         return "model_exchange" if simple else offered[-1]
     if wanted not in offered:
+        unusable = [w for w in description.warnings if w.endswith("and is left out")]
         raise ModelError(
             f"model.interface: {description.file} must offer {wanted} but offers "
-            f"{' and '.join(offered)}; choose that"
+            f"{' and '.join(offered)}{''.join(f' ({w})' for w in unusable)}; choose that"
         )
     return wanted
 

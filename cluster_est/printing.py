@@ -128,6 +128,8 @@ def print_check(
         f"{model.name}: {model.interface.replace('_', ' ')}, solver {model.solver.name}; "
         f"method {method.name}",
     )
+    for warning in problem.describe().warnings:
+        say(console, warning)
     train = make_space(problem, problem.indices("train"))
     say(
         console,

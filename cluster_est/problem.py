@@ -11,7 +11,7 @@ from typing import Literal
 
 from cluster_est.costs.base import Cost
 from cluster_est.costs.sum_squared import SumSquared
-from cluster_est.errors import ProblemError
+from cluster_est.errors import ModelError, ProblemError
 from cluster_est.formulas import Formula, ParameterConstraint
 from workers.description import Description, describe, nearest
 from workers.messages import Effect, Experiment, Model
@@ -200,8 +200,18 @@ class Problem:
             If the FMU lacks a variable or does not allow it to be used in this way.
         """
         description = describe(self.model.name, self.model.archive)
+        check_version(description)
         check_variables(self, description)
         return description
+
+
+def check_version(description: Description) -> None:
+    """Refuse FMI 3.0, which is read but not simulated yet. Remove this when it is."""
+    if description.version != "2.0":
+        raise ModelError(
+            f"{description.file}: must be an FMU of FMI version 2.0 but is of "
+            f"{description.version}, which cannot be simulated yet; export it as FMI 2.0"
+        )
 
 
 def check_variables(problem: Problem, description: Description) -> None:
@@ -223,6 +233,11 @@ def check_variables(problem: Problem, description: Description) -> None:
                 raise ProblemError(
                     f"{where}.inputs: {given.variable!r} must be an input of {description.file} "
                     f"but is of causality {variable.causality!r}{nearest(given.variable, inputs)}"
+                )
+            if variable.alias_of is not None:  # given under both names, which one would count?
+                raise ProblemError(
+                    f"{where}.inputs: {given.variable!r} must be an input's own name but is "
+                    f"another name of {variable.alias_of!r}; use that"
                 )
         for name in experiment.recorded:
             variable = description.variable(name, f"{where}.outputs")

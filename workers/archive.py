@@ -91,6 +91,9 @@ def open_archive(name: str, archive: bytes) -> zipfile.ZipFile:
     entries = opened.infolist()
     for entry in entries:
         _check_entry(name, entry)
+        # Some tools on Windows write its separator, which the zip format forbids
+        entry.filename = entry.filename.replace("\\", "/")
+    opened.NameToInfo = {entry.filename: entry for entry in entries}
     unpacked = sum(entry.file_size for entry in entries)
     if unpacked > MAX_UNPACKED_BYTES or unpacked > max(HARMLESS_BYTES, MAX_RATIO * len(archive)):
         raise ModelError(

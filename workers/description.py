@@ -3,49 +3,24 @@
 from __future__ import annotations
 
 import difflib
-import io
-import math
+import re
 import zipfile
-from collections.abc import Iterable
-from dataclasses import dataclass, field
-from typing import Literal
-from xml.etree import ElementTree
-
-import fmpy
-from fmpy.model_description import ModelDescription, ScalarVariable, read_model_description
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from xml.etree.ElementTree import Element
 
 from workers.archive import DAMAGED, open_archive
+from workers.description_elements import Version
+from workers.description_offers import Offer, read_offers
+from workers.description_structure import Dependency, read_structure
+from workers.description_variables import read_variables
+from workers.description_xml import XML, Notes, first_line, flag, number, parse
 from workers.errors import ModelError
 from workers.messages import Interface
-
-XML = "modelDescription.xml"
-
-Kind = Literal["real", "integer", "boolean", "string"]
-
-_KINDS: dict[str, Kind] = {
-    "Real": "real",
-    "Integer": "integer",
-    "Enumeration": "integer",
-    "Boolean": "boolean",
-    "String": "string",
-}
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One variable of an FMU. `start`, `low` and `high` are None where the FMU names none."""
-
-    name: str
-    reference: int
-    kind: Kind
-    causality: str
-    settable: bool
-    tunable: bool = False
-    unit: str = ""
-    start: float | None = None
-    low: float | None = None
-    high: float | None = None
-    nominal: float = 1.0
+from workers.platforms import PLATFORM as PLATFORM  # for fmu.py until it calls check_platform
+from workers.platforms import platforms_in, why_not_here
+from workers.variables import Variable
 
 
 @dataclass(frozen=True)
@@ -56,37 +31,114 @@ class Description:
     ----------
     file
         The file's name, for messages.
-    platforms
-        Platforms that it has a binary for, in FMI's names ("linux64", "win64", "darwin64").
+    version
+        Of FMI.
+    guid
+        What must be handed over to instantiate it; FMI 3 calls it the instantiation token.
+    tool
+        What exported it; "" if it does not say.
+    offers
+        The interfaces that can be used. One whose description cannot be used is left out, with a
+        warning.
+    variables
+        By name. An array x of FMI 3 is there as its elements, "x[1]" or "x[2,1]".
     states
         Names of the continuous states, in the order of the FMU's state vector.
-    raw
-        fmpy's own description, for loading.
+    outputs
+        Names of the outputs, in the order of the FMU's own list.
+    dependencies
+        Of outputs and state derivatives.
+    files
+        Names of binaries and sources in the archive.
+    interpolates_inputs, variable_steps, has_event_mode, fixed_internal_step
+        Of the co-simulation interface. The last in seconds, None if it names none.
+    completes_steps
+        Whether the model exchange interface is to be told of each completed step.
+    once_per_process
+        Whether any interface says so.
+    default_start, default_stop, default_step, default_tolerance
+        Seconds, and a relative tolerance; None where the FMU names none.
+    warnings
+        A sentence for each thing that was read around.
     """
 
     file: str
+    version: Version
+    guid: str
+    tool: str
+    offers: tuple[Offer, ...]
     variables: dict[str, Variable]
-    interfaces: tuple[Interface, ...]
-    platforms: tuple[str, ...]
     states: tuple[str, ...]
     event_indicators: int
+    outputs: tuple[str, ...]
+    dependencies: tuple[Dependency, ...]
+    files: tuple[str, ...]
     interpolates_inputs: bool
     variable_steps: bool
+    has_event_mode: bool
+    fixed_internal_step: float | None
     completes_steps: bool
     once_per_process: bool
+    default_start: float | None
+    default_stop: float | None
     default_step: float | None
-    raw: ModelDescription = field(repr=False)
+    default_tolerance: float | None
+    warnings: tuple[str, ...]
+
+    @property
+    def interfaces(self) -> tuple[Interface, ...]:
+        return tuple(offer.interface for offer in self.offers)
+
+    @property
+    def platforms(self) -> tuple[str, ...]:
+        """Platforms that it has a folder of binaries for, as the folders are called."""
+        return platforms_in(self.files)
+
+    @property
+    def has_sources(self) -> bool:
+        return any(name.startswith("sources/") and name.endswith(".c") for name in self.files)
+
+    def offer(self, interface: Interface) -> Offer:
+        """What it can do with one of its interfaces."""
+        return next(offer for offer in self.offers if offer.interface == interface)
 
     def variable(self, name: str, where: str) -> Variable:
         """Look up a variable; `where` opens the message if there is none of that name."""
         if name not in self.variables:
-            raise ModelError(
-                f"{where}: {self.file} has no variable {name!r}{nearest(name, self.variables)}"
-            )
+            first = next((n for n in self.variables if n.startswith(f"{name}[")), None)
+            ending = nearest(name, self.variables)
+            if first is not None:
+                ending = f" but an array of that name; name one of its elements, such as {first!r}"
+            raise ModelError(f"{where}: {self.file} has no variable {name!r}{ending}")
         return self.variables[name]
 
     def inputs(self) -> list[Variable]:
-        return [v for v in self.variables.values() if v.causality == "input"]
+        """The inputs, without further names of the same."""
+        inputs = (v for v in self.variables.values() if v.causality == "input")
+        return [v for v in inputs if v.alias_of is None]
+
+    def check_platform(self, interface: Interface) -> None:
+        """Refuse an FMU that has no binary for this machine.
+
+        Raises
+        ------
+        ModelError
+            With what it has instead and what can be done.
+        """
+        identifier = self.offer(interface).identifier
+        why = why_not_here(self.version, identifier, self.files, self.has_sources)
+        if why is not None:
+            raise ModelError(f"{self.file}: {why}")
+
+    @property
+    def raw(self) -> SimpleNamespace:
+        """For `workers/fmu.py` until it reads `guid` and `offer(...).identifier`; then remove."""
+        names = {o.interface: SimpleNamespace(modelIdentifier=o.identifier) for o in self.offers}
+        return SimpleNamespace(
+            guid=self.guid,
+            modelExchange=names.get("model_exchange"),
+            coSimulation=names.get("co_simulation"),
+        )
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -102,138 +154,127 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"; it has {listed}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")
 
 
-def describe(file: str, archive: bytes) -> Description:
+def describe(file: str, archive: bytes, structural: Mapping[str, int] | None = None) -> Description:
     """Read the model description of an FMU.
+
+    Harmless faults are read around and noted in `Description.warnings`.
+
+    Parameters
+    ----------
+    structural
+        Values of structural parameters (FMI 3) that differ from their start values: they decide
+        how many elements arrays have.
 
     Raises
     ------
     ModelError
-        If the archive or its model description cannot be read, or is of another FMI version.
+        If the archive or its model description cannot be read or used, or is of another FMI
+        version, or has no such structural parameter.
     """
+    notes = Notes(file)
     with open_archive(file, archive) as opened:
         names = opened.namelist()
-        if XML not in names:
-            raise ModelError(
-                f"{file}: must hold a {XML} but does not, so it is no FMU; export the model as an "
-                "FMU"
-            )
-        _check_version(file, opened)
-    try:
-        raw = read_model_description(io.BytesIO(archive), validate=False)
-        return _describe(file, names, raw)
-    except ModelError:
-        raise
-    except Exception as error:  # fmpy raises bare exceptions of every kind here
-        raise ModelError(
-            f"{file}: its {XML} must follow the FMI standard but does not "
-            f"({type(error).__name__}: {_first_line(error)}); export it again"
-        ) from error
-
-
-def _check_version(file: str, opened: zipfile.ZipFile) -> None:
-    """Look at the root alone: what follows it depends on the version."""
-    try:
-        with opened.open(XML) as stream:
-            _, root = next(ElementTree.iterparse(stream, events=["start"]))
-    except (ElementTree.ParseError, LookupError, *DAMAGED, OSError) as error:
-        raise ModelError(
-            f"{file}: its {XML} must be XML but cannot be read ({_first_line(error)}); export it "
-            "again"
-        ) from error
-    if root.tag != "fmiModelDescription":
-        raise ModelError(
-            f"{file}: its {XML} must describe a model, as <fmiModelDescription>, but describes "
-            f"<{root.tag}>; export the model as an FMU"
-        )
-    version = root.get("fmiVersion")
-    if version != "2.0":
-        has = f"is of {version}" if version else "names no version"
-        raise ModelError(
-            f"{file}: must be an FMU of FMI version 2.0 but {has}; export it as FMI 2.0"
-        )
-
-
-def _describe(file: str, names: list[str], raw: ModelDescription) -> Description:
-    exchange, simulation = raw.modelExchange, raw.coSimulation
-    offered: list[Interface] = []
-    if exchange is not None:
-        offered.append("model_exchange")
-    if simulation is not None:
-        offered.append("co_simulation")
-    if not offered:
-        raise ModelError(
-            f"{file}: must offer model exchange or co-simulation but offers neither; "
-            "export it with one of them"
-        )
-    types = [i for i in (exchange, simulation) if i is not None]
-    _check_names(file, raw.guid, [t.modelIdentifier for t in types])
-    binaries = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
-    experiment = raw.defaultExperiment
-    step = experiment.stepSize if experiment is not None else None
+        root = parse(file, _content(file, opened), notes)
+    version = _version(root, notes)
+    declared = read_variables(root, version, structural or {}, notes)
+    _check_structural(file, declared.variables, structural or {})
+    structure = read_structure(root, version, declared, notes)
+    offers = read_offers(root, structure.fault, notes)
+    exchange, simulation, usual = (
+        _section(root, tag) for tag in ("ModelExchange", "CoSimulation", "DefaultExperiment")
+    )
+    if version == "2.0":
+        completes_steps = not flag(exchange.get("completedIntegratorStepNotNeeded"))
+    else:
+        completes_steps = flag(exchange.get("needsCompletedIntegratorStep"))
+    offered = [offer.interface for offer in offers]
     return Description(
         file=file,
-        variables={v.name: _variable(v) for v in raw.modelVariables},
-        interfaces=tuple(offered),
-        platforms=tuple(sorted(binaries)),
-        states=tuple(d.variable.derivative.name for d in raw.derivatives),
-        event_indicators=int(raw.numberOfEventIndicators or 0),
-        interpolates_inputs=simulation is not None and bool(simulation.canInterpolateInputs),
-        variable_steps=simulation is None
-        or bool(simulation.canHandleVariableCommunicationStepSize),
-        completes_steps=exchange is not None
-        and not bool(exchange.completedIntegratorStepNotNeeded),
-        once_per_process=any(bool(i.canBeInstantiatedOnlyOncePerProcess) for i in types),
-        default_step=None if step is None else float(step),
-        raw=raw,
+        version=version,
+        guid=_guid(root, version, file),
+        tool=" ".join((root.get("generationTool") or "").split()),
+        offers=offers,
+        variables=declared.variables,
+        states=structure.states,
+        event_indicators=structure.event_indicators,
+        outputs=structure.outputs,
+        dependencies=structure.dependencies,
+        files=tuple(n for n in names if n.startswith(("binaries/", "sources/"))),
+        interpolates_inputs=version == "2.0" and flag(simulation.get("canInterpolateInputs")),
+        variable_steps="co_simulation" not in offered
+        or flag(simulation.get("canHandleVariableCommunicationStepSize")),
+        has_event_mode=version == "3.0" and flag(simulation.get("hasEventMode")),
+        fixed_internal_step=_setting(simulation, "fixedInternalStepSize", notes),
+        completes_steps="model_exchange" in offered and completes_steps,
+        once_per_process=any(offer.once_per_process for offer in offers),
+        default_start=_setting(usual, "startTime", notes),
+        default_stop=_setting(usual, "stopTime", notes),
+        default_step=_setting(usual, "stepSize", notes),
+        default_tolerance=_setting(usual, "tolerance", notes),
+        warnings=notes.sentences(),
     )
 
 
-def _check_names(file: str, guid: str | None, identifiers: list[str | None]) -> None:
-    """The names that loading needs; an identifier names a file, so it must not name a folder."""
-    plain = all(i and set(i).isdisjoint("/\\") for i in identifiers)
-    if not guid or not plain:
-        key, has = ("guid", guid) if plain else ("plain modelIdentifier", identifiers)
-        raise ModelError(f"{file}: its {XML} must have a {key} but has {has}; export it again")
-
-
-def _variable(raw: ScalarVariable) -> Variable:
-    declared = raw.declaredType
-    return Variable(
-        name=raw.name,
-        reference=int(raw.valueReference),
-        kind=_KINDS[raw.type],
-        causality=raw.causality or "local",
-        settable=_settable(raw),
-        tunable=raw.causality == "parameter" and raw.variability == "tunable",
-        unit=raw.unit or (declared.unit if declared is not None else None) or "",
-        start=_number(raw.start),
-        low=_number(raw.min if raw.min is not None else getattr(declared, "min", None)),
-        high=_number(raw.max if raw.max is not None else getattr(declared, "max", None)),
-        nominal=abs(_number(raw.nominal) or 1.0),
-    )
-
-
-def _settable(raw: ScalarVariable) -> bool:
-    """Whether FMI 2.0 allows a start value to be set before initialisation."""
-    if raw.variability == "constant" or raw.causality in ("calculatedParameter", "independent"):
-        return False
-    if raw.causality in ("parameter", "input"):
-        return True
-    return raw.initial in ("exact", "approx") or (raw.initial is None and raw.start is not None)
-
-
-def _number(text: object) -> float | None:
+def _content(file: str, opened: zipfile.ZipFile) -> bytes:
+    if XML not in opened.namelist():
+        raise ModelError(
+            f"{file}: must hold a {XML} but does not, so it is no FMU; export the model as an FMU"
+        )
     try:
-        number = float(str(text))
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None
+        return opened.read(XML)
+    except (*DAMAGED, OSError) as error:
+        raise ModelError(
+            f"{file}: its {XML} must be XML but cannot be read ({first_line(error)}); export it "
+            "again"
+        ) from error
 
 
-def _first_line(error: BaseException) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0] if lines else type(error).__name__
+def _version(root: Element, notes: Notes) -> Version:
+    if root.tag != "fmiModelDescription":
+        raise ModelError(
+            f"{notes.file}: its {XML} must describe a model, as <fmiModelDescription>, but "
+            f"describes <{root.tag}>; export the model as an FMU"
+        )
+    text = " ".join((root.get("fmiVersion") or "").split())
+    known = re.fullmatch(r"(2\.0|3\.[0-9]{1,3})(\.[0-9]{1,3})?", text)
+    if known is None:
+        has = f"is of {text[:40]}" if text else "names no version"
+        raise ModelError(
+            f"{notes.file}: must be an FMU of FMI version 2.0 or 3.0 but {has}; export it as one "
+            "of them"
+        )
+    version: Version = "2.0" if known.group(1) == "2.0" else "3.0"
+    if known.group(1) != version:
+        notes.add(f"it is of FMI {text} and read as {version}")
+    return version
 
 
-PLATFORM: str = fmpy.platform
-"""This machine's platform in FMI 2.0's names."""
+def _check_structural(
+    file: str, variables: Mapping[str, Variable], structural: Mapping[str, int]
+) -> None:
+    known = [v.name for v in variables.values() if v.causality == "structuralParameter"]
+    for name, value in structural.items():
+        if name not in known:
+            raise ModelError(f"{file}: has no structural parameter {name!r}{nearest(name, known)}")
+        if value < 0:
+            raise ModelError(
+                f"{file}: the structural parameter {name!r} must be a size, which is at least 0, "
+                f"but is {value}; change it"
+            )
+
+
+def _guid(root: Element, version: Version, file: str) -> str:
+    guid = root.get("instantiationToken") or root.get("guid")
+    if not guid:
+        key = "guid" if version == "2.0" else "instantiationToken"
+        raise ModelError(f"{file}: its {XML} must have a {key} but has none; export it again")
+    return guid
+
+
+def _section(root: Element, tag: str) -> Element:
+    found = root.find(tag)
+    return Element(tag) if found is None else found
+
+
+def _setting(element: Element, key: str, notes: Notes) -> float | None:
+    return number(element.get(key), notes, key, element.tag)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from workers.augment import Augmentation, augment
-from workers.description import Description, Variable
+from workers.description import Description
 from workers.effects.definition import Definition, define
 from workers.grid import Grid
 from workers.install import Installed, install
@@ -25,6 +25,7 @@ from workers.messages import (
     Linearisation,
     Model,
 )
+from workers.variables import Variable
 
 
 @dataclass(frozen=True)

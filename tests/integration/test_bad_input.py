@@ -135,6 +135,7 @@ def pop_library(entries: dict[str, bytes]) -> None:
         (spoiled_fmu(lambda e: e.pop(XML)), ["must hold a modelDescription.xml"]),
         (spoiled_fmu(lambda e: e.update({"../x": b""})), ["the path '../x' in it must stay"]),
         (spoiled_fmu(xml={'fmiVersion="2.0"': 'fmiVersion="3.0"'}), ["version 2.0 but is of 3.0"]),
+        (spoiled_fmu(xml={'fmiVersion="2.0"': 'fmiVersion="1.0"'}), ["or 3.0 but is of 1.0"]),
         (
             spoiled_fmu(rename("binaries/linux64", "binaries/linux32")),
             ["must have a binary for linux64, this machine's platform, but has one for darwin64"],
@@ -152,6 +153,16 @@ def test_a_bad_fmu(tmp_path, run, content, phrases):
     (tmp_path / "x.fmu").write_bytes(content)
     write_input(tmp_path, {"model.fmu": "x.fmu"})
     refused(run, FIT, *phrases)
+
+
+def test_faults_that_do_no_harm_are_said_by_check(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.fmu").write_bytes(spoiled_fmu(xml={'nominal="0.1"': 'nominal="much"'}))
+    write_input(tmp_path, {"model.fmu": "x.fmu"})
+    assert main(["check", "config.toml"]) == 0
+    said = capsys.readouterr()
+    assert "x.fmu: attributes nominal that are no number are ignored: 'x'\n" in said.out
+    assert said.err == ""
 
 
 def test_an_out_folder_that_is_not_free(tmp_path, run):

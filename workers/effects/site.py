@@ -75,7 +75,7 @@ def parse_site(text: str, where: str) -> Site:
 
 def open_sites(description: Description, interface: Interface) -> list[Site]:
     """Every site that an FMU offers: a co-simulation FMU keeps its state derivatives to itself."""
-    variables = description.variables.values()
+    variables = [v for v in description.variables.values() if v.alias_of is None]
     exchange = interface == "model_exchange"
     sites = [Site("derivative", name) for name in description.states] if exchange else []
     sites += [Site("input", v.name) for v in variables if v.causality == "input"]

@@ -201,6 +201,16 @@ def test_interface_and_solver_must_be_there(tmp_path, only, changes, sentence):
     assert sentence in refusal(tmp_path, {"model.fmu": "x.fmu", **changes})
 
 
+def test_an_interface_that_cannot_be_used_is_said_to_be_left_out(tmp_path):
+    twice = '<Unknown index="8" />\n      <Unknown index="9" />\n    </Derivatives>'
+    spoiled = spoiled_fmu(xml={twice: twice.replace("9", "8")})
+    (tmp_path / "x.fmu").write_bytes(spoiled)
+    assert build(tmp_path, {"model.fmu": "x.fmu"}).model.interface == "co_simulation"
+    changes = {"model.fmu": "x.fmu", "model.interface": "model_exchange"}
+    said = refusal(tmp_path, changes)
+    assert "because it lists the derivative of one state twice, and is left out); choose" in said
+
+
 def test_events_want_the_interface_that_has_them(tmp_path):
     events = spoiled_fmu(xml={'numberOfEventIndicators="0"': 'numberOfEventIndicators="2"'})
     (tmp_path / "x.fmu").write_bytes(events)

@@ -1,0 +1,149 @@
+"""The XML of a model description: read without trusting it, mended where that is harmless."""
+
+from __future__ import annotations
+
+import codecs
+import math
+import re
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+from workers.errors import ModelError
+
+XML = "modelDescription.xml"
+
+_MULTIBYTE = ("gb18030", "gbk", "gb2312", "big5", "cp932", "shift_jis", "euc_jp", "cp949", "euc_kr")
+"""What expat does not read by itself, in the names of Python's codecs."""
+_DECLARED = re.compile(rb"""<\?xml[^>]*encoding\s*=\s*["']([\w.:-]{1,40})["']""")
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
+_BARE_AMPERSAND = re.compile(r"&(?!#?\w{1,20};)")
+_END = "</fmiModelDescription>"
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_NOT_FINITE = re.compile(r"[+-]?inf(inity)?|nan", re.IGNORECASE)
+_WHOLE = re.compile(r"[+-]?\d{1,20}", re.ASCII)
+_SHOWN = 3
+
+
+class Notes:
+    """What was read around, as sentences; the same thing on many variables is one sentence."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self._names: dict[str, list[str]] = {}
+
+    def add(self, what: str, name: str | None = None) -> None:
+        """Note something, and where it was."""
+        names = self._names.setdefault(what, [])
+        if name is not None:
+            names.append(name)
+
+    def sentences(self) -> tuple[str, ...]:
+        return tuple(f"{self.file}: {what}{_listed(names)}" for what, names in self._names.items())
+
+
+def _listed(names: list[str]) -> str:
+    if not names:
+        return ""
+    more = len(names) - _SHOWN
+    shown = ", ".join(repr(name[:80]) for name in names[:_SHOWN])
+    return f": {shown}" + (f" and {more} more" if more > 0 else "")
+
+
+def parse(file: str, content: bytes, notes: Notes) -> Element:
+    """Make a tree of elements and attributes; text between tags means nothing in FMI.
+
+    Raises
+    ------
+    ModelError
+        If it is no XML even after mending, or declares entities, which can unpack to any size.
+    """
+    try:
+        return _tree(file, content, None)
+    except (expat.ExpatError, LookupError, ValueError) as error:
+        first = error
+    for codec in _codecs(content):
+        try:
+            tree = _tree(file, _mended(content.decode(codec)).encode(), "utf-8")
+        except (expat.ExpatError, ValueError):
+            continue
+        notes.add(f"its {XML} is no well-formed XML and was mended; check names that look odd")
+        return tree
+    raise ModelError(
+        f"{file}: its {XML} must be XML but cannot be read ({first_line(first)}); export it again"
+    ) from first
+
+
+def _tree(file: str, content: bytes, encoding: str | None) -> Element:
+    builder = TreeBuilder()
+    parser = expat.ParserCreate(encoding)
+
+    def refuse(*_: object) -> None:
+        raise ModelError(
+            f"{file}: its {XML} must not declare entities but does, which is not safe to read; "
+            "remove its DOCTYPE, or export it again"
+        )
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        builder.start(tag.rpartition(":")[2], attributes)
+
+    parser.EntityDeclHandler = refuse
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: builder.end(tag.rpartition(":")[2])
+    parser.Parse(content, True)
+    return builder.close()
+
+
+def _codecs(content: bytes) -> list[str]:
+    """In which encodings to try once more: the declared one, UTF-8, western Windows, Latin-1."""
+    declared = _DECLARED.search(content[:200])
+    known = []
+    if declared:
+        try:
+            known = [codecs.lookup(declared.group(1).decode("ascii")).name]
+        except (LookupError, ValueError):
+            known = []
+    wide = content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    return [
+        *(name for name in known if name in _MULTIBYTE),
+        *(["utf-16"] if wide else []),
+        *("utf-8-sig", "cp1252", "latin-1"),
+    ]
+
+
+def _mended(text: str) -> str:
+    """Drop what is before and after the document and characters that XML forbids."""
+    start, end = max(text.find("<"), 0), text.rfind(_END)
+    inside = text[start : end + len(_END)] if end >= 0 else text[start:]
+    return _BARE_AMPERSAND.sub("&amp;", _FORBIDDEN.sub(" ", inside))
+
+
+def first_line(error: BaseException) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__
+
+
+def number(text: str | None, notes: Notes, what: str, name: str) -> float | None:
+    """Read a floating-point number of an XML schema; None if there is none or it is not finite.
+
+    `what` is the attribute and `name` the variable, for the note about one that cannot be read.
+    """
+    if text is None:
+        return None
+    plain = text.strip()
+    if _NUMBER.fullmatch(plain):
+        value = float(plain)
+        return value if math.isfinite(value) else None
+    if not _NOT_FINITE.fullmatch(plain):
+        notes.add(f"attributes {what} that are no number are ignored", name)
+    return None
+
+
+def whole(text: str | None) -> int | None:
+    """Read a whole number; None if it is none."""
+    plain = (text or "").strip()
+    return int(plain) if _WHOLE.fullmatch(plain) else None
+
+
+def flag(text: str | None) -> bool:
+    """Read a truth value. Python tools write "True"."""
+    return (text or "").strip().lower() in ("true", "1")
