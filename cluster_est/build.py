@@ -18,7 +18,7 @@ from cluster_est.errors import ConfigError, EffectError, ModelError
 from cluster_est.experiments import build_experiments
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.multistart import Multistart
-from cluster_est.problem import Parameter, Problem, check_version
+from cluster_est.problem import Parameter, Problem
 from cluster_est.reading import find_file
 from cluster_est.resources import Resources
 from cluster_est.runner import Budget
@@ -215,20 +215,23 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     except OSError as error:
         raise ModelError(f"model.fmu: {path} cannot be read ({error.strerror})") from error
     description = describe(path.name, archive)
-    check_version(description)
-    for name in config.values:
-        description.variable(name, "values")
+    structure: dict[str, int] = {}
+    for name, value in config.values.items():
+        if description.variable(name, "values").causality == "structuralParameter":
+            _check_value(f"values.{name}", "integer", value)
+            structure[name] = int(value)
+    description = describe(path.name, archive, structure)
     check_signals(config, description)
     interface = _interface(config, description)
-    return Model(path.name, archive, interface, _solver(config, description, interface), targets)
+    solver = _solver(config, interface)
+    return Model(path.name, archive, interface, solver, targets, tuple(structure.items()))
 
 
 def _interface(config: Config, description: Description) -> Interface:
     wanted = config.model.interface
     offered = description.interfaces
     if wanted == "auto":
-        simple = "model_exchange" in offered and description.event_indicators == 0
-        return "model_exchange" if simple else offered[-1]
+        return "model_exchange" if "model_exchange" in offered else offered[-1]
     if wanted not in offered:
         unusable = [w for w in description.warnings if w.endswith("and is left out")]
         raise ModelError(
@@ -238,7 +241,7 @@ def _interface(config: Config, description: Description) -> Interface:
     return wanted
 
 
-def _solver(config: Config, description: Description, interface: Interface) -> Solver:
+def _solver(config: Config, interface: Interface) -> Solver:
     section = config.model
     exchange = interface == "model_exchange"
     name: SolverName = "dormand_prince" if exchange else "fmu"
@@ -248,11 +251,6 @@ def _solver(config: Config, description: Description, interface: Interface) -> S
         usable = "dormand_prince or rk4" if exchange else "fmu"
         raise ConfigError(
             f"model.solver: must be {usable} for {interface} but is {name}; change one of the two"
-        )
-    if exchange and description.event_indicators > 0:
-        raise ModelError(
-            f"{description.file}: has {description.event_indicators} event indicators, which no "
-            "solver here locates yet; use its co-simulation interface, or export it without events"
         )
     return Solver(name, section.step, section.rtol, section.atol, section.max_steps)
 
@@ -287,11 +285,17 @@ def _check_roles(problem: Problem, description: Description) -> None:
 
 
 def _check_value(where: str, kind: str, value: Value) -> None:
-    truth = isinstance(value, bool)
-    whole = not truth and float(value).is_integer() and abs(value) < 2**31
-    fits = {"real": not truth, "integer": whole, "boolean": truth or value in (0, 1)}
-    if not fits.get(kind, True):
-        must = {"integer": "a whole number of 32 bits", "boolean": "true or false"}
+    truth, text = isinstance(value, bool), isinstance(value, str)
+    number = not truth and not text
+    whole = number and float(value).is_integer() and abs(float(value)) < 2**53
+    fits = {
+        "real": number,
+        "integer": whole,
+        "boolean": truth or (number and value in (0, 1)),
+        "string": text,
+    }
+    if not fits.get(kind, False):
+        must = {"integer": "a whole number", "boolean": "true or false", "string": "a text"}
         raise ConfigError(
             f"{where}: must be {must.get(kind, 'a number')}, because the variable is of type "
             f"{kind}, but is {shown(value)}"

@@ -11,10 +11,11 @@ from typing import Literal
 
 from cluster_est.costs.base import Cost
 from cluster_est.costs.sum_squared import SumSquared
-from cluster_est.errors import ModelError, ProblemError
+from cluster_est.errors import ProblemError
 from cluster_est.formulas import Formula, ParameterConstraint
-from workers.description import Description, describe, nearest
-from workers.messages import Effect, Experiment, Model
+from workers.description import Description, describe_model, nearest
+from workers.messages import Effect, Experiment, Model, Value
+from workers.variables import Variable
 
 Scale = Literal["linear", "log"]
 
@@ -199,19 +200,9 @@ class Problem:
         ModelError, ProblemError
             If the FMU lacks a variable or does not allow it to be used in this way.
         """
-        description = describe(self.model.name, self.model.archive)
-        check_version(description)
+        description = describe_model(self.model)
         check_variables(self, description)
         return description
-
-
-def check_version(description: Description) -> None:
-    """Refuse FMI 3.0, which is read but not simulated yet. Remove this when it is."""
-    if description.version != "2.0":
-        raise ModelError(
-            f"{description.file}: must be an FMU of FMI version 2.0 but is of "
-            f"{description.version}, which cannot be simulated yet; export it as FMI 2.0"
-        )
 
 
 def check_variables(problem: Problem, description: Description) -> None:
@@ -224,8 +215,9 @@ def check_variables(problem: Problem, description: Description) -> None:
         _check_start(description, parameter.target, f"parameters.{parameter.name}", real=True)
     for experiment in problem.experiments:
         where = f"experiment {experiment.id!r}"
-        for name, _ in experiment.values:
+        for name, value in experiment.values:
             _check_start(description, name, f"{where}.values", real=False)
+            _check_structure(problem, description.variables[name], value, where)
         for given in experiment.inputs:
             variable = description.variable(given.variable, f"{where}.inputs")
             if variable.causality != "input":
@@ -241,11 +233,20 @@ def check_variables(problem: Problem, description: Description) -> None:
                 )
         for name in experiment.recorded:
             variable = description.variable(name, f"{where}.outputs")
-            if variable.kind != "real":
+            if variable.kind not in ("real", "integer", "boolean"):
                 raise ProblemError(
-                    f"{where}.outputs: {name!r} must be a real variable of "
-                    f"{description.file} but is of type {variable.kind}"
+                    f"{where}.outputs: {name!r} must be a number of {description.file} but is of "
+                    f"type {variable.kind}; choose another variable"
                 )
+
+
+def _check_structure(problem: Problem, variable: Variable, value: Value, where: str) -> None:
+    chosen = dict(problem.model.structure).get(variable.name, variable.start)
+    if variable.causality == "structuralParameter" and value != chosen:
+        raise ProblemError(
+            f"{where}.values: {variable.name!r} says how large arrays are, so it must be the same "
+            "in all experiments but is not; give it under values of the whole problem"
+        )
 
 
 def coefficient_names(effect: Effect) -> list[str]:

@@ -14,7 +14,7 @@ from cluster_est.problem import Parameter, Problem
 from cluster_est.result import ConstraintValue, Estimate, PointValue, Simulation, StartResult
 from cluster_est.space import Space
 from cluster_est.uncertainty import Interval, Uncertainty
-from workers.description import describe
+from workers.description import describe_model
 from workers.messages import FloatArray
 
 
@@ -175,7 +175,7 @@ def coefficient_units(problem: Problem) -> dict[str, str]:
     from workers.effects.definition import define
 
     model = problem.model
-    description = describe(model.name, model.archive)
+    description = describe_model(model)
     signals = tuple({s.variable: None for e in problem.experiments for s in e.signals})
     found: dict[str, str] = {}
     for effect in problem.effects:

@@ -17,7 +17,7 @@ from workers.description_structure import Dependency, read_structure
 from workers.description_variables import read_variables
 from workers.description_xml import XML, Notes, first_line, flag, number, parse
 from workers.errors import ModelError
-from workers.messages import Interface
+from workers.messages import Interface, Model
 from workers.platforms import PLATFORM as PLATFORM  # for fmu.py until it calls check_platform
 from workers.platforms import platforms_in, why_not_here
 from workers.variables import Variable
@@ -213,6 +213,11 @@ def describe(file: str, archive: bytes, structural: Mapping[str, int] | None = N
         default_tolerance=_setting(usual, "tolerance", notes),
         warnings=notes.sentences(),
     )
+
+
+def describe_model(model: Model) -> Description:
+    """The same for what a worker is sent."""
+    return describe(model.name, model.archive, dict(model.structure))
 
 
 def _content(file: str, opened: zipfile.ZipFile) -> bytes:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from workers.description import describe
+from workers.description import describe_model
 from workers.install import Installed
 from workers.kernels import failure
 from workers.messages import (
@@ -55,7 +55,7 @@ class Evaluator:
     def __init__(
         self, model: Model, experiments: Sequence[Experiment], name: str, *, load: bool = True
     ) -> None:
-        description = describe(model.name, model.archive)
+        description = describe_model(model)
         self._simulator = Simulator(model, description, tuple(experiments))
         self._experiments = tuple(experiments)
         self._comparisons = [

@@ -21,8 +21,9 @@ from workers.description import Description
 from workers.errors import ModelError
 from workers.kernels.component import Component
 from workers.kernels.values import TYPES
+from workers.libraries import about_licence, why_not_loaded
 from workers.messages import Model
-from workers.platforms import binary_path, missing_libraries
+from workers.platforms import binary_path
 
 _CLASSES = {
     ("2.0", "model_exchange"): FMU2Model,
@@ -146,19 +147,15 @@ class Instance:
     def _why_not(self, error: Exception) -> str:
         """What kept the FMU from being loaded, and what can be done."""
         identifier = self._description.offer(self._model.interface).identifier
-        missing = missing_libraries(
-            self._folder / binary_path(self._description.version, identifier)
-        )
-        if missing:
-            return (
-                f"{self._model.name}: needs {', '.join(missing)}, which this machine lacks; "
-                "install what that belongs to"
-            )
+        binary = self._folder / binary_path(self._description.version, identifier)
+        known = why_not_loaded(binary, str(error))
+        if known is not None:
+            return f"{self._model.name}: cannot be loaded: {known}"
         said = f" It said: {self.log[-1].rstrip('.')}." if self.log else ""
-        return (
-            f"{self._model.name}: cannot be loaded and instantiated ({error}).{said} "
-            "Check that it runs on this machine and that everything it needs is installed"
-        )
+        advice = "Check that it runs on this machine and that everything it needs is installed"
+        if any(about_licence(line) for line in (*self.log, str(error))):
+            advice = "Get the licence that it asks for, or export it without the need of one"
+        return f"{self._model.name}: cannot be loaded and instantiated ({error}).{said} {advice}"
 
     def _addresses(self) -> Component:
         description, exchange = self._description, self._model.interface == "model_exchange"

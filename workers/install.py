@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from workers.description import Description
 from workers.errors import ModelError
 from workers.grid import Grid, build_grid
 from workers.kernels.component import References
-from workers.messages import Experiment, FloatArray, IntArray, Model
+from workers.messages import Experiment, FloatArray, Input, IntArray, Model
 from workers.variables import Variable
 
 
@@ -50,6 +50,9 @@ def install(
     structure = [v for v in chosen.values() if v.causality == "structuralParameter"]
     known = [v for n, v in chosen.items() if n not in texts and v not in structure]
     outputs = recorded or experiment.recorded
+    experiment = replace(
+        experiment, inputs=tuple(_held(description, each) for each in experiment.inputs)
+    )
     grid = build_grid(experiment, outputs)
     if model.interface == "co_simulation" and not description.variable_steps:
         _check_equal_steps(model, description, grid, where)
@@ -81,6 +84,14 @@ def install(
         known=np.array([float(given[v.name]) for v in [*known, *structure]], np.float64),
         held=held[1],
     )
+
+
+def _held(description: Description, given: Input) -> Input:
+    """An input whose variable changes at events alone cannot be in between two samples."""
+    variable = description.variables.get(given.variable)
+    if variable is None or (variable.kind == "real" and variable.variability == "continuous"):
+        return given
+    return replace(given, interpolation="hold")
 
 
 def _texts(texts: Sequence[str]) -> tuple[IntArray, IntArray]:

@@ -23,7 +23,7 @@ SolverName = Literal["dormand_prince", "rk4", "fmu"]
 Interpolation = Literal["linear", "hold"]
 Role = Literal["train", "test"]
 Want = Literal["residuals", "trajectory", "linearisation"]
-Value = float | int | bool
+Value = float | int | bool | str
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,9 @@ class Model:
         Which of the FMU's interfaces, and how.
     parameters
         Names of the variables that every task's `values` are for, in that order.
+    structure
+        (name, value) of structural parameters (FMI 3) that differ from their start values: they
+        say how large arrays are, so they are the same in all experiments.
     talks
         Whether the FMU logs all that it can, and its messages go to stderr too as they come.
     """
@@ -106,6 +109,7 @@ class Model:
     interface: Interface
     solver: Solver
     parameters: tuple[str, ...]
+    structure: tuple[tuple[str, int], ...] = ()
     talks: bool = False
 
     @cached_property
@@ -116,8 +120,9 @@ class Model:
     @cached_property
     def key(self) -> str:
         """Hash of everything that makes a simulation's result, but values and experiment."""
+        structure = [repr(self.structure)] if self.structure else []
         return content_hash(
-            [self.archive_hash, self.interface, repr(self.solver), *self.parameters]
+            [self.archive_hash, self.interface, repr(self.solver), *self.parameters, *structure]
         )
 
 

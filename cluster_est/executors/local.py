@@ -9,7 +9,7 @@ from typing import ClassVar, Protocol, Self
 
 from cluster_est.executors.backlog import Backlog
 from cluster_est.executors.base import Executor
-from workers.description import describe
+from workers.description import describe_model
 from workers.evaluate import Evaluator
 from workers.messages import Experiment, Limits, Model, Outcome, Task
 from workers.wire import Batch
@@ -59,7 +59,7 @@ class LocalExecutor(Executor):
         limits: Limits | None = None,
     ) -> Self:
         count = workers or 1
-        if count > 1 and describe(model.name, model.archive).once_per_process:
+        if count > 1 and describe_model(model).once_per_process:
             count = 1
         return cls([Evaluator(model, experiments, f"local-{i}") for i in range(count)])
 
