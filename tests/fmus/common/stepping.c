@@ -4,6 +4,8 @@
 
 #include "core.h"
 
+enum { MAX_EVENTS = 10000 }; /* in one step */
+
 /* One classic Runge-Kutta step of size h from `start`. */
 static int runge_kutta(Model *m, const State *start, double h)
 {
@@ -65,6 +67,7 @@ static int step_to_event(Model *m, double h, bool *event)
 
 static int integrate(Model *m, double end)
 {
+    int events = 0;
     while (M(time) < end && !m->state.ended) {
         const double target = fmin(end, m->state.next_event);
         const double left = target - M(time);
@@ -76,9 +79,12 @@ static int integrate(Model *m, double end)
             M(time) = target;
         if (core_completed_step(m, "step", &step_event) != OK)
             return ERROR;
-        if ((state_event || step_event || M(time) >= m->state.next_event) &&
-            settle(m, "step") != OK)
+        if (!state_event && !step_event && M(time) < m->state.next_event)
+            continue;
+        if (settle(m, "step") != OK)
             return ERROR;
+        if (++events == MAX_EVENTS)
+            return error(m, "step: %d events until %.9g, which do not end", events, M(time));
     }
     return refresh(m);
 }
