@@ -225,9 +225,7 @@ def test_a_saved_state_is_the_whole_simulation(opened: Open, fmi: int) -> None:
     driven.fmu.doStep(0.0, 0.4)
     fmu = driven.fmu
     save, restore = (
-        (fmu.getFMUstate, fmu.setFMUstate)
-        if driven.old
-        else (fmu.getFMUState, fmu.setFMUState)
+        (fmu.getFMUstate, fmu.setFMUstate) if driven.old else (fmu.getFMUState, fmu.setFMUState)
     )
     saved = save()
 
