@@ -1,4 +1,4 @@
-"""What several tests share: a cache folder of their own, and small FMUs that misbehave."""
+"""What several tests share: a cache folder of their own, and FMUs built for tests."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 import fmpy
 import pytest
 from build_fmus import build
+from fmus import build as own
 from hypothesis import settings
 
 from cluster_est.resources import one_blas_thread
@@ -57,5 +58,19 @@ def built_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], bytes
     def give(name: str) -> bytes:
         path = folder / f"{name}.fmu"
         return (path if path.exists() else build(models / name, folder)).read_bytes()
+
+    return give
+
+
+@pytest.fixture(scope="session")
+def own_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Path]:
+    """Give a model of `tests/fmus/models` for a version of the FMI, built once a session."""
+    if shutil.which("cc") is None or fmpy.platform != "linux64":
+        pytest.skip("building with the system's compiler needs cc on a 64-bit Linux")
+    folder = tmp_path_factory.mktemp("own_fmus")
+
+    def give(name: str, fmi: int) -> Path:
+        path = folder / f"{name}_fmi{fmi}.fmu"
+        return path if path.exists() else own.build(name, fmi, folder)
 
     return give

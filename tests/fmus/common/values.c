@@ -1,0 +1,404 @@
+/* The values of a model and who may touch them when, as the standard has it. */
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core.h"
+
+typedef struct {
+    const char *name;
+    unsigned type;
+    size_t offset, element, count;
+    int sized_by;      /* value reference of the structural parameter that gives the count, or -1 */
+    unsigned settable; /* the phases in which it may be set */
+    bool computed;
+} Variable;
+
+typedef struct {
+    int state, derivative;
+    double nominal;
+} Pair;
+
+static const Variable VARIABLE[N_VARIABLES] = VARIABLES;
+static const Pair PAIR[] = STATES; /* ends with a negative reference */
+static const int INDICATOR[] = INDICATORS; /* likewise */
+static const Values START = START_VALUES;
+
+/* ---- what models need not define ----------------------------------------------------------- */
+
+#define OPTIONAL __attribute__((weak))
+
+OPTIONAL void model_event(Model *m, Event *event) { (void)m, (void)event; }
+OPTIONAL bool model_step_completed(Model *m) { (void)m; return false; }
+OPTIONAL double model_partial(Model *m, unsigned unknown, unsigned known)
+{
+    (void)m, (void)unknown, (void)known;
+    return 0.0;
+}
+OPTIONAL double model_nominal(Model *m, size_t state) { (void)m; return PAIR[state].nominal; }
+OPTIONAL int model_accept(Model *m) { (void)m; return OK; }
+OPTIONAL void model_freed(Model *m) { (void)m; }
+OPTIONAL void model_start(Model *m) { (void)m; }
+OPTIONAL void model_reset(Model *m, const Values *before) { (void)m, (void)before; }
+
+/* ---- messages and checks ------------------------------------------------------------------- */
+
+int error(const Model *m, const char *format, ...)
+{
+    char message[256];
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(message, sizeof message, format, arguments);
+    va_end(arguments);
+    log_error(m, message);
+    return ERROR;
+}
+
+static const char *phase_name(unsigned phase)
+{
+    switch (phase) {
+    case INSTANTIATED: return "instantiated";
+    case CONFIGURATION: return "in configuration mode";
+    case INITIALIZATION: return "in initialization mode";
+    case EVENT_MODE: return "in event mode";
+    case CONTINUOUS_TIME: return "in continuous-time mode";
+    case STEPPING: return "in step mode";
+    default: return "terminated";
+    }
+}
+
+int require(const Model *m, unsigned phases, const char *function)
+{
+    if (!(m->state.phase & phases))
+        return error(m, "%s: not allowed while the model is %s", function,
+                     phase_name(m->state.phase));
+    return OK;
+}
+
+int check_size(const Model *m, size_t size, size_t expected, const char *function)
+{
+    if (size == expected)
+        return OK;
+    return error(m, "%s: %zu values expected, got %zu", function, expected, size);
+}
+
+int refresh(Model *m)
+{
+    if (m->state.stale && model_equations(m) != OK)
+        return ERROR;
+    m->state.stale = false;
+    return OK;
+}
+
+/* ---- life of an instance ------------------------------------------------------------------- */
+
+static void begin(Model *m)
+{
+    memset(&m->state, 0, sizeof m->state); /* padding too: serialized states are bytes */
+    memcpy(&m->state.v, &START, sizeof START);
+    m->state.phase = INSTANTIATED;
+    m->state.stale = true;
+    m->state.next_event = INFINITY;
+    m->state.last_event = -INFINITY;
+    m->state.stop = INFINITY;
+}
+
+Model *core_new(const char *name, const char *token, bool co_simulation, const void *callbacks,
+                void *environment)
+{
+    Model *m = calloc(1, sizeof *m);
+    if (m == NULL)
+        return NULL;
+    m->co_simulation = co_simulation;
+    m->callbacks = callbacks;
+    m->environment = environment;
+    m->instance_name = strdup(name != NULL && name[0] ? name : MODEL_NAME);
+    begin(m);
+    if (token == NULL || strcmp(token, MODEL_TOKEN) != 0)
+        error(m, "instantiation: the GUID or token differs from " MODEL_TOKEN);
+    else if (model_accept(m) == OK)
+        return m;
+    free(m->instance_name);
+    free(m);
+    return NULL;
+}
+
+void core_free(Model *m)
+{
+    if (m == NULL)
+        return;
+    model_freed(m);
+    free(m->instance_name);
+    free(m);
+}
+
+int core_reset(Model *m)
+{
+    const Values before = m->state.v;
+    begin(m);
+    model_reset(m, &before);
+    return OK;
+}
+
+/* ---- variables ----------------------------------------------------------------------------- */
+
+static size_t count_of(const Model *m, const Variable *variable)
+{
+    if (variable->sized_by < 0)
+        return variable->count;
+    const char *values = (const char *)&m->state.v;
+    return (size_t)*(const UInt64 *)(values + VARIABLE[variable->sized_by].offset);
+}
+
+static const Variable *find(const Model *m, const char *function, unsigned reference,
+                            unsigned types)
+{
+    if (reference >= N_VARIABLES)
+        error(m, "%s: no variable has the value reference %u", function, reference);
+    else if (!(VARIABLE[reference].type & types))
+        error(m, "%s: %s has another type", function, VARIABLE[reference].name);
+    else
+        return &VARIABLE[reference];
+    return NULL;
+}
+
+static void *locate(Model *m, unsigned reference, size_t *count)
+{
+    *count = count_of(m, &VARIABLE[reference]);
+    return (char *)&m->state.v + VARIABLE[reference].offset;
+}
+
+const void *readable(Model *m, const char *function, unsigned reference, unsigned types,
+                     size_t *count)
+{
+    const Variable *variable = find(m, function, reference, types);
+    if (variable == NULL || require(m, RUNNING | CONFIGURATION, function) != OK ||
+        (variable->computed && refresh(m) != OK))
+        return NULL;
+    return locate(m, reference, count);
+}
+
+void *writable(Model *m, const char *function, unsigned reference, unsigned types, size_t *count)
+{
+    const Variable *variable = find(m, function, reference, types);
+    if (variable == NULL)
+        return NULL;
+    if (!(variable->settable & m->state.phase)) {
+        error(m, "%s: %s cannot be set while the model is %s", function, variable->name,
+              phase_name(m->state.phase));
+        return NULL;
+    }
+    m->state.stale = true;
+    m->state.slope[reference] = 0.0;
+    m->state.updating = m->state.phase == EVENT_MODE;
+    return locate(m, reference, count);
+}
+
+int get_numbers(Model *m, const char *function, const unsigned references[], size_t n,
+                unsigned types, size_t element, void *values, size_t n_values)
+{
+    size_t done = 0, count;
+    for (size_t i = 0; i < n; i++, done += count) {
+        const void *source = readable(m, function, references[i], types, &count);
+        if (source == NULL)
+            return ERROR;
+        if (done + count > n_values)
+            return check_size(m, n_values, done + count, function);
+        memcpy((char *)values + done * element, source, count * element);
+    }
+    return check_size(m, n_values, done, function);
+}
+
+/* A caller that sets what is no number at all, or no truth value, has a fault of its own. */
+static bool sensible(unsigned type, const void *value)
+{
+    if (type == FLOAT64)
+        return isfinite(*(const Float64 *)value);
+    if (type == FLOAT32)
+        return isfinite(*(const Float32 *)value);
+    return type != BOOLEAN || *(const uint8_t *)value <= 1;
+}
+
+int set_numbers(Model *m, const char *function, const unsigned references[], size_t n,
+                unsigned types, size_t element, const void *values, size_t n_values)
+{
+    size_t done = 0, count;
+    for (size_t i = 0; i < n; i++, done += count) {
+        char *target = writable(m, function, references[i], types, &count);
+        if (target == NULL)
+            return ERROR;
+        if (done + count > n_values)
+            return check_size(m, n_values, done + count, function);
+        const Variable *variable = &VARIABLE[references[i]];
+        for (size_t k = 0; k < count; k++) {
+            const char *source = (const char *)values + (done + k) * element;
+            if (!sensible(variable->type, source))
+                return error(m, "%s: not a possible value of %s", function, variable->name);
+            memcpy(target + k * element, source, element);
+        }
+    }
+    return check_size(m, n_values, done, function);
+}
+
+int get_texts(Model *m, const char *function, const unsigned references[], size_t n,
+              const char *values[], size_t n_values)
+{
+    size_t done = 0, count;
+    for (size_t i = 0; i < n; i++, done += count) {
+        const String *source = readable(m, function, references[i], STRING, &count);
+        if (source == NULL)
+            return ERROR;
+        for (size_t k = 0; k < count && done + k < n_values; k++)
+            values[done + k] = source[k];
+    }
+    return check_size(m, n_values, done, function);
+}
+
+int set_texts(Model *m, const char *function, const unsigned references[], size_t n,
+              const char *const values[], size_t n_values)
+{
+    size_t done = 0, count;
+    for (size_t i = 0; i < n; i++, done += count) {
+        String *target = writable(m, function, references[i], STRING, &count);
+        if (target == NULL)
+            return ERROR;
+        for (size_t k = 0; k < count && done + k < n_values; k++)
+            snprintf(target[k], TEXT_SIZE, "%s", values[done + k]);
+    }
+    return check_size(m, n_values, done, function);
+}
+
+int set_slopes(Model *m, const char *function, const unsigned references[], size_t n,
+               const int order[], const double values[])
+{
+    if (require(m, INSTANTIATED | INITIALIZATION | STEPPING, function) != OK)
+        return ERROR;
+    for (size_t i = 0; i < n; i++) {
+        const Variable *variable = find(m, function, references[i], FLOAT64);
+        if (variable == NULL)
+            return ERROR;
+        if (order[i] != 1)
+            return error(m, "%s: order must be 1, is %d", function, order[i]);
+        if (!(variable->settable & CONTINUOUS_TIME))
+            return error(m, "%s: %s is not a continuous input", function, variable->name);
+        m->state.slope[references[i]] = values[i];
+    }
+    return OK;
+}
+
+int directional(Model *m, const char *function, const unsigned unknowns[], size_t n_unknowns,
+                const unsigned knowns[], size_t n_knowns, const double seed[],
+                double sensitivity[])
+{
+    if (!DIRECTIONAL)
+        return error(m, "%s: not provided", function);
+    if (require(m, RUNNING, function) != OK)
+        return ERROR;
+    for (size_t i = 0; i < n_unknowns; i++) {
+        sensitivity[i] = 0.0;
+        for (size_t k = 0; k < n_knowns; k++) {
+            if (!find(m, function, unknowns[i], FLOAT64) || !find(m, function, knowns[k], FLOAT64))
+                return ERROR;
+            sensitivity[i] += model_partial(m, unknowns[i], knowns[k]) * seed[k];
+        }
+    }
+    return OK;
+}
+
+/* The inputs run linearly from where `start` has them. */
+void move_inputs(Model *m, const State *start, double offset)
+{
+    M(time) = start->v.time + offset;
+    for (size_t i = 0; i < N_VARIABLES; i++)
+        if (start->slope[i] != 0.0) {
+            double *input = (double *)((char *)&m->state.v + VARIABLE[i].offset);
+            const double *from = (const double *)((const char *)&start->v + VARIABLE[i].offset);
+            *input = *from + start->slope[i] * offset;
+        }
+}
+
+
+/* ---- continuous states --------------------------------------------------------------------- */
+
+size_t count_states(const Model *m)
+{
+    size_t total = 0;
+    for (const Pair *pair = PAIR; pair->state >= 0; pair++)
+        total += count_of(m, &VARIABLE[pair->state]);
+    return total;
+}
+
+static double *vector(Model *m, int reference, size_t *count)
+{
+    return locate(m, (unsigned)reference, count);
+}
+
+/* Copies the states, or their derivatives, one after the other. */
+static void gather(Model *m, bool derivatives, double x[])
+{
+    for (const Pair *pair = PAIR; pair->state >= 0; pair++) {
+        size_t count;
+        const double *values = vector(m, derivatives ? pair->derivative : pair->state, &count);
+        memcpy(x, values, count * sizeof *x);
+        x += count;
+    }
+}
+
+int core_set_states(Model *m, const char *function, const double x[], size_t n)
+{
+    if (require(m, CONTINUOUS_TIME, function) != OK ||
+        check_size(m, n, count_states(m), function) != OK)
+        return ERROR;
+    for (size_t i = 0; i < n; i++)
+        if (!isfinite(x[i]))
+            return error(m, "%s: state %zu is not finite at time %g", function, i, M(time));
+    for (const Pair *pair = PAIR; pair->state >= 0; pair++) {
+        size_t count;
+        double *values = vector(m, pair->state, &count);
+        memcpy(values, x, count * sizeof *x);
+        x += count;
+    }
+    m->state.stale = true;
+    return OK;
+}
+
+int core_get_states(Model *m, const char *function, double x[], size_t n)
+{
+    if (require(m, RUNNING, function) != OK || check_size(m, n, count_states(m), function) != OK)
+        return ERROR;
+    gather(m, false, x);
+    return OK;
+}
+
+int core_get_derivatives(Model *m, const char *function, double x[], size_t n)
+{
+    if (require(m, RUNNING, function) != OK ||
+        check_size(m, n, count_states(m), function) != OK || refresh(m) != OK)
+        return ERROR;
+    gather(m, true, x);
+    return OK;
+}
+
+int core_get_nominals(Model *m, const char *function, double x[], size_t n)
+{
+    size_t place = 0;
+    if (require(m, INSTANTIATED | RUNNING, function) != OK ||
+        check_size(m, n, count_states(m), function) != OK)
+        return ERROR;
+    for (size_t state = 0; PAIR[state].state >= 0; state++)
+        for (size_t k = count_of(m, &VARIABLE[PAIR[state].state]); k > 0; k--)
+            x[place++] = model_nominal(m, state);
+    return OK;
+}
+
+int core_get_indicators(Model *m, const char *function, double z[], size_t n)
+{
+    if (require(m, RUNNING & ~(unsigned)STEPPING, function) != OK ||
+        check_size(m, n, N_INDICATORS, function) != OK || refresh(m) != OK)
+        return ERROR;
+    size_t count;
+    for (size_t i = 0; i < n; i++)
+        z[i] = *vector(m, INDICATOR[i], &count);
+    return OK;
+}

@@ -1,0 +1,3 @@
+#include "decay.h"
+
+void model_reset(Model *m, const Values *before) { M(k) = before->k; }

@@ -1,0 +1,129 @@
+"""What the test FMUs of `tests/fmus` must show: closed forms, or SciPy on the same equations.
+
+Nothing of the project is used. At the time of an event the values are those after it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+Array = NDArray[np.float64]
+
+
+def bouncing_ball(
+    times: Array, h: float = 1.0, g: float = 9.81, e: float = 0.7, v_min: float = 0.1
+) -> tuple[Array, Array, Array]:
+    """Height, velocity and number of bounces of a ball dropped at rest at time 0."""
+    height, velocity, bounces = np.zeros((3, len(times)))
+    begin, h0, v0, count = 0.0, h, 0.0, 0
+    while True:
+        fall = (v0 + np.sqrt(v0 * v0 + 2.0 * g * h0)) / g
+        inside = (times >= begin) & (times < begin + fall)
+        t = times[inside] - begin
+        height[inside] = h0 + v0 * t - 0.5 * g * t * t
+        velocity[inside] = v0 - g * t
+        bounces[inside] = count
+        begin, h0, v0, count = begin + fall, 0.0, e * (g * fall - v0), count + 1
+        if v0 < v_min:
+            bounces[times >= begin] = count
+            return height, velocity, bounces
+
+
+def bounce_times(count: int, h: float = 1.0, g: float = 9.81, e: float = 0.7) -> Array:
+    """Times of the first bounces: each flight takes e times as long as the one before."""
+    first = np.sqrt(2.0 * h / g)
+    return first * np.cumsum([1.0, *(2.0 * e**k for k in range(1, count))])
+
+
+def stair(times: Array, height: float = 1.0) -> Array:
+    """The counter times the height of a stair: 1 at time 0, one more each second."""
+    return height * (1.0 + np.floor(times))
+
+
+def dahlquist(times: Array, k: float = 1.0, x0: float = 1.0) -> Array:
+    """x of dx/dt = -k x."""
+    return x0 * np.exp(-k * times)
+
+
+def step_events(times: Array, rate: float = 1.0) -> Array:
+    """A sawtooth from 0 to 1; in the FMU it falls at the end of the integrator's step."""
+    return np.mod(rate * times, 1.0)
+
+
+def nominals(times: Array, rate: float = 1.0) -> tuple[Array, Array]:
+    """x of dx/dt = rate x, and its nominal value: the power of ten below it."""
+    x = np.exp(rate * times)
+    return x, 10.0 ** np.floor(np.log10(x))
+
+
+def iterates(times: Array, rounds: int = 5, rate: float = 1.0) -> Array:
+    """A ramp with a jump of `rounds` each second."""
+    return rate * times + rounds * np.floor(times)
+
+
+def thermostat(
+    times: Array,
+    heat: float = 600.0,
+    ambient: float = 5.0,
+    start: float = 17.0,
+    capacity: float = 1e4,
+    conductance: float = 20.0,
+    low: float = 19.0,
+    high: float = 21.0,
+) -> tuple[Array, Array, Array]:
+    """Temperature, whether it heats, and the times of the switches, for constant inputs."""
+    temperature, on, switches = np.empty(len(times)), np.empty(len(times)), []
+    constant = capacity / conductance
+    begin, value, heating = 0.0, start, start <= low
+    while True:
+        rest = ambient + heating * heat / conductance
+        goal = high if heating else low
+        end = begin + constant * np.log((rest - value) / (rest - goal))
+        inside = (times >= begin) & (times < end)
+        temperature[inside] = rest + (value - rest) * np.exp((begin - times[inside]) / constant)
+        on[inside] = heating
+        if end > times[-1]:
+            return temperature, on, np.array(switches)
+        switches.append(end)
+        begin, value, heating = end, goal, not heating
+
+
+def van_der_pol(times: Array, mu: float = 1.0) -> Array:
+    """(times, states) of Van der Pol's equation from (2, 0), which is stiff for a large mu."""
+
+    def rates(_: float, x: Array) -> list[float]:
+        return [x[1], mu * (1.0 - x[0] * x[0]) * x[1] - x[0]]
+
+    def jacobian(_: float, x: Array) -> list[list[float]]:
+        return [[0.0, 1.0], [-2.0 * mu * x[0] * x[1] - 1.0, mu * (1.0 - x[0] * x[0])]]
+
+    return solved(rates, jacobian, [2.0, 0.0], times, stiff=mu > 10.0)
+
+
+def robertson(times: Array, k1: float = 0.04, k2: float = 3e7, k3: float = 1e4) -> Array:
+    """(times, states) of Robertson's reactions from (1, 0, 0)."""
+
+    def rates(_: float, x: Array) -> list[float]:
+        first, second, third = k1 * x[0], k2 * x[1] * x[1], k3 * x[1] * x[2]
+        return [third - first, first - third - second, second]
+
+    def jacobian(_: float, x: Array) -> list[list[float]]:
+        second, third = 2.0 * k2 * x[1], (k3 * x[2], k3 * x[1])
+        first = [-k1, *third]
+        return [first, [k1, -third[0] - second, -third[1]], [0.0, second, 0.0]]
+
+    return solved(rates, jacobian, [1.0, 0.0, 0.0], times, stiff=True)
+
+
+def solved(rates, jacobian, start, times: Array, stiff: bool) -> Array:  # type: ignore[no-untyped-def]
+    """(times, states), each solved to a time and not interpolated."""
+    options = {"jac": jacobian, "method": "Radau"} if stiff else {"method": "DOP853"}
+    found, x, now = np.empty((len(times), len(start))), np.array(start), 0.0
+    for place, time in enumerate(times):
+        if time > now:
+            result = solve_ivp(rates, (now, time), x, rtol=1e-12, atol=1e-14, **options)
+            x, now = result.y[:, -1], time
+        found[place] = x
+    return found
