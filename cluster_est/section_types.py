@@ -16,9 +16,11 @@ MOST_TIMES = 10_000_000
 def _known(value: Any) -> Any:
     """A known value keeps its type: the FMU's variable decides which it must be."""
     largest = LARGEST if isinstance(value, int) else float("inf")
+    if isinstance(value, str) and "\0" not in value:
+        return value
     if isinstance(value, bool | int | float) and abs(value) < largest:
         return value
-    raise PydanticCustomError("known", "must be a finite number, true or false")
+    raise PydanticCustomError("known", "must be a finite number, true, false or a text")
 
 
 def as_column(value: Any) -> Any:
@@ -43,7 +45,7 @@ Count = Annotated[int, Field(ge=0, le=LARGEST)]
 Positive = Annotated[int, Field(gt=0, le=LARGEST)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Samples = Annotated[int, Field(gt=1, le=MOST_TIMES)]
-Known = Annotated[float | int | bool, PlainValidator(_known)]
+Known = Annotated[float | int | bool | str, PlainValidator(_known)]
 Pair = Annotated[tuple[Finite, Finite], Strict(False)]
 """TOML has lists, which strictly are no tuples."""
 

@@ -7,7 +7,6 @@ import re
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from xml.etree.ElementTree import Element
 
 from workers.archive import DAMAGED, open_archive
@@ -18,7 +17,6 @@ from workers.description_variables import read_variables
 from workers.description_xml import XML, Notes, first_line, flag, number, parse
 from workers.errors import ModelError
 from workers.messages import Interface, Model
-from workers.platforms import PLATFORM as PLATFORM  # for fmu.py until it calls check_platform
 from workers.platforms import platforms_in, why_not_here
 from workers.variables import Variable
 
@@ -129,16 +127,6 @@ class Description:
         why = why_not_here(self.version, identifier, self.files, self.has_sources)
         if why is not None:
             raise ModelError(f"{self.file}: {why}")
-
-    @property
-    def raw(self) -> SimpleNamespace:
-        """For `workers/fmu.py` until it reads `guid` and `offer(...).identifier`; then remove."""
-        names = {o.interface: SimpleNamespace(modelIdentifier=o.identifier) for o in self.offers}
-        return SimpleNamespace(
-            guid=self.guid,
-            modelExchange=names.get("model_exchange"),
-            coSimulation=names.get("co_simulation"),
-        )
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

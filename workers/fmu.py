@@ -195,10 +195,10 @@ class Instance:
 
 def nothing_loaded() -> Component:
     """A component whose functions must not be called, for compiled loops that call none."""
-    addresses = dict.fromkeys(Component._fields, 0)
-    none = (0,) * len(TYPES)
-    flags = dict.fromkeys(("interpolates_inputs", "completes_steps", "eventful"), False)
-    return Component(**{**addresses, "getters": none, "setters": none, **flags})
+    fields: dict[str, Any] = dict.fromkeys(Component._fields, 0)
+    fields.update(getters=(0,) * len(TYPES), setters=(0,) * len(TYPES))
+    fields.update(interpolates_inputs=False, completes_steps=False, eventful=False)
+    return Component(**fields)
 
 
 def _is_eventful(description: Description) -> bool:

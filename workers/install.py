@@ -67,7 +67,7 @@ def install(
         return [description.variable(n, where) for n in names]
 
     inputs = at([each.variable for each in experiment.inputs])
-    moving = [v if v.kind == "real" and v.variability == "continuous" else None for v in inputs]
+    moving = [v if v.moves else None for v in inputs]
     first = len(model.parameters) + len(known)
     return Installed(
         grid=grid,
@@ -89,7 +89,7 @@ def install(
 def _held(description: Description, given: Input) -> Input:
     """An input whose variable changes at events alone cannot be in between two samples."""
     variable = description.variables.get(given.variable)
-    if variable is None or (variable.kind == "real" and variable.variability == "continuous"):
+    if variable is None or variable.moves:
         return given
     return replace(given, interpolation="hold")
 

@@ -19,7 +19,7 @@ from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.hooks import Hooks, no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
-from workers.messages import Effect, Experiment, FloatArray, IntArray, Linearisation, Model
+from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Linearisation, Model
 
 if TYPE_CHECKING:
     from workers.augment import Augmentation, Effects
@@ -84,8 +84,10 @@ class Simulator:
         self, model: Model, description: Description, experiments: tuple[Experiment, ...]
     ) -> None:
         self._model, self._description = model, description
-        self._experiments = experiments
-        plain = [replace(e, signals=()) for e in experiments]  # they act through effects alone
+        self._experiments = tuple(_moving_first(description, e) for e in experiments)
+        plain = [
+            replace(e, signals=()) for e in self._experiments
+        ]  # they act through effects alone
         self._installed = [install(model, description, e) for e in plain]
         self._signals = tuple(dict.fromkeys(s.variable for e in experiments for s in e.signals))
         self._effects: dict[tuple[Effect, ...], Effects] = {}
@@ -339,6 +341,16 @@ class Simulator:
         sentences = failure.SENTENCES | linearise.SENTENCES
         sentence = f"{sentences[code % failure.FATAL]} at t = {time:.9g} s"
         return f"{sentence}; it said: {said}" if said else sentence
+
+
+def _moving_first(description: Description, experiment: Experiment) -> Experiment:
+    """The same with inputs that may move between events first: those are set together."""
+
+    def is_discrete(given: Input) -> bool:
+        variable = description.variables.get(given.variable)
+        return variable is not None and not variable.moves
+
+    return replace(experiment, inputs=tuple(sorted(experiment.inputs, key=is_discrete)))
 
 
 def _settings(model: Model, description: Description, own_states: int) -> Settings:

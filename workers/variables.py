@@ -80,3 +80,8 @@ class Variable:
     shape: tuple[int, ...] = ()
     element: int = 0
     size: int = 1
+
+    @property
+    def moves(self) -> bool:
+        """Whether it may change between events."""
+        return self.kind == "real" and self.variability == "continuous"

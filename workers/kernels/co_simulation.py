@@ -131,7 +131,7 @@ def _advance(c, references, grid, i, steps, work):  # type: ignore[no-untyped-de
         if s > 0 and status < DISCARD and len(work.inputs) > 0:
             take_inputs(grid, i, grid.times[i] + s * step, work)
             status = max(status, set_values(c, references.inputs, work.inputs, work.cells))
-        if c.interpolates_inputs and len(work.inputs) > 0 and status < DISCARD:
+        if c.interpolates_inputs and len(references.moving.reals) > 0 and status < DISCARD:
             status = set_real_input_derivatives(
                 c, references.inputs.reals, work.orders, grid.slopes[i]
             )
@@ -154,7 +154,7 @@ def _advance_with_effects(c, references, hooks, grid, i, steps, work):  # type: 
         if s > 0 and status < DISCARD:
             status = _write_edited(c, references, hooks, grid, i, time, work)
         _take_slopes(hooks, grid, i, time, step, work)
-        if c.interpolates_inputs and len(work.inputs) > 0 and status < DISCARD:
+        if c.interpolates_inputs and len(references.moving.reals) > 0 and status < DISCARD:
             status = set_real_input_derivatives(
                 c, references.inputs.reals, work.orders, work.slopes
             )
