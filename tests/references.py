@@ -39,7 +39,7 @@ def bounce_times(count: int, h: float = 1.0, g: float = 9.81, e: float = 0.7) ->
 
 def stair(times: Array, height: float = 1.0) -> Array:
     """The counter times the height of a stair: 1 at time 0, one more each second."""
-    return height * (1.0 + np.floor(times))
+    return np.asarray(height * (1.0 + np.floor(times)))
 
 
 def dahlquist(times: Array, k: float = 1.0, x0: float = 1.0) -> Array:
@@ -49,7 +49,7 @@ def dahlquist(times: Array, k: float = 1.0, x0: float = 1.0) -> Array:
 
 def step_events(times: Array, rate: float = 1.0) -> Array:
     """A sawtooth from 0 to 1; in the FMU it falls at the end of the integrator's step."""
-    return np.mod(rate * times, 1.0)
+    return np.asarray(np.mod(rate * times, 1.0))
 
 
 def nominals(times: Array, rate: float = 1.0) -> tuple[Array, Array]:
@@ -74,7 +74,8 @@ def thermostat(
     high: float = 21.0,
 ) -> tuple[Array, Array, Array]:
     """Temperature, whether it heats, and the times of the switches, for constant inputs."""
-    temperature, on, switches = np.empty(len(times)), np.empty(len(times)), []
+    temperature, on = np.empty((2, len(times)))
+    switches: list[float] = []
     constant = capacity / conductance
     begin, value, heating = 0.0, start, start <= low
     while True:

@@ -167,6 +167,23 @@ def test_zero_directional(opened: Open, fmi: int) -> None:
 
 
 @BOTH
+def test_wrong_directional(opened: Open, fmi: int) -> None:
+    driven = opened("wrong_directional", fmi)
+    simulated(driven)
+    unknown, known = [driven.reference("der(x)")], [driven.reference("x"), driven.reference("u")]
+
+    assert driven.fmu.getDirectionalDerivative(unknown, known, [1.0, 0.0]) == [-2.0]
+    assert driven.fmu.getDirectionalDerivative(unknown, known, [0.0, 1.0]) == [2.0]
+
+
+@BOTH
+def test_no_licence(opened: Open, fmi: int, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(Exception, match="Failed to instantiate"):
+        opened("no_licence", fmi)
+    assert "licence checkout failed" in capsys.readouterr().out
+
+
+@BOTH
 def test_fixed_step(opened: Open, fmi: int, capsys: pytest.CaptureFixture[str]) -> None:
     driven = opened("fixed_step", fmi)
     assert not driven.description.coSimulation.canHandleVariableCommunicationStepSize

@@ -14,6 +14,7 @@ int core_reset(Model *m);
 
 /* Computes what is computed, if it does not fit the other values. */
 int refresh(Model *m);
+const char *phase_name(unsigned phase);
 int require(const Model *m, unsigned phases, const char *function);
 int check_size(const Model *m, size_t size, size_t expected, const char *function);
 

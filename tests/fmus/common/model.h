@@ -107,7 +107,6 @@ double model_partial(Model *m, unsigned unknown, unsigned known);
 double model_nominal(Model *m, size_t state);
 /* Refuses an instance by returning ERROR. */
 int model_accept(Model *m);
-void model_freed(Model *m);
 /* Called when initialisation ends. */
 void model_start(Model *m);
 /* Called after a reset with the values that were there before. */
