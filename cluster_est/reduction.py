@@ -6,8 +6,8 @@ from cluster_est.costs.base import Cost
 from workers.messages import Experiment, Want
 
 LEAST_RESIDUALS = 10
-"""Residuals of an output, on average over an experiment, from which on it is worth it: below, an
-answer is about as long either way, and whole residuals may serve another search too."""
+"""Up to so many residuals for each output of an experiment, on average, nothing is saved: an answer
+takes about as many bytes besides, and whole residuals may spare another search a simulation."""
 
 
 def want_of(experiment: Experiment, cost: Cost | None) -> Want:

@@ -23,6 +23,7 @@ from cluster_est.methods.differential_evolution import DifferentialEvolution
 from cluster_est.methods.look import Look
 from cluster_est.methods.nsga2 import Nsga2
 from cluster_est.methods.pattern_search import PatternSearch
+from cluster_est.multistart import Multistart, search_from_starts
 from cluster_est.reduction import LEAST_RESIDUALS, want_of
 from cluster_est.runner import Runner, SearchRequest
 from cluster_est.space import make_space
@@ -195,12 +196,12 @@ class TestWorker:
         curve = Curve(("y", "v"), points, output.times[:40])
         run = replace(run, outputs=(empty, output), bounds=(bound,), curve=curve)
         found = Evaluator(problem.model, (run,), "worker")
-        yield found, run, problem
+        yield found, run
         found.close()
 
     @pytest.mark.parametrize("want", REDUCTIONS)
     def test_an_answer_has_a_number_for_each_output_and_whole_constraints(self, evaluator, want):
-        worker, run, problem = evaluator
+        worker, run = evaluator
         values = np.array([[1.0 + 0.1 * i, 20.0, 0.5, 0.01 * i] for i in range(4)])
         values[2, 0] = -1.0  # a mass that the model refuses
         answers = {
@@ -221,7 +222,6 @@ class TestWorker:
             assert whole.constraints.tobytes() == reduced.constraints.tobytes()
         alone = worker.evaluate(Batch.of([Task(3, 0, values[3], want)]))[0]
         assert alone.residuals.tobytes() == answers[want][3].residuals.tobytes()
-        assert len(problem.model.parameters) == values.shape[1]
 
     def test_traffic_shrinks_with_the_samples(self):
         sizes = []
@@ -233,26 +233,38 @@ class TestWorker:
         assert sizes[0] > 100 * sizes[1]
 
 
-@pytest.mark.parametrize("workers", [1, 3])
 class TestFit:
     METHOD = DifferentialEvolution(population=12, max_generations=6)
 
-    def test_the_solution_has_every_residual(self, workers):
-        truth = spring_problem(experiments=2, noise=0.01, local=())
-        held_out = replace(truth.problem.experiments[1], role="test")
-        problem = replace(truth.problem, experiments=(truth.problem.experiments[0], held_out))
-        result = fit(problem, self.METHOD, Resources(workers=workers))
-        at = result.solution.at
-        assert len(at.residuals) == 150
-        assert result.solution.cost == at.cost == result.cost
-        assert at.cost == pytest.approx(math.fsum((at.residuals**2).tolist()), rel=1e-12)
+    @pytest.mark.parametrize("starts", [1, 3])
+    def test_solutions_have_every_residual(self, starts):
+        truth = spring_problem(experiments=2, noise=0.01)
+        train, test = truth.problem.experiments
+        problem = replace(truth.problem, experiments=(train, replace(test, role="test")))
+        result = fit(problem, self.METHOD, multistart=Multistart(starts))
+        for solution in (result.solution, result.test_solution):
+            residuals = solution.at.residuals
+            assert len(residuals) == 150
+            assert solution.cost == solution.at.cost
+            assert solution.cost == pytest.approx(math.fsum((residuals**2).tolist()), rel=1e-12)
+        assert result.cost == result.solution.cost
+        assert all(np.isfinite(e.std_error) for e in result.estimates if e.label == "m")
 
-    def test_bits_do_not_depend_on_workers(self, workers):
-        truth = spring_problem(experiments=3, noise=0.01)
-        results = [fit(truth.problem, self.METHOD, Resources(workers=w)) for w in (1, workers)]
-        first, second = (np.array([e.value for e in r.estimates]) for r in results)
-        assert first.tobytes() == second.tobytes()
-        assert results[0].solution.cost == results[1].solution.cost
+    def test_bits_do_not_depend_on_workers(self):
+        problem = spring_problem(experiments=3, noise=0.01).problem
+        places = ("local", 1), ("local", 3), ("processes", 2)
+        results = [fit(problem, self.METHOD, Resources(name, workers=n)) for name, n in places]
+        values = [np.array([e.value for e in result.estimates]).tobytes() for result in results]
+        assert len(set(values)) == 1
+        assert len({result.solution.cost for result in results}) == 1
+
+    @pytest.mark.parametrize("method", [METHOD, LeastSquares()], ids=lambda m: m.name)
+    def test_points_that_only_compete_are_asked_for_like_those_that_follow(self, method):
+        """So that the start of a search, which was among them, is remembered."""
+        curves, wants = decays("sse"), []
+        runner = Runner(CurveExecutor(curves), record=lambda origin, _: wants.append(origin.want))
+        search_from_starts(runner, curves.space(), method, Multistart(2, screen=4), 0)
+        assert set(wants) == {"squares" if method is self.METHOD else "residuals"}
 
 
 def test_a_space_is_reduced_for_those_who_do_not_look():
