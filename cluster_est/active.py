@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cluster_est.judging import judge
 from cluster_est.methods.base import Evaluation, Method, Progress, Search, Solution
 from cluster_est.space import Space
-from workers.messages import Effect, FloatArray, Outcome
+from workers.messages import Effect, FloatArray, Outcome, Want
 
 MEMORY_BYTES = 256 * 2**20
 """What is remembered to answer repeated questions without simulating."""
 OUTCOME_BYTES = 800
 """What an outcome takes besides its residuals."""
 
-Question = tuple[int, bytes, tuple[Effect, ...]]
-"""Experiment, values and effects: what makes a simulation's outcome."""
+Question = tuple[int, bytes, tuple[Effect, ...], Want]
+"""Experiment, values and effects, which make a simulation, and what is wanted of it: whole
+residuals never stand in for reduced ones, or bits would depend on which of them came first."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,11 @@ class SearchRequest:
     method: Method
     space: Space
     seed: int = 0
+
+
+def suited(space: Space, method: Method) -> Space:
+    """The space as a method is given it: reduced, unless it looks at single residuals."""
+    return space if method.needs_every_residual else replace(space, reduced=True)
 
 
 @dataclass

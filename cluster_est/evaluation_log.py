@@ -12,16 +12,16 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, get_args
+from typing import BinaryIO
 
 import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from cluster_est.log_format import SCHEMA, read_log, segments, simulation_key, slim
+from cluster_est.log_format import SCHEMA, logged_cost, read_log, segments, simulation_key, slim
 from cluster_est.run_lock import lock
 from cluster_est.runner import Origin
-from workers.messages import Outcome, Trajectory, Want
+from workers.messages import Outcome, Trajectory
 
 __all__ = ["SCHEMA", "EvaluationLog", "LogSettings", "read_log"]
 
@@ -212,11 +212,6 @@ class EvaluationLog:
         origins, outcomes = zip(*rows, strict=True)
         kept = self._settings.residuals
         paths = [outcome.trajectory if kept else None for outcome in outcomes]
-        with np.errstate(over="ignore"):  # a cost may be infinite
-            sums = [
-                np.nan if o.residuals is None else float(np.add.reduce(o.residuals**2))
-                for o in outcomes
-            ]
         names = [origin.installed or self._experiments[origin.experiment] for origin in origins]
         keys = [
             simulation_key(self._model_key, key, origin.effects, origin.values)
@@ -224,7 +219,7 @@ class EvaluationLog:
         ]
         columns = [
             pa.array(keys),
-            pa.array([_want(origin) for origin in origins]),
+            pa.array([origin.want for origin in origins]),
             pa.array([origin.search for origin in origins]),
             pa.array([origin.evaluation for origin in origins], pa.int64()),
             pa.array([origin.purpose for origin in origins]),
@@ -233,7 +228,7 @@ class EvaluationLog:
             pa.array([[effect.name for effect in origin.effects] for origin in origins]),
             pa.array([str(outcome.status) for outcome in outcomes]),
             pa.array([outcome.message for outcome in outcomes]),
-            pa.array(sums, pa.float64()),
+            pa.array([logged_cost(each, origin.want) for origin, each in rows], pa.float64()),
             _lists([outcome.residuals if kept else None for outcome in outcomes]),
             _lists([outcome.constraints if outcome.ok else None for outcome in outcomes]),
             pa.array([outcome.seconds for outcome in outcomes], pa.float64()),
@@ -243,11 +238,6 @@ class EvaluationLog:
             _lists([path and path.values.ravel() for path in paths]),
         ]
         return pa.RecordBatch.from_arrays(columns, schema=self._schema)
-
-
-def _want(origin: Origin) -> str:
-    """Searches ask for residuals; of what is simulated outside of them, the purpose says it."""
-    return origin.purpose if origin.purpose in get_args(Want) else "residuals"
 
 
 def _size(outcome: Outcome) -> int:

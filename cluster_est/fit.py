@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est import rows
+from cluster_est.active import suited
 from cluster_est.errors import ProblemError
+from cluster_est.judging import judge
 from cluster_est.methods.base import Method, Solution
 from cluster_est.methods.least_squares import LeastSquares
 from cluster_est.multistart import Multistart, check_starts, search_from_starts
@@ -155,6 +157,9 @@ def complete(
     if test_solution is not None:
         known |= test.estimates(test_solution.x)
     after = simulate_all(runner, problem, known)
+    solution = _whole(train, solution, method, after)
+    if test_solution is not None:
+        test_solution = _whole(test, test_solution, method, after)
     uncertainty = uncertainty or assess(train, solution)
     estimates = rows.estimates(train, solution, "train", units, uncertainty.intervals)
     estimates += rows.fixed(problem, units) + rows.derived(train, solution, units, uncertainty)
@@ -283,6 +288,15 @@ def simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> l
     values = space.physical(space.start)
     outcomes = runner.simulate(values, everything, "trajectory", name, problem.effects)
     return [Simulation(e, outcome) for e, outcome in zip(everything, outcomes, strict=True)]
+
+
+def _whole(space: Space, solution: Solution, method: Method, after: list[Simulation]) -> Solution:
+    """The solution with every residual at its point, where its search was sent reduced ones."""
+    if solution.at is None or suited(space, method).wants == space.wants:
+        return solution
+    outcomes = tuple(replace(after[e].outcome, trajectory=None) for e in space.experiments)
+    at = judge(space, solution.x, outcomes, solution.at.index)
+    return replace(solution, cost=at.cost, at=at) if at.ok else solution
 
 
 def _cost(problem: Problem, simulations: list[Simulation]) -> float:

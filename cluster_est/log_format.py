@@ -7,10 +7,11 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from workers.messages import Effect, FloatArray, content_hash
+from workers.messages import Effect, FloatArray, Outcome, Want, content_hash
 
 SCHEMA = pa.schema(
     [
@@ -45,6 +46,18 @@ def simulation_key(
 ) -> str:
     """Hash of all that a simulation's outcome depends on."""
     return content_hash([model_key, experiment_key, repr(effects), values.tobytes()])
+
+
+def logged_cost(outcome: Outcome, want: Want) -> float:
+    """The sum of squares of an outcome's residuals, NaN where there are none.
+
+    That of absolute values where only this is known.
+    """
+    if outcome.residuals is None:
+        return np.nan
+    with np.errstate(over="ignore"):  # it may be infinite
+        sizes = outcome.residuals if want == "absolutes" else outcome.residuals**2
+        return float(np.add.reduce(sizes))
 
 
 def segments(folder: Path) -> list[Path]:

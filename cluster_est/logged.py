@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 
 from cluster_est.log_format import mend, read_batches, segments
 from cluster_est.run_lock import locked
-from workers.messages import FloatArray, IntArray, Outcome, Status, Trajectory, Want
+from workers.messages import USUAL, FloatArray, IntArray, Outcome, Status, Trajectory, Want
 
 KEY_LENGTH = 32
 """Characters of a key that are kept in memory: 128 bits."""
@@ -146,7 +146,7 @@ def _whole(batch: pa.RecordBatch) -> IntArray:
     want = batch.column("want")
     residuals = pc.is_valid(batch.column("residuals"))
     trajectory = pc.and_(residuals, pc.is_valid(batch.column("trajectory")))
-    plain = pc.and_(pc.equal(want, "residuals"), residuals)
+    plain = pc.and_(pc.is_in(want, pa.array(USUAL)), residuals)
     whole = pc.or_(plain, pc.and_(pc.equal(want, "trajectory"), trajectory))
     found: IntArray = pc.or_(failed, whole).to_numpy(zero_copy_only=False)
     return found

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
+from cluster_est.active import suited
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
 from cluster_est.methods.look import Look
@@ -108,7 +109,7 @@ def search_from_starts(
     ProblemError
         If samples are wanted but an unknown has no finite bounds.
     """
-    starts = make_starts(runner, space, multistart)
+    starts = make_starts(runner, suited(space, method), multistart)
     names = ["train"] if len(starts) == 1 else [f"start {i}" for i in range(len(starts))]
     requests = [
         SearchRequest(name, method, space.starting_at(x), seed)

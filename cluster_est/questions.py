@@ -13,7 +13,7 @@ from cluster_est.active import Active, Memory, Question
 from cluster_est.executors.base import Executor
 from cluster_est.run_records import Origin, Record
 from cluster_est.space import Space
-from workers.messages import FloatArray, Outcome, Status, Task, Want
+from workers.messages import REDUCTIONS, FloatArray, Outcome, Status, Task, Want
 
 Slot = tuple[Active, int, int]
 """A search, the index of its point, and the position of the experiment: where an outcome goes."""
@@ -42,7 +42,7 @@ class Questions:
         self._origins: dict[int, Origin] = {}
         self._waiting: dict[Question, list[Slot]] = {}
         self._known = Memory()
-        self._sizes: dict[int, int] = {}
+        self._sizes: dict[tuple[int, bool], int] = {}
         self.simulations = 0
         self.failures = 0
 
@@ -55,11 +55,12 @@ class Questions:
 
     def ask(self, slot: Slot, experiment: int, values: FloatArray) -> Task | None:
         """A task for what is not known yet and nobody has asked for; else the slot is filled."""
-        search, index, _ = slot
-        effects = search.request.space.problem.effects
-        question = (experiment, values.tobytes(), effects)
+        search, index, place = slot
+        space = search.request.space
+        effects, want = space.problem.effects, space.wants[place]
+        question = (experiment, values.tobytes(), effects, want)
         if not np.isfinite(values).all():
-            _place(slot, _no_values(search.request.space, values))
+            _place(slot, _no_values(space, values))
             return None
         if (known := self._known.get(question)) is not None:
             _place(slot, known)
@@ -69,7 +70,8 @@ class Questions:
             return None
         self._waiting[question] = [slot]
         name, purpose = search.request.name, search.purpose
-        return self.task(Origin(name, index, purpose, experiment, values, effects), "residuals")
+        origin = Origin(name, index, purpose, experiment, values, effects, want=want)
+        return self.task(origin, want)
 
     def receive(self, outcome: Outcome) -> Iterator[Active]:
         """Fill the slots that wait for an outcome, one by one; after each, whose it was."""
@@ -88,7 +90,8 @@ class Questions:
         origin = self._origins.pop(outcome.task)
         if outcome.residuals is not None:
             found = len(outcome.residuals)
-            wanted = self._sizes.setdefault(origin.experiment, found)
+            kind = origin.experiment, origin.want in REDUCTIONS
+            wanted = self._sizes.setdefault(kind, found)
             if found != wanted:  # of a user's function, on a worker that saw no other point yet
                 message = f"there are {found} residuals but there were {wanted} at the first point"
                 seconds, worker = outcome.seconds, outcome.worker
@@ -124,7 +127,7 @@ def _place(slot: Slot, outcome: Outcome) -> None:
 
 
 def _question(origin: Origin) -> Question:
-    return origin.experiment, origin.values.tobytes(), origin.effects
+    return origin.experiment, origin.values.tobytes(), origin.effects, origin.want
 
 
 def _no_values(space: Space, values: FloatArray) -> Outcome:

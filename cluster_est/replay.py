@@ -13,7 +13,7 @@ from cluster_est.build import build_problem, build_resources
 from cluster_est.config import read_config
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.evaluation_log import read_log
-from cluster_est.log_format import simulation_key
+from cluster_est.log_format import logged_cost, simulation_key
 from cluster_est.printing import read_facts
 from cluster_est.problem import Problem, coefficient_names
 from workers.description import nearest
@@ -35,7 +35,7 @@ class Logged:
     search, evaluation, purpose, experiment
         Who asked for it, and which run it simulates.
     status, message, cost
-        What came of it; the cost is its sum of squares, NaN where there was none.
+        What came of it; the cost is its sum of what is `summed`, NaN where there was none.
     key
         Hash of all that it depends on.
     want, values, effects
@@ -61,6 +61,11 @@ class Logged:
     @property
     def ok(self) -> bool:
         return self.status == Status.OK
+
+    @property
+    def summed(self) -> str:
+        """What of its residuals the cost is the sum of."""
+        return "absolute values" if self.want == "absolutes" else "squares"
 
 
 @dataclass(frozen=True)
@@ -241,10 +246,9 @@ def comparison(logged: Logged, outcome: Outcome) -> str:
             return "it failed as it did then" if same else "it failed then too, but otherwise"
         return "it did not fail then" if logged.ok else "it failed then and does not now"
     if logged.residuals is None:
-        squares = float(np.add.reduce(outcome.residuals**2))
-        same = squares == logged.cost
-        how = "are the same" if same else f"differ by {squares - logged.cost:.3g}"
-        return f"the log does not keep its residuals; their sums of squares {how}"
+        cost = logged_cost(outcome, logged.want)
+        how = "are the same" if cost == logged.cost else f"differ by {cost - logged.cost:.3g}"
+        return f"the log does not keep its residuals; their sums of {logged.summed} {how}"
     then, now = logged.residuals, outcome.residuals
     if then.tobytes() == now.tobytes():
         return "its residuals agree with the logged ones bit for bit"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from cluster_est.log_format import logged_cost
 from cluster_est.printing import number, print_table, say
 from cluster_est.replay import Logged, Question, comparison, read_failures
 from workers.messages import Outcome
@@ -24,7 +25,7 @@ def print_question(console: Console, logged: Logged, question: Question) -> None
         what = effect.form or effect.equation
         say(console, f"effect {effect.name} at {effect.site}: {what}")
     say(console, "")
-    say(console, f"then: {_ending(logged.status, logged.message, logged.cost)}")
+    say(console, f"then: {_ending(logged.status, logged.message, logged, logged.cost)}")
     if not question.same:
         say(
             console,
@@ -36,13 +37,13 @@ def print_question(console: Console, logged: Logged, question: Question) -> None
 
 def print_answer(console: Console, logged: Logged, outcome: Outcome) -> None:
     """What came of it now, and whether that is the same."""
-    cost = float("nan") if outcome.residuals is None else float((outcome.residuals**2).sum())
-    say(console, f"now: {_ending(str(outcome.status), outcome.message, cost)}")
+    cost = logged_cost(outcome, logged.want)
+    say(console, f"now: {_ending(str(outcome.status), outcome.message, logged, cost)}")
     say(console, comparison(logged, outcome))
 
 
-def _ending(status: str, message: str, cost: float) -> str:
-    return f"{status}: {message}" if message else f"{status}, sum of squares {number(cost)}"
+def _ending(status: str, message: str, logged: Logged, cost: float) -> str:
+    return f"{status}: {message}" if message else f"{status}, sum of {logged.summed} {number(cost)}"
 
 
 def print_failures(console: Console, run_folder: Path) -> None:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.active import Active, Pending, SearchRequest
+from cluster_est.active import Active, Pending, SearchRequest, suited
 from cluster_est.errors import BudgetError
 from cluster_est.executors.base import Executor
 from cluster_est.interrupts import Interrupts, later
@@ -240,6 +240,7 @@ class Runner:
 
     def _open(self, request: SearchRequest) -> Active:
         generator = np.random.default_rng(request.seed)
+        request = replace(request, space=suited(request.space, request.method))
         return Active(request, request.method.search(request.space, generator))
 
     def _advance(self, search: Active, answers: list[Evaluation] | None) -> None:

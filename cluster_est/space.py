@@ -19,7 +19,8 @@ import numpy.typing as npt
 
 from cluster_est.parameter_constraints import Demand, evaluate, expand, label_of
 from cluster_est.problem import Parameter, Problem
-from workers.messages import FloatArray, IntArray
+from cluster_est.reduction import want_of
+from workers.messages import FloatArray, IntArray, Want
 
 _NONE = np.zeros(0)
 
@@ -81,12 +82,16 @@ class Space:
         What a method moves.
     base : (experiments, parameters)
         Physical values where nothing is moved.
+    reduced
+        Whether nobody looks at single residuals, so that long experiments are answered with one
+        number for each output in their place.
     """
 
     problem: Problem
     experiments: tuple[int, ...]
     unknowns: tuple[Unknown, ...]
     base: FloatArray = field(repr=False)
+    reduced: bool = False
 
     @property
     def size(self) -> int:
@@ -119,13 +124,24 @@ class Space:
         return np.array([_typical(u) for u in self.unknowns], np.float64)
 
     @cached_property
+    def wants(self) -> tuple[Want, ...]:
+        """What is asked of each experiment."""
+        cost = self.problem.cost if self.reduced else None
+        return tuple(want_of(self.problem.experiments[e], cost) for e in self.experiments)
+
+    @cached_property
+    def _counts(self) -> list[tuple[int, ...]]:
+        """For each experiment how many residuals each output has, or what stands for them."""
+        pairs = zip(self.experiments, self.wants, strict=True)
+        return [self.problem.experiments[e].counts_in(want) for e, want in pairs]
+
+    @cached_property
     def rows(self) -> tuple[slice, ...]:
         """Where each experiment's residuals stand in the residuals of a point.
 
         Not those of cost functions, which are known only from an evaluation.
         """
-        sizes = [self.problem.experiments[e].size for e in self.experiments]
-        return _slices(sizes)
+        return _slices([sum(counts) for counts in self._counts])
 
     @cached_property
     def outputs(self) -> IntArray:
@@ -135,16 +151,14 @@ class Space:
         """
         known: dict[object, int] = {}
         parts = [np.zeros(0, np.int64)]
-        for e in self.experiments:
+        for e, counts in zip(self.experiments, self._counts, strict=True):
             experiment = self.problem.experiments[e]
             if experiment.cost_function is not None:
                 return np.zeros(0, np.int64)
-            for output in experiment.outputs:
-                number = known.setdefault(output.variable, len(known))
-                parts.append(np.full(len(output.times), number))
-            if experiment.curve is not None:
-                number = known.setdefault(experiment.curve.variables, len(known))
-                parts.append(np.full(len(experiment.curve.points) - 1, number))
+            names: list[object] = [output.variable for output in experiment.outputs]
+            names += [experiment.curve.variables] if experiment.curve is not None else []
+            for name, count in zip(names, counts, strict=True):
+                parts.append(np.full(count, known.setdefault(name, len(known))))
         return np.concatenate(parts)
 
     @cached_property

@@ -17,7 +17,8 @@ from cluster_est.methods import Method
 from cluster_est.methods.base import Solution
 from cluster_est.runner import Runner, SearchRequest
 from cluster_est.space import Space, make_space
-from workers.messages import Outcome, Status
+from workers.messages import REDUCTIONS, Outcome, Status
+from workers.residuals.reduce import reduce_residuals
 
 Formula = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
@@ -103,6 +104,9 @@ class CurveExecutor(Executor):
         residuals = (curves.measured[task.experiment] - found).ravel()
         if not np.isfinite(residuals).all():
             return Outcome(task.id, Status.NOT_FINITE, message="the formula is not finite")
+        if task.want in REDUCTIONS:
+            counts = [len(curves.times)] * (len(residuals) // len(curves.times))
+            residuals = reduce_residuals(residuals, counts, task.want)
         return Outcome(task.id, Status.OK, residuals)
 
     def cancel(self, tasks):

@@ -16,7 +16,8 @@ from cluster_est.methods import Method
 from cluster_est.methods.base import Solution
 from cluster_est.runner import Runner, SearchRequest
 from cluster_est.space import make_space
-from workers.messages import Function, Outcome, Status
+from workers.messages import REDUCTIONS, Function, Outcome, Status
+from workers.residuals.reduce import reduce_residuals
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,8 @@ class FunctionExecutor(Executor):
             values = np.asarray(self._residuals(task.values), np.float64)
         if not np.isfinite(values).all():
             return Outcome(task.id, Status.NOT_FINITE, message="the function is not finite")
+        if task.want in REDUCTIONS:
+            values = reduce_residuals(values, [len(values)], task.want)
         constraints = np.asarray(self._constraints(task.values), np.float64)
         return Outcome(task.id, Status.OK, values, constraints=constraints)
 

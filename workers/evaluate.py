@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from workers.description import describe_model
 from workers.install import Installed
 from workers.kernels import failure
 from workers.messages import (
+    REDUCTIONS,
     Experiment,
     FloatArray,
     IntArray,
@@ -23,6 +25,7 @@ from workers.messages import (
 )
 from workers.residuals.base import Simulated
 from workers.residuals.experiment import ExperimentComparison, Judged
+from workers.residuals.reduce import reduce_residuals
 from workers.simulate import Record, Simulator
 from workers.wire import Batch
 
@@ -111,10 +114,13 @@ class Evaluator:
         simulated = Simulated(ready.grid.times, ready.outputs, record.outputs, values)
         judged = self._comparisons[experiment].judge(simulated)
         seconds = (time.perf_counter() - begin) / len(ids)
-        return [
+        outcomes = [
             self._outcome(task, ready, record, p, judged, batch.want, seconds)
             for p, task in enumerate(ids.tolist())
         ]
+        if batch.want not in REDUCTIONS:
+            return outcomes
+        return [_reduced(self._experiments[experiment], o, batch.want) for o in outcomes]
 
     def _outcome(
         self,
@@ -153,6 +159,12 @@ class Evaluator:
                 constraints=judged.constraints[p],
             )
         return Outcome(task, status, message=message, seconds=seconds, worker=self._name)
+
+
+def _reduced(experiment: Experiment, outcome: Outcome, want: Want) -> Outcome:
+    if outcome.residuals is None:
+        return outcome
+    return replace(outcome, residuals=reduce_residuals(outcome.residuals, experiment.counts, want))
 
 
 def _where_not_finite(ready: Installed, outputs: FloatArray) -> str:

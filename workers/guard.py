@@ -21,7 +21,7 @@ from multiprocessing.connection import Connection
 from workers.child import Report, resident_bytes
 from workers.errors import ModelError
 from workers.forking import Forks
-from workers.messages import Experiment, Limits, Model, Outcome, Status, Task
+from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
 from workers.wire import Batch
 
 LOOK_SECONDS = 0.1
@@ -199,12 +199,10 @@ class Guard:
 
     def _is_usual(self, batch: Batch) -> bool:
         """Whether it is known how long these simulations take; a first one goes alone."""
-        return batch.want == "residuals" and all(
-            e in self._seconds for e in batch.experiments.tolist()
-        )
+        return batch.want in USUAL and all(e in self._seconds for e in batch.experiments.tolist())
 
     def _learn(self, batch: Batch, outcomes: Sequence[Outcome]) -> None:
-        if batch.want == "residuals":
+        if batch.want in USUAL:
             for experiment, outcome in zip(batch.experiments.tolist(), outcomes, strict=True):
                 known = self._seconds.setdefault(experiment, deque(maxlen=REMEMBERED))
                 known.append(outcome.seconds)

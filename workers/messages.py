@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +22,15 @@ Interface = Literal["model_exchange", "co_simulation"]
 SolverName = Literal["dormand_prince", "rk4", "fmu"]
 Interpolation = Literal["linear", "hold"]
 Role = Literal["train", "test"]
-Want = Literal["residuals", "trajectory", "linearisation"]
+Reduction = Literal["squares", "absolutes"]
+Want = Literal["residuals", "squares", "absolutes", "trajectory", "linearisation"]
 Value = float | int | bool | str
+
+REDUCTIONS: tuple[Reduction, ...] = get_args(Reduction)
+"""What takes the place of the residuals r of an output: the root of the sum of r^2, or the sum of
+|r|. Of one number, the sum of squares or of absolute values is that of them all."""
+USUAL: tuple[Want, ...] = ("residuals", *REDUCTIONS)
+"""What searches ask for: the same simulation, of which less or more is sent back."""
 
 
 @dataclass(frozen=True)
@@ -284,8 +291,17 @@ class Experiment:
     @property
     def size(self) -> int:
         """Number of residuals; those of a cost function are known only once it has been called."""
-        segments = 0 if self.curve is None else len(self.curve.points) - 1
-        return sum(len(output.times) for output in self.outputs) + segments
+        return sum(self.counts)
+
+    @cached_property
+    def counts(self) -> tuple[int, ...]:
+        """Number of residuals of each output, then of the curve, in the order of the residuals."""
+        segments = () if self.curve is None else (len(self.curve.points) - 1,)
+        return (*(len(output.times) for output in self.outputs), *segments)
+
+    def counts_in(self, want: Want) -> tuple[int, ...]:
+        """The same for an answer to `want`, which may have one number for all of an output."""
+        return tuple(min(c, 1) for c in self.counts) if want in REDUCTIONS else self.counts
 
     @cached_property
     def recorded(self) -> tuple[str, ...]:
@@ -346,8 +362,10 @@ class Task:
     values
         Physical values of `Model.parameters`, then of the coefficients of each effect.
     want
-        "residuals"; "trajectory" for the outputs at every time of the simulation's grid too; or
-        "linearisation" for the model's derivatives there (model exchange only).
+        "residuals"; "squares" or "absolutes" for one number in place of those of each output (not
+        with a cost function), see `REDUCTIONS`; "trajectory" for the outputs at every time of the
+        simulation's grid too; or "linearisation" for the model's derivatives there (model exchange
+        only).
     effects
         What is added to the model.
     """
@@ -468,8 +486,8 @@ class Outcome:
     status, message
         Anything but OK comes with a sentence that says what happened, where and at which time.
     residuals
-        (measured - simulated) / sigma, output after output, then those of the curve; None unless
-        `status` is OK.
+        (measured - simulated) / sigma, output after output, then those of the curve, or what the
+        task wanted in their place; None unless `status` is OK.
     constraints
         In the order of `Experiment.constraint_names`; empty unless `status` is OK.
     trajectory, linearisation

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-from workers.messages import FloatArray, IntArray
+from workers.messages import FloatArray, IntArray, Reduction
 
 
 class Cost(ABC):
@@ -20,6 +20,10 @@ class Cost(ABC):
 
     smooth: ClassVar[bool] = True
     """Whether it has a gradient everywhere, and so `weights`."""
+
+    reduction: ClassVar[Reduction | None] = None
+    """What may take the place of the residuals of an output in an experiment: one number, of which
+    `value` is the same. None for a cost that needs each of them, which is most costs."""
 
     @abstractmethod
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.costs.base import Cost
-from workers.messages import FloatArray, IntArray
+from workers.messages import FloatArray, IntArray, Reduction
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,7 @@ class SumAbsolute(Cost):
 
     name: ClassVar[str] = "sae"
     smooth: ClassVar[bool] = False
+    reduction: ClassVar[Reduction | None] = "absolutes"
 
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
         with np.errstate(over="ignore"):

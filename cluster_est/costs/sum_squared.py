@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.costs.base import Cost
-from workers.messages import FloatArray, IntArray
+from workers.messages import FloatArray, IntArray, Reduction
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,7 @@ class SumSquared(Cost):
     """
 
     name: ClassVar[str] = "sse"
+    reduction: ClassVar[Reduction | None] = "squares"
 
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
         # not a dot product, whose rounding depends on the number of threads of the BLAS library

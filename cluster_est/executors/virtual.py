@@ -28,7 +28,8 @@ class VirtualExecutor(Executor):
     Parameters
     ----------
     residuals
-        Of a task; values that are not finite count as a failed simulation.
+        Of a task; values that are not finite count as a failed simulation. All of them will do
+        where it wants them reduced, unless the method keeps outputs apart.
     seconds
         How long a task keeps its worker busy. The generator given to it is the same for the same
         number of a task, whatever ran before and on however many workers; infinite for one that

@@ -137,7 +137,11 @@ class Evaluation:
 
     @property
     def residuals(self) -> FloatArray:
-        """All residuals, experiment after experiment; only where `ok`."""
+        """All residuals, experiment after experiment; only where `ok`.
+
+        One number for each output instead, where the experiment is long and the method does not
+        need every residual.
+        """
         return np.concatenate([np.zeros(0), *(_residuals(outcome) for outcome in self.outcomes)])
 
     @property
@@ -208,7 +212,8 @@ class Solution:
     difference_steps : (unknowns,) or None
         Steps of its finite differences, in search coordinates.
     at
-        The evaluation at `x`, where the method has it.
+        The evaluation at `x`, where the method has it. That of a fit has every residual, unless the
+        point could not be simulated again.
     others
         Further points worth keeping, best first: a Pareto front, or the minima of other starts.
     """
@@ -233,6 +238,11 @@ class Method(ABC):
 
     needs_residuals: ClassVar[bool]
     """Whether it works on residuals, with `Cost.weights`, rather than on a cost of any kind."""
+
+    needs_every_residual: ClassVar[bool] = True
+    """Whether it looks at single residuals. If not, long experiments may be answered with one
+    number for each output in their place (`Cost.reduction`): costs are the same to rounding, and
+    the space that it is given says what belongs to which output."""
 
     keeps_constraints: ClassVar[bool] = False
     """Whether it can satisfy constraints other than bounds."""

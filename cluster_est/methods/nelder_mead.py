@@ -85,6 +85,7 @@ class NelderMead(Method):
 
     name: ClassVar[str] = "nelder_mead"
     needs_residuals: ClassVar[bool] = False
+    needs_every_residual: ClassVar[bool] = False
 
     bounds: Literal["refuse", "enforce"] = "refuse"
     parallel: int = field(default=1, metadata={"least": 1})

@@ -18,6 +18,7 @@ class PatternMethod(Method):
     """A pattern search; `PatternSearch` says what the options mean."""
 
     needs_residuals: ClassVar[bool] = False
+    needs_every_residual: ClassVar[bool] = False
     keeps_constraints: ClassVar[bool] = True
 
     basis: Basis = "2n"

@@ -52,6 +52,7 @@ class PopulationMethod(Method):
     """
 
     needs_residuals: ClassVar[bool] = False
+    needs_every_residual: ClassVar[bool] = False
     keeps_constraints: ClassVar[bool] = True
     keeps_equality: ClassVar[bool] = False
     """Whether it gets anywhere along a constraint that must be 0."""

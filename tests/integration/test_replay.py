@@ -178,6 +178,33 @@ def test_a_log_without_residuals_still_has_their_squares(tmp_path, capfd: Captur
 
 
 @pytest.mark.parametrize(
+    ("cost", "want", "summed"),
+    [("sse", "squares", "squares"), ("sae", "absolutes", "absolute values")],
+)
+def test_what_was_reduced_is_reduced_again(tmp_path, capfd: Capture, cost, want, summed):
+    run = tmp_path / "run"
+    small = "method.name=de", "budget.evaluations=10", f"cost.name={cost}"
+    config = str(ROOT / "configs" / "mass_spring_damper.toml")
+    assert main(["fit", config, "--out", str(run), *small]) in (0, 1)
+    log = read_log(run / "evaluations")
+    number = log["want"].to_pylist().index(want)
+    (row,) = log.slice(number, 1).to_pylist()
+    assert len(row["residuals"]) == 1
+    (found,) = row["residuals"]
+    assert row["cost"] == pytest.approx(found**2 if cost == "sse" else found, rel=1e-15)
+    capfd.readouterr()
+    assert main(["replay", str(run), str(number)]) == 0
+    out, _ = shown(capfd)
+    assert f"then: ok, sum of {summed} " in out
+    assert f"now: ok, sum of {summed} " in out
+    assert out.endswith("its residuals agree with the logged ones bit for bit\n")
+    rewrite(run, column("residuals", None))
+    assert main(["replay", str(run), str(number)]) == 0
+    out, _ = shown(capfd)
+    assert out.endswith(f"does not keep its residuals; their sums of {summed} are the same\n")
+
+
+@pytest.mark.parametrize(
     ("name", "value", "sentence"),
     [
         ("experiment", "b", "must be of an experiment of the config to be replayed but is of 'b'"),

@@ -263,7 +263,7 @@ def test_a_log_that_cannot_be_written_is_said_with_the_next_row(
 def trajectories(count: int) -> list[Row]:
     found = []
     for i in range(count):
-        origin = Origin("before", 0, "trajectory", i % 2, np.array([float(i)]))
+        origin = Origin("before", 0, "trajectory", i % 2, np.array([float(i)]), want="trajectory")
         path = Trajectory(("y", "z"), np.arange(40.0), np.arange(80.0).reshape(40, 2) + i)
         found.append((origin, Outcome(i, Status.OK, np.arange(30.0), path)))
     return found

@@ -55,7 +55,8 @@ def tasks(*values: float, want: str = "residuals") -> list[Task]:
 
 
 def origin(task: Task) -> Origin:
-    return Origin("train", 0, task.want, task.experiment, task.values, task.effects)
+    asked = task.experiment, task.values, task.effects
+    return Origin("train", 0, "trial", *asked, want=task.want)
 
 
 def log_of(folder: Path, *, settings: LogSettings | None = None) -> EvaluationLog:

@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,18 @@ import pytest
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.guard import Guard
-from workers.messages import Experiment, Input, Limits, Model, Outcome, Output, Solver, Status, Task
+from workers.messages import (
+    USUAL,
+    Experiment,
+    Input,
+    Limits,
+    Model,
+    Outcome,
+    Output,
+    Solver,
+    Status,
+    Task,
+)
 from workers.wire import Batch
 
 CRASHES, ABORTS, EXITS, HANGS, EATS_MEMORY = 1.0, 2.0, 3.0, 4.0, 5.0
@@ -102,6 +114,25 @@ def test_what_fails_is_an_outcome_and_spares_all_others(
             assert outcome.ok
             assert outcome.residuals.tobytes() == reference.residuals.tobytes()
     alone.close()
+
+
+@pytest.mark.parametrize("want", USUAL)
+def test_whatever_is_sent_of_them_simulations_that_are_known_travel_together(
+    open_guard, monkeypatch, want
+):
+    sizes = []
+    real = Guard._ask
+
+    def counted(guard, batch):
+        sizes.append(len(batch.ids))
+        return real(guard, batch)
+
+    monkeypatch.setattr(Guard, "_ask", counted)
+    guard = open_guard(QUICK)
+    batch = Batch.of([replace(task, want=want) for task in tasks(RATES[:4])])
+    for _ in range(2):
+        assert all(outcome.ok for outcome in guard.evaluate(batch))
+    assert sizes == [1, 1, 1, 1, 4]
 
 
 def test_no_task_is_tried_a_third_time(open_guard, monkeypatch):

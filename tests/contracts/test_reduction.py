@@ -1,0 +1,273 @@
+"""Residuals that are reduced before they are sent change nothing but how much is sent."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from curve_problems import CurveExecutor, Curves
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from method_entries import ENTRIES
+from problems import spring_problem
+
+from cluster_est import Budget, Experiment, LeastSquares, Output, Parameter, Resources, fit
+from cluster_est.active import suited
+from cluster_est.costs import COSTS
+from cluster_est.methods import METHODS
+from cluster_est.methods.differential_evolution import DifferentialEvolution
+from cluster_est.methods.look import Look
+from cluster_est.methods.nsga2 import Nsga2
+from cluster_est.methods.pattern_search import PatternSearch
+from cluster_est.multistart import Multistart, search_from_starts
+from cluster_est.reduction import LEAST_RESIDUALS, want_of
+from cluster_est.runner import Runner, SearchRequest
+from cluster_est.space import make_space
+from workers.evaluate import Evaluator
+from workers.messages import REDUCTIONS, Curve, Function, Outcome, SignalBound, Status, Task
+from workers.residuals.reduce import reduce_residuals
+from workers.wire import Answers, Batch
+
+REDUCIBLE = {name: cost for name, cost in COSTS.items() if cost.reduction is not None}
+COUNTS = (7, 0, 1, 13)
+RESIDUALS = arrays(np.float64, sum(COUNTS), elements=st.floats(-1e6, 1e6))
+TIMES = np.linspace(0.1, 3.0, 30)
+
+
+def test_only_sums_over_residuals_can_be_reduced():
+    assert set(REDUCIBLE) == {"sse", "sae"}
+
+
+@pytest.mark.parametrize("cost", REDUCIBLE.values(), ids=lambda cost: cost.name)
+class TestCost:
+    @given(residuals=RESIDUALS)
+    def test_is_the_same(self, cost, residuals):
+        reduced = reduce_residuals(residuals, COUNTS, cost.reduction)
+        assert len(reduced) == 3
+        power = 2 if cost.name == "sse" else 1
+        truth = math.fsum(abs(r) ** power for r in residuals.tolist())
+        assert cost().value(reduced, np.arange(3)) == pytest.approx(truth, rel=1e-12, abs=1e-300)
+
+    def test_a_view_of_a_batch_gives_the_same_bits(self, cost):
+        batch = np.random.default_rng(0).normal(size=(21, 5))
+        for column in range(5):
+            found = [
+                reduce_residuals(each, COUNTS, cost.reduction)
+                for each in (batch[:, column], np.array(batch[:, column]))
+            ]
+            assert found[0].tobytes() == found[1].tobytes()
+
+
+def experiment(*samples: int, **more: object) -> Experiment:
+    outputs = tuple(
+        Output(f"y{i}", np.arange(1.0, n + 1.0), np.zeros(n)) for i, n in enumerate(samples)
+    )
+    return Experiment("e", 0.0, 100.0, (), outputs, **more)  # type: ignore[arg-type]
+
+
+class TestWant:
+    def test_it_must_save_something(self):
+        cost = COSTS["sse"]()
+        few, many = LEAST_RESIDUALS, LEAST_RESIDUALS + 1
+        assert want_of(experiment(few, few), cost) == "residuals"
+        assert want_of(experiment(few, many), cost) == "squares"
+        assert want_of(experiment(0, many, 0), cost) == "squares"
+        assert want_of(experiment(0), cost) == "residuals"
+
+    @pytest.mark.parametrize("name", COSTS)
+    def test_the_cost_says_how(self, name):
+        expected = {"sse": "squares", "sae": "absolutes"}.get(name, "residuals")
+        assert want_of(experiment(50), COSTS[name]()) == expected
+
+    def test_what_a_function_returns_is_left_alone(self):
+        own = experiment(50, cost_function=Function("none", "cost"))
+        assert want_of(own, COSTS["sse"]()) == "residuals"
+
+    def test_the_space_says_what_is_of_which_output(self):
+        problem = decays("sse").problem()
+        short = experiment(3)
+        problem = replace(problem, experiments=(short, *problem.experiments))
+        space = replace(make_space(problem, (0, 1, 2)), reduced=True)
+        assert space.wants == ("residuals", "squares", "squares")
+        assert space.outputs.tolist() == [0, 0, 0, 0, 1, 0, 1]
+        assert [rows.stop for rows in space.rows] == [3, 5, 7]
+
+
+def decays(cost: str) -> Curves:
+    """Two experiments with two outputs each, which do not agree on the parameters."""
+
+    def formula(times, values, e):
+        rise, rate = values
+        return np.array([rise * np.exp(-rate * times), rise * rate * times / (1.0 + times)])
+
+    noise = np.random.default_rng(5).normal(size=(2, 2, len(TIMES)))
+    true = np.array([2.0, 0.7]), np.array([1.7, 0.9])
+    measured = [formula(TIMES, true[e], e) + 0.1 * noise[e] for e in range(2)]
+    parameters = (Parameter("rise", 1.0, 0.1, 5.0), Parameter("rate", 0.3, 0.05, 3.0))
+    return Curves(formula, parameters, TIMES, measured, cost=COSTS[cost]())
+
+
+BLIND = [entry for entry in ENTRIES if not entry.method.needs_every_residual]
+
+
+def test_methods_that_work_on_residuals_get_them_all():
+    for method in METHODS.values():
+        assert method.needs_every_residual or not method.needs_residuals
+
+
+@pytest.mark.parametrize("cost", REDUCIBLE)
+@pytest.mark.parametrize("entry", BLIND, ids=str)
+def test_a_method_goes_the_same_way(entry, cost, monkeypatch):
+    """Bit by bit, because 16 equal residuals of an output make the same sum either way."""
+
+    def formula(times, values, e):
+        x, y = values
+        heights = 1.0 + (y - x**2) ** 2 + 0.1 * (1.0 - x) ** 2, 0.5 + (x - 0.2) ** 2 + y**2
+        outputs = heights if entry.method.name == "nsga2" else heights[:1]
+        return np.array([np.full(16, np.sqrt(height)) for height in outputs])
+
+    parameters = (Parameter("x", -1.2, -2.0, 2.0), Parameter("y", 1.0, -1.5, 2.5))
+    outputs = 2 if entry.method.name == "nsga2" else 1
+    measured = [np.zeros((outputs, 16))]
+    curves = Curves(formula, parameters, np.arange(16.0), measured, cost=COSTS[cost]())
+    ways = []
+    for every in (True, False):
+        monkeypatch.setattr(type(entry.method), "needs_every_residual", every)
+        asked, sizes = [], set()
+
+        def record(origin, outcome, asked=asked, sizes=sizes):
+            asked.append(origin.values.tolist())
+            sizes.add(len(outcome.residuals))
+
+        runner = Runner(CurveExecutor(curves), Budget(evaluations=1000), record)
+        (found,) = runner.run([SearchRequest("test", entry.method, curves.space(), 3)])
+        assert sizes == {16 * outputs if every else outputs}
+        ways.append((asked, found.ending, found.iterations))
+    assert len(ways[0][0]) > 50
+    assert ways[0] == ways[1]
+
+
+@pytest.mark.parametrize("kind", ["outputs", "experiments"])
+def test_objectives_are_kept_apart(kind, monkeypatch):
+    curves, fronts = decays("sse"), []
+    method = Nsga2(objectives=kind, population=20, max_generations=5)
+    for every in (True, False):
+        monkeypatch.setattr(Nsga2, "needs_every_residual", every)
+        fronts.append(curves.solve(method)[2].others)
+    assert len(fronts[0]) == len(fronts[1]) > 2
+    for one, other in zip(*fronts, strict=True):
+        np.testing.assert_allclose(one.objectives, other.objectives, rtol=1e-12)
+
+
+def test_whole_and_reduced_answers_do_not_stand_in_for_each_other():
+    """Else bits of a search would depend on which other search was faster."""
+    curves, asked = decays("sse"), []
+    runner = Runner(
+        CurveExecutor(curves), record=lambda origin, _: asked.append((origin.search, origin.want))
+    )
+    look = Look(curves.space().start[None, :], "whole")
+    search = PatternSearch(max_iterations=1)
+    for method in (look, search, look, search):
+        runner.run([SearchRequest(method.name, method, curves.space())])
+    wants = {"look": "residuals", "pattern_search": "squares"}
+    assert all(want == wants[name] for name, want in asked)
+    assert [name for name, _ in asked].count("look") == 2, "the second look is remembered"
+    together = len(asked)
+    runner = Runner(CurveExecutor(curves))
+    runner.run([SearchRequest("alone", search, curves.space())])
+    assert together == 2 + runner.simulations, "the searches are not spared anything either"
+
+
+class TestWorker:
+    """A simulation is the same, whatever is sent of it."""
+
+    @pytest.fixture
+    def evaluator(self):
+        problem = spring_problem(experiments=1, samples=150).problem
+        run = problem.experiments[0]
+        (output,) = run.outputs
+        empty = replace(output, variable="v", times=np.zeros(0), values=np.zeros(0))
+        bound = SignalBound("limit", "v", run.outputs[0].times[:9], np.full(9, -1.0), np.ones(9))
+        points = np.column_stack([output.values, output.values])[:20]
+        curve = Curve(("y", "v"), points, output.times[:40])
+        run = replace(run, outputs=(empty, output), bounds=(bound,), curve=curve)
+        found = Evaluator(problem.model, (run,), "worker")
+        yield found, run
+        found.close()
+
+    @pytest.mark.parametrize("want", REDUCTIONS)
+    def test_an_answer_has_a_number_for_each_output_and_whole_constraints(self, evaluator, want):
+        worker, run = evaluator
+        values = np.array([[1.0 + 0.1 * i, 20.0, 0.5, 0.01 * i] for i in range(4)])
+        values[2, 0] = -1.0  # a mass that the model refuses
+        answers = {
+            each: worker.evaluate(Batch.of([Task(i, 0, row, each) for i, row in enumerate(values)]))
+            for each in ("residuals", want)
+        }
+        assert run.counts == (0, 150, 19)
+        assert run.counts_in(want) == (0, 1, 1)
+        for whole, reduced in zip(answers["residuals"], answers[want], strict=True):
+            assert (whole.status, whole.message) == (reduced.status, reduced.message)
+            if not whole.ok:
+                assert reduced.residuals is None
+                continue
+            parts = whole.residuals[:150], whole.residuals[150:]
+            norm = 2 if want == "squares" else 1
+            truth = [np.linalg.norm(part, norm) for part in parts]
+            np.testing.assert_allclose(reduced.residuals, truth, rtol=1e-12)
+            assert whole.constraints.tobytes() == reduced.constraints.tobytes()
+        alone = worker.evaluate(Batch.of([Task(3, 0, values[3], want)]))[0]
+        assert alone.residuals.tobytes() == answers[want][3].residuals.tobytes()
+
+    def test_traffic_shrinks_with_the_samples(self):
+        sizes = []
+        residuals = np.random.default_rng(0).normal(size=200_000)
+        counts = (10_000,) * 20
+        for sent in (residuals, reduce_residuals(residuals, counts, "squares")):
+            outcomes = [Outcome(i, Status.OK, sent, worker="w") for i in range(10)]
+            sizes.append(len(pickle.dumps(Answers.of(outcomes))))
+        assert sizes[0] > 100 * sizes[1]
+
+
+class TestFit:
+    METHOD = DifferentialEvolution(population=12, max_generations=6)
+
+    @pytest.mark.parametrize("starts", [1, 3])
+    def test_solutions_have_every_residual(self, starts):
+        truth = spring_problem(experiments=2, noise=0.01)
+        train, test = truth.problem.experiments
+        problem = replace(truth.problem, experiments=(train, replace(test, role="test")))
+        result = fit(problem, self.METHOD, multistart=Multistart(starts))
+        for solution in (result.solution, result.test_solution):
+            residuals = solution.at.residuals
+            assert len(residuals) == 150
+            assert solution.cost == solution.at.cost
+            assert solution.cost == pytest.approx(math.fsum((residuals**2).tolist()), rel=1e-12)
+        assert result.cost == result.solution.cost
+        assert all(np.isfinite(e.std_error) for e in result.estimates if e.label == "m")
+
+    def test_bits_do_not_depend_on_workers(self):
+        problem = spring_problem(experiments=3, noise=0.01).problem
+        places = ("local", 1), ("local", 3), ("processes", 2)
+        results = [fit(problem, self.METHOD, Resources(name, workers=n)) for name, n in places]
+        values = [np.array([e.value for e in result.estimates]).tobytes() for result in results]
+        assert len(set(values)) == 1
+        assert len({result.solution.cost for result in results}) == 1
+
+    @pytest.mark.parametrize("method", [METHOD, LeastSquares()], ids=lambda m: m.name)
+    def test_points_that_only_compete_are_asked_for_like_those_that_follow(self, method):
+        """So that the start of a search, which was among them, is remembered."""
+        curves, wants = decays("sse"), []
+        runner = Runner(CurveExecutor(curves), record=lambda origin, _: wants.append(origin.want))
+        search_from_starts(runner, curves.space(), method, Multistart(2, screen=4), 0)
+        assert set(wants) == {"squares" if method is self.METHOD else "residuals"}
+
+
+def test_a_space_is_reduced_for_those_who_do_not_look():
+    space = decays("sse").space()
+    assert suited(space, LeastSquares()) is space
+    assert suited(space, TestFit.METHOD).wants == ("squares", "squares")
