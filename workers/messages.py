@@ -19,7 +19,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[Any]
 Interface = Literal["model_exchange", "co_simulation"]
-SolverName = Literal["dormand_prince", "rk4", "fmu"]
+SolverName = Literal["dormand_prince", "rk4", "cvode", "fmu"]
 Interpolation = Literal["linear", "hold"]
 Role = Literal["train", "test"]
 Want = Literal["residuals", "trajectory", "linearisation"]

@@ -14,6 +14,7 @@ from workers.fmu import Instance
 from workers.install import Installed, install
 from workers.kernels import failure, linearise
 from workers.kernels.co_simulation import co_simulate_batch
+from workers.kernels.cvode import CvodeBatch
 from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.fmi2 import Component, Workspace, workspace
 from workers.kernels.hooks import Hooks, no_hooks
@@ -93,7 +94,8 @@ class Simulator:
             tuple[int, tuple[tuple[Definition, int], ...]], tuple[Augmentation, Installed]
         ] = {}
         self._prepared: dict[tuple[int, tuple[tuple[Definition, int], ...], int], Prepared] = {}
-        self._batch = BATCHES[model.solver.name]
+        name = model.solver.name
+        self._batch = CvodeBatch() if name == "cvode" else BATCHES[name]
         self._workspaces: dict[tuple[int, int, int, int], Workspace] = {}
 
     def load(self) -> None:
