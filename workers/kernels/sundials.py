@@ -16,21 +16,25 @@ import numpy as np
 from workers.errors import ModelError
 from workers.messages import FloatArray, IntArray
 
-BDF = 2
-NEVER = -1
+BDF, ONE_STEP = 2, 2
+FIRST_DERIVATIVE_FAILED, TOO_CLOSE = -9, -27
+MADE_WITH, INTERVAL, STATUS, STEPS_LEFT, STOP, TOLD = range(6)
+"""Places in `Cvode.notes`."""
 
 
 class Cvode(NamedTuple):
     """An integrator for compiled code: its handles, the addresses of its functions, its memory.
 
-    `states` and `tolerances` are vectors of the library around `y` and `atols`. `time` is where the
-    integrator has come to. `notes` holds the address of the right-hand side that the integrator was
-    made with (0: of none yet), the interval of the grid, and the worst status of the FMU.
+    `states` and `between` are vectors of the library around `y`, where the integrator stands, and
+    `z`, for tolerances and the states at a time that it has passed. `time` is where it stands.
+    `notes` holds the address of the right-hand side that the integrator was made with (0: of none
+    yet), the interval of the grid, the FMU's last status, the steps that are left, the grid
+    time of the next stop, and whether the FMU was told of the last step.
     """
 
     memory: int
     states: int
-    tolerances: int
+    between: int
     solver: int
     matrix: int
     init: int
@@ -44,7 +48,7 @@ class Cvode(NamedTuple):
     interpolate: int
     values: int
     y: FloatArray
-    atols: FloatArray
+    z: FloatArray
     time: FloatArray
     notes: IntArray
 
@@ -116,11 +120,11 @@ class Integrator:
         context = c_void_p()
         lib.core["SUNContext_Create"](c_int(0), byref(context))
         _pointer(lib.core, "SUNContext_ClearErrHandlers", context)  # they write to stderr
-        y, atols = np.zeros(states), np.zeros(states)
+        y, z = np.zeros(states), np.zeros(states)
         size = c_int64(states)
         vectors = [
             _pointer(lib.vector, "N_VMake_Serial", size, c_void_p(v.ctypes.data), context)
-            for v in (y, atols)
+            for v in (y, z)
         ]
         matrix = _pointer(lib.matrix, "SUNDenseMatrix", size, size, context)
         solver = _pointer(lib.linear, "SUNLinSol_Dense", vectors[0], matrix, context)
@@ -128,18 +132,18 @@ class Integrator:
         self.cvode = Cvode(
             memory=memory.value or 0,
             states=vectors[0].value or 0,
-            tolerances=vectors[1].value or 0,
+            between=vectors[1].value or 0,
             solver=solver.value or 0,
             matrix=matrix.value or 0,
             values=_address(lib.core, "N_VGetArrayPointer"),
             **{field: _address(lib.cvode, name) for field, name in _CVODE.items()},
             y=y,
-            atols=atols,
+            z=z,
             time=np.zeros(1),
-            notes=np.zeros(3, np.int64),
+            notes=np.zeros(6, np.int64),
         )
         self._finalizer = weakref.finalize(
-            self, _free, lib, memory, solver, matrix, vectors, context, (y, atols)
+            self, _free, lib, memory, solver, matrix, vectors, context, (y, z)
         )
 
 
