@@ -33,12 +33,12 @@ class Solver:
     Attributes
     ----------
     name
-        "dormand_prince" or "rk4" for model exchange; "fmu" for co-simulation, where the FMU brings
-        its own.
+        "dormand_prince", "rk4" or, for stiff models, "cvode" for model exchange; "fmu" for
+        co-simulation, where the FMU brings its own.
     step
-        Seconds. The step of "rk4", the longest step of "dormand_prince", the longest communication
-        step of "fmu". None: one step from each time in the data to the next ("rk4", "fmu"), no
-        limit ("dormand_prince").
+        Seconds. The step of "rk4", the longest step of "dormand_prince" and "cvode", the longest
+        communication step of "fmu". None: one step from each time in the data to the next ("rk4",
+        "fmu"), no limit ("dormand_prince", "cvode").
     rtol, atol
         Tolerances of the error of one step; `atol` is in units of each state's nominal value.
         For "fmu", `rtol` is handed to the FMU, None leaves the choice to it.

@@ -20,6 +20,7 @@ from workers.kernels.fmi2 import Component, Workspace, workspace
 from workers.kernels.hooks import Hooks, no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
+from workers.kernels.stiffness import stiffness
 from workers.messages import Effect, Experiment, FloatArray, IntArray, Linearisation, Model
 
 if TYPE_CHECKING:
@@ -173,7 +174,8 @@ class Simulator:
         record = Record.empty(len(points), len(plain.grid.times), len(plain.outputs))
         for p, point in enumerate(points):
             prepared = self._prepare(experiment, point, effects)
-            made = prepared.at(point)
+            cvode = self._batch if isinstance(self._batch, CvodeBatch) else None
+            made = prepared.at(point, cvode)
             own = len(prepared.own_states)
             part = self._run(made.ready, made.values, made.hooks, own, made)
             record.codes[p], record.messages[p] = part.codes[0], part.messages[0]
@@ -181,6 +183,25 @@ class Simulator:
                 record.linearisations[p] = made.result(part.outputs[0], plain)
                 record.outputs[p] = record.linearisations[p].outputs
         return record
+
+    def stiff(self, experiment: int, point: FloatArray, max_steps: int = 1000) -> bool:
+        """Whether solver "cvode" suits one point of an experiment, without effects.
+
+        The Dormand-Prince method is asked for so many steps at most; model exchange only.
+        """
+        ready = self._installed[experiment]
+        settings = _settings(self._model, self._description, 0)._replace(max_steps=max_steps)
+        found, _ = stiffness(
+            self.instance.component,
+            ready.references,
+            ready.constants,
+            settings,
+            no_hooks(1),
+            ready.grid,
+            np.concatenate([point, ready.known]),
+            self._workspace(ready, no_hooks(1), 0),
+        )
+        return bool(found)
 
     def close(self) -> None:
         self.instance.free()
@@ -343,6 +364,8 @@ class Simulator:
         said = " | ".join(dict.fromkeys(self.instance.log))
         sentences = failure.SENTENCES | linearise.SENTENCES
         sentence = f"{sentences[code % failure.FATAL]} at t = {time:.9g} s"
+        if code in failure.OF_STIFFNESS and self._model.solver.name == "dormand_prince":
+            sentence += '; if the model is stiff, model.solver = "cvode" goes on in long steps'
         return f"{sentence}; it said: {said}" if said else sentence
 
 

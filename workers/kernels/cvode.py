@@ -47,6 +47,7 @@ from workers.kernels.sundials import (
     TOLD,
     TOO_CLOSE,
     Integrator,
+    libraries,
 )
 from workers.messages import FloatArray, IntArray
 
@@ -67,9 +68,15 @@ class CvodeBatch:
     """A batch function that has an integrator for each number of states, made once and reused.
 
     It must not be called by two threads at a time.
+
+    Raises
+    ------
+    ModelError
+        If there is no CVODE for this platform.
     """
 
     def __init__(self) -> None:
+        libraries()
         self._integrators: dict[int, Integrator] = {}
 
     def __call__(
@@ -93,11 +100,6 @@ class CvodeBatch:
         ----------
         states : (n, x), optional
             Filled with the states at each time of the grid, of the last point.
-
-        Raises
-        ------
-        ModelError
-            If there is no CVODE for this platform.
         """
         count = len(work.states)
         kept = np.empty((0, count)) if states is None else states

@@ -27,6 +27,9 @@ from workers.kernels.model_exchange import (
 from workers.kernels.rk4 import _step
 from workers.messages import FloatArray, IntArray
 
+ADAPTIVE, FIXED, GIVEN = range(3)
+"""Ways to go from each time of the grid to the next."""
+
 LINEARISATION = 9
 """A code beside those of `workers.kernels.failure`."""
 
@@ -83,15 +86,16 @@ class Found(NamedTuple):
 
 @kernel
 def linearise(  # type: ignore[no-untyped-def]
-    adaptive, c, references, constants, settings, hooks, probing, grid, point, work,
+    way, c, references, constants, settings, hooks, probing, grid, point, work,
     probe, found, record,
 ):  # fmt: skip
     """Simulate one experiment for one point, and linearise the model at each time of the grid.
 
     Parameters
     ----------
-    adaptive
-        Whether the Dormand-Prince method goes from each time to the next, or classic Runge-Kutta.
+    way
+        How to go from each time to the next: by the Dormand-Prince method (ADAPTIVE), by classic
+        Runge-Kutta (FIXED), or to the states that `found` has already (GIVEN).
     hooks, probing
         Effects, and the same with a knob at each input.
     point : (k,)
@@ -106,7 +110,7 @@ def linearise(  # type: ignore[no-untyped-def]
     (code, time)
         0, or what went wrong, and the time of it.
     """
-    times, k = grid.times, work.stages
+    times = grid.times
     take_point(hooks, 0, work)
     code = start(c, references, constants, hooks, grid, point, work)
     if code != FINISHED:
@@ -121,13 +125,11 @@ def linearise(  # type: ignore[no-untyped-def]
             return failed(LINEARISATION, status), times[i]
         if i + 1 == len(times):
             break
-        if adaptive:
-            status = slopes_here(c, hooks, times[i], work.states, work, k[0])
-            if status >= DISCARD:
-                return failed(STEP, status), times[i]
-            if i == 0:
-                proposed = _first_step(work.states, k[0], settings)
-            code, reached, proposed, steps_left = _advance(
+        if way == GIVEN:
+            for j in range(len(work.states)):
+                work.states[j] = found.states[i + 1, j]
+        elif way == ADAPTIVE:
+            code, reached, proposed, steps_left = _adaptive_steps(
                 c, references, settings, hooks, grid, i, proposed, steps_left, work
             )
         else:
@@ -137,6 +139,18 @@ def linearise(  # type: ignore[no-untyped-def]
         if code != FINISHED:
             return code, reached
     return FINISHED, times[-1]
+
+
+@kernel
+def _adaptive_steps(c, references, settings, hooks, grid, i, proposed, steps_left, work):  # type: ignore[no-untyped-def]
+    """From grid time i to the next by Dormand-Prince. Returns what `_advance` does."""
+    slopes = work.stages[0]
+    status = slopes_here(c, hooks, grid.times[i], work.states, work, slopes)
+    if status >= DISCARD:
+        return failed(STEP, status), grid.times[i], proposed, steps_left
+    if i == 0:
+        proposed = _first_step(work.states, slopes, settings)
+    return _advance(c, references, settings, hooks, grid, i, proposed, steps_left, work)
 
 
 @kernel

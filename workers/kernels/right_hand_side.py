@@ -88,7 +88,7 @@ def right_hand_side(typing_context: Any, shared: Any) -> Any:
         addresses = [builder.ptrtoint(pointer, word) for pointer in (function, data)]
         return context.make_tuple(builder, signature.return_type, addresses)
 
-    return types.UniTuple(types.intp, 2)(shared), generate
+    return types.containers.UniTuple(types.intp, 2)(shared), generate
 
 
 @intrinsic

@@ -7,7 +7,7 @@ solvers, ACM Trans. Math. Softw. 31 (2005) 363-396, doi:10.1145/1089014.1089020.
 from __future__ import annotations
 
 import weakref
-from ctypes import CDLL, POINTER, byref, c_double, c_int, c_int64, c_void_p, cast
+from ctypes import CDLL, byref, c_int, c_int64, c_void_p, cast
 from functools import cache
 from typing import Any, NamedTuple
 

@@ -44,7 +44,7 @@ WRONG = [
     ("model", 3, "model: must be a table but is 3"),
     ("model.fmu", 3, "model.fmu: must be text in quotes but is 3"),
     ("model.interface", "cosim", "'auto', 'model_exchange' or 'co_simulation' but is 'cosim'"),
-    ("model.solver", "euler", "'dormand_prince', 'rk4' or 'fmu' but is 'euler'"),
+    ("model.solver", "euler", "'dormand_prince', 'rk4', 'cvode' or 'fmu' but is 'euler'"),
     ("model.step", "fast", "model.step: must be a number but is 'fast'"),
     ("model.step", INF, "model.step: must be a finite number but is inf"),
     ("model.step", NAN, "must be a finite number but is nan"),
