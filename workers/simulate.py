@@ -184,7 +184,7 @@ class Simulator:
                 record.outputs[p] = record.linearisations[p].outputs
         return record
 
-    def stiff(self, experiment: int, point: FloatArray, max_steps: int = 1000) -> bool:
+    def stiff(self, experiment: int, point: FloatArray, max_steps: int = 5000) -> bool:
         """Whether solver "cvode" suits one point of an experiment, without effects.
 
         The Dormand-Prince method is asked for so many steps at most; model exchange only.

@@ -38,6 +38,7 @@ from workers.kernels.model_exchange import complete_step, record_outputs, start
 from workers.kernels.right_hand_side import move, right_hand_side
 from workers.kernels.sundials import (
     FIRST_DERIVATIVE_FAILED,
+    FRESH,
     INTERVAL,
     MADE_WITH,
     ONE_STEP,
@@ -176,8 +177,7 @@ def _cvode(s, c, references, constants, settings, hooks, grid, point, work, reco
 def _go_on(s, grid, i):  # type: ignore[no-untyped-def]
     """At grid time i, where the integrator stands: start again if need be, and set a stop."""
     if i == 0 or _jumps(grid, i):
-        s.time[0] = grid.times[i]
-        _reinit(s.reinit, (s.memory, grid.times[i], s.states))
+        _start_again(s, grid.times[i])
     stop = i + 1
     while stop + 1 < len(grid.times) and not _bends(grid, stop):
         stop += 1
@@ -229,18 +229,30 @@ def _step(s, grid):  # type: ignore[no-untyped-def]
     if s.notes[STEPS_LEFT] <= 0:
         return TOO_MANY_STEPS
     s.notes[STEPS_LEFT] -= 1
-    stop = grid.times[s.notes[STOP]]
+    before, stop = s.time[0], grid.times[s.notes[STOP]]
     flag = _integrate(s.integrate, (s.memory, stop, s.states, address_of(s.time), ONE_STEP))
     if flag == TOO_CLOSE:  # to start: in so short a time, nothing changes
-        s.time[0] = stop
-        _reinit(s.reinit, (s.memory, stop, s.states))
+        _start_again(s, stop)
     elif flag < 0:
         status = s.notes[STATUS]
         if status >= ERROR or (status >= DISCARD and flag == FIRST_DERIVATIVE_FAILED):
             return failed(STEP, status)
+        if s.notes[FRESH] == 1:
+            return STEP_TOO_SMALL
+        _start_again(s, s.time[0])  # what it knows may be of no use behind a sharp edge
+        _set_number(s.set_stop_time, (s.memory, stop))
+        return FINISHED
+    elif not s.time[0] > before:
         return STEP_TOO_SMALL
-    s.notes[TOLD] = 0
+    s.notes[TOLD], s.notes[FRESH] = 0, 0
     return FINISHED
+
+
+@inlined
+def _start_again(s, time):  # type: ignore[no-untyped-def]
+    """From the states where the integrator stands."""
+    s.time[0], s.notes[FRESH] = time, 1
+    _reinit(s.reinit, (s.memory, time, s.states))
 
 
 @kernel

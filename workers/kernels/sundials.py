@@ -18,7 +18,7 @@ from workers.messages import FloatArray, IntArray
 
 BDF, ONE_STEP = 2, 2
 FIRST_DERIVATIVE_FAILED, TOO_CLOSE = -9, -27
-MADE_WITH, INTERVAL, STATUS, STEPS_LEFT, STOP, TOLD = range(6)
+MADE_WITH, INTERVAL, STATUS, STEPS_LEFT, STOP, TOLD, FRESH = range(7)
 """Places in `Cvode.notes`."""
 
 
@@ -29,7 +29,8 @@ class Cvode(NamedTuple):
     `z`, for tolerances and the states at a time that it has passed. `time` is where it stands.
     `notes` holds the address of the right-hand side that the integrator was made with (0: of none
     yet), the interval of the grid, the FMU's last status, the steps that are left, the grid
-    time of the next stop, and whether the FMU was told of the last step.
+    time of the next stop, whether the FMU was told of the last step, and whether there is none yet
+    since the integrator was started.
     """
 
     memory: int
@@ -129,6 +130,7 @@ class Integrator:
         matrix = _pointer(lib.matrix, "SUNDenseMatrix", size, size, context)
         solver = _pointer(lib.linear, "SUNLinSol_Dense", vectors[0], matrix, context)
         memory = _pointer(lib.cvode, "CVodeCreate", c_int(BDF), context)
+        lib.cvode["CVodeSetMaxHnilWarns"](memory, c_int(-1))  # as does this, to stdout
         self.cvode = Cvode(
             memory=memory.value or 0,
             states=vectors[0].value or 0,
@@ -140,7 +142,7 @@ class Integrator:
             y=y,
             z=z,
             time=np.zeros(1),
-            notes=np.zeros(6, np.int64),
+            notes=np.zeros(7, np.int64),
         )
         self._finalizer = weakref.finalize(
             self, _free, lib, memory, solver, matrix, vectors, context, (y, z)
