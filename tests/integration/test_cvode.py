@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 from problems import FMU
 from stiff_models import fed, oscillation, reaction, van_der_pol
 
-from cluster_est import Experiment, Input, Output, Solver
+from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
 from workers.description import describe
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
@@ -229,6 +230,26 @@ def test_stiffness_is_told(simulator, rtol):
             assert asked.stiff(0, np.array([mu])) is stiff
     assert simulator("robertson_fed", fed("linear"), rtol).stiff(0, np.zeros(0))
     assert not oscillator(simulator, rtol).stiff(0, np.array([np.nan]))
+
+
+def test_a_stiff_model_is_fitted(built_fmu):
+    """The steps of difference quotients suit the noise of this solver."""
+    run = fed("linear")
+    times, clean = reaction(run)
+    measured = tuple(
+        replace(output, values=clean[np.searchsorted(times, output.times), place], sigma=sigma)
+        for place, (output, sigma) in enumerate(zip(run.outputs, (1e-2, 1e-6), strict=True))
+    )
+    names = ("k1", "k3", "drain")
+    model = Model("r", built_fmu("robertson_fed"), "model_exchange", Solver("cvode"), names)
+    parameters = (
+        Parameter("k1", 0.1, 1e-3, 1.0, scale="log"),
+        Parameter("k3", 3e3, 1e2, 1e6, scale="log"),
+        Parameter("drain", 0.05, 0.0, 1.0),
+    )
+    result = fit(Problem(model, parameters, (replace(run, outputs=measured),)))
+    found = [estimate.value for estimate in result.estimates]
+    np.testing.assert_allclose(found, [0.04, 1e4, 0.1], rtol=1e-5)
 
 
 def test_through_the_evaluator(built_fmu):

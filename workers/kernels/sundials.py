@@ -144,9 +144,10 @@ class Integrator:
             time=np.zeros(1),
             notes=np.zeros(7, np.int64),
         )
-        self._finalizer = weakref.finalize(
+        freeing = weakref.finalize(
             self, _free, lib, memory, solver, matrix, vectors, context, (y, z)
         )
+        freeing.atexit = False  # a thread may still be in there when the interpreter ends
 
 
 def _free(
