@@ -185,13 +185,14 @@ class Simulator:
         return record
 
     def stiff(self, experiment: int, point: FloatArray, max_steps: int = 5000) -> bool:
-        """Whether solver "cvode" suits one point of an experiment, without effects.
+        """Whether a model exchange FMU is stiff at one point of an experiment, without effects.
 
-        The Dormand-Prince method is asked for so many steps at most; model exchange only.
+        Solver "cvode" suits it then. So many steps of the Dormand-Prince method, or fewer, tell;
+        it is not stiff if the simulation fails within them.
         """
         ready = self._installed[experiment]
         settings = _settings(self._model, self._description, 0)._replace(max_steps=max_steps)
-        found, _ = stiffness(
+        found, code = stiffness(
             self.instance.component,
             ready.references,
             ready.constants,
@@ -201,6 +202,8 @@ class Simulator:
             np.concatenate([point, ready.known]),
             self._workspace(ready, no_hooks(1), 0),
         )
+        if code >= failure.FATAL:
+            self.instance.renew()
         return bool(found)
 
     def close(self) -> None:

@@ -14,7 +14,7 @@ from math import sqrt
 
 from workers.kernels.calling import inlined, kernel
 from workers.kernels.dormand_prince import WEIGHTS, _factor, _first_step, _try_step
-from workers.kernels.failure import FINISHED
+from workers.kernels.failure import FINISHED, STEP, STEP_TOO_SMALL, failed
 from workers.kernels.fmi2 import DISCARD, ERROR
 from workers.kernels.hooks import take_point
 from workers.kernels.model_exchange import complete_step, derivative, start
@@ -35,49 +35,51 @@ def stiffness(c, references, constants, settings, hooks, grid, point, work):  # 
 
     Returns
     -------
-    (stiff, time)
-        Whether, and until when it was followed. Not stiff if the simulation fails.
+    (stiff, code)
+        Whether, and what went wrong, if anything did (see `workers.kernels.failure`).
     """
     take_point(hooks, 0, work)
-    if start(c, references, constants, hooks, grid, point, work) != FINISHED:
-        return False, grid.times[0]
+    code = start(c, references, constants, hooks, grid, point, work)
+    if code != FINISHED:
+        return False, code
     time, i, at_border, off_border, proposed = grid.times[0], 0, 0, 0, 0.0
     for _ in range(settings.max_steps):
         status = derivative(c, references, hooks, grid, i, time, work.states, work, work.stages[0])
         if status >= DISCARD:
-            break
+            return False, failed(STEP, status)
         if proposed == 0.0:
             proposed = _first_step(work.states, work.stages[0], settings)
-        step, proposed = _step(c, references, settings, hooks, grid, i, time, proposed, work)
-        if time + step == time:
-            break
+        code, step, proposed = _step(c, references, settings, hooks, grid, i, time, proposed, work)
+        if code != FINISHED:
+            return False, code
         at_border, off_border = _count(step * _eigenvalue(step, work), at_border, off_border)
         if at_border == IN_A_ROW:
-            return True, time
+            return True, FINISHED
         time = min(time + step, grid.times[i + 1])
         i += 1 if time == grid.times[i + 1] else 0
         for j in range(len(work.states)):
             work.states[j] = work.trial[j]
-        if complete_step(c, work) != FINISHED or i + 1 == len(grid.times):
+        code = complete_step(c, work)
+        if code != FINISHED or i + 1 == len(grid.times):
             break
-    return False, time
+    return False, code
 
 
 @kernel
 def _step(c, references, settings, hooks, grid, i, time, proposed, work):  # type: ignore[no-untyped-def]
-    """Try until a step is accepted. Returns its length, 0 where there is none, and the next."""
+    """Try until a step is accepted. Returns the code, its length, and the length to try next."""
     while True:
         if settings.step > 0.0:
             proposed = min(proposed, settings.step)
         step = min(proposed, grid.times[i + 1] - time)
         if not time + step > time:
-            return 0.0, proposed
+            return STEP_TOO_SMALL, step, proposed
         status, error = _try_step(c, references, settings, hooks, grid, i, time, step, work)
         if status >= ERROR:
-            return 0.0, proposed
+            return failed(STEP, status), step, proposed
         wanted = step * _factor(status, error)
         if status < DISCARD and error <= 1.0:
-            return step, max(wanted, proposed) if step < proposed else wanted
+            return FINISHED, step, max(wanted, proposed) if step < proposed else wanted
         proposed = wanted
 
 
