@@ -248,7 +248,7 @@ def _solver(config: Config, interface: Interface) -> Solver:
     if section.solver != "auto":
         name = section.solver
     if exchange is (name == "fmu"):
-        usable = "dormand_prince or rk4" if exchange else "fmu"
+        usable = "dormand_prince, rk4 or cvode" if exchange else "fmu"
         raise ConfigError(
             f"model.solver: must be {usable} for {interface} but is {name}; change one of the two"
         )

@@ -22,14 +22,16 @@ class ModelSection(Section):
     interface: Literal["auto", "model_exchange", "co_simulation"] = Field(
         "auto", description="which of the FMU's interfaces; auto prefers model exchange"
     )
-    solver: Literal["auto", "dormand_prince", "rk4", "fmu"] = Field(
-        "auto", description="auto: dormand_prince for model exchange, fmu for co-simulation"
+    solver: Literal["auto", "dormand_prince", "rk4", "cvode", "fmu"] = Field(
+        "auto",
+        description="auto: dormand_prince for model exchange, fmu for co-simulation; "
+        "cvode for stiff models",
     )
     step: Finite | None = Field(
         None,
         gt=0.0,
         description="seconds; the step of rk4, the longest step of the others; "
-        "default: from one time in the data to the next, no limit for dormand_prince",
+        "default: from one time in the data to the next, no limit for dormand_prince and cvode",
     )
     rtol: Finite | None = Field(
         None, gt=0.0, lt=1.0, description="relative tolerance; default 1e-8, the FMU's own for fmu"

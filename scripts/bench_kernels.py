@@ -21,17 +21,19 @@ from pathlib import Path
 
 import fmpy
 import numpy as np
-from fmpy.fmi2 import FMU2Slave
+from build_fmus import build
+from fmpy.fmi2 import FMU2Model, FMU2Slave
+from workers.kernels.fmi2 import Component
 
 from cluster_est.executors import Executor, executor_class
 from workers.archive import unpack
 from workers.description import describe
-from workers.kernels.fmi2 import Component
 from workers.messages import Experiment, Input, Model, Output, Solver, Task
 from workers.simulate import Simulator
 
 HERE = Path(__file__).parent
 FMU = HERE.parent / "configs" / "models" / "mass_spring_damper.fmu"
+STIFF = HERE.parent / "tests" / "models" / "van_der_pol_stiff"
 STEP, COUNT = 0.005, 1001
 BATCH = 20
 PARAMETERS = ("m", "k", "c")
@@ -54,6 +56,7 @@ def main() -> None:
         compare_interface("co_simulation", "fmu", loops.co_simulate, options.rounds)
         compare_interface("model_exchange", "rk4", loops.rk4, options.rounds)
         compare_interface("model_exchange", "dormand_prince", None, options.rounds)
+        compare_stiff(build(STIFF, Path(folder)), max(3, options.rounds // 3))
     compare_fmpy(max(3, options.rounds // 10))
     if not options.skip_ray:
         compare_ray(max(3, options.rounds // 10))
@@ -182,6 +185,55 @@ def compare_fmpy(rounds: int) -> None:
         f"fmpy.simulate_fmu, instance reused {medians['fmpy'] * 1e3:.2f} ms   "
         f"ratio {medians['fmpy'] / medians['kernel']:.0f}"
     )
+
+
+def compare_stiff(fmu: Path, rounds: int) -> None:
+    """CVODE on the oscillator of van der Pol, mu = 1000, here and driven by `fmpy.simulate_fmu`."""
+    tolerance, stop, points = 1e-6, 2000.0, np.full((BATCH, 1), 1000.0)
+    asked = Model(
+        fmu.name, fmu.read_bytes(), "model_exchange", Solver("cvode", rtol=tolerance), ("mu",)
+    )
+    folder = str(unpack(asked.name, asked.archive, asked.archive_hash))
+    description = fmpy.read_model_description(folder)
+    instance = FMU2Model(
+        guid=description.guid,
+        modelIdentifier=description.modelExchange.modelIdentifier,
+        unzipDirectory=folder,
+    )
+    instance.instantiate()
+    for intervals in (100, 1000):
+        times = np.linspace(0.0, stop, intervals + 1)
+        run = Experiment("free", 0.0, stop, (), (Output("y", times, 0 * times),))
+        ours = Simulator(asked, describe(asked.name, asked.archive), (run,))
+        ours.load()
+
+        def run_fmpy(step: float = stop / intervals) -> None:
+            instance.reset()
+            fmpy.simulate_fmu(
+                folder,
+                model_description=description,
+                fmu_instance=instance,
+                fmi_type="ModelExchange",
+                solver="CVode",
+                relative_tolerance=tolerance,
+                start_values={"mu": 1000.0},
+                output=["y"],
+                stop_time=stop,
+                output_interval=step,
+            )
+
+        seconds: dict[str, list[float]] = {"kernel": [], "fmpy": []}
+        for _ in range(rounds):
+            measured = interleave({"kernel": lambda ours=ours: ours.run(0, points)}, 1, BATCH)
+            measured |= interleave({"fmpy": run_fmpy}, 1, 1)
+            for name, value in measured.items():
+                seconds[name].append(value)
+        kernel, theirs = (statistics.median(seconds[name]) for name in ("kernel", "fmpy"))
+        print(
+            f"model_exchange  cvode, stiff    kernel {kernel * 1e6:8.1f} us   "
+            f"fmpy.simulate_fmu, {intervals} intervals {theirs * 1e3:.2f} ms   "
+            f"ratio {theirs / kernel:.0f}"
+        )
 
 
 def compare_ray(rounds: int) -> None:

@@ -13,9 +13,11 @@ from workers.effects.definition import Definition, define
 from workers.grid import Grid
 from workers.install import Installed, install
 from workers.kernels.component import Component, References, Workspace
+from workers.kernels.cvode import CvodeBatch
+from workers.kernels.failure import FINISHED
 from workers.kernels.hooks import Hooks
 from workers.kernels.initialise import Settings
-from workers.kernels.linearise import Found, Probe, Range, linearise
+from workers.kernels.linearise import ADAPTIVE, FIXED, GIVEN, Found, Probe, Range, linearise
 from workers.messages import (
     Effect,
     Experiment,
@@ -48,8 +50,11 @@ class Prepared:
     probing: Augmentation | None
     knobs: int
 
-    def at(self, point: FloatArray) -> Pass:
-        """Make ready for one point: values of the model's parameters, then coefficients."""
+    def at(self, point: FloatArray, cvode: CvodeBatch | None = None) -> Pass:
+        """Make ready for one point: values of the model's parameters, then coefficients.
+
+        `cvode` is the solver if that is the one.
+        """
         made, count = self.augmentation, len(self.model.parameters)
         values, coefficients = point[None, :count], point[None, count:]
         run = made.remembered(coefficients[0]) if made.remembers else made.experiment
@@ -62,7 +67,7 @@ class Prepared:
             probing = self.probing.hooks(ready.grid, values, widened, self.model, self.description)
         probe = self._probe(values[0])
         found = _allocate(probe, len(ready.grid.times), len(ready.outputs))
-        return Pass(self, ready, values, coefficients[0], hooks, probing, probe, found)
+        return Pass(self, ready, values, coefficients[0], hooks, probing, probe, found, cvode)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -110,6 +115,7 @@ class Pass:
     probing: Hooks
     probe: Probe
     found: Found
+    cvode: CvodeBatch | None
 
     def __call__(
         self,
@@ -124,9 +130,17 @@ class Pass:
         codes: IntArray,
         stopped_at: FloatArray,
     ) -> int:
-        adaptive = self.prepared.model.solver.name == "dormand_prince"
+        way = ADAPTIVE if self.prepared.model.solver.name == "dormand_prince" else FIXED
+        if self.cvode is not None:  # it goes ahead, because nobody may call the FMU in between
+            way = GIVEN
+            self.cvode(
+                c, references, settings, hooks, grid, points, work, outputs, codes,
+                stopped_at, self.found.states,
+            )  # fmt: skip
+            if codes[0] != FINISHED:
+                return 1
         codes[0], stopped_at[0] = linearise(
-            adaptive, c, references, settings, hooks, self.probing, grid, points[0],
+            way, c, references, settings, hooks, self.probing, grid, points[0],
             work, self.probe, self.found, outputs[0],
         )  # fmt: skip
         return 1

@@ -19,7 +19,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[Any]
 Interface = Literal["model_exchange", "co_simulation"]
-SolverName = Literal["dormand_prince", "rk4", "fmu"]
+SolverName = Literal["dormand_prince", "rk4", "cvode", "fmu"]
 Interpolation = Literal["linear", "hold"]
 Role = Literal["train", "test"]
 Reduction = Literal["squares", "absolutes"]
@@ -40,12 +40,12 @@ class Solver:
     Attributes
     ----------
     name
-        "dormand_prince" or "rk4" for model exchange; "fmu" for co-simulation, where the FMU brings
-        its own.
+        "dormand_prince", "rk4" or, for stiff models, "cvode" for model exchange; "fmu" for
+        co-simulation, where the FMU brings its own.
     step
-        Seconds. The step of "rk4", the longest step of "dormand_prince", the longest communication
-        step of "fmu". None: one step from each time in the data to the next ("rk4", "fmu"), no
-        limit ("dormand_prince").
+        Seconds. The step of "rk4", the longest step of "dormand_prince" and "cvode", the longest
+        communication step of "fmu". None: one step from each time in the data to the next ("rk4",
+        "fmu"), no limit ("dormand_prince", "cvode").
     rtol, atol
         Tolerances of the error of one step; `atol` is in units of each state's nominal value.
         For "fmu", `rtol` is handed to the FMU, None leaves the choice to it.

@@ -15,10 +15,12 @@ from workers.install import Installed, install
 from workers.kernels import failure, linearise
 from workers.kernels.co_simulation import co_simulate_batch
 from workers.kernels.component import Component, Workspace, workspace
+from workers.kernels.cvode import CvodeBatch
 from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.hooks import Hooks, no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
+from workers.kernels.stiffness import stiffness
 from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Linearisation, Model
 
 if TYPE_CHECKING:
@@ -95,7 +97,8 @@ class Simulator:
             tuple[int, tuple[tuple[Definition, int], ...]], tuple[Augmentation, Installed]
         ] = {}
         self._prepared: dict[tuple[int, tuple[tuple[Definition, int], ...], int], Prepared] = {}
-        self._batch = BATCHES[model.solver.name]
+        name = model.solver.name
+        self._batch = CvodeBatch() if name == "cvode" else BATCHES[name]
         self._workspaces: dict[tuple[int, ...], Workspace] = {}
 
     def load(self) -> None:
@@ -165,11 +168,17 @@ class Simulator:
                 "which an FMU gives in model exchange only; set model.interface to "
                 '"model_exchange", but it is "co_simulation"'
             )
+        cvode = self._batch if isinstance(self._batch, CvodeBatch) else None
+        if cvode is not None and self._description.event_indicators > 0:
+            raise ModelError(
+                f"{self._model.name}: has events, across which solver cvode cannot be linearised; "
+                'set model.solver to "dormand_prince" or "rk4"'
+            )
         plain = self._installed[experiment]
         record = Record.empty(len(points), len(plain.grid.times), len(plain.outputs))
         for p, point in enumerate(points):
             prepared = self._prepare(experiment, point, effects)
-            made = prepared.at(point)
+            made = prepared.at(point, cvode)
             own = len(prepared.own_states)
             part = self._run(made.ready, made.values, made.hooks, own, made)
             record.codes[p], record.messages[p] = part.codes[0], part.messages[0]
@@ -177,6 +186,27 @@ class Simulator:
                 record.linearisations[p] = made.result(part.outputs[0], plain)
                 record.outputs[p] = record.linearisations[p].outputs
         return record
+
+    def stiff(self, experiment: int, point: FloatArray, max_steps: int = 5000) -> bool:
+        """Whether a model exchange FMU is stiff at one point of an experiment, without effects.
+
+        Solver "cvode" suits it then. So many steps of the Dormand-Prince method, or fewer, tell;
+        it is not stiff if the simulation fails within them.
+        """
+        ready = self._installed[experiment]
+        settings = _settings(self._model, self._description, 0)._replace(max_steps=max_steps)
+        found, code = stiffness(
+            self.instance.component,
+            ready.references,
+            settings,
+            no_hooks(1),
+            ready.grid,
+            np.concatenate([point, ready.known]),
+            self._workspace(ready, no_hooks(1), 0),
+        )
+        if code >= failure.FATAL:
+            self.instance.renew()
+        return bool(found)
 
     def close(self) -> None:
         self.instance.free()
@@ -340,6 +370,8 @@ class Simulator:
         said = " | ".join(dict.fromkeys(self.instance.log))
         sentences = failure.SENTENCES | linearise.SENTENCES
         sentence = f"{sentences[code % failure.FATAL]} at t = {time:.9g} s"
+        if code in failure.OF_STIFFNESS and self._model.solver.name == "dormand_prince":
+            sentence += '; if the model is stiff, model.solver = "cvode" goes on in long steps'
         return f"{sentence}; it said: {said}" if said else sentence
 
 

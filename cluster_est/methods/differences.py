@@ -27,6 +27,8 @@ LARGE = 2**23
 """Entries above which a solution keeps its Jacobian in blocks, where those are much smaller."""
 NOISE_OF_TOLERANCE = 1e-3
 """Part of an adaptive solver's tolerance by which its result jumps."""
+NOISE_OF_CVODE = 10.0
+"""The same of CVODE, which changes order and step in leaps; 1 to 100 on stiff models."""
 NOISE_FIXED = 1e-14
 NOISE_UNKNOWN = 1e-11
 """Of a co-simulation FMU, whose solver nobody sees."""
@@ -74,6 +76,8 @@ def relative_noise(solver: Solver) -> float:
     """How large the noise of a simulation is, relative to its result."""
     if solver.name == "rk4":
         return NOISE_FIXED
+    if solver.name == "cvode":
+        return max(NOISE_FIXED, NOISE_OF_CVODE * (solver.rtol or 1e-8))
     if solver.name == "dormand_prince":
         return max(NOISE_FIXED, NOISE_OF_TOLERANCE * (solver.rtol or 1e-8))
     return max(NOISE_UNKNOWN, NOISE_OF_TOLERANCE * (solver.rtol or 0.0))

@@ -19,6 +19,7 @@ from workers.wire import Batch
 
 ADAPTIVE = Solver("dormand_prince", rtol=1e-11)
 FIXED = Solver("rk4", step=0.001)
+STIFF = Solver("cvode", rtol=1e-10)
 SPRING = (M, K, C)
 EXACT = {"rtol": 1e-8, "atol": 1e-8}
 
@@ -68,7 +69,7 @@ def spring_by_parameters(x, v, force, m=M):
     return [[zero, zero, zero], [-(force - K * x - C * v) / m**2, -x / m, -v / m]]
 
 
-@pytest.mark.parametrize("solver", [ADAPTIVE, FIXED])
+@pytest.mark.parametrize("solver", [ADAPTIVE, FIXED, STIFF])
 def test_the_spring_has_the_textbook_matrices(solver):
     found = linearised(spring(solver), spring_experiment(), SPRING)
     states = solve(plain)
@@ -187,7 +188,7 @@ def test_a_term_at_a_derivative_a_lagged_input_and_an_effect_at_an_output():
     np.testing.assert_allclose(found.outputs[:, 0], (1 + gain) * x, rtol=1e-14)
 
 
-@pytest.mark.parametrize("solver", [ADAPTIVE, FIXED])
+@pytest.mark.parametrize("solver", [ADAPTIVE, FIXED, STIFF])
 def test_a_parameter_that_heats_up(solver):
     """Its derivative is by the value that holds at that time."""
     k, at, tau = 0.4, 0.1, 0.5

@@ -27,6 +27,9 @@ SENTENCES = {
     TERMINATED: "the FMU ended the simulation by itself",
 }
 
+OF_STIFFNESS = (STEP_TOO_SMALL, TOO_MANY_STEPS)
+"""What an explicit solver reports of a stiff model."""
+
 FATAL = 100
 """Added to a code after status fatal: nothing may be asked of this instance any more."""
 

@@ -13,13 +13,16 @@ from typing import NamedTuple
 
 from workers.kernels.calling import inlined, kernel
 from workers.kernels.dormand_prince import adaptive_steps
-from workers.kernels.failure import FINISHED, OUTPUT, failed
+from workers.kernels.failure import EVENT, FINISHED, OUTPUT, failed
 from workers.kernels.hooks import take_point
 from workers.kernels.model_exchange import arrive, start
 from workers.kernels.moving import go_to, record_outputs, slopes_here
 from workers.kernels.rk4 import equal_steps
 from workers.kernels.values import DISCARD, get_values, set_reals
 from workers.messages import FloatArray, IntArray
+
+ADAPTIVE, FIXED, GIVEN = range(3)
+"""Ways to go from each time of the grid to the next."""
 
 LINEARISATION = 9
 """A code beside those of `workers.kernels.failure`."""
@@ -77,15 +80,16 @@ class Found(NamedTuple):
 
 @kernel
 def linearise(  # type: ignore[no-untyped-def]
-    adaptive, c, references, settings, hooks, probing, grid, point, work,
+    way, c, references, settings, hooks, probing, grid, point, work,
     probe, found, record,
 ):  # fmt: skip
     """Simulate one experiment for one point, and linearise the model at each time of the grid.
 
     Parameters
     ----------
-    adaptive
-        Whether the Dormand-Prince method goes from each time to the next, or classic Runge-Kutta.
+    way
+        How to go from each time to the next: by the Dormand-Prince method (ADAPTIVE), by classic
+        Runge-Kutta (FIXED), or to the states that `found` has already (GIVEN).
     hooks, probing
         Effects, and the same with a knob at each input.
     point : (k,)
@@ -117,7 +121,13 @@ def linearise(  # type: ignore[no-untyped-def]
             return failed(LINEARISATION, status), time
         if i + 1 == len(times):
             break
-        if adaptive:
+        if way == GIVEN:
+            if work.next_event[0] <= times[i + 1]:
+                return EVENT, time
+            time = times[i + 1]
+            for j in range(len(work.states)):
+                work.states[j] = found.states[i + 1, j]
+        elif way == ADAPTIVE:
             code, time, proposed, steps_left = adaptive_steps(
                 c, references, settings, hooks, grid, i, time, proposed, steps_left, work
             )

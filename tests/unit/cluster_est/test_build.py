@@ -80,7 +80,10 @@ def refusal(folder: Path, changes: dict[str, Any], rows: str = ROWS) -> str:
         ({"method.options": {"ftol": np.inf}}, "ftol: must be finite and of a usual size but is"),
         ({"method.options": {"differences": "fwd"}}, "'auto', 'forward', 'central' but is 'fwd'"),
         ({"method.options": {"differences": []}}, "'auto', 'forward', 'central' but is []"),
-        ({"model.solver": "fmu", "model.interface": "model_exchange"}, "must be dormand_prince or"),
+        (
+            {"model.solver": "fmu", "model.interface": "model_exchange"},
+            "must be dormand_prince, rk4",
+        ),
         ({"model.solver": "rk4", "model.interface": "co_simulation"}, "must be fmu for co_simul"),
         ({f"{A}.data": "b.csv"}, ["data: there is no file 'b.csv'; looked for", "data_folders"]),
         ({f"{A}.data": "."}, ["data: there is no file '.'; looked for", "(a folder)"]),
@@ -186,7 +189,11 @@ ONLY = {
     [
         ("model_exchange", {"model.interface": "co_simulation"}, "but offers model_exchange"),
         ("co_simulation", {"model.interface": "model_exchange"}, "but offers co_simulation"),
-        ("model_exchange", {"model.solver": "fmu"}, "must be dormand_prince or rk4 for model_exc"),
+        (
+            "model_exchange",
+            {"model.solver": "fmu"},
+            "be dormand_prince, rk4 or cvode for model_exc",
+        ),
         ("co_simulation", {"model.solver": "rk4"}, "model.solver: must be fmu for co_simulation"),
     ],
 )

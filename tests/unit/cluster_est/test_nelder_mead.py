@@ -64,6 +64,7 @@ def followed(problem: FunctionProblem, method: NelderMead) -> Asked:
 class _Task:
     id: int
     values: np.ndarray
+    want: str = "residuals"
 
 
 @pytest.mark.parametrize("method", METHODS, ids=repr)

@@ -35,6 +35,7 @@ from workers.wire import Batch
 SOLVERS: dict[str, tuple[Interface, Solver]] = {
     "dormand_prince": ("model_exchange", Solver("dormand_prince")),
     "rk4": ("model_exchange", Solver("rk4", 0.02)),
+    "cvode": ("model_exchange", Solver("cvode")),
     "fmu": ("co_simulation", Solver("fmu")),
 }
 EXPERIMENTS = tuple(
@@ -172,8 +173,9 @@ class TestEverySolver:
         assert outcome.message.startswith("the limit on the number of steps was reached at t = ")
 
 
-def test_a_tolerance_that_vanishes_is_no_division_by_zero():
-    chosen = Solver("dormand_prince", rtol=1e-6, atol=5e-324, max_steps=2000)
+@pytest.mark.parametrize("solver", ["dormand_prince", "cvode"])
+def test_a_tolerance_that_vanishes_is_no_division_by_zero(solver):
+    chosen = Solver(solver, rtol=1e-6, atol=5e-324, max_steps=2000)
     (outcome,) = ask(fresh("model_exchange", chosen), [(0, POINTS[0])])
     assert outcome.ok or outcome.message
 

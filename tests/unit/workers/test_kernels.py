@@ -17,6 +17,7 @@ from workers.grid import Grid, build_grid
 from workers.kernels import failure
 from workers.kernels.co_simulation import co_simulate_batch
 from workers.kernels.component import Component, References, workspace
+from workers.kernels.cvode import CvodeBatch
 from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.hooks import no_hooks
 from workers.kernels.initialise import Settings
@@ -123,12 +124,13 @@ class FakeFmu:
         return OK
 
 
-BATCHES = {
+BATCHES: dict[str, Callable[..., int]] = {
     "dormand_prince": dormand_prince_batch,
     "rk4": rk4_batch,
+    "cvode": CvodeBatch(),
     "fmu": co_simulate_batch,
 }
-EXCHANGE = ["dormand_prince", "rk4"]
+EXCHANGE = ["dormand_prince", "rk4", "cvode"]
 
 
 def grid() -> Grid:
@@ -144,19 +146,26 @@ def reals(*references: int) -> Access:
 
 
 def run(
-    fmu: FakeFmu, solver: str, *, completes_steps: bool = True
+    fmu: FakeFmu,
+    solver: str | CvodeBatch,
+    *,
+    completes_steps: bool = True,
+    n_states: int = 1,
+    on: Grid | None = None,
 ) -> tuple[int, float, FloatArray]:
     """Simulate one point: its code, where it stopped and its outputs."""
+    batch = BATCHES[solver] if isinstance(solver, str) else solver
     none, one = reals(), reals(7)
     outputs, codes, stopped = np.full((1, 5, 1), np.nan), np.zeros(1, np.int64), np.zeros(1)
-    tried = BATCHES[solver](
-        fmu.component(completes_steps=completes_steps),
+    atols = np.full(n_states, 1e-8)
+    tried = batch(
+        fmu.component(completes_steps=completes_steps)._replace(n_states=n_states),
         References(none, none, none.reals, none.codes, none, none, one),
-        Settings(0.05 if solver == "rk4" else 0.0, 1e-8, 1e-8, np.array([1e-8]), 3000, 0.0),
+        Settings(0.05 if solver == "rk4" else 0.0, 1e-8, 1e-8, atols, 3000, 0.0),
         no_hooks(1),
-        grid(),
+        grid() if on is None else on,
         np.zeros((1, 0)),
-        workspace(0, 1, n_indicators=fmu.indicators),
+        workspace(0, n_states, n_indicators=fmu.indicators),
         outputs,
         codes,
         stopped,
@@ -347,7 +356,8 @@ def test_events_without_end_are_a_failure(solver: str) -> None:
     assert (code, stopped) == (failure.CHATTERING, 0.4)
 
 
-def test_discarded_step_is_tried_again_shorter() -> None:
+@pytest.mark.parametrize("solver", ["dormand_prince", "cvode"])
+def test_discarded_step_is_tried_again_shorter(solver: str) -> None:
     tries = iter([OK, OK, OK, DISCARD])
 
     def get_derivatives(derivatives: doubles, count: int) -> int:
@@ -356,24 +366,48 @@ def test_discarded_step_is_tried_again_shorter() -> None:
 
     fmu = FakeFmu()
     fmu.get_derivatives = get_derivatives  # type: ignore[method-assign]
-    code, _, outputs = run(fmu, "dormand_prince")
+    code, _, outputs = run(fmu, solver)
     assert code == failure.FINISHED
     np.testing.assert_allclose(outputs, np.exp(-TIMES), rtol=1e-6)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
 @pytest.mark.parametrize("since", [-1.0, 0.7])
-def test_derivative_out_of_range_ends_dormand_prince(value: float, since: float) -> None:
+@pytest.mark.parametrize("solver", ["dormand_prince", "cvode"])
+def test_derivative_out_of_range_ends_adaptive_solvers(
+    solver: str, value: float, since: float
+) -> None:
     def get_derivatives(derivatives: doubles, count: int) -> int:
         derivatives[0] = value if fmu.time > since else -fmu.x
         return OK
 
     fmu = FakeFmu()
     fmu.get_derivatives = get_derivatives  # type: ignore[method-assign]
-    code, stopped, outputs = run(fmu, "dormand_prince")
+    code, stopped, outputs = run(fmu, solver)
     if code == failure.FINISHED:
         assert not np.isfinite(outputs).all() or outputs[-1] > 1e299
     else:
         assert code == failure.STEP_TOO_SMALL
         assert stopped == pytest.approx(max(since, 0.0), abs=1e-6)
     assert len(fmu.calls) < 100_000
+
+
+def test_cvode_serves_arrays_of_other_types_with_another_right_hand_side() -> None:
+    """It is compiled for the types that it is given; an integrator knows one only."""
+    cvode, fmu = CvodeBatch(), FakeFmu()
+    plain = grid()
+    frozen = plain._replace(times=plain.times.copy())
+    frozen.times.flags.writeable = False
+    for given in (plain, frozen, plain):
+        code, _, outputs = run(fmu, cvode, on=given)
+        assert code == failure.FINISHED
+        np.testing.assert_allclose(outputs, np.exp(-TIMES), rtol=1e-6)
+
+
+@pytest.mark.parametrize("solver", EXCHANGE)
+def test_there_may_be_nothing_to_integrate(solver: str) -> None:
+    fmu = FakeFmu()
+    fmu.x = 3.0
+    code, _, outputs = run(fmu, solver, n_states=0)
+    assert code == failure.FINISHED
+    assert outputs.tolist() == [1.0] * len(TIMES)
