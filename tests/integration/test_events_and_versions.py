@@ -22,9 +22,10 @@ LOOPS = pytest.mark.parametrize(
     [
         ("model_exchange", Solver("dormand_prince", rtol=1e-9)),
         ("model_exchange", Solver("rk4", 1e-3)),
+        ("model_exchange", Solver("cvode", rtol=1e-10, atol=1e-10)),
         ("co_simulation", Solver("fmu", 1e-3)),
     ],
-    ids=["dormand_prince", "rk4", "co_simulation"],
+    ids=["dormand_prince", "rk4", "cvode", "co_simulation"],
 )
 
 
@@ -162,11 +163,11 @@ def test_an_input_that_jumps_reaches_a_discrete_input(
 
 
 @VERSIONS
-@pytest.mark.parametrize("solver", ["dormand_prince", "rk4"])
+@pytest.mark.parametrize("solver", ["dormand_prince", "rk4", "cvode"])
 def test_an_event_in_rounds_and_one_that_changes_nominals(
     own_fmu: Give, fmi: int, solver: str
 ) -> None:
-    how = Solver(solver, 1e-3, 1e-9)
+    how = Solver(solver, 1e-3, 1e-9, 1e-9)
     times = np.linspace(0.0, 4.3, 44)
     (outcome,) = simulate(own_fmu("iterates", fmi), "model_exchange", how, ["y"], times)
     np.testing.assert_allclose(at(outcome, times)[:, 0], iterates(times + 1e-12), atol=1e-8)
@@ -175,7 +176,7 @@ def test_an_event_in_rounds_and_one_that_changes_nominals(
 
 
 @VERSIONS
-@pytest.mark.parametrize("solver", ["dormand_prince", "rk4"])
+@pytest.mark.parametrize("solver", ["dormand_prince", "rk4", "cvode"])
 def test_chattering_is_a_failure(own_fmu: Give, fmi: int, solver: str) -> None:
     how = Solver(solver, 1e-2, 1e-6, max_steps=20_000)
     times = np.linspace(0.0, 2.0, 5)

@@ -24,7 +24,9 @@ from workers.grid import Grid
 from workers.kernels.calling import address_of, c_function, inlined, kernel
 from workers.kernels.component import Component, References, Workspace
 from workers.kernels.dormand_prince import dormand_prince_batch
+from workers.kernels.events import find_event, handle_event, shortest
 from workers.kernels.failure import (
+    EVENT,
     FINISHED,
     OUTPUT,
     STEP,
@@ -34,9 +36,11 @@ from workers.kernels.failure import (
 )
 from workers.kernels.hooks import Hooks, take_point
 from workers.kernels.initialise import Settings
-from workers.kernels.model_exchange import complete_step, record_outputs, start
+from workers.kernels.model_exchange import arrive, complete_step, start
+from workers.kernels.moving import record_outputs
 from workers.kernels.right_hand_side import move, right_hand_side
 from workers.kernels.sundials import (
+    DUE,
     FIRST_DERIVATIVE_FAILED,
     FRESH,
     INTERVAL,
@@ -44,12 +48,14 @@ from workers.kernels.sundials import (
     ONE_STEP,
     STATUS,
     STEPS_LEFT,
+    STILL,
     STOP,
     TOLD,
     TOO_CLOSE,
     Integrator,
     libraries,
 )
+from workers.kernels.values import DISCARD, ERROR
 from workers.messages import FloatArray, IntArray
 
 ANOTHER = -1
@@ -131,9 +137,6 @@ def _cvode_batch(  # type: ignore[no-untyped-def]
         _set_linear_solver(s.set_linear_solver, (s.memory, s.solver, s.matrix))
     if s.notes[MADE_WITH] != function:
         return ANOTHER
-    for j in range(len(s.z)):
-        s.z[j] = settings.atols[j]
-    _set_tolerances(s.set_tolerances, (s.memory, settings.rtol, s.between))  # copies them
     _set_number(s.set_max_step, (s.memory, settings.step))  # 0: no limit
     _set_pointer(s.set_user_data, (s.memory, data))
     for p in range(len(points)):
@@ -150,38 +153,59 @@ def _cvode_batch(  # type: ignore[no-untyped-def]
 def _cvode(s, c, references, settings, hooks, grid, point, work, record, kept):  # type: ignore[no-untyped-def]
     times = grid.times
     code = start(c, references, settings, hooks, grid, point, work)
-    if code != FINISHED:
-        return code, times[0]
-    for j in range(len(s.y)):
-        s.y[j] = work.states[j]
     s.notes[STATUS], s.notes[STEPS_LEFT], s.notes[STOP] = 0, settings.max_steps, 0
-    s.notes[TOLD] = 1
+    s.notes[TOLD], s.notes[DUE], s.notes[STILL] = 1, 0, 0
+    s.time[0] = times[0]
     for i in range(len(times)):
-        status = record_outputs(c, references, hooks, grid, i, work, record[i])
-        if status >= DISCARD:
-            return failed(OUTPUT, status), times[i]
-        for j in range(kept.shape[1] if len(kept) > 0 else 0):
-            kept[i, j] = work.states[j]
-        if i + 1 == len(times):
-            break
-        if i == s.notes[STOP]:
-            _go_on(s, grid, i)
-        code = _advance(s, c, references, hooks, grid, i + 1, work)
+        time = s.time[0] if _reached(s, times[i]) else times[i]
+        if code == FINISHED:
+            code = arrive(c, references, settings, hooks, grid, i, time, work)
         if code != FINISHED:
             return code, s.time[0]
-    return FINISHED, times[-1]
+        status = record_outputs(c, references, hooks, grid, i, time, work, record[i])
+        if status >= DISCARD:
+            return failed(OUTPUT, status), time
+        for j in range(kept.shape[1] if len(kept) > 0 else 0):
+            kept[i, j] = work.states[j]
+        if i + 1 < len(times):
+            if i == s.notes[STOP]:
+                _go_on(s, settings, grid, i, work)
+            code = _advance(s, c, references, settings, hooks, grid, i + 1, work)
+    return code, s.time[0]
+
+
+@inlined
+def _take_over(s, settings, work):  # type: ignore[no-untyped-def]
+    """The states in `work`, and their tolerances, which CVODE copies."""
+    for j in range(len(s.y)):
+        s.y[j], s.z[j] = work.states[j], work.atols[j]
+    _set_tolerances(s.set_tolerances, (s.memory, settings.rtol, s.between))
+
+
+@inlined
+def _reached(s, time):  # type: ignore[no-untyped-def]
+    """Whether the integrator stands at a time, but for rounding."""
+    return abs(s.time[0] - time) <= shortest(s.time[0], time)
 
 
 @kernel
-def _go_on(s, grid, i):  # type: ignore[no-untyped-def]
+def _go_on(s, settings, grid, i, work):  # type: ignore[no-untyped-def]
     """At grid time i, where the integrator stands: start again if need be, and set a stop."""
     if i == 0 or _jumps(grid, i):
-        _start_again(s, grid.times[i])
+        _take_over(s, settings, work)
+        _start_again(s, max(s.time[0], grid.times[i]))
     stop = i + 1
     while stop + 1 < len(grid.times) and not _bends(grid, stop):
         stop += 1
     s.notes[INTERVAL], s.notes[STOP] = i, stop
-    _set_number(s.set_stop_time, (s.memory, grid.times[stop]))
+    _set_number(s.set_stop_time, (s.memory, _stop_time(s, grid, work)))
+
+
+@inlined
+def _stop_time(s, grid, work):  # type: ignore[no-untyped-def]
+    """The next stop: a kink or jump of an input, or a time event, which wins if both are close."""
+    last, event = grid.times[s.notes[STOP]], work.next_event[0]
+    return event if event < last or abs(event - last) <= shortest(last, last) else last
 
 
 @inlined
@@ -204,31 +228,49 @@ def _bends(grid, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _advance(s, c, references, hooks, grid, i, work):  # type: ignore[no-untyped-def]
+def _advance(s, c, references, settings, hooks, grid, i, work):  # type: ignore[no-untyped-def]
     """Step until grid time i is reached, and put the states there into `work`. Gives the code."""
-    while s.time[0] < grid.times[i]:
+    time = grid.times[i]
+    while s.time[0] < time or (s.notes[DUE] == 1 and _reached(s, time)):
         code = _complete(s, c, references, hooks, grid, work)
-        if code == FINISHED:
-            code = _step(s, grid)
-        if code == FINISHED and s.time[0] <= grid.times[i]:
-            code = _complete(s, c, references, hooks, grid, work)
+        if code == FINISHED and s.notes[DUE] == 1:
+            code = _handle(s, c, references, settings, hooks, grid, work)
+        elif code == FINISHED:
+            code = _step(s, c, references, hooks, grid, work)
+            if code == FINISHED and (s.time[0] <= time or _reached(s, time)):
+                code = _complete(s, c, references, hooks, grid, work)
         if code != FINISHED:
             return code
-    between = s.time[0] > grid.times[i]
+    between = s.time[0] > time and not _reached(s, time)
     if between:
-        _interpolate(s.interpolate, (s.memory, grid.times[i], 0, s.between))
+        _interpolate(s.interpolate, (s.memory, time, 0, s.between))
     for j in range(len(s.y)):
         work.states[j] = s.z[j] if between else s.y[j]
     return FINISHED
 
 
 @kernel
-def _step(s, grid):  # type: ignore[no-untyped-def]
-    """One step, to the next stop at most. Returns the code."""
+def _handle(s, c, references, settings, hooks, grid, work):  # type: ignore[no-untyped-def]
+    """The event where the integrator stands; it starts again from there. Returns the code."""
+    s.notes[STILL] = s.notes[STILL] + 1 if s.notes[FRESH] == 1 else 0
+    for j in range(len(s.y)):
+        work.states[j] = s.y[j]
+    i, still = s.notes[STOP] - 1, s.notes[STILL]
+    code = handle_event(c, references, settings, hooks, grid, i, i, s.time[0], still, work)
+    _take_over(s, settings, work)
+    _start_again(s, s.time[0])
+    s.notes[DUE], s.notes[TOLD] = 0, 1
+    _set_number(s.set_stop_time, (s.memory, _stop_time(s, grid, work)))
+    return code
+
+
+@kernel
+def _step(s, c, references, hooks, grid, work):  # type: ignore[no-untyped-def]
+    """One step, to the next stop or event at most. Returns the code."""
     if s.notes[STEPS_LEFT] <= 0:
         return TOO_MANY_STEPS
     s.notes[STEPS_LEFT] -= 1
-    before, stop = s.time[0], grid.times[s.notes[STOP]]
+    before, stop = s.time[0], _stop_time(s, grid, work)
     flag = _integrate(s.integrate, (s.memory, stop, s.states, address_of(s.time), ONE_STEP))
     if flag == TOO_CLOSE:  # to start: in so short a time, nothing changes
         _start_again(s, stop)
@@ -244,7 +286,34 @@ def _step(s, grid):  # type: ignore[no-untyped-def]
     elif not s.time[0] > before:
         return STEP_TOO_SMALL
     s.notes[TOLD], s.notes[FRESH] = 0, 0
-    return FINISHED
+    status = _look_back(s, c, references, hooks, grid, before, work) if c.n_indicators > 0 else 0
+    return failed(STEP, status) if status >= DISCARD else FINISHED
+
+
+@kernel
+def _look_back(s, c, references, hooks, grid, before, work):  # type: ignore[no-untyped-def]
+    """If there is a state event in the last step, stand at it. Returns the worst status."""
+    step = s.time[0] - before
+    for j in range(len(s.y)):
+        work.trial[j] = s.y[j]
+    status, part = move(s.time[0], s.y, s, c, references, hooks, grid, work), 2.0
+    if status < DISCARD:
+        status, part = find_event(
+            c, references, hooks, grid, s.notes[STOP] - 1, before, step, _within, s, work
+        )
+    if status < DISCARD and part <= 1.0:
+        s.time[0], s.notes[DUE] = before + part * step, 1
+        for j in range(len(s.y)):
+            s.y[j] = work.trial[j]
+    return status
+
+
+@inlined
+def _within(time, step, part, s, work):  # type: ignore[no-untyped-def]
+    """The states at a part of the last step, into `work.trial`."""
+    _interpolate(s.interpolate, (s.memory, time + part * step, 0, s.between))
+    for j in range(len(s.z)):
+        work.trial[j] = s.z[j]
 
 
 @inlined
@@ -256,9 +325,18 @@ def _start_again(s, time):  # type: ignore[no-untyped-def]
 
 @kernel
 def _complete(s, c, references, hooks, grid, work):  # type: ignore[no-untyped-def]
-    """Tell the FMU that the last step is accepted, if it wants to know and does not yet."""
+    """Tell the FMU that the last step is accepted, if it wants to know and does not yet.
+
+    Notes an event that is due after it.
+    """
+    if s.time[0] >= work.next_event[0]:
+        s.notes[DUE] = 1
     if not c.completes_steps or s.notes[TOLD] == 1:
         return FINISHED
     s.notes[TOLD] = 1
     status = move(s.time[0], s.y, s, c, references, hooks, grid, work)
-    return failed(STEP, status) if status >= DISCARD else complete_step(c, work)
+    code = failed(STEP, status) if status >= DISCARD else complete_step(c, work)
+    if code == EVENT:
+        s.notes[DUE] = 1
+        return FINISHED
+    return code

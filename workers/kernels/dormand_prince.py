@@ -16,7 +16,7 @@ from math import isfinite, sqrt
 import numpy as np
 
 from workers.kernels.calling import inlined, kernel
-from workers.kernels.events import find_event, handle_event, shortest
+from workers.kernels.events import find_event, handle_event, polynomial, shortest
 from workers.kernels.failure import (
     EVENT,
     FINISHED,
@@ -57,7 +57,7 @@ INTERPOLANT = np.array(
         [0, 40617522 / 29380423, -110615467 / 29380423, 69997945 / 29380423],
     ]
 )
-"""Of order 4 within a step, see `workers.kernels.events.find_event`. Source: L. F. Shampine, Math.
+"""Of order 4 within a step, see `workers.kernels.events.polynomial`. Source: L. F. Shampine, Math.
 Comp. 46 (1986) 135-150, doi:10.1090/S0025-5718-1986-0815836-3."""
 SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 
@@ -184,7 +184,9 @@ def _try_step(c, references, settings, hooks, grid, i, time, step, work):  # typ
     status, error = _stages(c, references, settings, hooks, grid, i, time, step, work)
     part = 2.0
     if c.n_indicators > 0 and status < DISCARD and error <= 1.0:
-        status, part = find_event(c, references, hooks, grid, i, time, step, INTERPOLANT, work)
+        status, part = find_event(
+            c, references, hooks, grid, i, time, step, polynomial, INTERPOLANT, work
+        )
     return status, error, part
 
 

@@ -116,21 +116,23 @@ def _crossed(work):  # type: ignore[no-untyped-def]
     return crossed
 
 
-@kernel
-def find_event(c, references, hooks, grid, i, time, step, dense, work):  # type: ignore[no-untyped-def]
-    """Look for a state event in a step from `work.states` to `work.trial`, where the FMU stands.
+@inlined
+def find_event(  # type: ignore[no-untyped-def]
+    c, references, hooks, grid, i, time, step, interpolate, source, work
+):
+    """Look for a state event in a step that ends at `work.trial`, where the FMU stands.
 
     Parameters
     ----------
-    dense : (stages, powers)
-        The step's interpolant: state = start + step * sum over stages of the stage's slope times
-        the polynomial of its row, from the first power on.
+    interpolate
+        ``interpolate(time, step, part, source, work)`` puts the states at a part of the step into
+        `work.trial`.
 
     Returns
     -------
     (status, part)
-        Which part of the step is left of the event: below 1 if there is one, and then `work.trial`
-        is the state just behind it, and the FMU stands there.
+        Which part of the step is left of the event: at most 1 if there is one, else 2. If there is
+        one, `work.trial` is the state just behind it, and the FMU stands there.
     """
     status = get_event_indicators(c, work.indicators)
     if status >= DISCARD or not _crossed(work):
@@ -146,7 +148,7 @@ def find_event(c, references, hooks, grid, i, time, step, dense, work):  # type:
         tries += 1
         guess = 0.5 if tries % 3 == 0 else _first_zero(work)
         part = low + min(max(guess * (high - low), 0.5 * width), high - low - 0.5 * width)
-        _interpolate(work, step, part, dense)
+        interpolate(time, step, part, source, work)
         status = max(status, _look(c, references, hooks, grid, i, time + part * step, work))
         if status >= DISCARD:
             return status, part
@@ -157,7 +159,7 @@ def find_event(c, references, hooks, grid, i, time, step, dense, work):  # type:
             low, side = part, min(side, 0) - 1
             _take(work.signs, work.indicators, work.highs, -side)
     if high < 1.0:
-        _interpolate(work, step, high, dense)
+        interpolate(time, step, high, source, work)
     return max(status, _look(c, references, hooks, grid, i, time + high * step, work)), high
 
 
@@ -185,16 +187,19 @@ def _take(moved, found, kept, times):  # type: ignore[no-untyped-def]
             kept[j] *= 0.5
 
 
-@inlined
-def _interpolate(work, step, part, dense):  # type: ignore[no-untyped-def]
-    """Put the states at a part of the step into `work.trial`."""
+@kernel
+def polynomial(time, step, part, dense, work):  # type: ignore[no-untyped-def]
+    """The states within a step of a Runge-Kutta method, which began at `work.states`.
+
+    `dense` has a row for each stage: the polynomial of its slope, from the first power on.
+    """
     for j in range(len(work.states)):
         total = 0.0
         for stage in range(len(dense)):
-            polynomial = 0.0
+            weight = 0.0
             for power in range(dense.shape[1] - 1, -1, -1):
-                polynomial = (polynomial + dense[stage, power]) * part
-            total += polynomial * work.stages[stage, j]
+                weight = (weight + dense[stage, power]) * part
+            total += weight * work.stages[stage, j]
         work.trial[j] = work.states[j] + step * total
 
 

@@ -121,21 +121,31 @@ def linearise(  # type: ignore[no-untyped-def]
             return failed(LINEARISATION, status), time
         if i + 1 == len(times):
             break
-        if way == GIVEN:
-            if work.next_event[0] <= times[i + 1]:
-                return EVENT, time
-            time = times[i + 1]
-            for j in range(len(work.states)):
-                work.states[j] = found.states[i + 1, j]
-        elif way == ADAPTIVE:
-            code, time, proposed, steps_left = adaptive_steps(
-                c, references, settings, hooks, grid, i, time, proposed, steps_left, work
-            )
-        else:
-            code, time, steps_left = equal_steps(
-                c, references, settings, hooks, grid, i, time, steps_left, work
-            )
+        code, time, proposed, steps_left = _go_on(
+            way, c, references, settings, hooks, grid, i, time, proposed, steps_left, work, found
+        )
     return code, time
+
+
+@inlined
+def _go_on(way, c, references, settings, hooks, grid, i, time, proposed, steps_left, work, found):  # type: ignore[no-untyped-def]
+    """To grid time i + 1. Returns what `adaptive_steps` does."""
+    code = FINISHED
+    if way == ADAPTIVE:
+        code, time, proposed, steps_left = adaptive_steps(
+            c, references, settings, hooks, grid, i, time, proposed, steps_left, work
+        )
+    elif way == FIXED:
+        code, time, steps_left = equal_steps(
+            c, references, settings, hooks, grid, i, time, steps_left, work
+        )
+    else:
+        time = grid.times[i + 1]
+        if work.next_event[0] <= time:
+            code = EVENT
+        for j in range(len(work.states)):
+            work.states[j] = found.states[i + 1, j]
+    return code, time, proposed, steps_left
 
 
 @kernel

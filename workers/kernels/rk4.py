@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from workers.kernels.calling import inlined, kernel
-from workers.kernels.events import find_event, handle_event, shortest
+from workers.kernels.events import find_event, handle_event, polynomial, shortest
 from workers.kernels.failure import EVENT, FINISHED, OUTPUT, STEP, TOO_MANY_STEPS, failed
 from workers.kernels.hooks import take_point
 from workers.kernels.initialise import n_steps
@@ -22,7 +22,7 @@ from workers.kernels.values import DISCARD
 INTERPOLANT = np.array(
     [[1.0, -3 / 2, 2 / 3], [0.0, 1.0, -2 / 3], [0.0, 1.0, -2 / 3], [0.0, -1 / 2, 2 / 3]]
 )
-"""Of order 3 within a step, see `workers.kernels.events.find_event`. Source: E. Hairer, S. P.
+"""Of order 3 within a step, see `workers.kernels.events.polynomial`. Source: E. Hairer, S. P.
 Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.6."""
 
 
@@ -102,7 +102,7 @@ def _go(c, references, hooks, grid, i, time, step, moved, work):  # type: ignore
     part, found = 1.0, False
     if c.n_indicators > 0 and status < DISCARD:
         found_status, part = find_event(
-            c, references, hooks, grid, i, time, step, INTERPOLANT, work
+            c, references, hooks, grid, i, time, step, polynomial, INTERPOLANT, work
         )
         status, found = max(status, found_status), part <= 1.0
         part = min(part, 1.0)

@@ -18,7 +18,7 @@ from workers.messages import FloatArray, IntArray
 
 BDF, ONE_STEP = 2, 2
 FIRST_DERIVATIVE_FAILED, TOO_CLOSE = -9, -27
-MADE_WITH, INTERVAL, STATUS, STEPS_LEFT, STOP, TOLD, FRESH = range(7)
+MADE_WITH, INTERVAL, STATUS, STEPS_LEFT, STOP, TOLD, FRESH, DUE, STILL = range(9)
 """Places in `Cvode.notes`."""
 
 
@@ -29,8 +29,9 @@ class Cvode(NamedTuple):
     `z`, for tolerances and the states at a time that it has passed. `time` is where it stands.
     `notes` holds the address of the right-hand side that the integrator was made with (0: of none
     yet), the interval of the grid, the FMU's last status, the steps that are left, the grid
-    time of the next stop, whether the FMU was told of the last step, and whether there is none yet
-    since the integrator was started.
+    time of the next stop, whether the FMU was told of the last step, whether there is none yet
+    since the integrator was started, whether there is an event where it stands, and how many there
+    were since it last made a step.
     """
 
     memory: int
@@ -142,7 +143,7 @@ class Integrator:
             y=y,
             z=z,
             time=np.zeros(1),
-            notes=np.zeros(7, np.int64),
+            notes=np.zeros(9, np.int64),
         )
         freeing = weakref.finalize(
             self, _free, lib, memory, solver, matrix, vectors, context, (y, z)
