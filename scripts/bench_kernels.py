@@ -21,9 +21,7 @@ from pathlib import Path
 
 import fmpy
 import numpy as np
-from build_fmus import build
 from fmpy.fmi2 import FMU2Model, FMU2Slave
-from workers.kernels.fmi2 import Component
 
 from cluster_est.executors import Executor, executor_class
 from workers.archive import unpack
@@ -32,18 +30,34 @@ from workers.messages import Experiment, Input, Model, Output, Solver, Task
 from workers.simulate import Simulator
 
 HERE = Path(__file__).parent
+sys.path.append(str(HERE.parent / "tests"))
 FMU = HERE.parent / "configs" / "models" / "mass_spring_damper.fmu"
-STIFF = HERE.parent / "tests" / "models" / "van_der_pol_stiff"
+BALL, OSCILLATOR = "bouncing_ball", "van_der_pol"
 STEP, COUNT = 0.005, 1001
 BATCH = 20
 PARAMETERS = ("m", "k", "c")
 VALUES = np.array([1.0, 25.0, 0.8])
 
 
-class CFmu(ctypes.Structure):
-    """`Component` as the C loops see it: the handle and the functions, without the flags."""
+FUNCTIONS = (
+    "handle", "reset", "setup_experiment", "enter_initialization_mode", "exit_initialization_mode",
+    "set_real", "get_real", "set_time", "set_continuous_states", "get_continuous_states",
+    "get_derivatives", "update_discrete_states", "enter_continuous_time_mode",
+    "completed_integrator_step", "do_step", "set_real_input_derivatives",
+)  # fmt: skip
 
-    _fields_ = [(name, ctypes.c_void_p) for name in Component._fields[:-2]]
+
+class CFmu(ctypes.Structure):
+    """An instance and its functions as the C loops see them."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in FUNCTIONS]
+
+
+def build_test_fmu(name: str, folder: Path) -> Path:
+    """One of the FMUs that the tests are made with."""
+    from fmus.build import build as build_own
+
+    return build_own(name, 2, folder)
 
 
 def main() -> None:
@@ -56,7 +70,13 @@ def main() -> None:
         compare_interface("co_simulation", "fmu", loops.co_simulate, options.rounds)
         compare_interface("model_exchange", "rk4", loops.rk4, options.rounds)
         compare_interface("model_exchange", "dormand_prince", None, options.rounds)
-        compare_stiff(build(STIFF, Path(folder)), max(3, options.rounds // 3))
+        ball, oscillator = (build_test_fmu(n, Path(folder)) for n in (BALL, OSCILLATOR))
+        few = max(3, options.rounds // 3)
+        for solver in ("dormand_prince", "cvode"):
+            how = Solver(solver, rtol=1e-6)
+            compare_exchange("events", ball, how, {"h": 1.0}, "height", 3.0, few)
+        stiff = Solver("cvode", rtol=1e-6)
+        compare_exchange("stiff", oscillator, stiff, {"mu": 1000.0}, "y", 2000.0, few)
     compare_fmpy(max(3, options.rounds // 10))
     if not options.skip_ray:
         compare_ray(max(3, options.rounds // 10))
@@ -116,7 +136,8 @@ def prepare_c(
     simulator: Simulator, c_loop: Callable[..., int]
 ) -> tuple[Callable[[], None], np.ndarray]:
     component = simulator.instance.component
-    fmu = CFmu(*[getattr(component, name) for name in Component._fields[:-2]])
+    addresses = component._asdict()
+    fmu = CFmu(*[addresses[name] for name in FUNCTIONS])
     ready = simulator.installed(0)
     times, force = signals()
     outputs = np.zeros(COUNT)
@@ -129,11 +150,11 @@ def prepare_c(
         for _ in range(BATCH):
             status = c_loop(
                 ctypes.byref(fmu),
-                pointer(ready.references.start_reals),
+                pointer(ready.starts.numbers.reals),
                 ctypes.c_size_t(len(VALUES)),
                 pointer(VALUES),
-                ctypes.c_uint32(int(ready.references.inputs[0])),
-                ctypes.c_uint32(int(ready.references.outputs[0])),
+                ctypes.c_uint32(int(ready.references.inputs.reals[0])),
+                ctypes.c_uint32(int(ready.references.outputs.reals[0])),
                 pointer(times),
                 pointer(force),
                 ctypes.c_size_t(COUNT),
@@ -187,12 +208,18 @@ def compare_fmpy(rounds: int) -> None:
     )
 
 
-def compare_stiff(fmu: Path, rounds: int) -> None:
-    """CVODE on the oscillator of van der Pol, mu = 1000, here and driven by `fmpy.simulate_fmu`."""
-    tolerance, stop, points = 1e-6, 2000.0, np.full((BATCH, 1), 1000.0)
-    asked = Model(
-        fmu.name, fmu.read_bytes(), "model_exchange", Solver("cvode", rtol=tolerance), ("mu",)
-    )
+def compare_exchange(
+    label: str,
+    fmu: Path,
+    solver: Solver,
+    values: dict[str, float],
+    output: str,
+    stop: float,
+    rounds: int,
+) -> None:
+    """Model exchange without inputs, here and as `fmpy.simulate_fmu` does it with its CVode."""
+    names, points = tuple(values), np.tile(list(values.values()), (BATCH, 1))
+    asked = Model(fmu.name, fmu.read_bytes(), "model_exchange", solver, names)
     folder = str(unpack(asked.name, asked.archive, asked.archive_hash))
     description = fmpy.read_model_description(folder)
     instance = FMU2Model(
@@ -203,7 +230,7 @@ def compare_stiff(fmu: Path, rounds: int) -> None:
     instance.instantiate()
     for intervals in (100, 1000):
         times = np.linspace(0.0, stop, intervals + 1)
-        run = Experiment("free", 0.0, stop, (), (Output("y", times, 0 * times),))
+        run = Experiment("free", 0.0, stop, (), (Output(output, times, 0 * times),))
         ours = Simulator(asked, describe(asked.name, asked.archive), (run,))
         ours.load()
 
@@ -215,9 +242,9 @@ def compare_stiff(fmu: Path, rounds: int) -> None:
                 fmu_instance=instance,
                 fmi_type="ModelExchange",
                 solver="CVode",
-                relative_tolerance=tolerance,
-                start_values={"mu": 1000.0},
-                output=["y"],
+                relative_tolerance=solver.rtol,
+                start_values=values,
+                output=[output],
                 stop_time=stop,
                 output_interval=step,
             )
@@ -230,8 +257,8 @@ def compare_stiff(fmu: Path, rounds: int) -> None:
                 seconds[name].append(value)
         kernel, theirs = (statistics.median(seconds[name]) for name in ("kernel", "fmpy"))
         print(
-            f"model_exchange  cvode, stiff    kernel {kernel * 1e6:8.1f} us   "
-            f"fmpy.simulate_fmu, {intervals} intervals {theirs * 1e3:.2f} ms   "
+            f"model_exchange  {solver.name:15s} kernel {kernel * 1e6:8.1f} us   {label}, "
+            f"{intervals} intervals: fmpy.simulate_fmu {theirs * 1e3:.2f} ms   "
             f"ratio {theirs / kernel:.0f}"
         )
 

@@ -1,5 +1,5 @@
 /* The loops of workers/kernels in C, as the limit that scripts/bench_kernels.py measures against.
- * The FMU's functions come by address, in the order of the fields of workers.kernels.fmi2.Component. */
+ * The FMU's functions come by address, in the order of FUNCTIONS there. */
 #include <stddef.h>
 #include <stdint.h>
 
@@ -10,14 +10,12 @@ typedef struct {
     int (*enter_initialization_mode)(void *);
     int (*exit_initialization_mode)(void *);
     int (*set_real)(void *, const uint32_t *, size_t, const double *);
-    int (*set_integer)(void *, const uint32_t *, size_t, const int *);
-    int (*set_boolean)(void *, const uint32_t *, size_t, const int *);
     int (*get_real)(void *, const uint32_t *, size_t, double *);
     int (*set_time)(void *, double);
     int (*set_continuous_states)(void *, const double *, size_t);
     int (*get_continuous_states)(void *, double *, size_t);
     int (*get_derivatives)(void *, double *, size_t);
-    int (*new_discrete_states)(void *, void *);
+    int (*update_discrete_states)(void *, void *);
     int (*enter_continuous_time_mode)(void *);
     int (*completed_integrator_step)(void *, int, int *, int *);
     int (*do_step)(void *, double, double, int);
@@ -67,7 +65,7 @@ int rk4(const Fmu *f, const uint32_t *vr, size_t n, const double *values, uint32
     double x[MAX_STATES], trial[MAX_STATES], k[4][MAX_STATES];
     int event_info[8], flags[2];
     int worst = initialise(f, vr, n, values, input, u, t[0]);
-    worst |= f->new_discrete_states(f->handle, event_info);
+    worst |= f->update_discrete_states(f->handle, event_info);
     worst |= f->enter_continuous_time_mode(f->handle);
     worst |= f->get_continuous_states(f->handle, x, states);
     for (size_t i = 0; i < count && worst < 2; i++) {

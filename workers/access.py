@@ -35,14 +35,16 @@ def access(
     for column, variable in enumerate(variables[plain:], plain):
         if variable is not None:
             _place(variable, column, whole)
-    sizes = [len(each.columns) for each in whole]
+    elements = [
+        (each.code, each.variable.reference, len(each.columns), column, int(bits))
+        for each in whole
+        for column, bits in zip(
+            each.columns, np.array(bases(each.variable), np.float64).view(np.int64), strict=True
+        )
+    ]
     return Access(
         reals=np.array([v.reference for v in variables[:plain] if v is not None], np.uint32),
-        codes=np.array([each.code for each in whole], np.int64),
-        references=np.array([each.variable.reference for each in whole], np.uint32),
-        firsts=np.cumsum([0, *sizes], dtype=np.int64),
-        columns=np.array([c for each in whole for c in each.columns], np.int64),
-        bases=np.array([b for each in whole for b in bases(each.variable)], np.float64),
+        elements=np.array(elements, np.int64).reshape(-1, 5),
     )
 
 

@@ -13,13 +13,14 @@ from collections.abc import Callable, Iterator
 from ctypes import c_void_p
 from typing import Any
 
+import numpy as np
 from fmpy.fmi2 import FMU2Model, FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
 from workers.archive import unpack
 from workers.description import Description
 from workers.errors import ModelError
-from workers.kernels.component import Component
+from workers.kernels.component import Component, nothing_loaded
 from workers.kernels.values import TYPES
 from workers.libraries import about_licence, why_not_loaded
 from workers.messages import Model
@@ -173,11 +174,14 @@ class Instance:
                 "but has not; export it again"
             )
         types = [_TYPES_IN_2.get(t, "") if version == 2 else t for t in TYPES]
-        return nothing_loaded()._replace(
+        accessors = np.array(
+            [[self._address(verb + t) if t else 0 for t in types] for verb in ("Get", "Set")]
+        )
+        return nothing_loaded(description.version)._replace(
             handle=int(self._fmu.component),
-            version=version,
-            getters=tuple(self._address(f"Get{t}") if t else 0 for t in types),
-            setters=tuple(self._address(f"Set{t}") if t else 0 for t in types),
+            get_real=int(accessors[0, 0]),
+            set_real=int(accessors[1, 0]),
+            accessors=accessors,
             interpolates_inputs=description.interpolates_inputs,
             completes_steps=description.completes_steps,
             eventful=_is_eventful(description),
@@ -191,14 +195,6 @@ class Instance:
         whole = f"fmi{self._description.version[0]}{name}"
         function = getattr(self._fmu.dll, whole, None)
         return 0 if function is None else ctypes.cast(function, c_void_p).value or 0
-
-
-def nothing_loaded() -> Component:
-    """A component whose functions must not be called, for compiled loops that call none."""
-    fields: dict[str, Any] = dict.fromkeys(Component._fields, 0)
-    fields.update(getters=(0,) * len(TYPES), setters=(0,) * len(TYPES))
-    fields.update(interpolates_inputs=False, completes_steps=False, eventful=False)
-    return Component(**fields)
 
 
 def _is_eventful(description: Description) -> bool:

@@ -11,7 +11,7 @@ from workers.access import access
 from workers.description import Description
 from workers.errors import ModelError
 from workers.grid import Grid, build_grid
-from workers.kernels.component import References
+from workers.kernels.component import References, Starts
 from workers.messages import Experiment, FloatArray, Input, IntArray, Model
 from workers.variables import Variable
 
@@ -22,6 +22,7 @@ class Installed:
 
     grid: Grid
     outputs: tuple[str, ...]
+    starts: Starts
     references: References
     known: FloatArray
     held: IntArray
@@ -72,11 +73,13 @@ def install(
     return Installed(
         grid=grid,
         outputs=outputs,
-        references=References(
+        starts=Starts(
             structure=access([*[None] * first, *structure], bases),
-            starts=access([*at(model.parameters), *known], bases),
+            numbers=access([*at(model.parameters), *known], bases),
             strings=np.array([chosen[n].reference for n in texts], np.uint32),
             texts=(held := _texts(list(texts.values())))[0],
+        ),
+        references=References(
             inputs=access(inputs, bases),
             moving=access(moving, bases),
             outputs=access(at(outputs), bases),

@@ -12,7 +12,7 @@ from workers.description import Description
 from workers.effects.definition import Definition, define
 from workers.grid import Grid
 from workers.install import Installed, install
-from workers.kernels.component import Component, References, Workspace
+from workers.kernels.component import Component, References, Starts, Workspace
 from workers.kernels.cvode import CvodeBatch
 from workers.kernels.failure import FINISHED
 from workers.kernels.hooks import Hooks
@@ -121,6 +121,7 @@ class Pass:
         self,
         c: Component,
         references: References,
+        starts: Starts,
         settings: Settings,
         hooks: Hooks,
         grid: Grid,
@@ -134,13 +135,13 @@ class Pass:
         if self.cvode is not None:  # it goes ahead, because nobody may call the FMU in between
             way = GIVEN
             self.cvode(
-                c, references, settings, hooks, grid, points, work, outputs, codes,
+                c, references, starts, settings, hooks, grid, points, work, outputs, codes,
                 stopped_at, self.found.states,
             )  # fmt: skip
             if codes[0] != FINISHED:
                 return 1
         codes[0], stopped_at[0] = linearise(
-            way, c, references, settings, hooks, self.probing, grid, points[0],
+            way, c, references, starts, settings, hooks, self.probing, grid, points[0],
             work, self.probe, self.found, outputs[0],
         )  # fmt: skip
         return 1

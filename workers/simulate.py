@@ -10,11 +10,11 @@ import numpy as np
 
 from workers.description import Description
 from workers.errors import ModelError
-from workers.fmu import Instance, nothing_loaded
+from workers.fmu import Instance
 from workers.install import Installed, install
 from workers.kernels import failure, linearise
 from workers.kernels.co_simulation import co_simulate_batch
-from workers.kernels.component import Component, Workspace, workspace
+from workers.kernels.component import Component, Workspace, nothing_loaded, workspace
 from workers.kernels.cvode import CvodeBatch
 from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.hooks import Hooks, no_hooks
@@ -116,7 +116,7 @@ class Simulator:
         ready = self._installed[0]
         rows = np.empty((0, len(self._model.parameters) + len(ready.known)))
         sizes = len(ready.grid.times), len(ready.outputs)
-        nowhere, record = nothing_loaded(), Record.empty(0, *sizes)
+        nowhere, record = nothing_loaded(self._description.version), Record.empty(0, *sizes)
         self._call(self._batch, nowhere, ready, no_hooks(0), 0, rows, record, np.empty(0))
 
     def installed(self, experiment: int) -> Installed:
@@ -198,6 +198,7 @@ class Simulator:
         found, code = stiffness(
             self.instance.component,
             ready.references,
+            ready.starts,
             settings,
             no_hooks(1),
             ready.grid,
@@ -340,6 +341,7 @@ class Simulator:
         return batch(
             component,
             ready.references,
+            ready.starts,
             _settings(self._model, self._description, own_states),
             rest,
             ready.grid,

@@ -95,3 +95,40 @@ def address_of(typing_context: Any, array: Any) -> Any:
         return builder.ptrtoint(layout.data, context.get_value_type(types.intp))
 
     return types.intp(array), generate
+
+
+@intrinsic
+def peek(typing_context: Any, address: Any, like: Any) -> Any:
+    """What stands at an address, read as the type of another number."""
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        pointer = builder.inttoptr(operands[0], context.get_value_type(like).as_pointer())
+        return builder.load(pointer)
+
+    return like(types.intp, like), generate
+
+
+@intrinsic
+def poke(typing_context: Any, address: Any, value: Any) -> Any:
+    """Write a number to an address, in its own type."""
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        pointer = builder.inttoptr(operands[0], context.get_value_type(value).as_pointer())
+        builder.store(operands[1], pointer)
+        return context.get_dummy_value()
+
+    return types.void(types.intp, value), generate
+
+
+@intrinsic
+def is_fmi_2(typing_context: Any, component: Any) -> Any:
+    """Whether an instance is of FMI 2.0: known to the compiler, so the other branch costs nothing.
+
+    Its type says so; see `workers.kernels.component`.
+    """
+    constant = int(not component.instance_class.__name__.endswith("3"))
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        return context.get_constant(types.boolean, constant)
+
+    return types.boolean(component), generate

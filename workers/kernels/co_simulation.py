@@ -12,7 +12,7 @@ from workers.kernels.failure import (
     TOO_MANY_STEPS,
     failed,
 )
-from workers.kernels.fmi import do_step, set_real_input_derivatives
+from workers.kernels.fmi import ENDED, do_step, set_real_input_derivatives
 from workers.kernels.hooks import before, begin, first_inputs, inside, take_inputs, take_point
 from workers.kernels.initialise import initialise, n_steps
 from workers.kernels.values import DISCARD, get_values, set_reals, set_values
@@ -20,7 +20,7 @@ from workers.kernels.values import DISCARD, get_values, set_reals, set_values
 
 @kernel
 def co_simulate_batch(  # type: ignore[no-untyped-def]
-    c, references, settings, hooks, grid, points, work, outputs, codes, stopped_at
+    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at
 ):
     """Simulate one experiment for many points.
 
@@ -44,7 +44,7 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
     for p in range(len(points)):
         take_point(hooks, p, work)
         codes[p], stopped_at[p] = _co_simulate(
-            c, references, settings, hooks, grid, points[p], work, outputs[p]
+            c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
         )
         if codes[p] != FINISHED:
             return p + 1
@@ -52,12 +52,12 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _co_simulate(c, references, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
+def _co_simulate(c, references, starts, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
     times = grid.times
     tolerance = settings.fmu_tolerance
     inputs = first_inputs(hooks, grid, work)
-    work.flags[1] = 0
-    status = initialise(c, references, point, inputs, tolerance, times[0], work)
+    work.info[ENDED] = 0
+    status = initialise(c, references, starts, point, inputs, tolerance, times[0], work)
     if status >= DISCARD:
         return failed(INITIALISATION, status), times[0]
     if hooks.before != 0:
@@ -73,9 +73,9 @@ def _go(c, references, settings, grid, work, record):  # type: ignore[no-untyped
     for i in range(len(times)):
         status = 0
         if grid.inputs.shape[1] > 0:
-            status = set_values(c, references.inputs, grid.inputs[i], work.cells)
+            status = set_values(c, references.inputs, grid.inputs[i], work.cell)
         if status < DISCARD:
-            status = get_values(c, references.outputs, record[i], work.cells)
+            status = get_values(c, references.outputs, record[i], work.cell)
         if status >= DISCARD:
             return failed(OUTPUT, status), times[i]
         if i + 1 == len(times):
@@ -87,7 +87,7 @@ def _go(c, references, settings, grid, work, record):  # type: ignore[no-untyped
         status = _advance(c, references, grid, i, steps, work)
         if status >= DISCARD:
             return failed(STEP, status), times[i]
-        if work.flags[1] != 0:
+        if work.info[ENDED] != 0:
             return TERMINATED, times[i]
     return FINISHED, times[-1]
 
@@ -99,7 +99,7 @@ def _go_with_effects(c, references, settings, hooks, grid, work, record):  # typ
     for i in range(len(times)):
         status = _write_edited(c, references, hooks, grid, i, times[i], work)
         if status < DISCARD:
-            status = get_values(c, references.outputs, record[i], work.cells)
+            status = get_values(c, references.outputs, record[i], work.cell)
         if status >= DISCARD:
             return failed(OUTPUT, status), times[i]
         if i + 1 == len(times):
@@ -111,7 +111,7 @@ def _go_with_effects(c, references, settings, hooks, grid, work, record):  # typ
         status = _advance_with_effects(c, references, hooks, grid, i, steps, work)
         if status >= DISCARD:
             return failed(STEP, status), times[i]
-        if work.flags[1] != 0:
+        if work.info[ENDED] != 0:
             return TERMINATED, times[i]
     return FINISHED, times[-1]
 
@@ -126,19 +126,17 @@ def _advance(c, references, grid, i, steps, work):  # type: ignore[no-untyped-de
     step = (grid.times[i + 1] - grid.times[i]) / steps
     status = 0
     for s in range(steps):
-        if work.flags[1] != 0:
+        if work.info[ENDED] != 0:
             break
         if s > 0 and status < DISCARD and len(work.inputs) > 0:
             take_inputs(grid, i, grid.times[i] + s * step, work)
-            status = max(status, set_values(c, references.inputs, work.inputs, work.cells))
+            status = max(status, set_values(c, references.inputs, work.inputs, work.cell))
         if c.interpolates_inputs and len(references.moving.reals) > 0 and status < DISCARD:
             status = set_real_input_derivatives(
                 c, references.inputs.reals, work.orders, grid.slopes[i]
             )
         if status < DISCARD:
-            status = do_step(
-                c, grid.times[i] + s * step, step, work.flags, work.bits, work.event_time
-            )
+            status = do_step(c, grid.times[i] + s * step, step, work.info)
     return status
 
 
@@ -149,7 +147,7 @@ def _advance_with_effects(c, references, hooks, grid, i, steps, work):  # type: 
     status = 0
     for s in range(steps):
         time = grid.times[i] + s * step
-        if work.flags[1] != 0:
+        if work.info[ENDED] != 0:
             break
         if s > 0 and status < DISCARD:
             status = _write_edited(c, references, hooks, grid, i, time, work)
@@ -159,7 +157,7 @@ def _advance_with_effects(c, references, hooks, grid, i, steps, work):  # type: 
                 c, references.inputs.reals, work.orders, work.slopes
             )
         if status < DISCARD:
-            status = do_step(c, time, step, work.flags, work.bits, work.event_time)
+            status = do_step(c, time, step, work.info)
     return status
 
 
@@ -170,7 +168,7 @@ def _write_edited(c, references, hooks, grid, i, time, work):  # type: ignore[no
     before(hooks, time, work.states, work)
     status = 0
     if len(work.edited) > 0:
-        status = set_values(c, references.inputs, work.edited, work.cells)
+        status = set_values(c, references.inputs, work.edited, work.cell)
     if status < DISCARD and len(work.varied) > 0:
         status = max(status, set_reals(c, hooks.parameters, work.varied))
     return status

@@ -2,35 +2,35 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from workers.kernels.values import Access, Cells, cells
+from workers.kernels.values import TYPES, Access
 from workers.messages import FloatArray, IntArray
 
 
 class Component(NamedTuple):
-    """An instance of an FMU: its handle and the addresses of its functions.
+    """An instance of FMI 2.0: its handle and the addresses of its functions.
 
-    `version` is 2 or 3. Functions that the version or the interface does not have are 0; `getters`
-    and `setters` have one for each type of variable (see `workers.kernels.values`). `n_states` and
-    `n_indicators` count the FMU's own continuous states and event indicators; arrays of states may
-    be longer. `interpolates_inputs` and `completes_steps` repeat the flags canInterpolateInputs and
-    completedIntegratorStepNotNeeded (negated) of the model description. `eventful` says whether an
-    input that jumps is an event.
+    Functions that the version or the interface does not have are 0;
+    `accessors` has those that get (in row 0) and set each type of variable (see
+    `workers.kernels.values`). `n_states` and `n_indicators` count the FMU's own continuous states
+    and event indicators; arrays of states may be longer. `interpolates_inputs` and
+    `completes_steps` repeat the flags canInterpolateInputs and completedIntegratorStepNotNeeded
+    (negated) of the model description. `eventful` says whether an input that jumps is an event.
     """
 
     handle: int
-    version: int
     reset: int
     setup_experiment: int
     enter_configuration_mode: int
     exit_configuration_mode: int
     enter_initialization_mode: int
     exit_initialization_mode: int
-    getters: tuple[int, ...]
-    setters: tuple[int, ...]
+    set_real: int
+    get_real: int
+    accessors: IntArray
     set_string: int
     set_time: int
     set_continuous_states: int
@@ -51,18 +51,28 @@ class Component(NamedTuple):
     n_indicators: int
 
 
-class References(NamedTuple):
-    """Where the numbers of a simulation go in the FMU, and where they come from.
+Component3 = NamedTuple("Component3", list(Component.__annotations__.items()))  # type: ignore[misc]
+"""The same of FMI 3.0, as a type of its own: loops are compiled for one version or the other."""
 
-    `starts` are written before initialisation, `structure` (structural parameters) and strings
-    before that; strings are addresses of what ends with a zero byte. `moving` are those inputs that
-    may be set between events.
+
+class Starts(NamedTuple):
+    """What is written before a simulation: `structure` (structural parameters) and strings first.
+
+    Strings are addresses of what ends with a zero byte.
     """
 
     structure: Access
-    starts: Access
+    numbers: Access
     strings: IntArray
     texts: IntArray
+
+
+class References(NamedTuple):
+    """What is written and read during a simulation.
+
+    `moving` are those inputs that may be set between events.
+    """
+
     inputs: Access
     moving: Access
     outputs: Access
@@ -74,10 +84,10 @@ class Workspace(NamedTuple):
     `inputs` are as measured; `edited` what effects make of them, `slopes` how fast those change,
     `varied` the parameters that effects vary, `counts` the substeps of the effects' own states.
     `stages` holds the integrator's derivatives, a row a stage; `atols` the absolute tolerances that
-    hold at the moment. `signs` are the event indicators after the last step, `indicators` those of
-    a trial, `highs` those behind an event that is being located; `next_event` is the time of the
-    next time event. `event_info` is fmi2EventInfo: five int32, four bytes of padding and a float64
-    (`event_time`); `bits` are FMI 3.0's booleans; `cells` holds the value of one variable.
+    hold at the moment; `next_event` the time of the next time event. `indicators` are the event
+    indicators after the last step, behind an event that is being located, and of a trial.
+    `info` has what FMUs say of events (see `workers.kernels.fmi`), `cell` the value of one
+    variable.
     """
 
     inputs: FloatArray
@@ -92,15 +102,10 @@ class Workspace(NamedTuple):
     trial: FloatArray
     stages: FloatArray
     atols: FloatArray
-    signs: FloatArray
-    indicators: FloatArray
-    highs: FloatArray
     next_event: FloatArray
-    flags: IntArray
-    event_info: IntArray
-    event_time: FloatArray
-    bits: IntArray
-    cells: Cells
+    indicators: FloatArray
+    info: IntArray
+    cell: FloatArray
 
 
 def workspace(
@@ -116,7 +121,6 @@ def workspace(
     `n_coefficients` and `n_parameters` are those of effects; `n_cells` is the size of the largest
     array variable.
     """
-    event_info = np.zeros(8, np.int32)
     return Workspace(
         inputs=np.zeros(n_inputs),
         edited=np.zeros(n_inputs),
@@ -130,13 +134,17 @@ def workspace(
         trial=np.zeros(n_states),
         stages=np.zeros((7, n_states)),
         atols=np.zeros(n_states),
-        signs=np.zeros(n_indicators),
-        indicators=np.zeros(n_indicators),
-        highs=np.zeros(n_indicators),
         next_event=np.full(1, np.inf),
-        flags=np.zeros(2, np.int32),
-        event_info=event_info,
-        event_time=event_info.view(np.float64)[3:],
-        bits=np.zeros(8, np.uint8),
-        cells=cells(n_cells),
+        indicators=np.zeros((3, n_indicators)),
+        info=np.zeros(12, np.int32),
+        cell=np.zeros(n_cells),
     )
+
+
+def nothing_loaded(version: str) -> Component:
+    """A component whose functions must not be called, for compiled loops that call none."""
+    fields: dict[str, Any] = dict.fromkeys(Component._fields, 0)
+    fields.update(accessors=np.zeros((2, len(TYPES)), np.int64))
+    fields.update(interpolates_inputs=False, completes_steps=False, eventful=False)
+    made = Component if version == "2.0" else Component3
+    return cast(Component, made(**fields))

@@ -22,7 +22,7 @@ from numba.core.types import float64, int32, intp
 
 from workers.grid import Grid
 from workers.kernels.calling import address_of, c_function, inlined, kernel
-from workers.kernels.component import Component, References, Workspace
+from workers.kernels.component import Component, References, Starts, Workspace
 from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.events import find_event, handle_event, shortest
 from workers.kernels.failure import (
@@ -90,6 +90,7 @@ class CvodeBatch:
         self,
         c: Component,
         references: References,
+        starts: Starts,
         settings: Settings,
         hooks: Hooks,
         grid: Grid,
@@ -110,7 +111,7 @@ class CvodeBatch:
         count = len(work.states)
         kept = np.empty((0, count)) if states is None else states
         simulation = (
-            c, references, settings, hooks, grid, points, work, outputs, codes,
+            c, references, starts, settings, hooks, grid, points, work, outputs, codes,
             stopped_at,
         )  # fmt: skip
         if count == 0:  # nothing to integrate, which CVODE refuses
@@ -126,7 +127,7 @@ class CvodeBatch:
 
 @kernel
 def _cvode_batch(  # type: ignore[no-untyped-def]
-    s, c, references, settings, hooks, grid, points, work, outputs, codes, stopped_at,
+    s, c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at,
     kept,
 ):  # fmt: skip
     function, data = right_hand_side((s, c, references, hooks, grid, work))
@@ -142,7 +143,7 @@ def _cvode_batch(  # type: ignore[no-untyped-def]
     for p in range(len(points)):
         take_point(hooks, p, work)
         codes[p], stopped_at[p] = _cvode(
-            s, c, references, settings, hooks, grid, points[p], work, outputs[p], kept
+            s, c, references, starts, settings, hooks, grid, points[p], work, outputs[p], kept
         )
         if codes[p] != FINISHED:
             return p + 1
@@ -150,9 +151,9 @@ def _cvode_batch(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _cvode(s, c, references, settings, hooks, grid, point, work, record, kept):  # type: ignore[no-untyped-def]
+def _cvode(s, c, references, starts, settings, hooks, grid, point, work, record, kept):  # type: ignore[no-untyped-def]
     times = grid.times
-    code = start(c, references, settings, hooks, grid, point, work)
+    code = start(c, references, starts, settings, hooks, grid, point, work)
     s.notes[STATUS], s.notes[STEPS_LEFT], s.notes[STOP] = 0, settings.max_steps, 0
     s.notes[TOLD], s.notes[DUE], s.notes[STILL] = 1, 0, 0
     s.time[0] = times[0]

@@ -64,13 +64,13 @@ SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 
 @kernel
 def dormand_prince_batch(  # type: ignore[no-untyped-def]
-    c, references, settings, hooks, grid, points, work, outputs, codes, stopped_at
+    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     for p in range(len(points)):
         take_point(hooks, p, work)
         codes[p], stopped_at[p] = _dormand_prince(
-            c, references, settings, hooks, grid, points[p], work, outputs[p]
+            c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
         )
         if codes[p] != FINISHED:
             return p + 1
@@ -78,10 +78,10 @@ def dormand_prince_batch(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _dormand_prince(c, references, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
+def _dormand_prince(c, references, starts, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
     times, steps_left = grid.times, settings.max_steps
     time, proposed = times[0], 0.0
-    code = start(c, references, settings, hooks, grid, point, work)
+    code = start(c, references, starts, settings, hooks, grid, point, work)
     for i in range(len(times)):
         if code == FINISHED:
             code = arrive(c, references, settings, hooks, grid, i, time, work)
@@ -97,7 +97,7 @@ def _dormand_prince(c, references, settings, hooks, grid, point, work, record): 
     return code, time
 
 
-@kernel
+@inlined
 def adaptive_steps(  # type: ignore[no-untyped-def]
     c, references, settings, hooks, grid, i, time, proposed, steps_left, work
 ):
@@ -125,7 +125,7 @@ def adaptive_steps(  # type: ignore[no-untyped-def]
             return code, time, proposed, steps_left
 
 
-@kernel
+@inlined
 def _to_next_event(  # type: ignore[no-untyped-def]
     c, references, settings, hooks, grid, i, time, last, proposed, steps_left, work
 ):

@@ -12,15 +12,20 @@ import numpy as np
 from workers.kernels.calling import inlined, kernel
 from workers.kernels.failure import CHATTERING, EVENT, FINISHED, TERMINATED, failed
 from workers.kernels.fmi import (
+    AGAIN,
+    ENDS,
+    NOMINALS,
+    VALUES,
     enter_continuous_time_mode,
     enter_event_mode,
     get_continuous_states,
     get_event_indicators,
     get_nominals_of_continuous_states,
+    next_event_time,
     update_discrete_states,
 )
 from workers.kernels.hooks import before, take_inputs
-from workers.kernels.moving import go_to, stand
+from workers.kernels.moving import stand
 from workers.kernels.values import DISCARD, set_values
 
 MAX_EVENT_ITERATIONS = 100
@@ -44,19 +49,19 @@ def iterate_event(c, settings, work):  # type: ignore[no-untyped-def]
     Returns (status, code). Afterwards `work` has the states, their tolerances, and the time of the
     next event.
     """
-    info = work.event_info
-    info[0] = 1
+    info = work.info
+    info[AGAIN] = 1
     iterations, changed, nominals, status = 0, False, False, 0
-    while status < DISCARD and info[0] != 0:
+    while status < DISCARD and info[AGAIN] != 0:
         if iterations == MAX_EVENT_ITERATIONS:
             return status, CHATTERING
-        status = max(status, update_discrete_states(c, info, work.event_time, work.bits))
+        status = max(status, update_discrete_states(c, info))
         iterations += 1
-        if status < DISCARD and info[1] != 0:
+        if status < DISCARD and info[ENDS] != 0:
             return status, TERMINATED
-        changed |= info[3] != 0
-        nominals |= info[2] != 0
-    work.next_event[0] = work.event_time[0] if info[4] != 0 else np.inf
+        changed |= info[VALUES] != 0
+        nominals |= info[NOMINALS] != 0
+    work.next_event[0] = next_event_time(info)
     if status < DISCARD:
         status = max(status, enter_continuous_time_mode(c))
     if status < DISCARD and changed:
@@ -80,22 +85,22 @@ def handle_event(  # type: ignore[no-untyped-def]
     """
     if still > MOST_AT_ONCE:
         return CHATTERING
-    status, code = stand(c, references, hooks, grid, before_it, time, work), FINISHED
+    status, code = stand(c, references, hooks, grid, before_it, time, work.states, work), FINISHED
     if status < DISCARD:
         status = max(status, enter_event_mode(c))
     if status < DISCARD and len(work.inputs) > 0:
         take_inputs(grid, i, time, work)
         if hooks.before != 0:
             before(hooks, time, work.states, work)
-            status = max(status, set_values(c, references.inputs, work.edited, work.cells))
+            status = max(status, set_values(c, references.inputs, work.edited, work.cell))
         else:
-            status = max(status, set_values(c, references.inputs, work.inputs, work.cells))
+            status = max(status, set_values(c, references.inputs, work.inputs, work.cell))
     if status < DISCARD:
         status, code = iterate_event(c, settings, work)
     if code != FINISHED:
         return code
     if status < DISCARD:
-        status = max(status, go_to(c, references, hooks, time, work.states, work))
+        status = max(status, stand(c, references, hooks, grid, i, time, work.states, work))
     if status < DISCARD:
         status = max(status, note_signs(c, work))
     return FINISHED if status < DISCARD else failed(EVENT, status)
@@ -104,15 +109,15 @@ def handle_event(  # type: ignore[no-untyped-def]
 @inlined
 def note_signs(c, work):  # type: ignore[no-untyped-def]
     """Remember the event indicators where the FMU stands."""
-    return get_event_indicators(c, work.signs) if c.n_indicators > 0 else 0
+    return get_event_indicators(c, work.indicators[0]) if c.n_indicators > 0 else 0
 
 
 @inlined
 def _crossed(work):  # type: ignore[no-untyped-def]
     """Whether an indicator has another sign than after the last step."""
     crossed = False
-    for j in range(len(work.signs)):
-        crossed |= (work.signs[j] > 0.0) != (work.indicators[j] > 0.0)
+    for j in range(len(work.indicators[0])):
+        crossed |= (work.indicators[0][j] > 0.0) != (work.indicators[2][j] > 0.0)
     return crossed
 
 
@@ -134,14 +139,14 @@ def find_event(  # type: ignore[no-untyped-def]
         Which part of the step is left of the event: at most 1 if there is one, else 2. If there is
         one, `work.trial` is the state just behind it, and the FMU stands there.
     """
-    status = get_event_indicators(c, work.indicators)
+    status = get_event_indicators(c, work.indicators[2])
     if status >= DISCARD or not _crossed(work):
         if status < DISCARD:
-            for j in range(len(work.signs)):
-                work.signs[j] = work.indicators[j]
+            for j in range(len(work.indicators[0])):
+                work.indicators[0][j] = work.indicators[2][j]
         return status, 2.0
-    for j in range(len(work.signs)):
-        work.highs[j] = work.indicators[j]
+    for j in range(len(work.indicators[0])):
+        work.indicators[1][j] = work.indicators[2][j]
     low, high, side, tries = 0.0, 1.0, 0, 0
     width = min(0.5, WIDTH * (abs(time) + step) / step)
     while high - low > width:
@@ -154,10 +159,10 @@ def find_event(  # type: ignore[no-untyped-def]
             return status, part
         if _crossed(work):
             high, side = part, max(side, 0) + 1
-            _take(work.highs, work.indicators, work.signs, side)
+            _take(work.indicators[1], work.indicators[2], work.indicators[0], side)
         else:
             low, side = part, min(side, 0) - 1
-            _take(work.signs, work.indicators, work.highs, -side)
+            _take(work.indicators[0], work.indicators[2], work.indicators[1], -side)
     if high < 1.0:
         interpolate(time, step, high, source, work)
     return max(status, _look(c, references, hooks, grid, i, time + high * step, work)), high
@@ -167,8 +172,8 @@ def find_event(  # type: ignore[no-untyped-def]
 def _first_zero(work):  # type: ignore[no-untyped-def]
     """Where the first indicator would be zero if all were straight lines, from 0 to 1."""
     first = 1.0
-    for j in range(len(work.signs)):
-        one, other = work.signs[j], work.highs[j]
+    for j in range(len(work.indicators[0])):
+        one, other = work.indicators[0][j], work.indicators[1][j]
         if (one > 0.0) != (other > 0.0):
             first = min(first, abs(one) / (abs(one) + abs(other)))
     return first
@@ -206,6 +211,5 @@ def polynomial(time, step, part, dense, work):  # type: ignore[no-untyped-def]
 @inlined
 def _look(c, references, hooks, grid, i, time, work):  # type: ignore[no-untyped-def]
     """Move the FMU to `work.trial` and ask for the indicators. Returns the worst status."""
-    take_inputs(grid, i, time, work)
-    status = go_to(c, references, hooks, time, work.trial, work)
-    return max(status, get_event_indicators(c, work.indicators)) if status < DISCARD else status
+    status = stand(c, references, hooks, grid, i, time, work.trial, work)
+    return max(status, get_event_indicators(c, work.indicators[2])) if status < DISCARD else status

@@ -2,13 +2,20 @@
 
 Each returns the standard's status: 0 OK, 1 warning, 2 discard, 3 error, 4 fatal, 5 pending. Where
 the versions differ, the function of the instance's version is called with what it takes.
+
+What FMUs say of events stands in an array of int32 in the order of fmi2EventInfo, from `AGAIN` to
+`NEXT_DEFINED`, followed by the time of the next event; then come whether a step wants an event,
+whether the FMU ends the simulation, and room for FMI 3.0's booleans, which are bytes.
 """
 
 from __future__ import annotations
 
+import numpy as np
 from numba.core.types import float64, int32, intp, uintp
 
-from workers.kernels.calling import address_of, c_function, inlined
+from workers.kernels.calling import address_of, c_function, inlined, is_fmi_2, peek
+
+AGAIN, ENDS, NOMINALS, VALUES, NEXT_DEFINED, NEXT, WANTS, ENDED, BYTES = 0, 1, 2, 3, 4, 6, 8, 9, 10
 
 _handle_only = c_function(int32, intp)
 _setup = c_function(int32, intp, int32, float64, float64, int32, float64)
@@ -42,7 +49,7 @@ def exit_configuration_mode(c):  # type: ignore[no-untyped-def]
 @inlined
 def set_strings(c, references, texts):  # type: ignore[no-untyped-def]
     at, count, first = address_of(references), len(references), address_of(texts)
-    if c.version == 2:
+    if is_fmi_2(c):
         return _strings(c.set_string, (c.handle, at, count, first))
     return _strings_3(c.set_string, (c.handle, at, count, first, count))
 
@@ -51,7 +58,7 @@ def set_strings(c, references, texts):  # type: ignore[no-untyped-def]
 def enter_initialization_mode(c, tolerance, start):  # type: ignore[no-untyped-def]
     """Begin initialisation at a time; a tolerance of 0 is not given."""
     given = tolerance > 0.0
-    if c.version == 3:
+    if not is_fmi_2(c):
         return _setup(c.enter_initialization_mode, (c.handle, given, tolerance, start, 0, 0.0))
     status = _setup(c.setup_experiment, (c.handle, given, tolerance, start, 0, 0.0))
     if status < 2:
@@ -100,18 +107,25 @@ def enter_event_mode(c):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def update_discrete_states(c, info, time, bits):  # type: ignore[no-untyped-def]
-    """Called fmi2NewDiscreteStates in FMI 2.0. Fills `info` and `time`, which are its structure."""
-    if c.version == 2:
-        return _event(c.update_discrete_states, (c.handle, address_of(info)))
-    at = address_of(bits)
+def update_discrete_states(c, info):  # type: ignore[no-untyped-def]
+    """Called fmi2NewDiscreteStates in FMI 2.0. Fills `info` from AGAIN to NEXT."""
+    at = address_of(info)
+    if is_fmi_2(c):
+        return _event(c.update_discrete_states, (c.handle, at))
+    b = at + 4 * BYTES
     status = _event_3(
-        c.update_discrete_states,
-        (c.handle, at, at + 1, at + 2, at + 3, at + 4, address_of(time)),
+        c.update_discrete_states, (c.handle, b, b + 1, b + 2, b + 3, b + 4, at + 4 * NEXT)
     )
     for j in range(5):
-        info[j] = bits[j]
+        info[j] = peek(b + j, np.uint8(0))
     return status
+
+
+@inlined
+def next_event_time(info):  # type: ignore[no-untyped-def]
+    """Of the next time event, infinite if there is none."""
+    time = peek(address_of(info) + 4 * NEXT, np.float64(0.0))
+    return time if info[NEXT_DEFINED] != 0 else np.inf
 
 
 @inlined
@@ -120,26 +134,29 @@ def enter_continuous_time_mode(c):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def completed_integrator_step(c, flags, bits):  # type: ignore[no-untyped-def]
-    """Fill `flags`: whether the FMU wants an event, and whether it ends the simulation."""
-    if c.version == 2:
-        at = address_of(flags)
-        return _completed(c.completed_integrator_step, (c.handle, 1, at, at + 4))
-    at = address_of(bits)
-    status = _completed(c.completed_integrator_step, (c.handle, 1, at, at + 1))
-    flags[0], flags[1] = bits[0], bits[1]
+def completed_integrator_step(c, info):  # type: ignore[no-untyped-def]
+    """Fill WANTS and ENDED of `info`."""
+    at = address_of(info)
+    if is_fmi_2(c):
+        return _completed(
+            c.completed_integrator_step, (c.handle, 1, at + 4 * WANTS, at + 4 * ENDED)
+        )
+    b = at + 4 * BYTES
+    status = _completed(c.completed_integrator_step, (c.handle, 1, b, b + 1))
+    info[WANTS], info[ENDED] = peek(b, np.uint8(0)), peek(b + 1, np.uint8(0))
     return status
 
 
 @inlined
-def do_step(c, time, step, flags, bits, reached):  # type: ignore[no-untyped-def]
-    """One communication step; flags[1] says whether the FMU ends the simulation with it."""
-    flags[1] = 0
-    if c.version == 2:
+def do_step(c, time, step, info):  # type: ignore[no-untyped-def]
+    """One communication step; ENDED of `info` says whether the FMU ends the simulation with it."""
+    info[ENDED] = 0
+    if is_fmi_2(c):
         return _step(c.do_step, (c.handle, time, step, 1))
-    at = address_of(bits)
-    status = _step_3(c.do_step, (c.handle, time, step, 1, at, at + 1, at + 2, address_of(reached)))
-    flags[1] = bits[1]
+    b = address_of(info) + 4 * BYTES
+    reached = address_of(info) + 4 * NEXT
+    status = _step_3(c.do_step, (c.handle, time, step, 1, b, b + 1, b + 2, reached))
+    info[ENDED] = peek(b + 1, np.uint8(0))
     return status
 
 

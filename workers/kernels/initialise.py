@@ -42,23 +42,23 @@ def n_steps(length, longest, limit):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def initialise(c, references, values, inputs, tolerance, start, work):  # type: ignore[no-untyped-def]
+def initialise(c, references, starts, values, inputs, tolerance, start, work):  # type: ignore[no-untyped-def]
     """Reset, write every start value, initialise. Returns the worst status.
 
     Everything is written after each reset, because some FMUs do not reset their parameters. After a
     failure nothing more is called: the standard forbids it.
     """
     worst = reset(c)
-    if worst < DISCARD and len(references.structure.codes) > 0:
-        worst = max(worst, _configure(c, references.structure, values, work))
+    if worst < DISCARD and len(starts.structure.elements) > 0:
+        worst = max(worst, _configure(c, starts.structure, values, work))
     if worst < DISCARD:
-        worst = max(worst, set_values(c, references.starts, values, work.cells))
-    if worst < DISCARD and len(references.strings) > 0:
-        worst = max(worst, set_strings(c, references.strings, references.texts))
+        worst = max(worst, set_values(c, starts.numbers, values, work.cell))
+    if worst < DISCARD and len(starts.strings) > 0:
+        worst = max(worst, set_strings(c, starts.strings, starts.texts))
     if worst < DISCARD:
         worst = max(worst, enter_initialization_mode(c, tolerance, start))
     if worst < DISCARD:
-        worst = max(worst, set_values(c, references.inputs, inputs, work.cells))
+        worst = max(worst, set_values(c, references.inputs, inputs, work.cell))
     if worst < DISCARD:
         worst = max(worst, exit_initialization_mode(c))
     return worst
@@ -69,7 +69,7 @@ def _configure(c, structure, values, work):  # type: ignore[no-untyped-def]
     """Set structural parameters, which say how large arrays are."""
     worst = enter_configuration_mode(c)
     if worst < DISCARD:
-        worst = max(worst, set_values(c, structure, values, work.cells))
+        worst = max(worst, set_values(c, structure, values, work.cell))
     if worst < DISCARD:
         worst = max(worst, exit_configuration_mode(c))
     return worst

@@ -80,7 +80,7 @@ class Found(NamedTuple):
 
 @kernel
 def linearise(  # type: ignore[no-untyped-def]
-    way, c, references, settings, hooks, probing, grid, point, work,
+    way, c, references, starts, settings, hooks, probing, grid, point, work,
     probe, found, record,
 ):  # fmt: skip
     """Simulate one experiment for one point, and linearise the model at each time of the grid.
@@ -107,7 +107,7 @@ def linearise(  # type: ignore[no-untyped-def]
     times, steps_left = grid.times, settings.max_steps
     time, proposed = times[0], 0.0
     take_point(hooks, 0, work)
-    code = start(c, references, settings, hooks, grid, point, work)
+    code = start(c, references, starts, settings, hooks, grid, point, work)
     for i in range(len(times)):
         if code == FINISHED:
             code = arrive(c, references, settings, hooks, grid, i, time, work)
@@ -272,7 +272,7 @@ def _answer(c, references, hooks, time, states, work, found, upper):  # type: ig
     outputs = found.upper_outputs if upper else found.lower_outputs
     status = slopes_here(c, hooks, time, states, work, slopes)
     return (
-        max(status, get_values(c, references.outputs, outputs, work.cells))
+        max(status, get_values(c, references.outputs, outputs, work.cell))
         if status < DISCARD
         else status
     )

@@ -5,19 +5,19 @@ from __future__ import annotations
 from workers.kernels.calling import inlined
 from workers.kernels.events import handle_event, iterate_event, note_signs
 from workers.kernels.failure import EVENT, FINISHED, INITIALISATION, STEP, TERMINATED, failed
-from workers.kernels.fmi import completed_integrator_step, get_continuous_states
+from workers.kernels.fmi import ENDED, WANTS, completed_integrator_step, get_continuous_states
 from workers.kernels.hooks import begin, first_inputs
 from workers.kernels.initialise import initialise
 from workers.kernels.values import DISCARD
 
 
 @inlined
-def start(c, references, settings, hooks, grid, point, work):  # type: ignore[no-untyped-def]
+def start(c, references, starts, settings, hooks, grid, point, work):  # type: ignore[no-untyped-def]
     """Initialise, iterate the initial event to its end, and fetch the states."""
     inputs = first_inputs(hooks, grid, work)
     for j in range(len(work.atols)):
         work.atols[j] = settings.atols[j]
-    status = initialise(c, references, point, inputs, 0.0, grid.times[0], work)
+    status = initialise(c, references, starts, point, inputs, 0.0, grid.times[0], work)
     if status < DISCARD:
         status, code = iterate_event(c, settings, work)
         if code != FINISHED:
@@ -43,9 +43,9 @@ def complete_step(c, work):  # type: ignore[no-untyped-def]
     """Tell the FMU that a step is accepted. Returns FINISHED, EVENT, or why it must end."""
     if not c.completes_steps:
         return FINISHED
-    status = completed_integrator_step(c, work.flags, work.bits)
+    status = completed_integrator_step(c, work.info)
     if status >= DISCARD:
         return failed(STEP, status)
-    if work.flags[1] != 0:
+    if work.info[ENDED] != 0:
         return TERMINATED
-    return EVENT if work.flags[0] != 0 else FINISHED
+    return EVENT if work.info[WANTS] != 0 else FINISHED

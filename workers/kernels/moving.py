@@ -8,7 +8,7 @@ from workers.kernels.hooks import before, inside, take_inputs
 from workers.kernels.values import DISCARD, get_values, set_reals, set_values
 
 
-@kernel
+@inlined
 def go_to(c, references, hooks, time, states, work):  # type: ignore[no-untyped-def]
     """Tell the FMU where it is; its inputs are in `work`. Returns the worst status."""
     status = set_time(c, time)
@@ -17,19 +17,22 @@ def go_to(c, references, hooks, time, states, work):  # type: ignore[no-untyped-
     if hooks.before != 0:
         before(hooks, time, states, work)
         if status < DISCARD:
-            status = max(status, set_values(c, references.moving, work.edited, work.cells))
+            status = max(status, set_values(c, references.moving, work.edited, work.cell))
         if status < DISCARD and len(work.varied) > 0:
             status = max(status, set_reals(c, hooks.parameters, work.varied))
     elif status < DISCARD:
-        status = max(status, set_values(c, references.moving, work.inputs, work.cells))
+        status = max(status, set_values(c, references.moving, work.inputs, work.cell))
     return status
 
 
-@inlined
-def stand(c, references, hooks, grid, i, time, work):  # type: ignore[no-untyped-def]
-    """Move the FMU to the states reached, at a time after grid time i. Returns the worst status."""
+@kernel
+def stand(c, references, hooks, grid, i, time, states, work):  # type: ignore[no-untyped-def]
+    """Move the FMU to some states, at a time after grid time i. Returns the worst status.
+
+    For what happens rarely: it is compiled once, and a call of it costs more than what it does.
+    """
     take_inputs(grid, i, time, work)
-    return go_to(c, references, hooks, time, work.states, work)
+    return go_to(c, references, hooks, time, states, work)
 
 
 @inlined
@@ -59,5 +62,5 @@ def record_outputs(c, references, hooks, grid, i, time, work, record):  # type: 
     take_inputs(grid, i, grid.times[i], work)
     status = go_to(c, references, hooks, time, work.states, work)
     if status < DISCARD:
-        status = max(status, get_values(c, references.outputs, record, work.cells))
+        status = max(status, get_values(c, references.outputs, record, work.cell))
     return status

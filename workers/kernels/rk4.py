@@ -28,13 +28,13 @@ Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.6."""
 
 @kernel
 def rk4_batch(  # type: ignore[no-untyped-def]
-    c, references, settings, hooks, grid, points, work, outputs, codes, stopped_at
+    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     for p in range(len(points)):
         take_point(hooks, p, work)
         codes[p], stopped_at[p] = _rk4(
-            c, references, settings, hooks, grid, points[p], work, outputs[p]
+            c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
         )
         if codes[p] != FINISHED:
             return p + 1
@@ -42,10 +42,10 @@ def rk4_batch(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _rk4(c, references, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
+def _rk4(c, references, starts, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
     times, steps_left = grid.times, settings.max_steps
     time = times[0]
-    code = start(c, references, settings, hooks, grid, point, work)
+    code = start(c, references, starts, settings, hooks, grid, point, work)
     for i in range(len(times)):
         if code == FINISHED:
             code = arrive(c, references, settings, hooks, grid, i, time, work)
@@ -61,7 +61,7 @@ def _rk4(c, references, settings, hooks, grid, point, work, record):  # type: ig
     return code, time
 
 
-@kernel
+@inlined
 def equal_steps(c, references, settings, hooks, grid, i, time, steps_left, work):  # type: ignore[no-untyped-def]
     """From a time to grid time i + 1, equal steps from event to event. Returns (code, time, steps
     left)."""

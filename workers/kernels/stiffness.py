@@ -26,7 +26,7 @@ IN_A_ROW, PARDON = 15, 6
 
 
 @kernel
-def stiffness(c, references, settings, hooks, grid, point, work):  # type: ignore[no-untyped-def]
+def stiffness(c, references, starts, settings, hooks, grid, point, work):  # type: ignore[no-untyped-def]
     """Follow a simulation for at most `settings.max_steps` steps.
 
     Parameters
@@ -40,7 +40,7 @@ def stiffness(c, references, settings, hooks, grid, point, work):  # type: ignor
         Whether, and what went wrong, if anything did (see `workers.kernels.failure`).
     """
     take_point(hooks, 0, work)
-    code = start(c, references, settings, hooks, grid, point, work)
+    code = start(c, references, starts, settings, hooks, grid, point, work)
     if code != FINISHED:
         return False, code
     time, i, at_border, off_border, proposed = grid.times[0], 0, 0, 0, 0.0

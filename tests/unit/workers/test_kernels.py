@@ -12,17 +12,16 @@ from ctypes import c_double, c_int32, c_size_t, c_void_p
 import numpy as np
 import pytest
 
-from workers.fmu import nothing_loaded
 from workers.grid import Grid, build_grid
 from workers.kernels import failure
 from workers.kernels.co_simulation import co_simulate_batch
-from workers.kernels.component import Component, References, workspace
+from workers.kernels.component import Component, References, Starts, nothing_loaded, workspace
 from workers.kernels.cvode import CvodeBatch
 from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.hooks import no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
-from workers.kernels.values import TYPES, Access
+from workers.kernels.values import Access
 from workers.messages import Experiment, FloatArray, Output
 
 OK, DISCARD, ERROR, FATAL = 0, 2, 3, 4
@@ -66,12 +65,7 @@ class FakeFmu:
         ]
         addresses = [ctypes.cast(function, c_void_p).value or 0 for function in self._kept]
         known = dict(zip(SIGNATURES, addresses, strict=True))
-        none = (0,) * (len(TYPES) - 1)
-        setters, getters = (known.pop("set_real"), *none), (known.pop("get_real"), *none)
-        return nothing_loaded()._replace(
-            version=2,
-            getters=getters,
-            setters=setters,
+        return nothing_loaded("2.0")._replace(
             completes_steps=completes_steps,
             n_states=1,
             n_indicators=self.indicators,
@@ -138,11 +132,7 @@ def grid() -> Grid:
 
 
 def reals(*references: int) -> Access:
-    none = np.zeros(0, np.int64)
-    return Access(
-        np.array(references, np.uint32), none, none.astype(np.uint32), np.zeros(1, np.int64), none,
-        np.zeros(0),
-    )  # fmt: skip
+    return Access(np.array(references, np.uint32), np.zeros((0, 5), np.int64))
 
 
 def run(
@@ -160,7 +150,8 @@ def run(
     atols = np.full(n_states, 1e-8)
     tried = batch(
         fmu.component(completes_steps=completes_steps)._replace(n_states=n_states),
-        References(none, none, none.reals, none.codes, none, none, one),
+        References(none, none, one),
+        Starts(none, none, none.reals, np.zeros(0, np.int64)),
         Settings(0.05 if solver == "rk4" else 0.0, 1e-8, 1e-8, atols, 3000, 0.0),
         no_hooks(1),
         grid() if on is None else on,
