@@ -228,7 +228,7 @@ def _bends(grid, i):  # type: ignore[no-untyped-def]
     return found
 
 
-@kernel
+@inlined
 def _advance(s, c, references, settings, hooks, grid, i, work):  # type: ignore[no-untyped-def]
     """Step until grid time i is reached, and put the states there into `work`. Gives the code."""
     time = grid.times[i]
@@ -265,7 +265,7 @@ def _handle(s, c, references, settings, hooks, grid, work):  # type: ignore[no-u
     return code
 
 
-@kernel
+@inlined
 def _step(s, c, references, hooks, grid, work):  # type: ignore[no-untyped-def]
     """One step, to the next stop or event at most. Returns the code."""
     if s.notes[STEPS_LEFT] <= 0:
@@ -324,7 +324,7 @@ def _start_again(s, time):  # type: ignore[no-untyped-def]
     _reinit(s.reinit, (s.memory, time, s.states))
 
 
-@kernel
+@inlined
 def _complete(s, c, references, hooks, grid, work):  # type: ignore[no-untyped-def]
     """Tell the FMU that the last step is accepted, if it wants to know and does not yet.
 
