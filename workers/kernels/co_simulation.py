@@ -84,7 +84,7 @@ def _go(c, references, settings, grid, work, record):  # type: ignore[no-untyped
         if steps > steps_left:
             return TOO_MANY_STEPS, times[i]
         steps_left -= steps
-        status = _advance(c, references, grid, i, steps, work)
+        status = _advance(c, references, settings, grid, i, steps, work)
         if status >= DISCARD:
             return failed(STEP, status), times[i]
         if work.flags[1] != 0:
@@ -108,7 +108,7 @@ def _go_with_effects(c, references, settings, hooks, grid, work, record):  # typ
         if steps > steps_left:
             return TOO_MANY_STEPS, times[i]
         steps_left -= steps
-        status = _advance_with_effects(c, references, hooks, grid, i, steps, work)
+        status = _advance_with_effects(c, references, settings, hooks, grid, i, steps, work)
         if status >= DISCARD:
             return failed(STEP, status), times[i]
         if work.flags[1] != 0:
@@ -117,13 +117,13 @@ def _go_with_effects(c, references, settings, hooks, grid, work, record):  # typ
 
 
 @inlined
-def _advance(c, references, grid, i, steps, work):  # type: ignore[no-untyped-def]
+def _advance(c, references, settings, grid, i, steps, work):  # type: ignore[no-untyped-def]
     """From one time of the grid to the next, in equal communication steps.
 
     An FMU that interpolates its inputs is told their slopes. Any other holds each at what it is at
     the start of a step: where that is too coarse, `Solver.step` shortens the steps.
     """
-    step = (grid.times[i + 1] - grid.times[i]) / steps
+    step = settings.fixed or (grid.times[i + 1] - grid.times[i]) / steps
     status = 0
     for s in range(steps):
         if work.flags[1] != 0:
@@ -143,9 +143,9 @@ def _advance(c, references, grid, i, steps, work):  # type: ignore[no-untyped-de
 
 
 @kernel
-def _advance_with_effects(c, references, hooks, grid, i, steps, work):  # type: ignore[no-untyped-def]
+def _advance_with_effects(c, references, settings, hooks, grid, i, steps, work):  # type: ignore[no-untyped-def]
     """The same where effects edit inputs or parameters, which count as linear within a step."""
-    step = (grid.times[i + 1] - grid.times[i]) / steps
+    step = settings.fixed or (grid.times[i + 1] - grid.times[i]) / steps
     status = 0
     for s in range(steps):
         time = grid.times[i] + s * step
