@@ -136,13 +136,21 @@ class Instance:
                     instanceName=name,
                     requireFunctions=False,
                 )
-                if version == "2.0":
-                    fmu.instantiate(callbacks=_callbacks, loggingOn=self._model.talks)
-                else:
-                    fmu.instantiate(logMessage=_log_3(name), loggingOn=self._model.talks)
+                self._instantiate(fmu, name)
         except Exception as error:  # fmpy raises bare exceptions here
             raise ModelError(self._why_not(error)) from error
         return fmu
+
+    def _instantiate(self, fmu: Any, name: str) -> None:
+        version_2 = self._description.version == "2.0"
+        how = {"callbacks": _callbacks} if version_2 else {"logMessage": _log_3(name)}
+        try:
+            fmu.instantiate(loggingOn=self._model.talks, **how)
+        except Exception:
+            if not self.log and not self._description.once_per_process:
+                with contextlib.suppress(Exception):  # some say why only if they are to talk
+                    fmu.instantiate(loggingOn=True, **how)
+            raise
 
     def _why_not(self, error: Exception) -> str:
         """What kept the FMU from being loaded, and what can be done."""
@@ -151,8 +159,10 @@ class Instance:
         known = why_not_loaded(binary, str(error))
         if known is not None:
             return f"{self._model.name}: cannot be loaded: {known}"
-        said = f" It said: {self.log[-1].rstrip('.')}." if self.log else ""
+        said = f" It said: {' '.join(self.log[-1].split()).rstrip('.')}." if self.log else ""
         advice = "Check that it runs on this machine and that everything it needs is installed"
+        if self._description.offer(self._model.interface).needs_execution_tool:
+            advice += f"; it needs {self._description.tool or 'the tool that exported it'} here"
         if any(about_licence(line) for line in (*self.log, str(error))):
             advice = "Get the licence that it asks for, or export it without the need of one"
         return f"{self._model.name}: cannot be loaded and instantiated ({error}).{said} {advice}"
