@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import math
 import os
 import sys
 import threading
@@ -67,6 +68,9 @@ _SOMETIMES = {"set_string", "get_nominals", "get_event_indicators", "set_real_in
 _TYPES_IN_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
 """How FMI 2.0 calls those types that it has."""
 
+_TERMINATED, _LAST_SUCCESSFUL_TIME = 3, 2
+"""Kinds of status of FMI 2.0's co-simulation."""
+
 _loading = threading.Lock()
 _made = 0
 
@@ -107,6 +111,19 @@ class Instance:
         """
         self._fmu = self._load()
         self.component = self._addresses()
+
+    def ended_at(self) -> float | None:
+        """Return the time at which the FMU ended a simulation, after it has discarded a step.
+
+        None if it did not end it. Of FMI 2.0; in 3.0 a step says this itself.
+        """
+        ended, time = ctypes.c_int(0), ctypes.c_double(-math.inf)
+        if self._description.version == "2.0":
+            self._ask("GetBooleanStatus", ctypes.c_int(_TERMINATED), ctypes.byref(ended))
+        if not ended.value:
+            return None
+        self._ask("GetRealStatus", ctypes.c_int(_LAST_SUCCESSFUL_TIME), ctypes.byref(time))
+        return time.value
 
     def free(self) -> None:
         """Free the instance and unload its library. Again does nothing: it would be freed twice."""
@@ -182,6 +199,8 @@ class Instance:
                 f"{self._model.name}: its binary must have the function fmi{version}{absent[0]} "
                 "but has not; export it again"
             )
+        if exchange and version == 3 and not self._model.structure:
+            self._check_counts()
         types = [_TYPES_IN_2.get(t, "") if version == 2 else t for t in TYPES]
         return nothing_loaded()._replace(
             handle=int(self._fmu.component),
@@ -195,6 +214,29 @@ class Instance:
             n_indicators=description.event_indicators if exchange else 0,
             **found,
         )
+
+    def _check_counts(self) -> None:
+        """Refuse an FMU of FMI 3.0 that is not what its description says: events would be lost."""
+        described = self._description
+        counted = {
+            "EventIndicators": ("event indicators", described.event_indicators),
+            "ContinuousStates": ("continuous states", len(described.states)),
+        }
+        for name, (what, expected) in counted.items():
+            count = ctypes.c_size_t(expected)
+            self._ask(f"GetNumberOf{name}", ctypes.byref(count))
+            if count.value != expected:
+                raise ModelError(
+                    f"{self._model.name}: its binary must have the {expected} {what} of its "
+                    f"modelDescription.xml but has {count.value}; export it again"
+                )
+
+    def _ask(self, name: str, *arguments: Any) -> None:
+        """Call a function of the FMU that fills in its last argument; nothing if it has none."""
+        if address := self._address(name):
+            types = [c_void_p] * (1 + len(arguments))
+            types[1:-1] = [type(argument) for argument in arguments[:-1]]
+            ctypes.CFUNCTYPE(ctypes.c_int, *types)(address)(self._fmu.component, *arguments)
 
     def _address(self, name: str) -> int:
         """Of a function of the FMU; 0 if it has none."""

@@ -310,6 +310,9 @@ class Simulator:
             code = int(record.codes[last])
             if code == failure.FINISHED:
                 break
+            if code == failure.DISCARDED and (end := self.instance.ended_at()) is not None:
+                record.codes[last] = code = failure.TERMINATED
+                stopped_at[last] = max(stopped_at[last], end)
             if last > first and self.instance.log:
                 tried = last  # again, alone: its neighbours may have said some of this
             else:

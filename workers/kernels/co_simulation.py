@@ -7,10 +7,10 @@ from workers.kernels.failure import (
     FINISHED,
     INITIALISATION,
     OUTPUT,
-    STEP,
     TERMINATED,
     TOO_MANY_STEPS,
     failed,
+    failed_step,
 )
 from workers.kernels.fmi import do_step, set_real_input_derivatives
 from workers.kernels.hooks import before, begin, first_inputs, inside, take_inputs, take_point
@@ -86,9 +86,9 @@ def _go(c, references, settings, grid, work, record):  # type: ignore[no-untyped
         steps_left -= steps
         status = _advance(c, references, settings, grid, i, steps, work)
         if status >= DISCARD:
-            return failed(STEP, status), times[i]
+            return failed_step(status), times[i]
         if work.flags[1] != 0:
-            return TERMINATED, times[i]
+            return TERMINATED, _ended_at(c, times[i], work)
     return FINISHED, times[-1]
 
 
@@ -110,10 +110,16 @@ def _go_with_effects(c, references, settings, hooks, grid, work, record):  # typ
         steps_left -= steps
         status = _advance_with_effects(c, references, settings, hooks, grid, i, steps, work)
         if status >= DISCARD:
-            return failed(STEP, status), times[i]
+            return failed_step(status), times[i]
         if work.flags[1] != 0:
-            return TERMINATED, times[i]
+            return TERMINATED, _ended_at(c, times[i], work)
     return FINISHED, times[-1]
+
+
+@inlined
+def _ended_at(c, time, work):  # type: ignore[no-untyped-def]
+    """When the FMU ended the simulation, as far as it says so, which is after a time."""
+    return max(time, work.event_time[0]) if c.version == 3 else time
 
 
 @inlined
