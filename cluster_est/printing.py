@@ -128,7 +128,7 @@ def print_check(
         f"{model.name}: {model.interface.replace('_', ' ')}, solver {model.solver.name}; "
         f"method {method.name}",
     )
-    for warning in problem.describe().warnings:
+    for warning in (*problem.describe().warnings, *problem.notes()):
         say(console, warning)
     train = make_space(problem, problem.indices("train"))
     say(

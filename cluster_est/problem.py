@@ -13,6 +13,7 @@ from cluster_est.costs.base import Cost
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.formulas import Formula, ParameterConstraint
+from workers.communication import communication_notes
 from workers.description import Description, describe_model, nearest
 from workers.messages import Effect, Experiment, Model, Value
 from workers.variables import Variable
@@ -203,6 +204,18 @@ class Problem:
         description = describe_model(self.model)
         check_variables(self, description)
         return description
+
+    def notes(self) -> tuple[str, ...]:
+        """Say what a user should know about how the FMU is simulated.
+
+        Raises
+        ------
+        ModelError, ProblemError
+            As `describe`, or if it cannot be simulated at the experiments' times.
+        """
+        if self.model.interface == "model_exchange":
+            return ()
+        return communication_notes(self.model, self.describe(), self.experiments)
 
 
 def check_variables(problem: Problem, description: Description) -> None:

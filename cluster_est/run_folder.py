@@ -273,8 +273,8 @@ def _numbers(result: Result) -> dict[str, Any]:
 
 
 def _notes(result: Result) -> list[str]:
-    """What to know about the uncertainty, in sentences."""
-    notes: list[str] = []
+    """What to know about the simulations and the uncertainty, in sentences."""
+    notes = list(result.problem.notes())
     if result.uncertainty is not None:
         notes += [direction.sentence for direction in result.uncertainty.directions]
         notes += result.uncertainty.notes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import math
 import os
 import sys
 import threading
@@ -68,6 +69,9 @@ _SOMETIMES = {"set_string", "get_nominals", "get_event_indicators", "set_real_in
 _TYPES_IN_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
 """How FMI 2.0 calls those types that it has."""
 
+_TERMINATED, _LAST_SUCCESSFUL_TIME = 3, 2
+"""Kinds of status of FMI 2.0's co-simulation."""
+
 _loading = threading.Lock()
 _made = 0
 
@@ -109,6 +113,19 @@ class Instance:
         self._fmu = self._load()
         self.component = self._addresses()
 
+    def ended_at(self) -> float | None:
+        """Return the time at which the FMU ended a simulation, after it has discarded a step.
+
+        None if it did not end it. Of FMI 2.0; in 3.0 a step says this itself.
+        """
+        ended, time = ctypes.c_int(0), ctypes.c_double(-math.inf)
+        if self._description.version == "2.0":
+            self._ask("GetBooleanStatus", ctypes.c_int(_TERMINATED), ctypes.byref(ended))
+        if not ended.value:
+            return None
+        self._ask("GetRealStatus", ctypes.c_int(_LAST_SUCCESSFUL_TIME), ctypes.byref(time))
+        return time.value
+
     def free(self) -> None:
         """Free the instance and unload its library. Again does nothing: it would be freed twice."""
         with _loading:
@@ -137,13 +154,21 @@ class Instance:
                     instanceName=name,
                     requireFunctions=False,
                 )
-                if version == "2.0":
-                    fmu.instantiate(callbacks=_callbacks, loggingOn=self._model.talks)
-                else:
-                    fmu.instantiate(logMessage=_log_3(name), loggingOn=self._model.talks)
+                self._instantiate(fmu, name)
         except Exception as error:  # fmpy raises bare exceptions here
             raise ModelError(self._why_not(error)) from error
         return fmu
+
+    def _instantiate(self, fmu: Any, name: str) -> None:
+        version_2 = self._description.version == "2.0"
+        how = {"callbacks": _callbacks} if version_2 else {"logMessage": _log_3(name)}
+        try:
+            fmu.instantiate(loggingOn=self._model.talks, **how)
+        except Exception:
+            if not self.log and not self._description.once_per_process:
+                with contextlib.suppress(Exception):  # some say why only if they are to talk
+                    fmu.instantiate(loggingOn=True, **how)
+            raise
 
     def _why_not(self, error: Exception) -> str:
         """What kept the FMU from being loaded, and what can be done."""
@@ -152,8 +177,10 @@ class Instance:
         known = why_not_loaded(binary, str(error))
         if known is not None:
             return f"{self._model.name}: cannot be loaded: {known}"
-        said = f" It said: {self.log[-1].rstrip('.')}." if self.log else ""
+        said = f" It said: {' '.join(self.log[-1].split()).rstrip('.')}." if self.log else ""
         advice = "Check that it runs on this machine and that everything it needs is installed"
+        if self._description.offer(self._model.interface).needs_execution_tool:
+            advice += f"; it needs {self._description.tool or 'the tool that exported it'} here"
         if any(about_licence(line) for line in (*self.log, str(error))):
             advice = "Get the licence that it asks for, or export it without the need of one"
         return f"{self._model.name}: cannot be loaded and instantiated ({error}).{said} {advice}"
@@ -173,6 +200,8 @@ class Instance:
                 f"{self._model.name}: its binary must have the function fmi{version}{absent[0]} "
                 "but has not; export it again"
             )
+        if exchange and version == 3 and not self._model.structure:
+            self._check_counts()
         types = [_TYPES_IN_2.get(t, "") if version == 2 else t for t in TYPES]
         accessors = np.array(
             [[self._address(verb + t) if t else 0 for t in types] for verb in ("Get", "Set")]
@@ -189,6 +218,29 @@ class Instance:
             n_indicators=description.event_indicators if exchange else 0,
             **found,
         )
+
+    def _check_counts(self) -> None:
+        """Refuse an FMU of FMI 3.0 that is not what its description says: events would be lost."""
+        described = self._description
+        counted = {
+            "EventIndicators": ("event indicators", described.event_indicators),
+            "ContinuousStates": ("continuous states", len(described.states)),
+        }
+        for name, (what, expected) in counted.items():
+            count = ctypes.c_size_t(expected)
+            self._ask(f"GetNumberOf{name}", ctypes.byref(count))
+            if count.value != expected:
+                raise ModelError(
+                    f"{self._model.name}: its binary must have the {expected} {what} of its "
+                    f"modelDescription.xml but has {count.value}; export it again"
+                )
+
+    def _ask(self, name: str, *arguments: Any) -> None:
+        """Call a function of the FMU that fills in its last argument; nothing if it has none."""
+        if address := self._address(name):
+            types = [c_void_p] * (1 + len(arguments))
+            types[1:-1] = [type(argument) for argument in arguments[:-1]]
+            ctypes.CFUNCTYPE(ctypes.c_int, *types)(address)(self._fmu.component, *arguments)
 
     def _address(self, name: str) -> int:
         """Of a function of the FMU; 0 if it has none."""

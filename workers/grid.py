@@ -57,26 +57,36 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Grid:
     knots += [experiment.curve.times] if experiment.curve is not None else []
     times = np.unique(np.concatenate([*knots, [start, stop]]))
     times = times[(times >= start) & (times <= stop)]
-    inputs = [_sample(given, times) for given in driving]
-    jumps = np.zeros(len(times), np.bool_)
-    for given, (at, _) in zip(experiment.inputs, inputs, strict=False):
-        if given.interpolation == "hold":
-            jumps[1:] |= at[1:] != at[:-1]
     width = len(recorded)
     gather = [
         np.searchsorted(times, output.times) * width + recorded.index(output.variable)
         for output in experiment.outputs
     ]
-    return Grid(
-        times=times,
-        inputs=_columns([value for value, _ in inputs], len(times)),
-        slopes=_columns([slope for _, slope in inputs], len(times)),
-        jumps=jumps,
+    return on_times(experiment, times)._replace(
         gather=np.concatenate([np.zeros(0, np.intp), *gather]),
         measured=np.concatenate([np.zeros(0), *(output.values for output in experiment.outputs)]),
         sigmas=np.concatenate(
             [np.zeros(0), *(np.full(len(o.times), o.sigma) for o in experiment.outputs)]
         ),
+    )
+
+
+def on_times(experiment: Experiment, times: FloatArray) -> Grid:
+    """Lay an experiment's inputs and signals on any times, with nothing measured."""
+    driving = (*experiment.inputs, *experiment.signals)
+    inputs = [_sample(given, times) for given in driving]
+    jumps = np.zeros(len(times), np.bool_)
+    for given, (at, _) in zip(experiment.inputs, inputs, strict=False):
+        if given.interpolation == "hold":
+            jumps[1:] |= at[1:] != at[:-1]
+    return Grid(
+        times=times,
+        inputs=_columns([value for value, _ in inputs], len(times)),
+        slopes=_columns([slope for _, slope in inputs], len(times)),
+        jumps=jumps,
+        gather=np.zeros(0, np.intp),
+        measured=np.zeros(0),
+        sigmas=np.zeros(0),
     )
 
 

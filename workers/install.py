@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from workers.access import access
+from workers.communication import Communication, communicate
 from workers.description import Description
-from workers.errors import ModelError
 from workers.grid import Grid, build_grid
 from workers.kernels.component import References, Starts
 from workers.messages import Experiment, FloatArray, Input, IntArray, Model
@@ -18,15 +18,28 @@ from workers.variables import Variable
 
 @dataclass(frozen=True)
 class Installed:
-    """An experiment made ready for one model."""
+    """An experiment made ready for one model.
+
+    Attributes
+    ----------
+    communication
+        When the FMU communicates, if it cannot do so at all times of the grid.
+    held
+        The memory that strings stand in.
+    """
 
     grid: Grid
+    communication: Communication | None
     outputs: tuple[str, ...]
     starts: Starts
     references: References
     known: FloatArray
     held: IntArray
-    """The memory that strings stand in."""
+
+    @property
+    def running(self) -> Grid:
+        """What the loops go along."""
+        return self.grid if self.communication is None else self.communication.grid
 
 
 def install(
@@ -42,7 +55,8 @@ def install(
     Raises
     ------
     ModelError
-        If the FMU has no such variable, or it is of the wrong kind.
+        If the FMU has no such variable, or it is of the wrong kind, or cannot communicate at the
+        experiment's times.
     """
     where = f"experiment {experiment.id!r}"
     given = {n: v for n, v in experiment.values if n not in model.parameters}
@@ -55,8 +69,6 @@ def install(
         experiment, inputs=tuple(_held(description, each) for each in experiment.inputs)
     )
     grid = build_grid(experiment, outputs)
-    if model.interface == "co_simulation" and not description.variable_steps:
-        _check_equal_steps(model, description, grid, where)
 
     def bases(variable: Variable) -> list[float]:
         own = (variable.reference, variable.type)
@@ -72,6 +84,7 @@ def install(
     first = len(model.parameters) + len(known)
     return Installed(
         grid=grid,
+        communication=communicate(model, description, experiment, outputs, grid.times),
         outputs=outputs,
         starts=Starts(
             structure=access([*[None] * first, *structure], bases),
@@ -103,23 +116,3 @@ def _texts(texts: Sequence[str]) -> tuple[IntArray, IntArray]:
     memory = np.frombuffer(bytearray(b"".join(encoded)) or bytearray(1), np.uint8)
     begins = np.cumsum([0, *(len(each) for each in encoded)], dtype=np.int64)[:-1]
     return begins + memory.ctypes.data, memory
-
-
-def _check_equal_steps(model: Model, description: Description, grid: Grid, where: str) -> None:
-    """Refuse a grid that an FMU with a fixed communication step cannot stand on.
-
-    The loops cut each interval of the grid into equal steps of at most `Solver.step`; here they
-    must all come out the same.
-    """
-    intervals = np.diff(grid.times)
-    step = model.solver.step or float(intervals.min())
-    steps = intervals / step
-    if np.abs(steps - np.round(steps)).max() > 1e-6 or steps.min() < 0.5:
-        usual = description.default_step
-        advice = f" (its own default is {usual:g} s)" if usual else ""
-        raise ModelError(
-            f"{where}: {description.file} needs one communication step of fixed length, but the "
-            f"times of inputs and measurements are {intervals.min():g} to {intervals.max():g} s "
-            f"apart and no multiples of {step:g} s; set model.step to a divisor of them all"
-            f"{advice}, or resample the data"
-        )

@@ -252,7 +252,7 @@ class Simulator:
                 changed = augmentation.remembered(coefficients[chunk][0])
                 ready = install(self._model, self._description, changed, augmentation.recorded)
             hooks = augmentation.hooks(
-                ready.grid, values[chunk], coefficients[chunk], self._model, self._description
+                ready.running, values[chunk], coefficients[chunk], self._model, self._description
             )
             part = self._run(ready, values[chunk], hooks, own)
             for p, outputs in enumerate(part.outputs):
@@ -289,7 +289,7 @@ class Simulator:
         known = np.broadcast_to(ready.known, (len(values), len(ready.known)))
         # hstack keeps columns together if its parts do; the loops need rows
         rows = np.ascontiguousarray(np.hstack([values, known]))
-        record = Record.empty(len(rows), len(ready.grid.times), len(ready.outputs))
+        record = Record.empty(len(rows), len(ready.running.times), len(ready.outputs))
         stopped_at = np.zeros(len(rows))
         batch = self._batch if batch is None else batch
         tried = 0
@@ -311,12 +311,17 @@ class Simulator:
             code = int(record.codes[last])
             if code == failure.FINISHED:
                 break
+            if code == failure.DISCARDED and (end := self.instance.ended_at()) is not None:
+                record.codes[last] = code = failure.TERMINATED
+                stopped_at[last] = max(stopped_at[last], end)
             if last > first and self.instance.log:
                 tried = last  # again, alone: its neighbours may have said some of this
             else:
                 record.messages[last] = self._explain(code, float(stopped_at[last]))
             if code >= failure.FATAL:
                 self.instance.renew()
+        if ready.communication is not None:
+            record = replace(record, outputs=ready.communication.read(record.outputs))
         return record
 
     def _call(
@@ -338,13 +343,16 @@ class Simulator:
             coefficients=hooks.coefficients[left],
             base=hooks.base[left],
         )
+        settings = _settings(self._model, self._description, own_states)
+        if (fixed := ready.communication) is not None:
+            settings = settings._replace(step=fixed.longest, fixed=fixed.step)
         return batch(
             component,
             ready.references,
             ready.starts,
-            _settings(self._model, self._description, own_states),
+            settings,
             rest,
-            ready.grid,
+            ready.running,
             rows[left],
             self._workspace(ready, hooks, own_states),
             record.outputs[left],

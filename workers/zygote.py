@@ -25,7 +25,9 @@ FORK, FORK_FOR_EFFECTS = "fork", "fork for effects"
 def main(descriptor: int) -> None:
     """Fork and wait as told: `FORK` and a connection's handle, or the id of an ended process."""
     orders = Connection(descriptor)
-    evaluator = _prepare(*orders.recv())
+    installation = orders.recv()
+    _keep_apart(installation[0])
+    evaluator = _prepare(*installation)
     running: set[int] = set()
     with contextlib.suppress(EOFError, OSError):
         while True:
@@ -49,6 +51,13 @@ def main(descriptor: int) -> None:
     for child in running:
         with contextlib.suppress(ProcessLookupError):
             os.kill(child, signal.SIGKILL)
+
+
+def _keep_apart(model: Model) -> None:
+    """Keep what an FMU prints out of what this program prints to its standard output."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(2 if model.talks else nowhere, 1)
+    os.close(nowhere)
 
 
 def _prepare(

@@ -193,7 +193,7 @@ def _sites(problem: Problem, description: Description) -> tuple[str, ...]:
 
 
 def _notes(problem: Problem) -> tuple[str, ...]:
-    notes = []
+    notes = list(problem.notes())
     if not problem.indices("test"):
         notes.append(
             'no experiment has role = "test": nothing could veto what was found, and the errors '

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from workers.kernels.calling import inlined, kernel
+from workers.kernels.calling import inlined, is_fmi_2, kernel
 from workers.kernels.failure import (
     FINISHED,
     INITIALISATION,
     OUTPUT,
-    STEP,
     TERMINATED,
     TOO_MANY_STEPS,
     failed,
+    failed_step,
 )
-from workers.kernels.fmi import ENDED, do_step, set_real_input_derivatives
+from workers.kernels.fmi import ENDED, do_step, reached, set_real_input_derivatives
 from workers.kernels.hooks import before, begin, first_inputs, inside, take_inputs, take_point
 from workers.kernels.initialise import initialise, n_steps
 from workers.kernels.values import DISCARD, get_values, set_reals, set_values
@@ -84,11 +84,11 @@ def _go(c, references, settings, grid, work, record):  # type: ignore[no-untyped
         if steps > steps_left:
             return TOO_MANY_STEPS, times[i]
         steps_left -= steps
-        status = _advance(c, references, grid, i, steps, work)
+        status = _advance(c, references, settings, grid, i, steps, work)
         if status >= DISCARD:
-            return failed(STEP, status), times[i]
+            return failed_step(status), times[i]
         if work.info[ENDED] != 0:
-            return TERMINATED, times[i]
+            return TERMINATED, _ended_at(c, times[i], work)
     return FINISHED, times[-1]
 
 
@@ -108,22 +108,28 @@ def _go_with_effects(c, references, settings, hooks, grid, work, record):  # typ
         if steps > steps_left:
             return TOO_MANY_STEPS, times[i]
         steps_left -= steps
-        status = _advance_with_effects(c, references, hooks, grid, i, steps, work)
+        status = _advance_with_effects(c, references, settings, hooks, grid, i, steps, work)
         if status >= DISCARD:
-            return failed(STEP, status), times[i]
+            return failed_step(status), times[i]
         if work.info[ENDED] != 0:
-            return TERMINATED, times[i]
+            return TERMINATED, _ended_at(c, times[i], work)
     return FINISHED, times[-1]
 
 
 @inlined
-def _advance(c, references, grid, i, steps, work):  # type: ignore[no-untyped-def]
+def _ended_at(c, time, work):  # type: ignore[no-untyped-def]
+    """When the FMU ended the simulation, as far as it says so, which is after a time."""
+    return time if is_fmi_2(c) else max(time, reached(work.info))
+
+
+@inlined
+def _advance(c, references, settings, grid, i, steps, work):  # type: ignore[no-untyped-def]
     """From one time of the grid to the next, in equal communication steps.
 
     An FMU that interpolates its inputs is told their slopes. Any other holds each at what it is at
     the start of a step: where that is too coarse, `Solver.step` shortens the steps.
     """
-    step = (grid.times[i + 1] - grid.times[i]) / steps
+    step = settings.fixed or (grid.times[i + 1] - grid.times[i]) / steps
     status = 0
     for s in range(steps):
         if work.info[ENDED] != 0:
@@ -141,9 +147,9 @@ def _advance(c, references, grid, i, steps, work):  # type: ignore[no-untyped-de
 
 
 @kernel
-def _advance_with_effects(c, references, hooks, grid, i, steps, work):  # type: ignore[no-untyped-def]
+def _advance_with_effects(c, references, settings, hooks, grid, i, steps, work):  # type: ignore[no-untyped-def]
     """The same where effects edit inputs or parameters, which count as linear within a step."""
-    step = (grid.times[i + 1] - grid.times[i]) / steps
+    step = settings.fixed or (grid.times[i + 1] - grid.times[i]) / steps
     status = 0
     for s in range(steps):
         time = grid.times[i] + s * step

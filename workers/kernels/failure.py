@@ -14,6 +14,8 @@ NOT_FINITE = 6
 EVENT = 7
 TERMINATED = 8
 CHATTERING = 10
+DISCARDED = 11
+PENDING = 12
 
 SENTENCES = {
     INITIALISATION: "the FMU could not be initialised",
@@ -24,6 +26,8 @@ SENTENCES = {
     NOT_FINITE: "an output became infinite or not a number",
     EVENT: "the FMU could not handle an event",
     CHATTERING: "events followed each other without end",
+    DISCARDED: "the FMU could not go on",
+    PENDING: "the FMU computes in the background, which is not supported",
     TERMINATED: "the FMU ended the simulation by itself",
 }
 
@@ -38,3 +42,11 @@ FATAL = 100
 def failed(code, status):  # type: ignore[no-untyped-def]
     """The code of a call that brought no result."""
     return code + FATAL if status >= 4 else code
+
+
+@inlined
+def failed_step(status):  # type: ignore[no-untyped-def]
+    """Do the same for a communication step: the FMU may discard it, or go on for itself."""
+    if status == 2:
+        return DISCARDED
+    return PENDING + FATAL if status == 5 else failed(STEP, status)

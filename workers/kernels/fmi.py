@@ -154,10 +154,16 @@ def do_step(c, time, step, info):  # type: ignore[no-untyped-def]
     if is_fmi_2(c):
         return _step(c.do_step, (c.handle, time, step, 1))
     b = address_of(info) + 4 * BYTES
-    reached = address_of(info) + 4 * NEXT
-    status = _step_3(c.do_step, (c.handle, time, step, 1, b, b + 1, b + 2, reached))
+    to = address_of(info) + 4 * NEXT
+    status = _step_3(c.do_step, (c.handle, time, step, 1, b, b + 1, b + 2, to))
     info[ENDED] = peek(b + 1, np.uint8(0))
     return status
+
+
+@inlined
+def reached(info):  # type: ignore[no-untyped-def]
+    """The time that the last step of an FMU of FMI 3.0 came to."""
+    return peek(address_of(info) + 4 * NEXT, np.float64(0.0))
 
 
 @inlined

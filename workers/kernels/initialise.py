@@ -21,7 +21,8 @@ from workers.messages import FloatArray
 class Settings(NamedTuple):
     """A `workers.messages.Solver` for compiled code: 0 stands for "not given".
 
-    `atols` holds the absolute tolerance of each state: `atol` times its nominal value.
+    `atols` holds the absolute tolerance of each state: `atol` times its nominal value. `fixed` is
+    the communication step of an FMU that takes no other; `step` has room for rounding then.
     """
 
     step: float
@@ -30,6 +31,7 @@ class Settings(NamedTuple):
     atols: FloatArray
     max_steps: int
     fmu_tolerance: float
+    fixed: float = 0.0
 
 
 @inlined

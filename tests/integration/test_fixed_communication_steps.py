@@ -1,0 +1,140 @@
+"""A decay that communicates every 0.1 s only, measured at other times, against its closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from cluster_est import Parameter, Problem, fit
+from cluster_est.methods.least_squares import LeastSquares
+from cluster_est.printing import print_check
+from workers.evaluate import Evaluator
+from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
+from workers.wire import Batch
+
+Give = Callable[[str, int], Path]
+
+VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
+STEP = 0.1
+TIMES = np.array([0.0, 0.07, 0.1, 0.15, 0.3, 0.333, 0.9, 1.21, 1.99])
+ON_GRID = np.isin(TIMES, [0.0, 0.1, 0.3, 0.9])
+
+
+def model(fmu: Path, step: float | None = None) -> Model:
+    return Model(fmu.name, fmu.read_bytes(), "co_simulation", Solver("fmu", step), ("k",))
+
+
+def simulated(
+    fmu: Path,
+    k: float,
+    inputs: tuple[Input, ...] = (),
+    times: np.ndarray = TIMES,
+    effects: tuple[Effect, ...] = (),
+    coefficients: Sequence[float] = (),
+    start: float = 0.0,
+) -> np.ndarray:
+    """y at some times."""
+    run = Experiment("e", start, times[-1], inputs, (Output("y", times, 0.0 * times),))
+    evaluator = Evaluator(model(fmu), [run], "w")
+    task = Task(0, 0, np.array([k, *coefficients]), "trajectory", effects)
+    (outcome,) = evaluator.evaluate(Batch.of([task]))
+    evaluator.close()
+    assert outcome.ok, outcome.message
+    found = outcome.trajectory
+    return found.values[np.searchsorted(found.times, times), 0]
+
+
+@VERSIONS
+def test_the_error_between_the_points_is_of_second_order(own_fmu: Give, fmi: int) -> None:
+    """Linear interpolation of f errs by f'' h^2 / 8 at most; the scale of k is that of 1 / h."""
+    errors = []
+    for k in (1.0, 0.5, 0.25):
+        error = np.abs(simulated(own_fmu("fixed_step", fmi), k) - np.exp(-k * TIMES))
+        assert error[ON_GRID].max() < 1e-7  # the FMU's own Runge-Kutta steps
+        assert error.max() < (k * STEP) ** 2 / 8.0
+        errors.append(error.max())
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+    assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.1)
+
+
+@VERSIONS
+def test_values_between_the_points_are_on_the_line(own_fmu: Give, fmi: int) -> None:
+    fmu = own_fmu("fixed_step", fmi)
+    points = np.arange(21) * STEP
+    on_points = simulated(fmu, 0.7, times=points)
+    found = simulated(fmu, 0.7)
+    np.testing.assert_allclose(found, np.interp(TIMES, points, on_points), rtol=1e-14)
+    assert found[ON_GRID].tobytes() == on_points[[0, 1, 3, 9]].tobytes()
+
+
+@VERSIONS
+def test_steps_begin_at_the_start_of_the_experiment(own_fmu: Give, fmi: int) -> None:
+    late = simulated(own_fmu("fixed_step", fmi), 1.0, times=TIMES + 1000.05, start=1000.05)
+    np.testing.assert_allclose(late, simulated(own_fmu("fixed_step", fmi), 1.0), atol=1e-9)
+
+
+@VERSIONS
+def test_a_held_input_acts_from_the_next_point_on(own_fmu: Give, fmi: int) -> None:
+    """dx/dt = u - k x, u jumps to 2 at 0.42 s, which the FMU is told at 0.5 s."""
+    jump = Input("u", np.array([0.0, 0.42]), np.array([0.0, 2.0]), "hold")
+    times = np.array([0.0, 0.4, 0.5, 1.0, 1.5])
+    late = np.maximum(times - 0.5, 0.0)
+    expected = np.exp(-times) + 2.0 * (1.0 - np.exp(-late))
+    found = simulated(own_fmu("fixed_step", fmi), 1.0, (jump,), times)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+@VERSIONS
+def test_a_linear_input_has_its_slope_where_the_fmu_takes_it(own_fmu: Give, fmi: int) -> None:
+    """dx/dt = t - x from 1: x = t - 1 + 2 exp(-t). FMI 3.0 has no slopes: an error of order h."""
+    ramp = Input("u", np.array([0.0, 0.05, 3.0]), np.array([0.0, 0.05, 3.0]))
+    times = np.array([0.0, 0.2, 0.5, 1.0, 1.9])
+    found = simulated(own_fmu("fixed_step", fmi), 1.0, (ramp,), times)
+    close = 1e-6 if fmi == 2 else 0.06
+    np.testing.assert_allclose(found, times - 1.0 + 2.0 * np.exp(-times), atol=close)
+
+
+@VERSIONS
+def test_effects_at_inputs_and_outputs(own_fmu: Give, fmi: int) -> None:
+    fmu = own_fmu("fixed_step", fmi)
+    constant = (Input("u", np.array([0.0, 2.0]), np.array([0.5, 0.5]), "hold"),)
+    none = (Input("u", np.array([0.0, 2.0]), np.array([0.0, 0.0]), "hold"),)
+    plain = simulated(fmu, 1.0, none)
+    pushed = simulated(fmu, 1.0, none, effects=(Effect("e", "input u", "bias"),),
+                       coefficients=[0.5])  # fmt: skip
+    np.testing.assert_allclose(pushed, simulated(fmu, 1.0, constant), rtol=1e-12)
+    raised = simulated(fmu, 1.0, none, effects=(Effect("e", "output y", "bias"),),
+                       coefficients=[0.5])  # fmt: skip
+    np.testing.assert_allclose(raised, plain + 0.5, rtol=1e-14)
+
+
+@VERSIONS
+def test_an_effect_with_states_of_its_own(own_fmu: Give, fmi: int) -> None:
+    """An input through a lag of 5 ms: integrated in short steps within those of 0.1 s."""
+    fmu = own_fmu("fixed_step", fmi)
+    jump = (Input("u", np.array([0.0, 0.5]), np.array([0.0, 1.0]), "hold"),)
+    times = np.sort(np.append(np.linspace(0.0, 1.9, 381), 0.333))
+    lag = (Effect("e", "input u", "lag"),)
+    lagged = simulated(fmu, 1.0, jump, times, lag, [0.005])
+    plain = simulated(fmu, 1.0, jump, times)
+    assert np.isfinite(lagged).all()
+    np.testing.assert_allclose(lagged, plain, atol=0.11)  # a step late at most
+
+
+def test_a_fit_finds_the_rate_and_says_what_it_did(
+    own_fmu: Give, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fmu = own_fmu("fixed_step", 2)
+    output = Output("y", TIMES, np.exp(-0.8 * TIMES))
+    run = Experiment("e", 0.0, 1.99, (), (output,))
+    problem = Problem(model(fmu), (Parameter("k", 1.0, 0.1, 3.0),), (run,))
+    (note,) = problem.notes()
+    assert "every 0.1 s; experiment 'e' has times between them" in note
+    result = fit(problem, LeastSquares())
+    assert result.estimates[0].value == pytest.approx(0.8, abs=2e-3)
+    print_check(Console(width=400), problem, LeastSquares(), [])
+    assert note in capsys.readouterr().out
