@@ -74,6 +74,7 @@ _TERMINATED, _LAST_SUCCESSFUL_TIME = 3, 2
 
 _loading = threading.Lock()
 _made = 0
+_given_up: list[Any] = []
 
 
 def instances() -> int:
@@ -108,8 +109,10 @@ class Instance:
     def renew(self) -> None:
         """Replace the instance by a fresh one: all that is left after a fatal error.
 
-        The old one is not freed, because the standard forbids any further call to it.
+        The old one is not freed, because the standard forbids any further call to it. It is kept,
+        because it may still call its logger.
         """
+        _given_up.append(self._fmu)
         self._fmu = self._load()
         self.component = self._addresses()
 

@@ -71,6 +71,8 @@ def install(
     grid = build_grid(experiment, outputs)
 
     def bases(variable: Variable) -> list[float]:
+        if variable.size == 1:
+            return [variable.start or 0.0]
         own = (variable.reference, variable.type)
         found = [v for v in description.variables.values() if (v.reference, v.type) == own]
         starts = {v.element: v.start or 0.0 for v in found}

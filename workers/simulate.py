@@ -100,6 +100,7 @@ class Simulator:
         name = model.solver.name
         self._batch = CvodeBatch() if name == "cvode" else BATCHES[name]
         self._workspaces: dict[tuple[int, ...], Workspace] = {}
+        self._widest = max((v.size for v in description.variables.values()), default=1)
 
     def load(self) -> None:
         """Load the FMU and instantiate it.
@@ -370,7 +371,7 @@ class Simulator:
             hooks.coefficients.shape[1],
             hooks.base.shape[1],
             self._description.event_indicators,
-            max((v.size for v in self._description.variables.values()), default=1),
+            self._widest,
         )
         if sizes not in self._workspaces:
             self._workspaces[sizes] = workspace(*sizes)

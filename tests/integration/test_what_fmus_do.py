@@ -78,7 +78,5 @@ def test_what_an_fmu_prints_stays_out_of_the_output(own_fmu: Give) -> None:
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_fmu_that_needs_its_tool_says_so(own_fmu: Give, fmi: int) -> None:
     fmu = own_fmu("needs_tool", fmi)
-    with pytest.raises(
-        ModelError, match=r"It said: the tool .* is not installed\..*; it needs .* here$"
-    ):
+    with pytest.raises(ModelError, match=r"It said: the tool .* is not installed\..*; it needs .*"):
         Evaluator(Model(fmu.name, fmu.read_bytes(), "co_simulation", Solver("fmu"), ()), [RUN], "w")

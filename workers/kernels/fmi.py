@@ -55,15 +55,20 @@ def set_strings(c, references, texts):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def enter_initialization_mode(c, tolerance, start):  # type: ignore[no-untyped-def]
-    """Begin initialisation at a time; a tolerance of 0 is not given."""
-    given = tolerance > 0.0
+def setup_experiment(c, tolerance, start):  # type: ignore[no-untyped-def]
+    """Name the start time and a tolerance, where 0 is none. FMI 3.0 is told these later."""
     if not is_fmi_2(c):
-        return _setup(c.enter_initialization_mode, (c.handle, given, tolerance, start, 0, 0.0))
-    status = _setup(c.setup_experiment, (c.handle, given, tolerance, start, 0, 0.0))
-    if status < 2:
-        status = max(status, _handle_only(c.enter_initialization_mode, (c.handle,)))
-    return status
+        return 0
+    return _setup(c.setup_experiment, (c.handle, tolerance > 0.0, tolerance, start, 0, 0.0))
+
+
+@inlined
+def enter_initialization_mode(c, tolerance, start):  # type: ignore[no-untyped-def]
+    """Begin initialisation."""
+    if is_fmi_2(c):
+        return _handle_only(c.enter_initialization_mode, (c.handle,))
+    given = tolerance > 0.0
+    return _setup(c.enter_initialization_mode, (c.handle, given, tolerance, start, 0, 0.0))
 
 
 @inlined

@@ -13,6 +13,7 @@ from workers.kernels.fmi import (
     exit_initialization_mode,
     reset,
     set_strings,
+    setup_experiment,
 )
 from workers.kernels.values import DISCARD, set_values
 from workers.messages import FloatArray
@@ -53,6 +54,8 @@ def initialise(c, references, starts, values, inputs, tolerance, start, work):  
     worst = reset(c)
     if worst < DISCARD and len(starts.structure.elements) > 0:
         worst = max(worst, _configure(c, starts.structure, values, work))
+    if worst < DISCARD:  # before the values, like most importers: some FMUs set defaults in it
+        worst = max(worst, setup_experiment(c, tolerance, start))
     if worst < DISCARD:
         worst = max(worst, set_values(c, starts.numbers, values, work.cell))
     if worst < DISCARD and len(starts.strings) > 0:
