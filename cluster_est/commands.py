@@ -31,9 +31,17 @@ from cluster_est.fit import simulate as run_simulate
 from cluster_est.interrupts import stopped_by
 from cluster_est.logged import LoggedOutcomes
 from cluster_est.loop_printing import print_any_run
-from cluster_est.printing import print_check, print_iterations, print_run, read_run_table, say
+from cluster_est.printing import (
+    print_check,
+    print_iterations,
+    print_run,
+    read_facts,
+    read_run_table,
+    say,
+)
 from cluster_est.problem import Problem
 from cluster_est.progress import ProgressLine
+from cluster_est.renewal import Chosen, recorded
 from cluster_est.replay import prepare, read_logged
 from cluster_est.replay import replay as run_replay
 from cluster_est.replay_printing import print_answer, print_failures, print_question
@@ -43,7 +51,7 @@ from cluster_est.run_folder import RunFolder, check_free
 from cluster_est.runner import Iteration, Origin
 from cluster_est.space import make_space
 from cluster_est.sweep_printing import print_sweep
-from workers.messages import Outcome
+from workers.messages import Outcome, Renewal
 
 DONE, NO_SOLUTION, INTERRUPTED = 0, 1, 130
 STOP = "stop"
@@ -99,7 +107,7 @@ def fit(
     if keeper.finished:
         print_run(Console(), out)
         return DONE
-    resources = replace(build_resources(config), log=keeper.logged)
+    resources = keeper.resources(config)
     progress = ProgressLine(Console(stderr=True), resources.budget)
     with progress as line, keeper, stopped_by(out / STOP):
         result = run_fit(
@@ -143,7 +151,7 @@ def close_loop(
     if keeper.finished:
         print_any_run(Console(), out)
         return DONE
-    resources = replace(build_resources(config), log=keeper.logged)
+    resources = keeper.resources(config)
     try:
         progress = ProgressLine(Console(stderr=True), resources.budget)
         with progress as line, keeper, stopped_by(out / STOP):
@@ -272,6 +280,8 @@ class _Keeper:
         self._searches: dict[str, None] = {}
         self.folder: RunFolder | None = None
         self.logged: LoggedOutcomes | None = None
+        self.chosen: Chosen | None = None
+        self._renew: Renewal | None = None
         self.finished = False
         if not resume:
             check_free(out, overwrite=overwrite)
@@ -281,10 +291,28 @@ class _Keeper:
             found = "holds a finished run"
             if self.logged is not None:
                 found = f"is resumed; {len(self.logged)} simulations stand in its log"
+                self._renew = recorded(read_facts(out))
             say(Console(stderr=True), f"cluster-est: {out} {found}")
         self._open: Callable[[], RunFolder] = lambda: open_folder(
-            out, problem, config, unused, overwrite=overwrite, logged=self.logged, base=base
+            out,
+            problem,
+            config,
+            unused,
+            overwrite=overwrite,
+            logged=self.logged,
+            base=base,
+            chosen=self.chosen,
         )
+
+    def resources(self, config: Config) -> Resources:
+        """Those of the config, behind what an interrupted run has left."""
+        found = build_resources(config)
+        return replace(found, log=self.logged, renew=self._renew, chosen=self._choose)
+
+    def _choose(self, chosen: Chosen) -> None:
+        self.chosen = chosen
+        if not chosen.plain:
+            say(Console(stderr=True), f"cluster-est: {chosen.sentence}")
 
     @property
     def steps(self) -> str:

@@ -67,6 +67,10 @@ _SOMETIMES = {"set_string", "get_nominals", "get_event_indicators", "set_real_in
 _TYPES_IN_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
 """How FMI 2.0 calls those types that it has."""
 
+_NO_RESET = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p)(lambda handle: 0)
+_NO_RESET_AT = ctypes.cast(_NO_RESET, c_void_p).value or 0
+"""What stands for the reset of an instance that has just been made."""
+
 _loading = threading.Lock()
 _made = 0
 
@@ -96,9 +100,23 @@ class Instance:
         description.check_platform(model.interface)
         self._folder = unpack(model.name, model.archive, model.archive_hash)
         self.log: deque[str] = deque(maxlen=20)
-        self._freed = False
+        self._freed = self._used = False
         self._fmu = self._load()
         self.component = self._addresses()
+
+    def fresh(self) -> Component:
+        """Give an instance that nothing has been simulated with, and that needs no reset.
+
+        Raises
+        ------
+        ModelError
+            If the FMU cannot be instantiated again.
+        """
+        if self._used:
+            self.free()
+            self.renew()
+        self._used = True
+        return self.component._replace(reset=_NO_RESET_AT)
 
     def renew(self) -> None:
         """Replace the instance by a fresh one: all that is left after a fatal error.
@@ -106,6 +124,7 @@ class Instance:
         The old one is not freed, because the standard forbids any further call to it.
         """
         self._fmu = self._load()
+        self._freed = self._used = False
         self.component = self._addresses()
 
     def free(self) -> None:

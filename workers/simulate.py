@@ -196,7 +196,7 @@ class Simulator:
         ready = self._installed[experiment]
         settings = _settings(self._model, self._description, 0)._replace(max_steps=max_steps)
         found, code = stiffness(
-            self.instance.component,
+            self._component(),
             ready.references,
             settings,
             no_hooks(1),
@@ -295,9 +295,15 @@ class Simulator:
         while tried < len(rows):
             self.instance.log.clear()
             first = tried
+            try:
+                component = self._component()
+            except ModelError as error:
+                record.codes[first], record.messages[first] = failure.INITIALISATION, str(error)
+                tried += 1
+                continue
             tried += self._call(
                 batch,
-                self.instance.component,
+                component,
                 ready,
                 hooks,
                 own_states,
@@ -309,7 +315,7 @@ class Simulator:
             last = tried - 1
             code = int(record.codes[last])
             if code == failure.FINISHED:
-                break
+                continue
             if last > first and self.instance.log:
                 tried = last  # again, alone: its neighbours may have said some of this
             else:
@@ -317,6 +323,15 @@ class Simulator:
             if code >= failure.FATAL:
                 self.instance.renew()
         return record
+
+    @property
+    def _renews(self) -> bool:
+        """Whether each simulation has an instance of its own."""
+        return self._model.renew in ("instance", "process")
+
+    def _component(self) -> Component:
+        """What the next simulation runs on."""
+        return self.instance.fresh() if self._renews else self.instance.component
 
     def _call(
         self,
@@ -331,7 +346,7 @@ class Simulator:
         first: int = 0,
     ) -> int:
         """Simulate rows from the first to one that fails; how many."""
-        left = slice(first, None)
+        left = slice(first, first + 1 if self._renews else None)
         rest = hooks._replace(
             substeps=hooks.substeps[left],
             coefficients=hooks.coefficients[left],
