@@ -31,9 +31,12 @@ from cluster_est.fit import simulate as run_simulate
 from cluster_est.interrupts import stopped_by
 from cluster_est.logged import LoggedOutcomes
 from cluster_est.loop_printing import print_any_run
+from cluster_est.preflight import SECONDS, Page, bare_problem, examine
+from cluster_est.preflight_printing import print_page
 from cluster_est.printing import (
     print_check,
     print_iterations,
+    print_model,
     print_run,
     read_facts,
     read_run_table,
@@ -51,9 +54,9 @@ from cluster_est.run_folder import RunFolder, check_free
 from cluster_est.runner import Iteration, Origin
 from cluster_est.space import make_space
 from cluster_est.sweep_printing import print_sweep
-from workers.messages import Outcome, Renewal
+from workers.messages import Outcome
 
-DONE, NO_SOLUTION, INTERRUPTED = 0, 1, 130
+DONE, NO_SOLUTION, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 STOP = "stop"
 """File in a run folder that ends the run as Ctrl-C does."""
 
@@ -73,16 +76,32 @@ STEPS = {
 """What the searches of a closed loop do, by their names in the log."""
 
 
-def check(path: Path, overrides: list[str], *, allow_code: bool) -> int:
-    """Read everything, simulate each experiment once, print a page; change nothing."""
+def check(path: Path, overrides: list[str], *, allow_code: bool, seconds: float = SECONDS) -> int:
+    """Read everything, try the FMU out in processes of its own, print a page; change nothing."""
+    console = Console()
+    if path.suffix.lower() == ".fmu":
+        bare = bare_problem(path)
+        print_model(console, bare, "its own start values")
+        page = examine(bare, Resources(), seconds)
+        print_page(console, page)
+        return _verdict(page)
     config = read_config(path, overrides)
     problem = build_problem(config, path.parent, allow_code=allow_code)
     method = build_method(config)
     check_search(problem, method, build_uncertainty(config), build_multistart(config))
     make_space(problem, problem.indices("test"))
-    simulations = run_simulate(problem, Resources())
-    print_check(Console(), problem, method, simulations)
-    return DONE if all(s.outcome.ok for s in simulations) else NO_SOLUTION
+    page = examine(problem, build_resources(config), seconds)
+    print_model(console, problem, f"method {method.name}")
+    if page.simulations:
+        print_check(console, problem, page.simulations)
+    print_page(console, page)
+    return _verdict(page)
+
+
+def _verdict(page: Page) -> int:
+    if not page.loads:
+        return BAD_INPUT
+    return DONE if page.good else NO_SOLUTION
 
 
 def fit(
@@ -281,7 +300,7 @@ class _Keeper:
         self.folder: RunFolder | None = None
         self.logged: LoggedOutcomes | None = None
         self.chosen: Chosen | None = None
-        self._renew: Renewal | None = None
+        self._renew: Chosen | None = None
         self.finished = False
         if not resume:
             check_free(out, overwrite=overwrite)

@@ -49,10 +49,12 @@ class Chosen:
     plain: bool = False
 
 
-def recorded(facts: Mapping[str, Any]) -> Renewal | None:
+def recorded(facts: Mapping[str, Any]) -> Chosen | None:
     """What every simulation of a run began with, by its run.json; None if that does not say."""
-    found = (facts.get("renewal") or {}).get("renew")
-    return found if found in WAYS else None
+    found = facts.get("renewal") or {}
+    if found.get("renew") not in WAYS:
+        return None
+    return Chosen(found["renew"], str(found.get("sentence")), bool(found.get("plain")))
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def open_renewing(
     workers: int | None,
     address: str | None,
     limits: Limits,
-    known: Renewal | None,
+    known: Chosen | None,
 ) -> tuple[Executor, Chosen]:
     """Start the workers, with what every simulation has to begin with.
 
@@ -117,10 +119,11 @@ def open_renewing(
         return executor_class(kind).open(model, problem.experiments, count, address, limits)
 
     declared = problem.model.renew
-    if declared != "auto" or known is not None:
-        renew = known or declared
-        said = f"each simulation begins with {BEGINS[renew]}, as was chosen before"
-        return start(name, renew, workers), Chosen(renew, said, plain=True)
+    if known is None and declared != "auto":
+        said = f"each simulation begins with {BEGINS[declared]}, as model.reset says"
+        known = Chosen(declared, said, plain=True)
+    if known is not None:
+        return start(name, known.renew, workers), known
     executor = start(name, "reset", workers)
     try:
         question = Question.of(problem)

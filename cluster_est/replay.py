@@ -188,8 +188,9 @@ def prepare(run_folder: Path, logged: Logged, config: Path | None, *, allow_code
     experiment = problem.experiments[index]
     key = simulation_key(problem.model.key, experiment.key, effects, logged.values)
     if problem.model.renew == "auto":
-        renew = recorded(read_facts(run_folder)) or "auto"
-        problem = replace(problem, model=replace(problem.model, renew=renew))
+        chosen = recorded(read_facts(run_folder))
+        if chosen is not None:
+            problem = replace(problem, model=replace(problem.model, renew=chosen.renew))
     task = Task(0, index, logged.values, logged.want, effects)
     return Question(problem, build_resources(resolved).limits, task, key == logged.key)
 

@@ -14,7 +14,7 @@ from cluster_est.logged import LoggedOutcomes
 from cluster_est.problem import Problem
 from cluster_est.renewal import Chosen, open_renewing
 from cluster_est.runner import Budget
-from workers.messages import Limits, Renewal
+from workers.messages import Limits
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Resources:
     budget: Budget = field(default_factory=Budget)
     limits: Limits = field(default_factory=Limits)
     log: LoggedOutcomes | None = field(default=None, repr=False, compare=False)
-    renew: Renewal | None = None
+    renew: Chosen | None = None
     chosen: Callable[[Chosen], None] | None = field(default=None, repr=False, compare=False)
 
 

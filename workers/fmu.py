@@ -127,6 +127,11 @@ class Instance:
         self._freed = self._used = False
         self.component = self._addresses()
 
+    @property
+    def fmu(self) -> Any:
+        """The same as fmpy has it."""
+        return self._fmu
+
     def free(self) -> None:
         """Free the instance and unload its library. Again does nothing: it would be freed twice."""
         with _loading:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numba import typeof
 
 from workers.description import Description
 from workers.errors import ModelError
@@ -193,20 +194,27 @@ class Simulator:
         Solver "cvode" suits it then. So many steps of the Dormand-Prince method, or fewer, tell;
         it is not stiff if the simulation fails within them.
         """
-        ready = self._installed[experiment]
-        settings = _settings(self._model, self._description, 0)._replace(max_steps=max_steps)
-        found, code = stiffness(
-            self._component(),
-            ready.references,
-            settings,
-            no_hooks(1),
-            ready.grid,
-            np.concatenate([point, ready.known]),
-            self._workspace(ready, no_hooks(1), 0),
-        )
+        found, code = stiffness(*self._of_stiffness(experiment, point, max_steps))
         if code >= failure.FATAL:
             self.instance.renew()
         return bool(found)
+
+    def compile_stiff(self) -> None:
+        """Have what `stiff` needs compiled, or read from disk."""
+        point = np.zeros(len(self._model.parameters))
+        stiffness.compile(tuple(typeof(each) for each in self._of_stiffness(0, point, 1)))
+
+    def _of_stiffness(self, experiment: int, point: FloatArray, max_steps: int) -> tuple[Any, ...]:
+        ready, hooks = self._installed[experiment], no_hooks(1)
+        return (
+            self._component(),
+            ready.references,
+            _settings(self._model, self._description, 0)._replace(max_steps=max_steps),
+            hooks,
+            ready.grid,
+            np.concatenate([point, ready.known]),
+            self._workspace(ready, hooks, 0),
+        )
 
     def close(self) -> None:
         self.instance.free()
