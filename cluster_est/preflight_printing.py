@@ -20,6 +20,9 @@ def print_page(console: Console, page: Page) -> None:
     say(console, "")
     problems = sum(each.verdict == "problem" for each in page.findings)
     left = sum(each.verdict == "not done" for each in page.findings)
-    said = "no problem was found" if not problems else f"{problems} problems"
-    said = "1 problem" if problems == 1 else said
-    say(console, said + (f"; {left} checks were not done" if left else ""))
+    said = _counted(problems, "problem") if problems else "no problem was found"
+    say(console, said + (f"; {_counted(left, 'check')} not done" if left else ""))
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"

@@ -31,7 +31,7 @@ CHECKS: tuple[Callable[[Subject], list[Finding]], ...] = (
     lambda subject: [instances(subject)],
     effects,
     stiffness,
-    lambda subject: [accuracy(subject)],
+    accuracy,
     costs,
     corners,
     derivatives,
@@ -72,7 +72,7 @@ def examine(problem: Problem, resources: Resources, seconds: float = SECONDS) ->
             subject = replace(subject, one=first.outcome.seconds, experiment=first.experiment)
             repeated, renew = repeating(subject)
             lines += repeated
-            subject = replace(subject, renew=renew)
+            subject = replace(subject, renew=renew or "reset", repeats=renew is not None)
         late = any(s.outcome.status is Status.TIMEOUT for s in simulations)
         for check in CHECKS if good else () if late else (stiffness,):
             lines += check(subject)

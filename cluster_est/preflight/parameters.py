@@ -48,7 +48,7 @@ def effects(subject: Subject) -> list[Finding]:
         said += f"{most} changes them by {alive[most]:.2g} of theirs"
         said += f", {least} by {alive[least]:.2g}" if least != most else ""
         lines.append(Finding("ok", "parameters", said))
-        lines += _steps(subject, unknowns[names.index(most)][0])
+        lines += _steps(subject, unknowns[names.index(most)][0]) if subject.repeats else []
     if len(found) < len(names):
         left = f"{len(names) - len(found)} of {len(names)} were not moved"
         lines.append(unanswered("parameters", Stopped(left, late=True)))

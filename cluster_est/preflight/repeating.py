@@ -14,10 +14,10 @@ MOVED = 1.37
 """What every value is multiplied with, to see whether it stays behind: no round number."""
 
 
-def repeating(subject: Subject) -> tuple[list[Finding], Renewal]:
+def repeating(subject: Subject) -> tuple[list[Finding], Renewal | None]:
     """Whether reset equals fresh, and two fresh processes each other.
 
-    And what a simulation must begin with, for all further checks.
+    And what a simulation must begin with, for all further checks; None if nothing helps.
     """
     other = np.where(subject.start == 0.0, MOVED, MOVED * subject.start)
     probe = Repeats(subject.experiment, subject.start, other)
@@ -32,7 +32,7 @@ def repeating(subject: Subject) -> tuple[list[Finding], Renewal]:
             "export it without a random generator or clock; else choose a method.name that takes "
             'no differences, such as "pattern_search"'
         )
-        return [Finding("problem", "repeatable", said, do)], "reset"
+        return [Finding("problem", "repeatable", said, do)], None
     repeatable = Finding("ok", "repeatable", "two fresh processes give the same bits")
     renew: Renewal = "reset" if found.reset == 0.0 else "instance"
     return [repeatable, _reset(subject, found), *_left(found)], renew

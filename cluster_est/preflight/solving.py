@@ -22,17 +22,25 @@ AGREES = 1e-4
 """Of directional derivatives and differences."""
 
 
-def accuracy(subject: Subject) -> Finding:
+def accuracy(subject: Subject) -> list[Finding]:
     """The same simulation with a tighter tolerance or a shorter step."""
+    if not subject.repeats:
+        return []
+    if (
+        subject.problem.model.interface == "co_simulation"
+        and not subject.description.variable_steps
+    ):
+        said = "its communication step is fixed, so that it cannot be halved to compare"
+        return [Finding("ok", "accuracy", said)]
     solver = subject.problem.model.solver
     other, how, key = _finer(subject, solver)
     found = subject.ask(Solves(*subject.where, other), 6)
     if isinstance(found, Stopped):
-        return unanswered("accuracy", found)
+        return [unanswered("accuracy", found)]
     said = f"with {how} the outputs change by {found:.2g} of their size"
     if found < GOOD:
-        return Finding("ok", "accuracy", said)
-    return Finding("problem" if found > BAD else "note", "accuracy", said, key)
+        return [Finding("ok", "accuracy", said)]
+    return [Finding("problem" if found > BAD else "note", "accuracy", said, key)]
 
 
 def _finer(subject: Subject, solver: Solver) -> tuple[Solver, str, str]:
@@ -84,7 +92,7 @@ def derivatives(subject: Subject) -> list[Finding]:
     found = subject.ask(Directional(subject.experiment, subject.start), 1)
     if isinstance(found, Stopped):
         return [unanswered(check, found)]
-    do = "use none of them; export it again without, or tell its maker"
+    do = "let no fit rely on them; export it again without, or tell its maker"
     if found.zero:
         said = "directional derivatives are offered, but all are silently 0"
         return [Finding("note", check, said, do)]

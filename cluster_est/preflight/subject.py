@@ -53,6 +53,8 @@ class Subject:
         The one that is tried out.
     renew
         What its simulations begin with, as soon as that is known.
+    repeats
+        Whether a simulation gives the same twice, so that small differences mean something.
     """
 
     problem: Problem
@@ -65,6 +67,7 @@ class Subject:
     one: float = 0.0
     experiment: int = 0
     renew: Renewal = "reset"
+    repeats: bool = True
 
     @property
     def where(self) -> tuple[int, FloatArray, Renewal]:
