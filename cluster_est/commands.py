@@ -24,7 +24,7 @@ from cluster_est.build import (
 )
 from cluster_est.config import Config, read_config
 from cluster_est.curves import residual_table, trajectory_table
-from cluster_est.errors import BudgetError, ProblemError, RunFolderError
+from cluster_est.errors import BudgetError, ModelError, ProblemError, RunFolderError
 from cluster_est.fit import check_search
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
@@ -56,7 +56,7 @@ from cluster_est.space import make_space
 from cluster_est.sweep_printing import print_sweep
 from workers.messages import Outcome
 
-DONE, NO_SOLUTION, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE, NO_SOLUTION, INTERRUPTED = 0, 1, 130
 STOP = "stop"
 """File in a run folder that ends the run as Ctrl-C does."""
 
@@ -82,7 +82,7 @@ def check(path: Path, overrides: list[str], *, allow_code: bool, seconds: float 
     if path.suffix.lower() == ".fmu":
         bare = bare_problem(path)
         print_model(console, bare, "its own start values")
-        page = examine(bare, Resources(), seconds)
+        page = examine(bare, Resources(), seconds, declared=False)
         print_page(console, page)
         return _verdict(page)
     config = read_config(path, overrides)
@@ -100,7 +100,7 @@ def check(path: Path, overrides: list[str], *, allow_code: bool, seconds: float 
 
 def _verdict(page: Page) -> int:
     if not page.loads:
-        return BAD_INPUT
+        raise ModelError(page.findings[0].found)
     return DONE if page.good else NO_SOLUTION
 
 

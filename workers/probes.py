@@ -38,7 +38,10 @@ class Simulated(Probe):
     task: Task
 
     def answer(self, evaluator: Evaluator) -> Outcome:
-        return evaluator.evaluate(Batch.of([self.task]))[0]
+        found = evaluator.evaluate(Batch.of([self.task]))[0]
+        if not self.task.effects or not found.ok:
+            return found
+        return evaluator.evaluate(Batch.of([self.task]))[0]  # without importing SymPy
 
 
 @dataclass(frozen=True)
@@ -51,40 +54,43 @@ class Repetition:
         In a process and an instance that nothing had been simulated with.
     reset, instance
         After a reset, and in a new instance of the same process; 0 for the same bits, None where
-        it could not be simulated.
-    left : float or None
-        How far a simulation with the FMU's own values comes from what it was, once others were
-        set and the instance was reset.
+        it could not be simulated. The latter is only tried where the first is not 0.
     """
 
     first: FloatArray = field(repr=False)
     reset: float | None
     instance: float | None
-    left: float | None
 
 
 @dataclass(frozen=True)
 class Repeats(Probe):
-    """Asks whether a simulation can be repeated.
-
-    `point` is simulated; `other` differs from it in every value.
-    """
+    """Asks whether a simulation can be repeated in a process."""
 
     experiment: int
     point: FloatArray
-    other: FloatArray
 
     def answer(self, evaluator: Evaluator) -> Repetition:
         model, experiment = evaluator.model, evaluator.experiments[self.experiment]
         fresh = _twin(evaluator, replace(model, renew="instance"), experiment)
         reset = _twin(evaluator, replace(model, renew="reset"), experiment)
         first = _outputs(fresh.run(0, self.point[None]))
-        found: dict[str, float | None] = {}
-        for name, simulator in (("reset", reset), ("instance", fresh)):
-            found[name] = _distance(simulator, self.point, first)
-        return Repetition(first, found["reset"], found["instance"], self._left(evaluator, reset))
+        after = _distance(reset, self.point, first)
+        again = after if after == 0.0 else _distance(fresh, self.point, first)
+        return Repetition(first, after, again)
 
-    def _left(self, evaluator: Evaluator, moving: Simulator) -> float | None:
+
+@dataclass(frozen=True)
+class Leftovers(Probe):
+    """Asks how far values that were set survive a reset, in the outputs.
+
+    That is how far a simulation with the FMU's own values comes from what it was, once others were
+    simulated.
+    """
+
+    experiment: int
+    other: FloatArray
+
+    def answer(self, evaluator: Evaluator) -> float:
         bare = replace(evaluator.experiments[self.experiment], values=())
         nothing = np.empty((1, 0))
 
@@ -92,12 +98,9 @@ class Repeats(Probe):
             model = replace(evaluator.model, renew=renew, parameters=())
             return _twin(evaluator, model, bare)
 
-        try:
-            before = _outputs(simulator("instance").run(0, nothing))
-            moving.run(0, self.other[None])
-            return difference(_outputs(simulator("reset").run(0, nothing)), before)
-        except ModelError:
-            return None
+        before = _outputs(simulator("instance").run(0, nothing))
+        evaluator.simulator.run(self.experiment, self.other[None])
+        return difference(_outputs(simulator("reset").run(0, nothing)), before)
 
 
 @dataclass(frozen=True)

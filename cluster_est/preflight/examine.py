@@ -39,7 +39,9 @@ CHECKS: tuple[Callable[[Subject], list[Finding]], ...] = (
 """In the order in which they get the time."""
 
 
-def examine(problem: Problem, resources: Resources, seconds: float = SECONDS) -> Page:
+def examine(
+    problem: Problem, resources: Resources, seconds: float = SECONDS, *, declared: bool = True
+) -> Page:
     """Look at all that keeps an FMU from being fitted, or makes that slow or wrong.
 
     Every call of the FMU is in a process of its own, which is ended when its time is over.
@@ -52,6 +54,8 @@ def examine(problem: Problem, resources: Resources, seconds: float = SECONDS) ->
         Where it is to be fitted.
     seconds
         That the checks share. Loading the project itself takes a second or two beside.
+    declared
+        Whether somebody wants the parameters to be estimated.
     """
     description = problem.describe()
     with Bench(problem.model, problem.experiments) as bench:
@@ -62,14 +66,20 @@ def examine(problem: Problem, resources: Resources, seconds: float = SECONDS) ->
             bench.ask(Compiled(), COMPILE_SECONDS)
         growth, clock = resources.limits.growth, Clock.of(seconds)
         where = resources.executor, resources.workers, growth
-        subject = Subject(problem, description, bench, clock, *where)
+        subject = Subject(problem, description, bench, clock, *where, declared=declared)
         simulations = _simulate(subject)
         lines = [Finding("ok", "loads", "it can be loaded and instantiated"), *bounds(subject)]
         lines += _simulated(subject, simulations)
         good = [s for s in simulations if s.outcome.ok]
         if good:
             first = min(good, key=lambda s: s.outcome.seconds)
-            subject = replace(subject, one=first.outcome.seconds, experiment=first.experiment)
+            seen = first.outcome.trajectory
+            subject = replace(
+                subject,
+                one=first.outcome.seconds,
+                experiment=first.experiment,
+                seen=None if seen is None or problem.effects else seen.values,
+            )
             repeated, renew = repeating(subject)
             lines += repeated
             subject = replace(subject, renew=renew or "reset", repeats=renew is not None)

@@ -39,7 +39,7 @@ def effects(subject: Subject) -> list[Finding]:
     pairs = list(zip(names, found, strict=False))
     sizes = {name: each for name, each in pairs if not isinstance(each, str)}
     lines = [_failed(name, each) for name, each in pairs if isinstance(each, str)]
-    lines += [_dead(name) for name, size in sizes.items() if size == 0.0]
+    lines += [_dead(name, declared=subject.declared) for name, size in sizes.items() if size == 0.0]
     lines += [_faint(name, size) for name, size in sizes.items() if 0.0 < size < FAINT]
     alive = {name: size for name, size in sizes.items() if size >= FAINT}
     if alive:
@@ -75,13 +75,12 @@ def _moved(subject: Subject, column: int, share: float) -> FloatArray:
     return subject.at(x)
 
 
-def _dead(name: str) -> Finding:
-    return Finding(
-        "problem",
-        f"parameter {name}",
-        "is dead: the outputs do not depend on it at the start",
-        f"parameters.{name}.fixed = true, or remove it, or measure what it acts on",
-    )
+def _dead(name: str, *, declared: bool) -> Finding:
+    said = "is dead: the outputs do not depend on it at the start"
+    if not declared:
+        return Finding("note", f"parameter {name}", said, "it cannot be estimated from these")
+    do = f"parameters.{name}.fixed = true, or remove it, or measure what it acts on"
+    return Finding("problem", f"parameter {name}", said, do)
 
 
 def _faint(name: str, size: float) -> Finding:

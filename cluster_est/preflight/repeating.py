@@ -8,7 +8,7 @@ from cluster_est.preflight.findings import Finding, Verdict
 from cluster_est.preflight.subject import Subject, unanswered
 from workers.bench import Stopped
 from workers.messages import Renewal
-from workers.probes import Instances, Repeats, Repetition, difference
+from workers.probes import Instances, Leftovers, Repeats, Repetition, difference
 
 MOVED = 1.37
 """What every value is multiplied with, to see whether it stays behind: no round number."""
@@ -19,14 +19,18 @@ def repeating(subject: Subject) -> tuple[list[Finding], Renewal | None]:
 
     And what a simulation must begin with, for all further checks; None if nothing helps.
     """
-    other = np.where(subject.start == 0.0, MOVED, MOVED * subject.start)
-    probe = Repeats(subject.experiment, subject.start, other)
-    found = subject.ask(probe, 6)
-    again = found if isinstance(found, Stopped) else subject.ask(probe, 6)
-    if isinstance(again, Stopped):
-        return [unanswered("repeatable", again)], "reset"
-    far = difference(again.first, found.first)
-    if again.first.tobytes() != found.first.tobytes():
+    probe = Repeats(subject.experiment, subject.start)
+    found = subject.ask(probe, 2)
+    if isinstance(found, Stopped):
+        return [unanswered("repeatable", found)], "reset"
+    again = subject.seen
+    if again is None or again.tobytes() != found.first.tobytes():  # that was after a reset
+        other = subject.ask(probe, 2)
+        if isinstance(other, Stopped):
+            return [unanswered("repeatable", other)], "reset"
+        again = other.first
+    far = difference(again, found.first)
+    if again.tobytes() != found.first.tobytes():
         said = f"no: two fresh processes differ by {far:.2g} of the outputs' size"
         do = (
             "export it without a random generator or clock; else choose a method.name that takes "
@@ -35,7 +39,8 @@ def repeating(subject: Subject) -> tuple[list[Finding], Renewal | None]:
         return [Finding("problem", "repeatable", said, do)], None
     repeatable = Finding("ok", "repeatable", "two fresh processes give the same bits")
     renew: Renewal = "reset" if found.reset == 0.0 else "instance"
-    return [repeatable, _reset(subject, found), *_left(found)], renew
+    lines = [repeatable, _reset(subject, found)]
+    return lines + (_left(subject) if renew == "reset" else []), renew
 
 
 def _reset(subject: Subject, found: Repetition) -> Finding:
@@ -61,8 +66,11 @@ def _chosen(subject: Subject, needed: str, how: str, do: str) -> Finding:
     return Finding("problem", "reset", how, f'set model.reset = "{needed}" or "auto"')
 
 
-def _left(found: Repetition) -> list[Finding]:
-    if not found.left or found.reset != 0.0:
+def _left(subject: Subject) -> list[Finding]:
+    """What harms only where experiments set different values; nothing is said if it is not so."""
+    other = np.where(subject.start == 0.0, MOVED, MOVED * subject.start)
+    found = subject.ask(Leftovers(subject.experiment, other), 3)
+    if isinstance(found, Stopped) or found == 0.0:
         return []
     return [
         Finding(

@@ -55,6 +55,10 @@ class Subject:
         What its simulations begin with, as soon as that is known.
     repeats
         Whether a simulation gives the same twice, so that small differences mean something.
+    declared
+        Whether somebody wants the parameters to be estimated.
+    seen : (times, outputs)
+        What a process of its own made of the experiment, if known.
     """
 
     problem: Problem
@@ -68,6 +72,8 @@ class Subject:
     experiment: int = 0
     renew: Renewal = "reset"
     repeats: bool = True
+    declared: bool = True
+    seen: FloatArray | None = None
 
     @property
     def where(self) -> tuple[int, FloatArray, Renewal]:
