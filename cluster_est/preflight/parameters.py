@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from workers.probes import Moves
 
 MOVE = 0.01
 """Of the size of a noticeable change."""
+UNKNOWN = 1e-300
+"""An effect that could not be looked for in every experiment."""
 FAINT = 1e-9
 """An effect of less, of the outputs' size, drowns in rounding."""
 STEPS = tuple(10.0**-k for k in range(3, 9))
@@ -38,6 +41,9 @@ def effects(subject: Subject) -> list[Finding]:
     names = [unknown.label for _, unknown in unknowns]
     pairs = list(zip(names, found, strict=False))
     sizes = {name: each for name, each in pairs if not isinstance(each, str)}
+    for (column, unknown), (name, each) in zip(unknowns, pairs, strict=False):
+        if each == 0.0:
+            sizes[name] = _elsewhere(subject, column, unknown)
     lines = [_failed(name, each) for name, each in pairs if isinstance(each, str)]
     lines += [_dead(name, declared=subject.declared) for name, size in sizes.items() if size == 0.0]
     lines += [_faint(name, size) for name, size in sizes.items() if 0.0 < size < FAINT]
@@ -65,6 +71,21 @@ def _unknowns(subject: Subject) -> list[tuple[int, Unknown]]:
     return list(first.values())
 
 
+def _elsewhere(subject: Subject, column: int, unknown: Unknown) -> float:
+    """The largest effect in other experiments; `UNKNOWN` where there is no time to look."""
+    for e in unknown.experiments:
+        other = replace(subject, experiment=e)
+        if e == subject.experiment:
+            continue
+        probe = Moves(*other.where, _moved(other, column, MOVE)[None], subject.clock.left)
+        found = subject.ask(probe, 2)
+        if isinstance(found, Stopped) or not found or isinstance(found[0], str):
+            return UNKNOWN
+        if found[0] > 0.0:
+            return float(found[0])
+    return 0.0
+
+
 def _moved(subject: Subject, column: int, share: float) -> FloatArray:
     """The values with one unknown moved by a share of its size, inside its bounds."""
     space = subject.space
@@ -84,6 +105,9 @@ def _dead(name: str, *, declared: bool) -> Finding:
 
 
 def _faint(name: str, size: float) -> Finding:
+    if size == UNKNOWN:
+        said = "does not act in one experiment, and there was no time to try all others"
+        return Finding("not done", f"parameter {name}", said, "give it more time with --seconds")
     said = f"hardly acts: moved by 1 % of its size it changes the outputs by {size:.2g} of theirs"
     return Finding("note", f"parameter {name}", said, f"another parameters.{name}.start, or fix it")
 
