@@ -224,7 +224,15 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     check_signals(config, description)
     interface = _interface(config, description)
     solver = _solver(config, interface)
-    return Model(path.name, archive, interface, solver, targets, tuple(structure.items()))
+    return Model(
+        path.name,
+        archive,
+        interface,
+        solver,
+        targets,
+        tuple(structure.items()),
+        renew=config.model.reset,
+    )
 
 
 def _interface(config: Config, description: Description) -> Interface:

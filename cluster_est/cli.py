@@ -73,7 +73,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    check = _command(commands, "check", "read config, data and FMU, and run each experiment once")
+    check = _command(
+        commands,
+        "check",
+        "read config, data and FMU, and say what is wrong with them; or FMU alone",
+    )
+    check.add_argument(
+        "--seconds", type=_seconds, default=None, help="that all checks share (default 4)"
+    )
     check.set_defaults(run=_check)
 
     fit = _command(commands, "fit", "estimate the parameters")
@@ -160,10 +167,18 @@ def _add_allow_code(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0.5 <= seconds < 1e6:
+        raise argparse.ArgumentTypeError(f"must be a number of seconds from 0.5 on but is {text}")
+    return seconds
+
+
 def _check(options: argparse.Namespace) -> int:
     from cluster_est.commands import check
 
-    return check(options.config, options.overrides, allow_code=options.allow_code)
+    given = {} if options.seconds is None else {"seconds": options.seconds}
+    return check(options.config, options.overrides, allow_code=options.allow_code, **given)
 
 
 def _fit(options: argparse.Namespace) -> int:

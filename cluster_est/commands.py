@@ -24,16 +24,27 @@ from cluster_est.build import (
 )
 from cluster_est.config import Config, read_config
 from cluster_est.curves import residual_table, trajectory_table
-from cluster_est.errors import BudgetError, ProblemError, RunFolderError
+from cluster_est.errors import BudgetError, ModelError, ProblemError, RunFolderError
 from cluster_est.fit import check_search
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
 from cluster_est.interrupts import stopped_by
 from cluster_est.logged import LoggedOutcomes
 from cluster_est.loop_printing import print_any_run
-from cluster_est.printing import print_check, print_iterations, print_run, read_run_table, say
+from cluster_est.preflight import SECONDS, Page, bare_problem, examine
+from cluster_est.preflight_printing import print_page
+from cluster_est.printing import (
+    print_check,
+    print_iterations,
+    print_model,
+    print_run,
+    read_facts,
+    read_run_table,
+    say,
+)
 from cluster_est.problem import Problem
 from cluster_est.progress import ProgressLine
+from cluster_est.renewal import Chosen, recorded
 from cluster_est.replay import prepare, read_logged
 from cluster_est.replay import replay as run_replay
 from cluster_est.replay_printing import print_answer, print_failures, print_question
@@ -65,16 +76,32 @@ STEPS = {
 """What the searches of a closed loop do, by their names in the log."""
 
 
-def check(path: Path, overrides: list[str], *, allow_code: bool) -> int:
-    """Read everything, simulate each experiment once, print a page; change nothing."""
+def check(path: Path, overrides: list[str], *, allow_code: bool, seconds: float = SECONDS) -> int:
+    """Read everything, try the FMU out in processes of its own, print a page; change nothing."""
+    console = Console()
+    if path.suffix.lower() == ".fmu":
+        bare = bare_problem(path)
+        print_model(console, bare, "its own start values")
+        page = examine(bare, Resources(), seconds, declared=False)
+        print_page(console, page)
+        return _verdict(page)
     config = read_config(path, overrides)
     problem = build_problem(config, path.parent, allow_code=allow_code)
     method = build_method(config)
     check_search(problem, method, build_uncertainty(config), build_multistart(config))
     make_space(problem, problem.indices("test"))
-    simulations = run_simulate(problem, Resources())
-    print_check(Console(), problem, method, simulations)
-    return DONE if all(s.outcome.ok for s in simulations) else NO_SOLUTION
+    page = examine(problem, build_resources(config), seconds)
+    print_model(console, problem, f"method {method.name}")
+    if page.simulations:
+        print_check(console, problem, page.simulations)
+    print_page(console, page)
+    return _verdict(page)
+
+
+def _verdict(page: Page) -> int:
+    if not page.loads:
+        raise ModelError(page.findings[0].found)
+    return DONE if page.good else NO_SOLUTION
 
 
 def fit(
@@ -99,7 +126,7 @@ def fit(
     if keeper.finished:
         print_run(Console(), out)
         return DONE
-    resources = replace(build_resources(config), log=keeper.logged)
+    resources = keeper.resources(config)
     progress = ProgressLine(Console(stderr=True), resources.budget)
     with progress as line, keeper, stopped_by(out / STOP):
         result = run_fit(
@@ -143,7 +170,7 @@ def close_loop(
     if keeper.finished:
         print_any_run(Console(), out)
         return DONE
-    resources = replace(build_resources(config), log=keeper.logged)
+    resources = keeper.resources(config)
     try:
         progress = ProgressLine(Console(stderr=True), resources.budget)
         with progress as line, keeper, stopped_by(out / STOP):
@@ -272,6 +299,8 @@ class _Keeper:
         self._searches: dict[str, None] = {}
         self.folder: RunFolder | None = None
         self.logged: LoggedOutcomes | None = None
+        self.chosen: Chosen | None = None
+        self._renew: Chosen | None = None
         self.finished = False
         if not resume:
             check_free(out, overwrite=overwrite)
@@ -281,10 +310,28 @@ class _Keeper:
             found = "holds a finished run"
             if self.logged is not None:
                 found = f"is resumed; {len(self.logged)} simulations stand in its log"
+                self._renew = recorded(read_facts(out))
             say(Console(stderr=True), f"cluster-est: {out} {found}")
         self._open: Callable[[], RunFolder] = lambda: open_folder(
-            out, problem, config, unused, overwrite=overwrite, logged=self.logged, base=base
+            out,
+            problem,
+            config,
+            unused,
+            overwrite=overwrite,
+            logged=self.logged,
+            base=base,
+            chosen=self.chosen,
         )
+
+    def resources(self, config: Config) -> Resources:
+        """Those of the config, behind what an interrupted run has left."""
+        found = build_resources(config)
+        return replace(found, log=self.logged, renew=self._renew, chosen=self._choose)
+
+    def _choose(self, chosen: Chosen) -> None:
+        self.chosen = chosen
+        if not chosen.plain:
+            say(Console(stderr=True), f"cluster-est: {chosen.sentence}")
 
     @property
     def steps(self) -> str:

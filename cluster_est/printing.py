@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from rich.console import Console
 
 from cluster_est.errors import RunFolderError
-from cluster_est.methods.base import TOLERANCE, Method
+from cluster_est.methods.base import TOLERANCE
 from cluster_est.problem import Problem
 from cluster_est.result import Simulation
 from cluster_est.rows import constraints_at_start
@@ -118,18 +118,19 @@ def read_run_table(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def print_check(
-    console: Console, problem: Problem, method: Method, simulations: list[Simulation]
-) -> None:
-    """What `check` found: model, unknowns, experiments and one simulation of each."""
+def print_model(console: Console, problem: Problem, more: str) -> None:
+    """What is simulated, and what was read around in its description."""
     model = problem.model
     say(
         console,
-        f"{model.name}: {model.interface.replace('_', ' ')}, solver {model.solver.name}; "
-        f"method {method.name}",
+        f"{model.name}: {model.interface.replace('_', ' ')}, solver {model.solver.name}; {more}",
     )
     for warning in (*problem.describe().warnings, *problem.notes()):
         say(console, warning)
+
+
+def print_check(console: Console, problem: Problem, simulations: Sequence[Simulation]) -> None:
+    """Unknowns, experiments and one simulation of each."""
     train = make_space(problem, problem.indices("train"))
     say(
         console,
@@ -152,7 +153,7 @@ def print_check(
     print_table(console, ["experiment", "role", "seconds", "samples", "ms", "simulated"], rows)
     if train.constraint_names:
         kinds = ["= 0" if equal else "<= 0" for equal in train.equality]
-        values = [number(value) for value in constraints_at_start(train, simulations)]
+        values = [number(value) for value in constraints_at_start(train, list(simulations))]
         named = zip(train.constraint_names, kinds, values, strict=True)
         print_table(console, ["constraint", "must be", "at the start"], named)
 

@@ -16,6 +16,7 @@ from cluster_est.evaluation_log import read_log
 from cluster_est.log_format import logged_cost, simulation_key
 from cluster_est.printing import read_facts
 from cluster_est.problem import Problem, coefficient_names
+from cluster_est.renewal import recorded
 from workers.description import nearest
 from workers.guard import Guard
 from workers.messages import Effect, FloatArray, Limits, Outcome, Status, Task, Want
@@ -186,6 +187,10 @@ def prepare(run_folder: Path, logged: Logged, config: Path | None, *, allow_code
         )
     experiment = problem.experiments[index]
     key = simulation_key(problem.model.key, experiment.key, effects, logged.values)
+    if problem.model.renew == "auto":
+        chosen = recorded(read_facts(run_folder))
+        if chosen is not None:
+            problem = replace(problem, model=replace(problem.model, renew=chosen.renew))
     task = Task(0, index, logged.values, logged.want, effects)
     return Question(problem, build_resources(resolved).limits, task, key == logged.key)
 

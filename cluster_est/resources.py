@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from cluster_est.executors import Executor, executor_class
+from cluster_est.executors import Executor
 from cluster_est.executors.recall import Recall
 from cluster_est.logged import LoggedOutcomes
 from cluster_est.problem import Problem
+from cluster_est.renewal import Chosen, open_renewing
 from cluster_est.runner import Budget
 from workers.messages import Limits
 
@@ -33,6 +35,10 @@ class Resources:
         When a simulation is ended from outside; "local" cannot do that.
     log
         What an interrupted run has simulated already, if this one takes it up again.
+    renew
+        What that run's simulations began with, if it had to be chosen.
+    chosen
+        Told what every simulation begins with, before the first one that counts.
     """
 
     executor: str = "local"
@@ -41,6 +47,8 @@ class Resources:
     budget: Budget = field(default_factory=Budget)
     limits: Limits = field(default_factory=Limits)
     log: LoggedOutcomes | None = field(default=None, repr=False, compare=False)
+    renew: Chosen | None = None
+    chosen: Callable[[Chosen], None] | None = field(default=None, repr=False, compare=False)
 
 
 def one_blas_thread() -> Any:
@@ -54,9 +62,10 @@ def one_blas_thread() -> Any:
 
 def open_executor(problem: Problem, resources: Resources) -> Executor:
     """Start the workers for a problem; behind the log, if there is one."""
-    kind = executor_class(resources.executor)
-    where = resources.workers, resources.address, resources.limits
-    executor = kind.open(problem.model, problem.experiments, *where)
+    where = resources.executor, resources.workers, resources.address, resources.limits
+    executor, chosen = open_renewing(problem, *where, resources.renew)
+    if resources.chosen is not None:
+        resources.chosen(chosen)
     if resources.log is None:
         return executor
     return Recall(executor, problem.model, problem.experiments, resources.log)

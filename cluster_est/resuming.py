@@ -12,6 +12,7 @@ from cluster_est.evaluation_log import LogSettings
 from cluster_est.logged import LoggedOutcomes
 from cluster_est.printing import read_facts
 from cluster_est.problem import Problem
+from cluster_est.renewal import Chosen
 from cluster_est.run_folder import RunFolder, check_free
 from cluster_est.run_identity import DECISIVE, FORMAT, UNHASHED, hash_config, versions
 from cluster_est.toml import to_toml
@@ -28,6 +29,7 @@ def open_folder(
     overwrite: bool,
     logged: LoggedOutcomes | None = None,
     base: Path | None = None,
+    chosen: Chosen | None = None,
 ) -> RunFolder:
     """The folder of a run by a config, whose paths start from `base`.
 
@@ -43,6 +45,7 @@ def open_folder(
         log_settings=LogSettings(config.log.residuals, config.log.max_megabytes),
         logged=logged,
         config_folder=base,
+        chosen=chosen,
     )
 
 

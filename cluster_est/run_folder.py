@@ -24,6 +24,7 @@ from cluster_est.errors import RunFolderError
 from cluster_est.evaluation_log import EvaluationLog, LogSettings
 from cluster_est.logged import LoggedOutcomes
 from cluster_est.problem import Problem
+from cluster_est.renewal import Chosen
 from cluster_est.result import Result
 from cluster_est.run_identity import FORMAT, versions
 from cluster_est.runner import Iteration, Origin
@@ -61,9 +62,10 @@ class RunFolder:
         How much of each simulation is kept.
     logged
         What the run that is there has simulated, if it is taken up again: its log goes on.
-
     config_folder
         The folder that the config's paths start from.
+    chosen
+        What every simulation begins with.
 
     Raises
     ------
@@ -83,6 +85,7 @@ class RunFolder:
         log_settings: LogSettings | None = None,
         logged: LoggedOutcomes | None = None,
         config_folder: Path | None = None,
+        chosen: Chosen | None = None,
     ) -> None:
         check_free(path, overwrite=overwrite or logged is not None)
         self.path = path
@@ -91,6 +94,7 @@ class RunFolder:
         self._config_hash = config_hash
         self._logged = logged
         self._config_folder = config_folder
+        self._chosen = chosen
         self._iterations: dict[tuple[str, int, str], dict[str, Any]] = {}
         self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
         self._begin = time.time()
@@ -199,6 +203,7 @@ class RunFolder:
                 "interface": self._problem.model.interface,
                 "solver": self._problem.model.solver.name,
             },
+            "renewal": dataclasses.asdict(self._chosen) if self._chosen is not None else None,
             "experiments": {e.id: e.key for e in self._problem.experiments},
             "versions": versions(),
         }

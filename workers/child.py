@@ -7,9 +7,11 @@ import ctypes
 import gc
 import signal
 import sys
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
@@ -31,6 +33,20 @@ class Report:
     instances: int
 
 
+class Probe(ABC):
+    """Asks for more than a simulation: what `cluster-est check` wants to know of an FMU."""
+
+    @abstractmethod
+    def answer(self, evaluator: Evaluator) -> Any:
+        """Find it out with an FMU that was just loaded; what is returned travels back.
+
+        Raises
+        ------
+        ModelError
+            If it cannot be found out; travels back too.
+        """
+
+
 def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
     """Load the FMU, say None or the ModelError, then answer batches until there are no more."""
     gc.freeze()  # what was forked is shared with others as long as nobody writes to it
@@ -46,9 +62,20 @@ def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
     connection.send(None)
     with contextlib.suppress(EOFError, OSError):
         while True:
-            answers = Answers.of(evaluator.evaluate(connection.recv()))
+            asked = connection.recv()
+            if isinstance(asked, Probe):
+                connection.send(_probed(asked, evaluator))
+                continue
+            answers = Answers.of(evaluator.evaluate(asked))
             connection.send(Report(answers, resident_bytes("self"), instances()))
     evaluator.close()
+
+
+def _probed(probe: Probe, evaluator: Evaluator) -> Any:
+    try:
+        return probe.answer(evaluator)
+    except ModelError as error:
+        return error
 
 
 def resident_bytes(process: int | str) -> int:

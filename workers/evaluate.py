@@ -59,8 +59,9 @@ class Evaluator:
         self, model: Model, experiments: Sequence[Experiment], name: str, *, load: bool = True
     ) -> None:
         description = describe_model(model)
+        self.model, self.description = model, description
         self._simulator = Simulator(model, description, tuple(experiments))
-        self._experiments = tuple(experiments)
+        self.experiments = self._experiments = tuple(experiments)
         self._comparisons = [
             ExperimentComparison(e, self._simulator.installed(i).grid, model.parameters)
             for i, e in enumerate(experiments)
@@ -70,6 +71,11 @@ class Evaluator:
             self.load()
         else:
             self._simulator.warm_up()
+
+    @property
+    def simulator(self) -> Simulator:
+        """What it simulates with, once it is loaded."""
+        return self._simulator
 
     def load(self) -> None:
         """Load the FMU.

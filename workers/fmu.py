@@ -71,6 +71,9 @@ _TYPES_IN_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
 
 _TERMINATED, _LAST_SUCCESSFUL_TIME = 3, 2
 """Kinds of status of FMI 2.0's co-simulation."""
+_NO_RESET = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p)(lambda handle: 0)
+_NO_RESET_AT = ctypes.cast(_NO_RESET, c_void_p).value or 0
+"""What stands for the reset of an instance that has just been made."""
 
 _loading = threading.Lock()
 _made = 0
@@ -102,9 +105,23 @@ class Instance:
         description.check_platform(model.interface)
         self._folder = unpack(model.name, model.archive, model.archive_hash)
         self.log: deque[str] = deque(maxlen=20)
-        self._freed = False
+        self._freed = self._used = False
         self._fmu = self._load()
         self.component = self._addresses()
+
+    def fresh(self) -> Component:
+        """Give an instance that nothing has been simulated with, and that needs no reset.
+
+        Raises
+        ------
+        ModelError
+            If the FMU cannot be instantiated again.
+        """
+        if self._used:
+            self.free()
+            self.renew()
+        self._used = True
+        return self.component._replace(reset=_NO_RESET_AT)
 
     def renew(self) -> None:
         """Replace the instance by a fresh one: all that is left after a fatal error.
@@ -114,6 +131,7 @@ class Instance:
         """
         _given_up.append(self._fmu)
         self._fmu = self._load()
+        self._freed = self._used = False
         self.component = self._addresses()
 
     def ended_at(self) -> float | None:
@@ -128,6 +146,11 @@ class Instance:
             return None
         self._ask("GetRealStatus", ctypes.c_int(_LAST_SUCCESSFUL_TIME), ctypes.byref(time))
         return time.value
+
+    @property
+    def fmu(self) -> Any:
+        """The same as fmpy has it."""
+        return self._fmu
 
     def free(self) -> None:
         """Free the instance and unload its library. Again does nothing: it would be freed twice."""

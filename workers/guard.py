@@ -79,6 +79,7 @@ class Guard:
         self, model: Model, experiments: Sequence[Experiment], name: str, limits: Limits
     ) -> None:
         self._name, self._file, self._limits = name, model.name, limits
+        self._renew = model.renew
         self._seconds: dict[int, deque[float]] = {}
         self._careful = 0
         self._base = 0
@@ -95,7 +96,8 @@ class Guard:
     def evaluate(self, batch: Batch) -> list[Outcome]:
         """Answer every task of a batch, in its order."""
         failed = 0
-        if self._careful == 0 and self._is_usual(batch):
+        together = self._renew in ("auto", "reset")
+        if together and self._careful == 0 and self._is_usual(batch):
             answered = self._ask(batch)
             if not isinstance(answered, Failure):
                 return answered
@@ -163,7 +165,9 @@ class Guard:
             return failure or _ended(code)
         outcomes = report.answers.outcomes()
         self._learn(batch, outcomes)
-        if self._has_grown(report):
+        if self._renew == "process":
+            self._end(kill=True)  # it has answered, and nothing waits for how it ends
+        elif self._has_grown(report):
             self._end(kill=False)
         return outcomes
 

@@ -24,6 +24,7 @@ Interpolation = Literal["linear", "hold"]
 Role = Literal["train", "test"]
 Reduction = Literal["squares", "absolutes"]
 Want = Literal["residuals", "squares", "absolutes", "trajectory", "linearisation"]
+Renewal = Literal["auto", "reset", "instance", "process"]
 Value = float | int | bool | str
 
 REDUCTIONS: tuple[Reduction, ...] = get_args(Reduction)
@@ -109,6 +110,10 @@ class Model:
         say how large arrays are, so they are the same in all experiments.
     talks
         Whether the FMU logs all that it can, and its messages go to stderr too as they come.
+    renew
+        What every simulation begins with: a "reset" of the instance that there is; a new
+        "instance", for FMUs whose reset leaves something behind; or a new "process", for those
+        whose library does. "auto" leaves the choice to the coordinator; a worker resets.
     """
 
     name: str
@@ -118,6 +123,7 @@ class Model:
     parameters: tuple[str, ...]
     structure: tuple[tuple[str, int], ...] = ()
     talks: bool = False
+    renew: Renewal = "auto"
 
     @cached_property
     def archive_hash(self) -> str:
@@ -127,9 +133,10 @@ class Model:
     @cached_property
     def key(self) -> str:
         """Hash of everything that makes a simulation's result, but values and experiment."""
-        structure = [repr(self.structure)] if self.structure else []
+        more = [repr(self.structure)] if self.structure else []
+        more += [f"renew {self.renew}"] if self.renew != "auto" else []
         return content_hash(
-            [self.archive_hash, self.interface, repr(self.solver), *self.parameters, *structure]
+            [self.archive_hash, self.interface, repr(self.solver), *self.parameters, *more]
         )
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numba import typeof
 
 from workers.description import Description
 from workers.errors import ModelError
@@ -194,21 +195,28 @@ class Simulator:
         Solver "cvode" suits it then. So many steps of the Dormand-Prince method, or fewer, tell;
         it is not stiff if the simulation fails within them.
         """
-        ready = self._installed[experiment]
-        settings = _settings(self._model, self._description, 0)._replace(max_steps=max_steps)
-        found, code = stiffness(
-            self.instance.component,
-            ready.references,
-            ready.starts,
-            settings,
-            no_hooks(1),
-            ready.grid,
-            np.concatenate([point, ready.known]),
-            self._workspace(ready, no_hooks(1), 0),
-        )
+        found, code = stiffness(*self._of_stiffness(experiment, point, max_steps))
         if code >= failure.FATAL:
             self.instance.renew()
         return bool(found)
+
+    def compile_stiff(self) -> None:
+        """Have what `stiff` needs compiled, or read from disk."""
+        point = np.zeros(len(self._model.parameters))
+        stiffness.compile(tuple(typeof(each) for each in self._of_stiffness(0, point, 1)))
+
+    def _of_stiffness(self, experiment: int, point: FloatArray, max_steps: int) -> tuple[Any, ...]:
+        ready, hooks = self._installed[experiment], no_hooks(1)
+        return (
+            self._component(),
+            ready.references,
+            ready.starts,
+            _settings(self._model, self._description, 0)._replace(max_steps=max_steps),
+            hooks,
+            ready.grid,
+            np.concatenate([point, ready.known]),
+            self._workspace(ready, hooks, 0),
+        )
 
     def close(self) -> None:
         self.instance.free()
@@ -297,9 +305,15 @@ class Simulator:
         while tried < len(rows):
             self.instance.log.clear()
             first = tried
+            try:
+                component = self._component()
+            except ModelError as error:
+                record.codes[first], record.messages[first] = failure.INITIALISATION, str(error)
+                tried += 1
+                continue
             tried += self._call(
                 batch,
-                self.instance.component,
+                component,
                 ready,
                 hooks,
                 own_states,
@@ -311,7 +325,7 @@ class Simulator:
             last = tried - 1
             code = int(record.codes[last])
             if code == failure.FINISHED:
-                break
+                continue
             if code == failure.DISCARDED and (end := self.instance.ended_at()) is not None:
                 record.codes[last] = code = failure.TERMINATED
                 stopped_at[last] = max(stopped_at[last], end)
@@ -324,6 +338,15 @@ class Simulator:
         if ready.communication is not None:
             record = replace(record, outputs=ready.communication.read(record.outputs))
         return record
+
+    @property
+    def _renews(self) -> bool:
+        """Whether each simulation has an instance of its own."""
+        return self._model.renew in ("instance", "process")
+
+    def _component(self) -> Component:
+        """What the next simulation runs on."""
+        return self.instance.fresh() if self._renews else self.instance.component
 
     def _call(
         self,
@@ -338,7 +361,7 @@ class Simulator:
         first: int = 0,
     ) -> int:
         """Simulate rows from the first to one that fails; how many."""
-        left = slice(first, None)
+        left = slice(first, first + 1 if self._renews else None)
         rest = hooks._replace(
             substeps=hooks.substeps[left],
             coefficients=hooks.coefficients[left],

@@ -54,6 +54,13 @@ class Executor(ABC):
             If there are no workers to be had.
         """
 
+    def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
+        """Have one worker answer tasks in turn, always the same one, while nothing else is asked.
+
+        Their ids may be used again. Empty if this executor cannot.
+        """
+        return []
+
     @abstractmethod
     def submit(self, tasks: Sequence[Task]) -> None:
         """Queue tasks. Returns at once."""

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import ClassVar, Protocol, Self
 
+from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import Backlog
 from cluster_est.executors.base import Executor
 from workers.description import describe_model
@@ -58,10 +59,25 @@ class LocalExecutor(Executor):
         address: str | None,
         limits: Limits | None = None,
     ) -> Self:
+        if model.renew == "process":
+            raise ExecutorError(
+                'model.reset: "process" needs workers that are processes of their own but '
+                'executor.name is "local"; choose "processes" or "ray" there'
+            )
         count = workers or 1
         if count > 1 and describe_model(model).once_per_process:
             count = 1
         return cls([Evaluator(model, experiments, f"local-{i}") for i in range(count)])
+
+    def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
+        evaluator, outcomes = self._evaluators[0], []
+        for task in tasks:  # in a thread, so that an interrupt comes through
+            batch = Batch.of([task])
+            running = self._threads.submit(evaluator.evaluate, batch)
+            self._running[running] = batch
+            outcomes += running.result()
+            del self._running[running]
+        return outcomes
 
     def submit(self, tasks: Sequence[Task]) -> None:
         self._backlog.add(tasks)

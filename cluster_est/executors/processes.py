@@ -49,6 +49,9 @@ class ProcessExecutor(Executor):
             raise failed[0]
         return cls(guards)
 
+    def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
+        return self._threads.first_worker(tasks)
+
     def submit(self, tasks: Sequence[Task]) -> None:
         self._threads.submit(tasks)
 

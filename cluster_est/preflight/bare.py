@@ -1,0 +1,79 @@
+"""An FMU without a config: its own start values, its own experiment."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from cluster_est.errors import ModelError
+from cluster_est.problem import Parameter, Problem
+from workers.description import Description, describe
+from workers.messages import Experiment, Interface, Model, Output, Solver
+from workers.variables import Variable
+
+MOST_PARAMETERS, MOST_OUTPUTS = 12, 50
+TIMES = 101
+DEFAULT_STOP = 1.0
+"""Seconds, where the FMU names no stop."""
+
+
+def bare_problem(path: Path) -> Problem:
+    """A problem to examine: all outputs, and the first real parameters as if to be estimated.
+
+    Raises
+    ------
+    ModelError
+        If it cannot be read, or there is nothing to record.
+    """
+    try:
+        archive = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path} cannot be read ({error.strerror}); check the path") from error
+    description = describe(path.name, archive)
+    interface: Interface = description.interfaces[0]
+    exchange = interface == "model_exchange"
+    parameters = tuple(_parameter(v) for v in _parameters(description))
+    solver = Solver("dormand_prince" if exchange else "fmu")
+    model = Model(path.name, archive, interface, solver, tuple(p.name for p in parameters))
+    return Problem(model, parameters, (_experiment(description),))
+
+
+def _parameters(description: Description) -> list[Variable]:
+    found = [
+        v
+        for v in description.variables.values()
+        if v.causality == "parameter" and v.kind == "real" and v.settable and v.start is not None
+    ]
+    return [v for v in found if v.alias_of is None][:MOST_PARAMETERS]
+
+
+def _parameter(variable: Variable) -> Parameter:
+    return Parameter(variable.name, variable.start or 0.0)
+
+
+def _experiment(description: Description) -> Experiment:
+    names = [*description.outputs, *description.states]
+    numbers = [n for n in dict.fromkeys(names) if _is_number(description.variables[n])]
+    if not numbers:
+        raise ModelError(
+            f"{description.file}: must have an output or a state that is a number, to be looked "
+            "at, but has none; name what is measured in a config"
+        )
+    start = description.default_start or 0.0
+    stop = description.default_stop
+    stop = start + DEFAULT_STOP if stop is None or not stop > start else stop
+    times = np.linspace(start, stop, TIMES, dtype=np.float64)
+    step = description.default_step
+    if not description.variable_steps and step:
+        count = max(1, math.floor((stop - start) / step + 1e-9))
+        times = np.asarray(start + step * np.arange(1 + count), np.float64)
+        stop = float(times[-1])
+    nothing = np.zeros(len(times))
+    outputs = tuple(Output(name, times, nothing) for name in numbers[:MOST_OUTPUTS])
+    return Experiment("default", start, stop, (), outputs)
+
+
+def _is_number(variable: Variable) -> bool:
+    return variable.kind in ("real", "integer", "boolean")

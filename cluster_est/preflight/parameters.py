@@ -1,0 +1,202 @@
+"""Parameters: whether each does something, and whether they keep to what the FMU declares."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.methods.differences import relative_noise
+from cluster_est.preflight.findings import Finding
+from cluster_est.preflight.subject import Subject, unanswered
+from cluster_est.problem import Parameter
+from cluster_est.space import Unknown
+from workers.bench import Stopped
+from workers.messages import FloatArray
+from workers.probes import Moves
+
+MOVE = 0.01
+"""Of the size of a noticeable change."""
+UNKNOWN = 1e-300
+"""An effect that could not be looked for in every experiment."""
+FAINT = 1e-9
+"""An effect of less, of the outputs' size, drowns in rounding."""
+STEPS = tuple(10.0**-k for k in range(3, 9))
+"""Relative steps of differences that are tried."""
+AGREE = 0.02
+"""How far slopes may differ that are still the same."""
+
+
+def effects(subject: Subject) -> list[Finding]:
+    """Each parameter moved a little, alone."""
+    unknowns = _unknowns(subject)
+    if not unknowns:
+        return []
+    points = np.array([_moved(subject, column, MOVE) for column, _ in unknowns])
+    probe = Moves(*subject.where, points, max(subject.clock.left / 2.0, 0.1))
+    found = subject.ask(probe, 2, subject.clock.left)
+    if isinstance(found, Stopped):
+        return [unanswered("parameters", found)]
+    names = [unknown.label for _, unknown in unknowns]
+    pairs = list(zip(names, found, strict=False))
+    sizes = {name: each for name, each in pairs if not isinstance(each, str)}
+    for (column, unknown), (name, each) in zip(unknowns, pairs, strict=False):
+        if each == 0.0:
+            sizes[name] = _elsewhere(subject, column, unknown)
+    lines = [_failed(name, each) for name, each in pairs if isinstance(each, str)]
+    lines += [_dead(name, declared=subject.declared) for name, size in sizes.items() if size == 0.0]
+    lines += [_faint(name, size) for name, size in sizes.items() if 0.0 < size < FAINT]
+    alive = {name: size for name, size in sizes.items() if size >= FAINT}
+    if alive:
+        least, most = min(alive, key=alive.__getitem__), max(alive, key=alive.__getitem__)
+        said = f"{len(alive)} of {len(names)} act on the outputs: moved by 1 % of its size, "
+        said += f"{most} changes them by {alive[most]:.2g} of theirs"
+        said += f", {least} by {alive[least]:.2g}" if least != most else ""
+        lines.append(Finding("ok", "parameters", said))
+        lines += _steps(subject, unknowns[names.index(most)][0]) if subject.repeats else []
+    if len(found) < len(names):
+        left = f"{len(names) - len(found)} of {len(names)} were not moved"
+        lines.append(unanswered("parameters", Stopped(left, late=True)))
+    return lines
+
+
+def _unknowns(subject: Subject) -> list[tuple[int, Unknown]]:
+    """The first unknown of each of the model's parameters that acts on the experiment."""
+    first: dict[str, tuple[int, Unknown]] = {}
+    count = len(subject.problem.model.parameters)
+    for column, unknown in enumerate(subject.space.unknowns):
+        if subject.experiment in unknown.experiments and unknown.column < count:
+            first.setdefault(unknown.parameter.name, (column, unknown))
+    return list(first.values())
+
+
+def _elsewhere(subject: Subject, column: int, unknown: Unknown) -> float:
+    """The largest effect in other experiments; `UNKNOWN` where there is no time to look."""
+    for e in unknown.experiments:
+        other = replace(subject, experiment=e)
+        if e == subject.experiment:
+            continue
+        probe = Moves(*other.where, _moved(other, column, MOVE)[None], subject.clock.left)
+        found = subject.ask(probe, 2)
+        if isinstance(found, Stopped) or not found or isinstance(found[0], str):
+            return UNKNOWN
+        if found[0] > 0.0:
+            return float(found[0])
+    return 0.0
+
+
+def _moved(subject: Subject, column: int, share: float) -> FloatArray:
+    """The values with one unknown moved by a share of its size, inside its bounds."""
+    space = subject.space
+    x = space.start.copy()
+    step = share * float(space.typical[column])
+    inside = x[column] + step <= space.upper[column]
+    x[column] += step if inside else -step
+    return subject.at(x)
+
+
+def _dead(name: str, *, declared: bool) -> Finding:
+    said = "is dead: the outputs do not depend on it at the start"
+    if not declared:
+        return Finding("note", f"parameter {name}", said, "it cannot be estimated from these")
+    do = f"parameters.{name}.fixed = true, or remove it, or measure what it acts on"
+    return Finding("problem", f"parameter {name}", said, do)
+
+
+def _faint(name: str, size: float) -> Finding:
+    if size == UNKNOWN:
+        said = "does not act in one experiment, and there was no time to try all others"
+        return Finding("not done", f"parameter {name}", said, "give it more time with --seconds")
+    said = f"hardly acts: moved by 1 % of its size it changes the outputs by {size:.2g} of theirs"
+    return Finding("note", f"parameter {name}", said, f"another parameters.{name}.start, or fix it")
+
+
+def _failed(name: str, said: str) -> Finding:
+    do = f"another parameters.{name}.start or narrower bounds"
+    return Finding("note", f"parameter {name}", f"moved by 1 % of its size: {said}", do)
+
+
+def _steps(subject: Subject, column: int) -> list[Finding]:
+    """Down to which relative step differences can be trusted."""
+    points = np.array([_moved(subject, column, step) for step in STEPS])
+    probe = Moves(*subject.where, points, max(subject.clock.left / 3.0, 0.1))
+    found = subject.ask(probe, 1 + len(STEPS))
+    if isinstance(found, Stopped):
+        return [unanswered("differences", found)]
+    pairs = zip(STEPS, found, strict=False)
+    slopes = [each / step for step, each in pairs if not isinstance(each, str)]
+    if len(slopes) < len(STEPS):
+        return [unanswered("differences", Stopped("simulations failed or took too long"))]
+    rule = slopes[1]
+    good = [s for s, slope in zip(STEPS, slopes, strict=True) if abs(slope - rule) <= AGREE * rule]
+    least = min(good, default=STEPS[0])
+    usual = math.sqrt(relative_noise(subject.problem.model.solver))
+    if least <= max(usual, STEPS[-1]):
+        said = f"slopes hold down to relative steps of {least:.0e}; a fit takes {usual:.0e}"
+        return [Finding("ok", "differences", said)]
+    said = f"slopes by {subject.space.unknowns[column].label} hold down to relative steps of "
+    do = f"method.options.relative_step = {10.0 * least:.0e}, or a tighter model.rtol"
+    return [Finding("note", "differences", f"{said}{least:.0e} only", do)]
+
+
+def bounds(subject: Subject) -> list[Finding]:
+    """Start values and bounds against the FMU's minima, maxima and units."""
+    lines = []
+    for parameter in subject.problem.parameters:
+        if not parameter.auxiliary and parameter.target in subject.description.variables:
+            lines += _outside(subject, parameter)
+    return lines
+
+
+def _outside(subject: Subject, parameter: Parameter) -> list[Finding]:
+    variable = subject.description.variables[parameter.target]
+    low = -math.inf if variable.low is None else variable.low
+    high = math.inf if variable.high is None else variable.high
+    where, allowed = f"parameter {parameter.name}", f"the FMU declares [{low:g}, {high:g}]"
+    key = f"parameters.{parameter.name}"
+    lines = []
+    if not parameter.expression and not low <= parameter.start <= high:
+        said = f"starts at {parameter.start:g} but {allowed}"
+        lines.append(Finding("problem", where, said, f"another {key}.start"))
+    if not parameter.fixed and (
+        (math.isfinite(parameter.lower) and parameter.lower < low)
+        or (math.isfinite(parameter.upper) and parameter.upper > high)
+    ):
+        said = f"has bounds [{parameter.lower:g}, {parameter.upper:g}] but {allowed}"
+        lines.append(Finding("note", where, said, f"{key}.bounds within those"))
+    if parameter.unit and variable.unit and parameter.unit != variable.unit:
+        said = f"is given in {parameter.unit} but the FMU counts in {variable.unit}"
+        do = f"check {key}.start and bounds, which are in the FMU's unit"
+        lines.append(Finding("note", where, said, do))
+    return lines
+
+
+def corners(subject: Subject) -> list[Finding]:
+    """All parameters at their lower, then at their upper bounds, where these are finite."""
+    space = subject.space
+    named = []
+    for name, bound in (("lower", space.lower), ("upper", space.upper)):
+        if np.isfinite(bound).any():
+            named.append((name, subject.at(np.where(np.isfinite(bound), bound, space.start))))
+    if not named:
+        return []
+    points = np.array([point for _, point in named])
+    probe = Moves(*subject.where, points, max(subject.clock.left / 3.0, 0.1))
+    found = subject.ask(probe, 1 + len(named))
+    if isinstance(found, Stopped):
+        return [unanswered("bounds", found)]
+    lines = [
+        Finding(
+            "note",
+            "bounds",
+            f"with all parameters at their {name} bounds: {each}",
+            "narrower bounds; a search steps back from such points, but they cost it time",
+        )
+        for (name, _), each in zip(named, found, strict=False)
+        if isinstance(each, str)
+    ]
+    if lines:
+        return lines
+    said = f"it can be simulated with all parameters at their {' and '.join(n for n, _ in named)}"
+    return [Finding("ok", "bounds", f"{said} bounds")]

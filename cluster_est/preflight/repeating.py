@@ -1,0 +1,105 @@
+"""Reset, instances and chance: whether a simulation is the same again."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cluster_est.preflight.findings import Finding, Verdict
+from cluster_est.preflight.subject import Subject, unanswered
+from workers.bench import Stopped
+from workers.messages import Renewal
+from workers.probes import Instances, Leftovers, Repeats, Repetition, difference
+
+MOVED = 1.37
+"""What every value is multiplied with, to see whether it stays behind: no round number."""
+
+
+def repeating(subject: Subject) -> tuple[list[Finding], Renewal | None]:
+    """Whether reset equals fresh, and two fresh processes each other.
+
+    And what a simulation must begin with, for all further checks; None if nothing helps.
+    """
+    probe = Repeats(subject.experiment, subject.start)
+    found = subject.ask(probe, 2)
+    if isinstance(found, Stopped):
+        return [unanswered("repeatable", found)], "reset"
+    again = subject.seen
+    if again is None or again.tobytes() != found.first.tobytes():  # that was after a reset
+        other = subject.ask(probe, 2)
+        if isinstance(other, Stopped):
+            return [unanswered("repeatable", other)], "reset"
+        again = other.first
+    far = difference(again, found.first)
+    if again.tobytes() != found.first.tobytes():
+        said = f"no: two fresh processes differ by {far:.2g} of the outputs' size"
+        do = (
+            "export it without a random generator or clock; else choose a method.name that takes "
+            'no differences, such as "pattern_search"'
+        )
+        return [Finding("problem", "repeatable", said, do)], None
+    repeatable = Finding("ok", "repeatable", "two fresh processes give the same bits")
+    renew: Renewal = "reset" if found.reset == 0.0 else "instance"
+    lines = [repeatable, _reset(subject, found)]
+    return lines + (_left(subject) if renew == "reset" else []), renew
+
+
+def _reset(subject: Subject, found: Repetition) -> Finding:
+    if found.reset == 0.0:
+        return Finding("ok", "reset", "a reset instance gives the same bits as a fresh one")
+    how = "a simulation after a reset fails"
+    if found.reset is not None:
+        how = f"a reset instance is {found.reset:.2g} of the outputs' size away from a fresh one"
+    if found.instance == 0.0:
+        do = 'model.reset = "auto" sees to it: a new instance for each simulation'
+        return _chosen(subject, "instance", how, do)
+    do = 'model.reset = "auto" sees to it: a new process for each simulation'
+    if subject.executor == "local":
+        do = 'executor.name = "processes", for a new process for each simulation'
+        return Finding("problem", "reset", how, do)
+    return _chosen(subject, "process", how, do)
+
+
+def _chosen(subject: Subject, needed: str, how: str, do: str) -> Finding:
+    renew = subject.problem.model.renew
+    if renew in ("auto", needed, "process"):
+        return Finding("note", "reset", how, do)
+    return Finding("problem", "reset", how, f'set model.reset = "{needed}" or "auto"')
+
+
+def _left(subject: Subject) -> list[Finding]:
+    """What harms only where experiments set different values; nothing is said if it is not so."""
+    other = np.where(subject.start == 0.0, MOVED, MOVED * subject.start)
+    found = subject.ask(Leftovers(subject.experiment, other), 3)
+    if isinstance(found, Stopped) or found == 0.0:
+        return []
+    return [
+        Finding(
+            "note",
+            "values",
+            "values that were set survive a reset; harmless where each simulation sets them again, "
+            "as a fit does",
+            "if experiments differ in the keys of their values, give all the same keys, or set "
+            'model.reset = "instance"',
+        )
+    ]
+
+
+def instances(subject: Subject) -> Finding:
+    """How many there can be in one process."""
+    found = subject.ask(Instances(), 0, 3.0)
+    if isinstance(found, Stopped):
+        return unanswered("instances", found)
+    declared = subject.description.offer(subject.problem.model.interface).once_per_process
+    count, _ = found
+    if count > 1 and not declared:
+        return Finding("ok", "instances", f"{count} at once in a process")
+    says = "and says so" if declared else "and does not say so"
+    if count > 1:
+        says = "as it says, though more could be made"
+    do = 'for several workers: executor.name = "processes" or "ray"'
+    verdict: Verdict = "problem" if subject.executor == "local" and _several(subject) else "note"
+    return Finding(verdict, "instances", f"one in a process, {says}", do)
+
+
+def _several(subject: Subject) -> bool:
+    return (subject.workers or 1) > 1

@@ -1,0 +1,103 @@
+"""Whether the results depend on how the model is solved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.preflight.findings import Finding
+from cluster_est.preflight.subject import Subject, unanswered
+from workers.bench import Stopped
+from workers.directional import Directional
+from workers.messages import Solver
+from workers.probes import Solves, Stiff
+from workers.simulate import DEFAULT_RTOL
+
+TIGHTER = 100.0
+LEAST_RTOL = 1e-13
+GOOD, BAD = 1e-5, 1e-2
+"""Changes of the outputs, of their size, that need not and must concern somebody."""
+AGREES = 1e-4
+"""Of directional derivatives and differences."""
+
+
+def accuracy(subject: Subject) -> list[Finding]:
+    """The same simulation with a tighter tolerance or a shorter step."""
+    if not subject.repeats:
+        return []
+    if (
+        subject.problem.model.interface == "co_simulation"
+        and not subject.description.variable_steps
+    ):
+        said = "its communication step is fixed, so that it cannot be halved to compare"
+        return [Finding("ok", "accuracy", said)]
+    solver = subject.problem.model.solver
+    other, how, key = _finer(subject, solver)
+    found = subject.ask(Solves(*subject.where, other), 6)
+    if isinstance(found, Stopped):
+        return [unanswered("accuracy", found)]
+    said = f"with {how} the outputs change by {found:.2g} of their size"
+    if found < GOOD:
+        return [Finding("ok", "accuracy", said)]
+    return [Finding("problem" if found > BAD else "note", "accuracy", said, key)]
+
+
+def _finer(subject: Subject, solver: Solver) -> tuple[Solver, str, str]:
+    if solver.name in ("rk4", "fmu"):
+        step = solver.step or _usual_step(subject)
+        name = "the step" if solver.name == "rk4" else "the communication step"
+        how = f"{name} of {step:.3g} s halved"
+        return replace(solver, step=step / 2.0), how, f"model.step = {step / 4.0:.3g}"
+    rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
+    tight = max(rtol / TIGHTER, LEAST_RTOL)
+    atol = None if solver.atol is None else solver.atol * tight / rtol
+    how = f"model.rtol = {tight:.1g} in place of {rtol:.1g}"
+    return replace(solver, rtol=tight, atol=atol), how, f"model.rtol = {tight:.1g}"
+
+
+def _usual_step(subject: Subject) -> float:
+    """From one time in the data to the next."""
+    experiment = subject.problem.experiments[subject.experiment]
+    times = [np.array([experiment.start, experiment.stop])]
+    times += [output.times for output in experiment.outputs]
+    times += [given.times for given in experiment.inputs]
+    every = np.unique(np.concatenate(times))
+    within = every[(every >= experiment.start) & (every <= experiment.stop)]
+    return float(np.diff(within).max())
+
+
+def stiffness(subject: Subject) -> list[Finding]:
+    """Whether an explicit solver suits a model in model exchange."""
+    model = subject.problem.model
+    if model.interface != "model_exchange" or model.solver.name == "cvode":
+        return []
+    found = subject.ask(Stiff(subject.experiment, subject.start), 1)
+    if isinstance(found, Stopped):
+        return [unanswered("stiffness", found)]
+    if found:
+        said = f"the model is stiff: stability shortens the steps of {model.solver.name}"
+        return [Finding("note", "stiffness", said, 'model.solver = "cvode"')]
+    return [Finding("ok", "stiffness", f"not stiff: {model.solver.name} suits it")]
+
+
+def derivatives(subject: Subject) -> list[Finding]:
+    """Directional derivatives against differences, in model exchange."""
+    model = subject.problem.model
+    exchange = model.interface == "model_exchange"
+    offered = subject.description.offer(model.interface).provides_directional_derivatives
+    if not offered or not exchange or not subject.description.states:
+        return []
+    check = "derivatives"
+    found = subject.ask(Directional(subject.experiment, subject.start), 1)
+    if isinstance(found, Stopped):
+        return [unanswered(check, found)]
+    do = "let no fit rely on them; export it again without, or tell its maker"
+    if found.zero:
+        said = "directional derivatives are offered, but all are silently 0"
+        return [Finding("note", check, said, do)]
+    if found.error > AGREES:
+        said = f"directional derivatives differ from the model's slopes by {found.error:.2g}"
+        return [Finding("note", check, f"{said} of the largest", do)]
+    said = f"directional derivatives agree with differences within {found.error:.1g}"
+    return [Finding("ok", check, said)]

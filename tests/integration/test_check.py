@@ -1,0 +1,150 @@
+"""`cluster-est check` names each misbehaving FMU for what it is, and good ones have no problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cluster_est import Problem
+from cluster_est.cli import main
+from cluster_est.preflight import Finding, Page, bare_problem, examine
+from cluster_est.problem import Parameter
+from cluster_est.resources import Resources
+from workers.messages import Solver
+
+Give = Callable[[str, int], Path]
+Examine = Callable[..., Page]
+
+MINUTE = 60.0
+"""So much time that nothing is left out on a busy machine."""
+
+
+@pytest.fixture
+def examined(own_fmu: Give) -> Examine:
+    """The page of one of the project's own FMUs."""
+
+    def look(name: str, fmi: int = 2, seconds: float = MINUTE, executor: str = "local") -> Page:
+        problem = bare_problem(own_fmu(name, fmi))
+        return examine(problem, Resources(executor=executor), seconds)
+
+    return look
+
+
+def line(page: Page, check: str) -> Finding:
+    return next(each for each in page.findings if each.check == check)
+
+
+def in_co_simulation(problem: Problem, step: float | None = None) -> Problem:
+    model = replace(problem.model, interface="co_simulation", solver=Solver("fmu", step))
+    return replace(problem, model=model)
+
+
+@pytest.mark.parametrize(
+    ("name", "fmi"), [("dahlquist", 2), ("dahlquist", 3), ("van_der_pol", 3), ("thermostat", 2)]
+)
+def test_a_good_fmu(examined: Examine, name: str, fmi: int) -> None:
+    page = examined(name, fmi)
+
+    assert page.good
+    assert {each.verdict for each in page.findings} == {"ok"}
+    assert line(page, "memory").found.startswith("no leak in ")
+
+
+@pytest.mark.parametrize(
+    ("name", "fmi", "check", "verdict", "found", "do"),
+    [
+        ("reset_keeps_state", 2, "reset", "note", "0.035 of the outputs' size", "model.reset"),
+        ("fails_to_reset", 3, "values", "note", "survive a reset", "model.reset"),
+        ("random_output", 2, "repeatable", "problem", "two fresh processes differ", "method.name"),
+        ("once_per_process", 3, "instances", "note", "and says so", "executor.name"),
+        ("once_undeclared", 2, "instances", "note", "and does not say so", "executor.name"),
+        ("dead_parameter", 3, "parameter dead", "note", "is dead", "cannot be estimated"),
+        ("wrong_directional", 2, "derivatives", "note", "differ from the model's slopes", "export"),
+        ("zero_directional", 3, "derivatives", "note", "all are silently 0", "export"),
+        ("robertson", 2, "stiffness", "note", "is stiff", 'model.solver = "cvode"'),
+        ("needs_library", 2, "loads", "problem", "libnobody_has_this.so", ""),
+        ("no_licence", 3, "loads", "problem", "no licence for this model", ""),
+    ],
+)
+def test_what_is_wrong_is_named(
+    examined: Examine, name: str, fmi: int, check: str, verdict: str, found: str, do: str
+) -> None:
+    named = line(examined(name, fmi), check)
+
+    assert named.verdict == verdict
+    assert found in named.found
+    assert do in named.do
+
+
+@pytest.mark.parametrize("name", ["leaks", "leaks_on_reset"])
+def test_a_leak_has_its_size(examined: Examine, name: str) -> None:
+    named = line(examined(name, executor="processes"), "memory")
+
+    assert named.verdict == "note"
+    leak = float(named.found.removeprefix("leaks ").partition(" ")[0])
+    assert leak == pytest.approx(1024.0, rel=0.05)  # a MiB, and what the allocator adds
+    assert "executor.growth" in named.found
+
+
+def test_what_never_begins(examined: Examine) -> None:
+    page = examined("hangs_at_start", seconds=2.0)
+
+    assert not page.good
+    assert "did not end within" in line(page, "experiment default").found
+
+
+def test_what_there_is_no_time_for_is_said(examined: Examine) -> None:
+    page = examined("slow", seconds=3.0)
+
+    assert "not done" in {each.verdict for each in page.findings}
+    assert all("--seconds" in each.do for each in page.findings if each.verdict == "not done")
+
+
+def test_the_communication_step_that_results_depend_on(own_fmu: Give) -> None:
+    problem = in_co_simulation(bare_problem(own_fmu("van_der_pol", 2)))
+    coarse = examine(problem, Resources(), MINUTE)
+
+    assert "halved" in line(coarse, "accuracy").found
+
+
+def test_the_bounds_are_tried(own_fmu: Give) -> None:
+    problem = bare_problem(own_fmu("dahlquist", 2))
+    known = problem.parameters[0]
+    given = Parameter(known.name, known.start, lower=0.1, upper=20.0)
+    page = examine(replace(problem, parameters=(given,)), Resources(), MINUTE)
+
+    assert "lower and upper bounds" in line(page, "bounds").found
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "phrase"),
+    [("dahlquist", 0, "no problem was found"), ("needs_library", 2, "1 problem")],
+)
+def test_a_file_alone(
+    own_fmu: Give, name: str, code: int, phrase: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", str(own_fmu(name, 2)), "--seconds", "60"]) == code
+    assert phrase in capsys.readouterr().out
+
+
+def test_a_config_whose_parameter_is_dead(
+    own_fmu: Give, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    times = np.linspace(0.0, 1.0, 11).tolist()
+    rows = "".join(f"{t!r},1.0\n" for t in times)
+    (tmp_path / "a.csv").write_text(f"time,y\n{rows}", encoding="utf-8")
+    config = (
+        "parameters.k = { start = 0.7, bounds = [0.01, 10.0] }\n"
+        f'parameters.dead.start = 2.0\n[model]\nfmu = "{own_fmu("dead_parameter", 2)}"\n'
+        '[[experiments]]\nid = "a"\ndata = "a.csv"\ntime = "time"\noutputs = { y = "y" }\n'
+    )
+    (tmp_path / "config.toml").write_text(config, encoding="utf-8")
+
+    assert main(["check", str(tmp_path / "config.toml"), "--seconds", "60"]) == 1
+    said = capsys.readouterr().out
+    assert "parameter dead" in said
+    assert "1 of 2 act on the outputs" in said

@@ -1,0 +1,137 @@
+"""What every simulation begins with is found out, and the estimates do not suffer from it.
+
+The truth is the solution of x' = -k x, x(0) = 1, by hand: exp(-k t).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from cluster_est import renewal
+from cluster_est.cli import main
+
+Give = Callable[[str, int], Path]
+Fit = Callable[..., int]
+
+RATE = 1.3
+BOTH = pytest.mark.parametrize("fmi", [2, 3])
+KINDS = pytest.mark.parametrize("interface", ["model_exchange", "co_simulation"])
+
+
+@pytest.fixture
+def fitted(own_fmu: Give, tmp_path: Path) -> Fit:
+    """Fits k, or what else is said, to a decay; the run is in `run`."""
+
+    def fit(name: str, fmi: int, *overrides: str, config: str = "", more: str = "") -> int:
+        times = np.linspace(0.0, 2.0, 21)
+        rows = [f"{t!r},{math.exp(-RATE * t)!r}" for t in times.tolist()]
+        (tmp_path / "a.csv").write_text("time,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+        config = config or "parameters.k = { start = 0.7, bounds = [0.01, 10.0] }\n"
+        text = f'{config}\n[model]\nfmu = "{own_fmu(name, fmi)}"\n'
+        text += (
+            '[[experiments]]\nid = "a"\ndata = "a.csv"\ntime = "time"\noutputs = { y = "y" }\n'
+            + more
+        )
+        path = tmp_path / "config.toml"
+        path.write_text(text, encoding="utf-8")
+        return main(["fit", str(path), "--out", str(tmp_path / "run"), *overrides])
+
+    return fit
+
+
+def estimate(folder: Path, name: str) -> float:
+    rows = pq.read_table(folder / "run" / "parameters.parquet").to_pylist()
+    return next(float(row["value"]) for row in rows if row["parameter"] == name)
+
+
+def chosen(folder: Path) -> str:
+    facts = json.loads((folder / "run" / "run.json").read_text(encoding="utf-8"))
+    return str(facts["renewal"]["renew"])
+
+
+@BOTH
+@KINDS
+def test_a_state_that_survives_a_reset(
+    fitted: Fit, tmp_path: Path, fmi: int, interface: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fitted("reset_keeps_state", fmi, f"model.interface={interface}") == 0
+
+    assert chosen(tmp_path) == "instance"
+    assert "keeps something through a reset" in capsys.readouterr().err
+    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+
+
+def test_it_spoils_the_estimate_if_one_insists(fitted: Fit, tmp_path: Path) -> None:
+    fitted("reset_keeps_state", 2, "model.reset=reset")
+
+    assert chosen(tmp_path) == "reset"
+    assert estimate(tmp_path, "k") != pytest.approx(RATE, rel=1e-2)
+
+
+@pytest.mark.parametrize("reset", ["instance", "process"])
+def test_a_new_process_for_each_simulation(fitted: Fit, tmp_path: Path, reset: str) -> None:
+    wanted = ["executor.name=processes", f"model.reset={reset}"]
+    assert fitted("reset_keeps_state", 2, *wanted) == 0
+
+    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+
+
+def test_one_process_cannot_be_new_each_time(
+    fitted: Fit, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fitted("dahlquist", 2, "model.reset=process") == 2
+    assert 'choose "processes" or "ray"' in capsys.readouterr().err
+
+
+def test_values_of_another_experiment_that_survive_a_reset(fitted: Fit, tmp_path: Path) -> None:
+    config = "parameters.x = { start = 0.5, bounds = [0.1, 5.0] }"
+    with_rate = f"[experiments.values]\nk = {RATE}\n"
+    without = '[[experiments]]\nid = "b"\ndata = "b.csv"\ntime = "time"\noutputs = { y = "y" }\n'
+    times = np.linspace(0.0, 2.0, 21)  # where k is not set it is the FMU's own, which is 1
+    rows = [f"{t!r},{math.exp(-t)!r}" for t in times.tolist()]
+    (tmp_path / "b.csv").write_text("time,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+
+    assert fitted("fails_to_reset", 2, config=config, more=with_rate + without) == 0
+
+    assert chosen(tmp_path) == "instance"
+    assert estimate(tmp_path, "x") == pytest.approx(1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["fails_to_reset", "dahlquist", "once_undeclared"])
+def test_what_can_be_reset_is_reset(
+    fitted: Fit, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if name == "dahlquist":
+        fitted(name, 2)
+    else:
+        assert fitted(name, 2) == 0
+        assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-6)
+
+    assert chosen(tmp_path) == "reset"
+    assert not capsys.readouterr().err.count("cluster-est:")
+
+
+def test_chance_is_named(fitted: Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fitted("random_output", 2, "budget.evaluations=3")
+
+    assert chosen(tmp_path) == "reset"
+    assert "does not repeat itself" in capsys.readouterr().err
+
+
+def test_a_run_that_is_resumed_goes_on_as_it_began(
+    fitted: Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fitted("reset_keeps_state", 2, "budget.evaluations=2")
+    (tmp_path / "run" / "parameters.parquet").unlink()
+    monkeypatch.setattr(renewal.Question, "ask", lambda *_: pytest.fail("it is asked again"))
+
+    assert fitted("reset_keeps_state", 2, "--resume") == 0
+    assert chosen(tmp_path) == "instance"
+    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
