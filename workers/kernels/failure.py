@@ -14,6 +14,8 @@ NOT_FINITE = 6
 EVENT = 7
 TERMINATED = 8
 CHATTERING = 10
+SENSITIVITIES = 11
+HAS_EVENTS = 12
 
 SENTENCES = {
     INITIALISATION: "the FMU could not be initialised",
@@ -24,6 +26,8 @@ SENTENCES = {
     NOT_FINITE: "an output became infinite or not a number",
     EVENT: "the FMU could not handle an event",
     CHATTERING: "events followed each other without end",
+    SENSITIVITIES: "the FMU could not give its directional derivatives",
+    HAS_EVENTS: "an event was met, across which sensitivities cannot be carried",
     TERMINATED: "the FMU ended the simulation by itself",
 }
 
