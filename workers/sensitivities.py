@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from workers.description import Description
+from workers.errors import ModelError
 from workers.fmu import Instance
 from workers.install import Installed
 from workers.kernels.component import Component, References, Workspace
@@ -39,7 +41,7 @@ UNKNOWN = -1
 class Along:
     """One point of an experiment. Takes the place of a solver's batch function."""
 
-    fixed: bool
+    fixed: Literal[True] | None
     forward: Forward
 
     def __call__(
@@ -138,7 +140,7 @@ class Sensing:
             point=np.zeros(len(point) + len(ready.known)),
             record=np.zeros((len(ready.grid.times), len(chosen), y)),
         )
-        return Along(self._model.solver.name == "rk4", forward)
+        return Along(True if self._model.solver.name == "rk4" else None, forward)
 
     def find_kinds(
         self,
@@ -188,7 +190,15 @@ class Sensing:
         """Two more instances, where there may be some. Returns the kind of the parameter then."""
         if self._description.once_per_process:
             return UNKNOWN
-        self._twins += [Instance(self._model, self._description) for _ in range(2)]
+        made: list[Instance] = []
+        try:
+            for _ in range(2):
+                made.append(Instance(self._model, self._description))  # noqa: PERF401
+        except ModelError:  # there may be one only, though the FMU does not say so
+            for twin in made:
+                twin.free()
+            return UNKNOWN
+        self._twins += made
         return TWINS
 
     def _sides(self, point: FloatArray) -> FloatArray:

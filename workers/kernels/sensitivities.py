@@ -22,7 +22,8 @@ def simulate_forward(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     fixed
-        Whether by classic Runge-Kutta with a fixed step, else by the Dormand-Prince method.
+        True for classic Runge-Kutta with a fixed step, None for the Dormand-Prince method: only
+        the one that is used is compiled.
     record : (n, y)
         Filled with the outputs; `forward.record` with their sensitivities.
 
@@ -35,7 +36,7 @@ def simulate_forward(  # type: ignore[no-untyped-def]
     time, proposed = times[0], 0.0
     code = _start_sensitivities(c, references, settings, hooks, grid, point, work, forward)
     if code == FINISHED:
-        code = start(c, references, settings, hooks, grid, point, work)
+        code = _start(c, references, settings, hooks, grid, point, work)
     for i in range(len(times)):
         if code != FINISHED:
             return code, time
@@ -49,7 +50,7 @@ def simulate_forward(  # type: ignore[no-untyped-def]
             return failed(SENSITIVITIES, status), time
         if i + 1 == len(times):
             return code, time
-        if fixed:
+        if fixed is not None:
             code, time, steps_left = equal_steps(
                 c, references, settings, hooks, grid, i, time, steps_left, work, forward
             )
@@ -61,6 +62,12 @@ def simulate_forward(  # type: ignore[no-untyped-def]
 
 
 @kernel
+def _start(c, references, settings, hooks, grid, point, work):  # type: ignore[no-untyped-def]
+    """Compiled once, for all who start an instance here."""
+    return start(c, references, settings, hooks, grid, point, work)
+
+
+@kernel
 def _start_sensitivities(c, references, settings, hooks, grid, point, work, forward):  # type: ignore[no-untyped-def]
     """S(t0) by differences of the initial states; leaves the twins where the simulation starts."""
     for p in range(len(forward.kinds)):
@@ -68,7 +75,7 @@ def _start_sensitivities(c, references, settings, hooks, grid, point, work, forw
             for j in range(len(point)):
                 forward.point[j] = point[j]
             forward.point[forward.columns[p]] = forward.values[p, side]
-            code = start(
+            code = _start(
                 instance_of(c, forward.handles[p, side]),
                 references, settings, hooks, grid, forward.point, work,
             )  # fmt: skip
@@ -85,7 +92,7 @@ def _start_sensitivities(c, references, settings, hooks, grid, point, work, forw
 @kernel
 def takes_as_known(c, references, settings, hooks, grid, point, work, unknowns, known, found):  # type: ignore[no-untyped-def]
     """Start the FMU and ask it for a derivative by one variable. Returns (code, status)."""
-    code = start(c, references, settings, hooks, grid, point, work)
+    code = _start(c, references, settings, hooks, grid, point, work)
     if code != FINISHED:
         return code, 0
     found[len(unknowns)] = 1.0
