@@ -59,6 +59,7 @@ class Active:
     answers: list[tuple[Evaluation, FloatArray]] = field(default_factory=list)
     asynchronous: bool = False
     purpose: str = ""
+    sensitivities: bool = False
     asked: int = 0
     best: Evaluation | None = None
     best_x: FloatArray | None = None
@@ -105,7 +106,8 @@ class Memory:
         return self._known.get(question)
 
     def remember(self, question: Question, outcome: Outcome) -> None:
-        size = OUTCOME_BYTES + (0 if outcome.residuals is None else outcome.residuals.nbytes)
+        kept = (outcome.residuals, outcome.sensitivities)
+        size = OUTCOME_BYTES + sum(0 if each is None else each.nbytes for each in kept)
         if self._bytes + size > MEMORY_BYTES:
             self._known.clear()
             self._bytes = 0

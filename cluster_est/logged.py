@@ -50,7 +50,7 @@ class LoggedOutcomes:
         self._segments = [pa.memory_map(str(path)) for path in paths]
         self._batches: list[tuple[int, int]] = []  # segment, position
         self._schema: pa.Schema | None = None
-        begins, keys, whole = [0], [np.zeros(0, f"S{KEY_LENGTH + 1}")], [np.zeros(0, bool)]
+        begins, keys, whole = [0], [np.zeros(0, f"S{KEY_LENGTH + 2}")], [np.zeros(0, bool)]
         for number, mapped in enumerate(self._segments):
 
             def visit(position: int, batch: pa.RecordBatch, number: int = number) -> None:
@@ -132,12 +132,12 @@ class LoggedOutcomes:
 
 
 def _short(key: str, want: str) -> bytes:
-    return f"{key[:KEY_LENGTH]}{want[0]}".encode()
+    return f"{key[:KEY_LENGTH]}{want[:2]}".encode()
 
 
 def _keys(batch: pa.RecordBatch) -> IntArray:
     pairs = zip(batch.column("key").to_pylist(), batch.column("want").to_pylist(), strict=True)
-    return np.array([_short(*pair) for pair in pairs], f"S{KEY_LENGTH + 1}")
+    return np.array([_short(*pair) for pair in pairs], f"S{KEY_LENGTH + 2}")
 
 
 def _whole(batch: pa.RecordBatch) -> IntArray:

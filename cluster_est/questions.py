@@ -58,6 +58,7 @@ class Questions:
         search, index, place = slot
         space = search.request.space
         effects, want = space.problem.effects, space.wants[place]
+        want = "sensitivities" if search.sensitivities else want
         question = (experiment, values.tobytes(), effects, want)
         if not np.isfinite(values).all():
             _place(slot, _no_values(space, values))

@@ -268,6 +268,7 @@ class Runner:
             self._iteration(Iteration(search.request.name, points.progress, search.asked))
         self._drop(search, points.drop)
         search.asynchronous, search.purpose = points.asynchronous, points.purpose
+        search.sensitivities = points.sensitivities
         first = search.asked
         search.asked += len(points.x)
         self.evaluations += len(points.x)

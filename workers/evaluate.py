@@ -114,9 +114,11 @@ class Evaluator:
     ) -> list[Outcome]:
         ready = self._simulator.installed(experiment)
         begin = time.perf_counter()
-        linear = batch.want == "linearisation"
-        run = self._simulator.linearise if linear else self._simulator.run
-        record = run(experiment, values, batch.effects)
+        ways = {
+            "linearisation": self._simulator.linearise,
+            "sensitivities": self._simulator.sensitivities,
+        }
+        record = ways.get(batch.want, self._simulator.run)(experiment, values, batch.effects)
         simulated = Simulated(ready.grid.times, ready.outputs, record.outputs, values)
         judged = self._comparisons[experiment].judge(simulated)
         seconds = (time.perf_counter() - begin) / len(ids)
@@ -124,9 +126,27 @@ class Evaluator:
             self._outcome(task, ready, record, p, judged, batch.want, seconds)
             for p, task in enumerate(ids.tolist())
         ]
+        if batch.want == "sensitivities":
+            return [
+                self._with_slopes(experiment, simulated, record, p, outcome)
+                for p, outcome in enumerate(outcomes)
+            ]
         if batch.want not in REDUCTIONS:
             return outcomes
         return [_reduced(self._experiments[experiment], o, batch.want) for o in outcomes]
+
+    def _with_slopes(
+        self, experiment: int, simulated: Simulated, record: Record, p: int, outcome: Outcome
+    ) -> Outcome:
+        """The same with derivatives by the parameters, or why it has none."""
+        if not outcome.ok:
+            return outcome
+        if p not in record.slopes:
+            return replace(outcome, message=record.messages[p])
+        one = slice(p, p + 1)
+        alone = replace(simulated, record=simulated.record[one], values=simulated.values[one])
+        slopes = self._comparisons[experiment].slopes(alone, record.slopes[p])
+        return replace(outcome, sensitivities=slopes)
 
     def _outcome(
         self,

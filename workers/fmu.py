@@ -38,6 +38,7 @@ _ALWAYS = {
     "enter_initialization_mode": "EnterInitializationMode",
     "exit_initialization_mode": "ExitInitializationMode",
     "set_string": "SetString",
+    "get_directional_derivative": "GetDirectionalDerivative",
 }
 _IN_2 = {"setup_experiment": "SetupExperiment"}
 _IN_3 = {
@@ -64,7 +65,13 @@ _MODEL_EXCHANGE_3 = {
 }
 _CO_SIMULATION = {"do_step": "DoStep"}
 _CO_SIMULATION_2 = {"set_real_input_derivatives": "SetRealInputDerivatives"}
-_SOMETIMES = {"set_string", "get_nominals", "get_event_indicators", "set_real_input_derivatives"}
+_SOMETIMES = {
+    "set_string",
+    "get_nominals",
+    "get_event_indicators",
+    "set_real_input_derivatives",
+    "get_directional_derivative",
+}
 """Fields of functions that are called only where the description promises them."""
 _TYPES_IN_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
 """How FMI 2.0 calls those types that it has."""

@@ -23,7 +23,7 @@ SolverName = Literal["dormand_prince", "rk4", "cvode", "fmu"]
 Interpolation = Literal["linear", "hold"]
 Role = Literal["train", "test"]
 Reduction = Literal["squares", "absolutes"]
-Want = Literal["residuals", "squares", "absolutes", "trajectory", "linearisation"]
+Want = Literal["residuals", "squares", "absolutes", "trajectory", "linearisation", "sensitivities"]
 Renewal = Literal["auto", "reset", "instance", "process"]
 Value = float | int | bool | str
 
@@ -371,8 +371,9 @@ class Task:
     want
         "residuals"; "squares" or "absolutes" for one number in place of those of each output (not
         with a cost function), see `REDUCTIONS`; "trajectory" for the outputs at every time of the
-        simulation's grid too; or "linearisation" for the model's derivatives there (model exchange
-        only).
+        simulation's grid too; "linearisation" for the model's derivatives there (model exchange
+        only); or "sensitivities" for the derivatives of the residuals by the parameters, where the
+        model can give them.
     effects
         What is added to the model.
     """
@@ -491,7 +492,8 @@ class Outcome:
     task
         The id of the task.
     status, message
-        Anything but OK comes with a sentence that says what happened, where and at which time.
+        Anything but OK, and sensitivities that were not to be had, comes with a sentence that says
+        what happened, where and at which time.
     residuals
         (measured - simulated) / sigma, output after output, then those of the curve, or what the
         task wanted in their place; None unless `status` is OK.
@@ -499,6 +501,10 @@ class Outcome:
         In the order of `Experiment.constraint_names`; empty unless `status` is OK.
     trajectory, linearisation
         Only where the task wanted it.
+    sensitivities : (residuals + constraints, parameters)
+        Derivatives of both by the values of `Model.parameters`, where the task wanted them; NaN in
+        the columns of parameters by which there are none. None, with a message that says why, where
+        the model cannot give them: the simulation itself may be OK then.
     seconds
         What this simulation cost: its share of the batch that it ran in.
     worker
@@ -514,6 +520,7 @@ class Outcome:
     worker: str = ""
     linearisation: Linearisation | None = None
     constraints: FloatArray = field(default_factory=lambda: np.zeros(0))
+    sensitivities: FloatArray | None = None
 
     @property
     def ok(self) -> bool:

@@ -23,6 +23,7 @@ from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
 from workers.kernels.stiffness import stiffness
 from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Linearisation, Model
+from workers.sensitivities import Sensing
 
 if TYPE_CHECKING:
     from workers.augment import Augmentation, Effects
@@ -48,12 +49,16 @@ class Record:
         See `workers.kernels.failure`.
     linearisations
         By point, where that was asked for and the simulation reached its end.
+    slopes
+        (parameters, times, outputs) by point, where sensitivities were asked for and to be had;
+        NaN for parameters by which there are none.
     """
 
     outputs: FloatArray
     messages: list[str]
     codes: IntArray
     linearisations: dict[int, Linearisation] = field(default_factory=dict)
+    slopes: dict[int, FloatArray] = field(default_factory=dict)
 
     @classmethod
     def empty(cls, points: int, times: int, outputs: int) -> Record:
@@ -102,6 +107,7 @@ class Simulator:
         self._batch = CvodeBatch() if name == "cvode" else BATCHES[name]
         self._workspaces: dict[tuple[int, ...], Workspace] = {}
         self._widest = max((v.size for v in description.variables.values()), default=1)
+        self._sensing = Sensing(model, description)
 
     def load(self) -> None:
         """Load the FMU and instantiate it.
@@ -189,6 +195,50 @@ class Simulator:
                 record.outputs[p] = record.linearisations[p].outputs
         return record
 
+    def sensitivities(
+        self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
+    ) -> Record:
+        """Do as `run` does, and take the outputs' derivatives by the parameters along.
+
+        A point without them has a message that says why, though its simulation may have reached its
+        end.
+        """
+        ready = self._installed[experiment]
+        record = Record.empty(len(points), len(ready.grid.times), len(ready.outputs))
+        for p, point in enumerate(points):
+            part, why = self._sense(ready, point) if not effects else (None, "there are effects")
+            if part is None:
+                part = self.run(experiment, point[None], effects)
+                part.messages[0] = part.messages[0] or f"no sensitivities: {why}"
+            record.outputs[p], record.codes[p] = part.outputs[0], part.codes[0]
+            record.messages[p] = part.messages[0]
+            if part.slopes:
+                record.slopes[p] = part.slopes[0]
+        return record
+
+    def _sense(self, ready: Installed, point: FloatArray) -> tuple[Record | None, str]:
+        """One simulation with sensitivities, or why there are none."""
+        why = self._sensing.why_not(ready)
+        if why:
+            return None, why
+        row = np.concatenate([point, ready.known])
+        kinds = self._sensing.find_kinds(
+            self.instance, ready, _settings(self._model, self._description, 0), no_hooks(1), row,
+            self._workspace(ready, no_hooks(1), 0),
+        )  # fmt: skip
+        if isinstance(kinds, str):
+            return None, kinds
+        along = self._sensing.along(ready, point, kinds, self.instance.component.handle)
+        part = self._run(ready, point[None], no_hooks(1), 0, along)
+        if part.codes[0] != failure.FINISHED:
+            if part.codes[0] >= failure.FATAL:
+                self._sensing.forget_twins()
+            return None, part.messages[0]
+        slopes = np.full((len(point), *part.outputs.shape[1:]), np.nan)
+        slopes[along.forward.columns] = along.forward.record.transpose(1, 0, 2)
+        part.slopes[0] = slopes
+        return part, ""
+
     def stiff(self, experiment: int, point: FloatArray, max_steps: int = 5000) -> bool:
         """Whether a model exchange FMU is stiff at one point of an experiment, without effects.
 
@@ -219,6 +269,7 @@ class Simulator:
         )
 
     def close(self) -> None:
+        self._sensing.close()
         self.instance.free()
 
     def _resolved(self, effects: tuple[Effect, ...]) -> Effects:

@@ -67,8 +67,8 @@ class Answers:
     residuals
         Those of all outcomes, one after the other.
     failures
-        (status, message) by position, where it is not OK.
-    trajectories, linearisations, constraints
+        (status, message) by position, where it is not OK or has a message.
+    trajectories, linearisations, constraints, sensitivities
         By position, where there is one.
     worker
         Who ran them.
@@ -82,6 +82,7 @@ class Answers:
     trajectories: dict[int, Trajectory]
     linearisations: dict[int, Linearisation]
     constraints: dict[int, FloatArray]
+    sensitivities: dict[int, FloatArray]
     worker: str
 
     @classmethod
@@ -96,10 +97,11 @@ class Answers:
             ),
             residuals=np.concatenate([np.zeros(0), *kept]),
             seconds=np.array([o.seconds for o in outcomes]),
-            failures={i: (o.status, o.message) for i, o in pairs if not o.ok},
+            failures={i: (o.status, o.message) for i, o in pairs if o.message or not o.ok},
             trajectories={i: o.trajectory for i, o in pairs if o.trajectory is not None},
             linearisations={i: o.linearisation for i, o in pairs if o.linearisation is not None},
             constraints={i: o.constraints for i, o in pairs if len(o.constraints)},
+            sensitivities={i: o.sensitivities for i, o in pairs if o.sensitivities is not None},
             worker=outcomes[0].worker if outcomes else "",
         )
 
@@ -125,6 +127,7 @@ class Answers:
                     self.worker,
                     self.linearisations.get(i),
                     self.constraints.get(i, np.zeros(0)),
+                    self.sensitivities.get(i),
                 )
             )
         return found

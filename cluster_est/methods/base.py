@@ -77,6 +77,9 @@ class Points:
         Answer as soon as any point of this search is there, and with all that are.
     drop
         Indices of earlier asynchronous points that are not wanted any more; they are not answered.
+    sensitivities
+        Ask for the derivatives of the residuals too, in `Outcome.sensitivities`, where the model
+        can give them.
     """
 
     x: FloatArray
@@ -84,6 +87,7 @@ class Points:
     progress: Progress | None = None
     asynchronous: bool = False
     drop: tuple[int, ...] = ()
+    sensitivities: bool = False
 
 
 TOLERANCE = 1e-6

@@ -23,6 +23,8 @@ from cluster_est.space import Space
 from workers.messages import FloatArray, Solver
 
 Scheme = Literal["forward", "central"]
+Differences = Literal["auto", "forward", "central", "sensitivities"]
+"""What a user may choose."""
 LARGE = 2**23
 """Entries above which a solution keeps its Jacobian in blocks, where those are much smaller."""
 NOISE_OF_TOLERANCE = 1e-3

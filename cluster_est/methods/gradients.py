@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.methods.base import Evaluation, Points, Progress
+from cluster_est.methods.carried import Slopes
 from cluster_est.methods.differences import Jacobian, Scheme, difference_steps, jacobian
 from cluster_est.space import Space
 from workers.messages import FloatArray
@@ -53,6 +54,7 @@ def derivatives(
     scheme: Scheme,
     relative_step: float,
     progress: Progress | None,
+    slopes: Slopes | None = None,
 ) -> Generator[Points, list[Evaluation], Derivatives]:
     """Ask, in one request, for all that the derivatives at `x` need.
 
@@ -65,12 +67,17 @@ def derivatives(
         cost has no weights; "central" costs two.
     relative_step
         0 for the step that suits the solver.
+    slopes
+        How Jacobians are taken, in place of the last two.
     """
     residuals = at.residuals
     weights = space.problem.cost.weights(residuals, space.outputs)
     if weights is None:
         return (yield from _of_cost(space, x, at, scheme, relative_step, progress))
-    found = yield from jacobian(space, x, at, scheme, relative_step, progress)
+    if slopes is not None:
+        found = yield from slopes.jacobian(space, x, at, progress)
+    else:
+        found = yield from jacobian(space, x, at, scheme, relative_step, progress)
     weighted = found.matrix * weights[:, None]
     gradient = 2.0 * np.add.reduce(weighted * residuals[:, None], axis=0)
     curvature = 2.0 * (found.matrix.T @ weighted)

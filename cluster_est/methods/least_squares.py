@@ -17,13 +17,14 @@ Levenberg-Marquardt algorithm, Lecture Notes in Mathematics 630 (1978), doi:10.1
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
 from cluster_est.methods.base import Ending, Method, Points, Progress, Search, Solution
+from cluster_est.methods.carried import Slopes
 from cluster_est.methods.descent import LEAST_DAMPING, Descent, State, Steps
-from cluster_est.methods.differences import Jacobian, Scheme, jacobian
+from cluster_est.methods.differences import Differences, Jacobian
 from cluster_est.methods.local_model import LocalModel
 from cluster_est.methods.polish import polish
 from cluster_est.methods.sequential import Settings, sequential_search
@@ -61,7 +62,9 @@ class LeastSquares(Method):
     differences
         "forward", "central", or "auto": forward until converged, then central to the end, which
         removes the error that forward differences leave in the minimum. Where they are central, the
-        last steps go on to a millionth of `ftol`.
+        last steps go on to a millionth of `ftol`. "sensitivities": none; one simulation carries the
+        derivatives along, where an FMU in model exchange provides directional derivatives that
+        agree with differences, and "auto" elsewhere.
     relative_step
         Relative step of the differences; 0 takes the one that suits the solver's noise.
     """
@@ -75,7 +78,7 @@ class LeastSquares(Method):
     ftol: float = field(default=1e-10, metadata={"least": 0.0})
     xtol: float = field(default=1e-10, metadata={"least": 0.0})
     gtol: float = field(default=1e-10, metadata={"least": 0.0})
-    differences: Literal["auto", "forward", "central"] = "auto"
+    differences: Differences = "auto"
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
 
     def search(self, space: Space, generator: np.random.Generator) -> Search:
@@ -99,24 +102,21 @@ class LeastSquares(Method):
         if not at.ok:
             return Solution(x, np.nan, Ending.START_FAILED, at.reason)
         state = State(x, at, Progress(0, at.cost), np.zeros(space.size), FIRST_DAMPING)
-        scheme: Scheme = "central" if self.differences == "central" else "forward"
+        slopes = Slopes(space, self.differences, self.relative_step)
         while True:
-            near = _shrunk(space, state.x) if scheme == "central" else space
-            derivatives = yield from jacobian(
-                near, state.x, state.at, scheme, self.relative_step, state.progress
-            )
-            state, ending = yield from self._iterate(space, state, derivatives, scheme)
+            near = _shrunk(space, state.x)
+            derivatives = yield from slopes.jacobian(near, state.x, state.at, state.progress)
+            state, ending = yield from self._iterate(space, state, derivatives, slopes.exact)
             if ending is None:
                 continue
-            refine = self.differences == "auto" and scheme == "forward"
-            if refine and ending in (Ending.CONVERGED, Ending.STALLED):
-                scheme = "central"
+            if ending in (Ending.CONVERGED, Ending.STALLED) and slopes.refine():
                 state = replace(state, damping=min(state.damping, FIRST_DAMPING))
                 continue
             return Solution(
                 x=state.x,
                 cost=state.at.cost,
                 ending=ending,
+                message=slopes.note,
                 iterations=state.progress.iteration,
                 jacobian=derivatives.whole,
                 block_jacobian=derivatives.large,
@@ -124,7 +124,7 @@ class LeastSquares(Method):
                 at=state.at,
             )
 
-    def _iterate(self, space: Space, state: State, derivatives: Jacobian, scheme: Scheme) -> Steps:
+    def _iterate(self, space: Space, state: State, derivatives: Jacobian, exact: bool) -> Steps:
         """From a Jacobian to the next point. Returns the new state, and why to stop if so."""
         if derivatives.frozen.all():
             return state, Ending.DERIVATIVES_FAILED
@@ -137,7 +137,7 @@ class LeastSquares(Method):
             return state, Ending.CONVERGED
         if state.progress.iteration >= self.max_iterations:
             return state, Ending.MAX_ITERATIONS
-        if scheme == "central":
+        if exact:
             polished = yield from polish(space, state, model, self.ftol)
             if polished is not None:
                 return polished

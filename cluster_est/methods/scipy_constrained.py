@@ -80,7 +80,7 @@ class _Callbacks:
         with np.errstate(all="ignore"):
             try:
                 ending, message = self._once(run)
-                if self._settings.differences == "auto":
+                if self._settings.differences in ("auto", "sensitivities"):
                     self._known.scheme = "central"
                     ending, message = self._once(run)
             except _FoundError:

@@ -17,13 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Search, Solution
+from cluster_est.methods.carried import Slopes
 from cluster_est.methods.curvature import Hessian
-from cluster_est.methods.differences import Scheme
+from cluster_est.methods.differences import Differences
 from cluster_est.methods.gradients import Derivatives, derivatives
 from cluster_est.methods.known import usable, why_unusable, worst_constraint
 from cluster_est.methods.surroundings import Step, Surroundings
@@ -56,7 +56,7 @@ class Settings:
     max_iterations: int = 100
     ftol: float = 1e-10
     xtol: float = 1e-6
-    differences: Literal["auto", "forward", "central"] = "auto"
+    differences: Differences = "auto"
     relative_step: float = 0.0
     hessian: Hessian = "auto"
     speculative_gradient: bool = False
@@ -100,7 +100,11 @@ class _Sequential:
 
     def __init__(self, space: Space, settings: Settings, x: FloatArray, at: Evaluation) -> None:
         self._space, self._settings = space, settings
-        self._scheme: Scheme = "central" if settings.differences == "central" else "forward"
+        weighted = space.problem.cost.weights(at.residuals, space.outputs) is not None
+        differences = (
+            settings.differences if weighted or settings.differences != "sensitivities" else "auto"
+        )
+        self._slopes = Slopes(space, differences, settings.relative_step)
         self._feasibility_only = at.residuals.size == 0
         self._around = Surroundings(space, settings.hessian, self._feasibility_only)
         self._penalty = self._around.penalty
@@ -125,10 +129,9 @@ class _Sequential:
         through = ending is Ending.CONVERGED or (
             ending is Ending.STALLED and self._progress.optimality < NEARLY_OPTIMAL
         )
-        forward = self._settings.differences == "auto" and self._scheme == "forward"
-        if not (through and forward) or self._found():
+        if not through or self._found() or not self._slopes.refine():
             return False
-        self._scheme, self._ahead = "central", None
+        self._ahead = None
         self._radius = max(self._radius, REFINED_RADIUS)
         return True
 
@@ -137,11 +140,11 @@ class _Sequential:
         x, at = self._best
         if self._at.feasible and self._penalty.merit(self._at) <= self._penalty.merit(at):
             x, at = self._x, self._at
-        message = ""
+        message = self._slopes.note
         if ending is Ending.STALLED and self._progress.iteration > 0:
             ending = Ending.CONVERGED
             zero = abs(at.cost) <= FLOOR * self._largest
-            message = "" if zero or self._progress.optimality < NEARLY_OPTIMAL else AT_A_KINK
+            message = message if zero or self._progress.optimality < NEARLY_OPTIMAL else AT_A_KINK
         if not at.feasible:
             ended = ending in (Ending.CONVERGED, Ending.STALLED)
             ending = Ending.INFEASIBLE if ended else ending
@@ -170,7 +173,8 @@ class _Sequential:
 
     def _derivatives(self, x: FloatArray, at: Evaluation) -> Asking:
         relative = self._settings.relative_step
-        return derivatives(self._space, x, at, self._scheme, relative, self._progress)
+        scheme = self._slopes.scheme or "forward"
+        return derivatives(self._space, x, at, scheme, relative, self._progress, self._slopes)
 
     def _judge(self) -> Ending | None:
         """Whether a bold step still promises anything."""
@@ -211,7 +215,7 @@ class _Sequential:
         step = self._around.step(self._radius)
         x = self._inside(self._x + step.vector)
         points = x[None, :]
-        if self._settings.speculative_gradient:
+        if self._settings.speculative_gradient and self._slopes.scheme is not None:
             points = np.vstack([points, next(self._derivatives(x, self._at)).x])
         at, *others = yield Points(points, "trial", self._progress)
         self._ahead = (x, others) if others else None

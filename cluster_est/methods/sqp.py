@@ -9,6 +9,7 @@ import numpy as np
 
 from cluster_est.methods.base import Method, Search
 from cluster_est.methods.curvature import Hessian
+from cluster_est.methods.differences import Differences
 from cluster_est.methods.scipy_constrained import scipy_search
 from cluster_est.methods.sequential import Settings, sequential_search
 from cluster_est.space import Space
@@ -41,7 +42,8 @@ class Sqp(Method):
         kink. Not used by "slsqp".
     differences
         "forward", "central", or "auto": forward until converged, then central to the end, which
-        removes the error that forward differences leave in the minimum.
+        removes the error that forward differences leave in the minimum. "sensitivities", for
+        "native" and a cost with weights: none, see `LeastSquares`; else as "auto".
     relative_step
         Relative step of the differences; 0 takes the one that suits the solver's noise.
     hessian
@@ -62,7 +64,7 @@ class Sqp(Method):
     max_iterations: int = field(default=100, metadata={"least": 1})
     ftol: float = field(default=1e-10, metadata={"least": 0.0})
     xtol: float = field(default=1e-6, metadata={"least": 0.0})
-    differences: Literal["auto", "forward", "central"] = "auto"
+    differences: Differences = "auto"
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
     hessian: Hessian = "auto"
     speculative_gradient: bool = False

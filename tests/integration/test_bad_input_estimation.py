@@ -74,7 +74,7 @@ def on_y(**keys: Any) -> Changes:
         ({"method.options": {"ftol": -1e-9}}, ["ftol: must be at least 0 but is -1e-09"]),
         (
             {"method.options": {"differences": "backward"}},
-            ["differences: must be one of 'auto', 'forward', 'central' but is 'backward'"],
+            ["differences: must be one of", "'sensitivities' but is 'backward'"],
         ),
         ({"method.seed": -1}, ["method.seed: must be at least 0 but is -1"]),
         ({"method.seed": 1.5}, ["method.seed: must be a whole number but is 1.5"]),

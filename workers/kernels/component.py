@@ -44,6 +44,7 @@ class Component(NamedTuple):
     completed_integrator_step: int
     do_step: int
     set_real_input_derivatives: int
+    get_directional_derivative: int
     interpolates_inputs: bool
     completes_steps: bool
     eventful: bool

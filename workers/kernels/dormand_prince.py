@@ -20,12 +20,15 @@ from workers.kernels.events import find_event, handle_event, polynomial, shortes
 from workers.kernels.failure import (
     EVENT,
     FINISHED,
+    HAS_EVENTS,
     OUTPUT,
+    SENSITIVITIES,
     STEP,
     STEP_TOO_SMALL,
     TOO_MANY_STEPS,
     failed,
 )
+from workers.kernels.forward import advance
 from workers.kernels.hooks import take_point
 from workers.kernels.model_exchange import arrive, complete_step, start
 from workers.kernels.moving import derivative, record_outputs, slopes_here
@@ -99,11 +102,12 @@ def _dormand_prince(c, references, starts, settings, hooks, grid, point, work, r
 
 @inlined
 def adaptive_steps(  # type: ignore[no-untyped-def]
-    c, references, settings, hooks, grid, i, time, proposed, steps_left, work
+    c, references, settings, hooks, grid, i, time, proposed, steps_left, work, forward=None
 ):
     """From a time, where the FMU stands, to grid time i + 1, from event to event.
 
-    Returns (code, time, step to try next, steps left). A proposed step of 0 stands for none.
+    Returns (code, time, step to try next, steps left). A proposed step of 0 stands for none. With
+    `forward`, sensitivities are carried along, up to the first event.
     """
     last, still = grid.times[i + 1], 0
     close = shortest(time, last)
@@ -115,9 +119,12 @@ def adaptive_steps(  # type: ignore[no-untyped-def]
         code = FINISHED
         if end > begin:
             code, time, proposed, steps_left = _to_next_event(
-                c, references, settings, hooks, grid, i, begin, end, proposed, steps_left, work
-            )
+                c, references, settings, hooks, grid, i, begin, end, proposed, steps_left, work,
+                forward,
+            )  # fmt: skip
         if code == EVENT or (code == FINISHED and time >= work.next_event[0]):
+            if forward is not None:
+                return HAS_EVENTS, time, proposed, steps_left
             still = still + 1 if time - begin <= close else 0
             code = handle_event(c, references, settings, hooks, grid, i, i, time, still, work)
             proposed = 0.0
@@ -127,7 +134,7 @@ def adaptive_steps(  # type: ignore[no-untyped-def]
 
 @inlined
 def _to_next_event(  # type: ignore[no-untyped-def]
-    c, references, settings, hooks, grid, i, time, last, proposed, steps_left, work
+    c, references, settings, hooks, grid, i, time, last, proposed, steps_left, work, forward
 ):
     """Steps up to a time or a state event. Returns (code, time, step to try next, steps left)."""
     close = shortest(time, last)
@@ -149,6 +156,10 @@ def _to_next_event(  # type: ignore[no-untyped-def]
             if proposed < close:
                 return STEP_TOO_SMALL, time, proposed, steps_left
             continue
+        if forward is not None:
+            status = advance(c, references, hooks, grid, i, time, step, work, forward)
+            if status >= DISCARD:
+                return failed(SENSITIVITIES, status), time, proposed, steps_left
         code = _accept(c, part, work)
         time = last if final and part > 1.0 else time + step * min(part, 1.0)
         proposed = max(proposed, wanted) if final else wanted

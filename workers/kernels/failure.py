@@ -16,6 +16,8 @@ TERMINATED = 8
 CHATTERING = 10
 DISCARDED = 11
 PENDING = 12
+SENSITIVITIES = 13
+HAS_EVENTS = 14
 
 SENTENCES = {
     INITIALISATION: "the FMU could not be initialised",
@@ -28,6 +30,8 @@ SENTENCES = {
     CHATTERING: "events followed each other without end",
     DISCARDED: "the FMU could not go on",
     PENDING: "the FMU computes in the background, which is not supported",
+    SENSITIVITIES: "the FMU could not give its directional derivatives",
+    HAS_EVENTS: "an event was met, across which sensitivities cannot be carried",
     TERMINATED: "the FMU ended the simulation by itself",
 }
 

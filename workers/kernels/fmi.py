@@ -29,6 +29,8 @@ _completed = c_function(int32, intp, int32, intp, intp)
 _step = c_function(int32, intp, float64, float64, int32)
 _step_3 = c_function(int32, intp, float64, float64, int32, intp, intp, intp, intp)
 _slopes = c_function(int32, intp, intp, uintp, intp, intp)
+_directional = c_function(int32, intp, intp, uintp, intp, uintp, intp, intp)
+_directional_3 = c_function(int32, intp, intp, uintp, intp, uintp, intp, uintp, intp, uintp)
 
 
 @inlined
@@ -176,4 +178,23 @@ def set_real_input_derivatives(c, references, orders, slopes):  # type: ignore[n
     return _slopes(
         c.set_real_input_derivatives,
         (c.handle, address_of(references), len(references), address_of(orders), address_of(slopes)),
+    )
+
+
+@inlined
+def get_directional_derivative(c, unknowns, knowns, n_knowns, seed, result):  # type: ignore[no-untyped-def]
+    """The derivative of the unknowns along `seed`, a direction in the first knowns.
+
+    Unknowns and knowns are value references of float64 scalars.
+    """
+    n_unknowns, at, known = len(unknowns), address_of(unknowns), address_of(knowns)
+    given, found = address_of(seed), address_of(result)
+    if is_fmi_2(c):
+        return _directional(
+            c.get_directional_derivative,
+            (c.handle, at, n_unknowns, known, n_knowns, given, found),
+        )
+    return _directional_3(
+        c.get_directional_derivative,
+        (c.handle, at, n_unknowns, known, n_knowns, given, n_knowns, found, n_unknowns),
     )

@@ -12,7 +12,17 @@ import numpy as np
 
 from workers.kernels.calling import inlined, kernel
 from workers.kernels.events import find_event, handle_event, polynomial, shortest
-from workers.kernels.failure import EVENT, FINISHED, OUTPUT, STEP, TOO_MANY_STEPS, failed
+from workers.kernels.failure import (
+    EVENT,
+    FINISHED,
+    HAS_EVENTS,
+    OUTPUT,
+    SENSITIVITIES,
+    STEP,
+    TOO_MANY_STEPS,
+    failed,
+)
+from workers.kernels.forward import advance
 from workers.kernels.hooks import take_point
 from workers.kernels.initialise import n_steps
 from workers.kernels.model_exchange import arrive, complete_step, start
@@ -62,9 +72,11 @@ def _rk4(c, references, starts, settings, hooks, grid, point, work, record):  # 
 
 
 @inlined
-def equal_steps(c, references, settings, hooks, grid, i, time, steps_left, work):  # type: ignore[no-untyped-def]
+def equal_steps(  # type: ignore[no-untyped-def]
+    c, references, settings, hooks, grid, i, time, steps_left, work, forward=None
+):
     """From a time to grid time i + 1, equal steps from event to event. Returns (code, time, steps
-    left)."""
+    left). With `forward`, sensitivities are carried along, up to the first event."""
     last, at_grid, still = grid.times[i + 1], True, 0
     close = shortest(time, last)
     while True:
@@ -80,7 +92,7 @@ def equal_steps(c, references, settings, hooks, grid, i, time, steps_left, work)
         code = FINISHED
         for s in range(steps):
             code, time = _go(
-                c, references, hooks, grid, i, begin + s * step, step, not at_grid, work
+                c, references, hooks, grid, i, begin + s * step, step, not at_grid, work, forward
             )
             at_grid = False
             if code != FINISHED:
@@ -88,6 +100,8 @@ def equal_steps(c, references, settings, hooks, grid, i, time, steps_left, work)
         if code == FINISHED and steps > 0:
             time = end
         if code == EVENT or (code == FINISHED and time >= work.next_event[0]):
+            if forward is not None:
+                return HAS_EVENTS, time, steps_left
             still = still + 1 if time - begin <= close else 0
             code = handle_event(c, references, settings, hooks, grid, i, i, time, still, work)
             at_grid = True
@@ -96,7 +110,7 @@ def equal_steps(c, references, settings, hooks, grid, i, time, steps_left, work)
 
 
 @inlined
-def _go(c, references, hooks, grid, i, time, step, moved, work):  # type: ignore[no-untyped-def]
+def _go(c, references, hooks, grid, i, time, step, moved, work, forward):  # type: ignore[no-untyped-def]
     """One step, or its part up to an event. Returns (code, time), EVENT if there is one."""
     status = _step(c, references, hooks, grid, i, time, step, moved, work)
     part, found = 1.0, False
@@ -108,6 +122,10 @@ def _go(c, references, hooks, grid, i, time, step, moved, work):  # type: ignore
         part = min(part, 1.0)
     if status >= DISCARD:
         return failed(STEP, status), time
+    if forward is not None:
+        status = advance(c, references, hooks, grid, i, time, step, work, forward)
+        if status >= DISCARD:
+            return failed(SENSITIVITIES, status), time
     for j in range(len(work.states)):
         work.states[j] = work.trial[j]
     code = complete_step(c, work)

@@ -13,6 +13,7 @@ from workers.residuals.bounds import SignalBounds
 from workers.residuals.curve import CurveDistances, CurveTolerances
 from workers.residuals.functions import UserFunction
 from workers.residuals.measured_times import MeasuredTimes
+from workers.residuals.slopes import comparison_slopes
 
 
 class Judged(NamedTuple):
@@ -48,6 +49,15 @@ class ExperimentComparison:
         failures: dict[int, str] = {}
         residuals = _joined(self._residuals, simulated, failures)
         return Judged(residuals, _joined(self._constraints, simulated, failures), failures)
+
+    def slopes(self, simulated: Simulated, slopes: FloatArray) -> FloatArray:
+        """(residuals + constraints, parameters): what one simulation's change with each parameter.
+
+        `slopes` are the derivatives of its record, (parameters, n, names).
+        """
+        kinds = (*self._residuals, *self._constraints)
+        parts = [comparison_slopes(each, simulated, slopes) for each in kinds]
+        return np.concatenate([np.zeros((0, len(slopes))), *parts])
 
 
 def _residuals(experiment: Experiment, grid: Grid, parameters: tuple[str, ...]) -> list[Comparison]:

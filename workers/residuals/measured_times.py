@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from workers.grid import Grid
+from workers.messages import FloatArray
 from workers.residuals.base import Compared, Comparison, Simulated
 
 
@@ -24,3 +25,8 @@ class MeasuredTimes(Comparison):
         taken = np.take(record.reshape(len(record), -1), grid.gather, axis=1)
         with np.errstate(over="ignore"):  # what overflows is said to be not finite
             return Compared((grid.measured - taken) / grid.sigmas)
+
+    def slopes(self, slopes: FloatArray) -> FloatArray:
+        """(parameters, residuals): the residuals' derivatives, from those of the record."""
+        grid = self._grid
+        return -np.take(slopes.reshape(len(slopes), -1), grid.gather, axis=1) / grid.sigmas

@@ -101,7 +101,7 @@ int model_equations(Model *m);
 void model_event(Model *m, Event *event);
 /* Says whether a completed step calls for event mode. */
 bool model_step_completed(Model *m);
-/* The derivative of one variable to another, by value reference. */
+/* The derivative of one variable to another, by value reference; NaN if it is not provided. */
 double model_partial(Model *m, unsigned unknown, unsigned known);
 /* The nominal value of a state (its place among the states). */
 double model_nominal(Model *m, size_t state);

@@ -181,7 +181,10 @@ int directional(Model *m, const char *function, const unsigned unknowns[], size_
         for (size_t k = 0; k < n_knowns; k++) {
             if (!find(m, function, unknowns[i], FLOAT64) || !find(m, function, knowns[k], FLOAT64))
                 return ERROR;
-            sensitivity[i] += model_partial(m, unknowns[i], knowns[k]) * seed[k];
+            const double partial = model_partial(m, unknowns[i], knowns[k]);
+            if (isnan(partial))
+                return error(m, "%s: not by variable %u", function, knowns[k]);
+            sensitivity[i] += partial * seed[k];
         }
     }
     return OK;

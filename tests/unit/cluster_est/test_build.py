@@ -78,8 +78,8 @@ def refusal(folder: Path, changes: dict[str, Any], rows: str = ROWS) -> str:
         ({"method.options": {"trials": 0}}, "method.options.trials: must be at least 1 but is 0"),
         ({"method.options": {"ftol": "x"}}, "method.options.ftol: must be a number but is 'x'"),
         ({"method.options": {"ftol": np.inf}}, "ftol: must be finite and of a usual size but is"),
-        ({"method.options": {"differences": "fwd"}}, "'auto', 'forward', 'central' but is 'fwd'"),
-        ({"method.options": {"differences": []}}, "'auto', 'forward', 'central' but is []"),
+        ({"method.options": {"differences": "fwd"}}, "'central', 'sensitivities' but is 'fwd'"),
+        ({"method.options": {"differences": []}}, "'central', 'sensitivities' but is []"),
         (
             {"model.solver": "fmu", "model.interface": "model_exchange"},
             "must be dormand_prince, rk4",

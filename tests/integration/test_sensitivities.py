@@ -1,0 +1,263 @@
+"""Derivatives carried along with a simulation, against complex steps on the same equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
+from cluster_est.methods.least_squares import LeastSquares
+from cluster_est.methods.sqp import Sqp
+from workers.evaluate import Evaluator
+from workers.messages import Curve, FloatArray, Model, Outcome, SignalBound, Task
+from workers.wire import Answers, Batch
+
+Give = Callable[[str, int], Path]
+Ask = Callable[..., Outcome]
+
+BOTH = pytest.mark.parametrize("fmi", [2, 3])
+SOLVERS = pytest.mark.parametrize(
+    "solver",
+    [Solver("dormand_prince", rtol=1e-10), Solver("rk4", step=1e-3)],
+    ids=lambda solver: solver.name,
+)
+TIMES = np.linspace(0.0, 5.0, 26)
+ACCURATE = Solver("dormand_prince", rtol=1e-10)
+RATES = tuple(f"{kind}{i}" for kind in "ab" for i in range(1, 6))
+
+
+def measured(outputs: tuple[str, ...], times: FloatArray = TIMES, **options: object) -> Experiment:
+    given = Input("u", np.array([0.0, 2.0, 5.0]), np.array([0.0, 1.0, 0.5]))
+    columns = tuple(Output(name, times, 0.0 * times, 0.5) for name in outputs)
+    return replace(Experiment("e", 0.0, 5.0, (given,), columns), **options)
+
+
+def input_at(t: float) -> float:
+    return 0.5 * t if t < 2.0 else 1.0 - (t - 2.0) / 6.0
+
+
+def runge_kutta(slopes: Callable, x: np.ndarray, times: FloatArray, parts: int = 200) -> np.ndarray:
+    """States at each time, by many steps of the classic method; complex where x is."""
+    found = [x]
+    for first, last in pairwise(times):
+        h = (last - first) / parts
+        for i in range(parts):
+            t = first + i * h
+            k1 = slopes(t, x)
+            k2 = slopes(t + h / 2, x + h / 2 * k1)
+            k3 = slopes(t + h / 2, x + h / 2 * k2)
+            k4 = slopes(t + h, x + h * k3)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        found.append(x)
+    return np.array(found)
+
+
+def by_complex_steps(outputs: Callable[[np.ndarray], np.ndarray], point: FloatArray) -> np.ndarray:
+    """(outputs, parameters): derivatives without a difference.
+
+    W. Squire, G. Trapp, SIAM Rev. 40 (1998) 110-112, doi:10.1137/S003614459631241X.
+    """
+    size = 1e-30
+    moved = [point + 1j * size * unit for unit in np.eye(len(point))]
+    return np.stack([outputs(each).T.ravel().imag / size for each in moved], axis=1)
+
+
+def van_der_pol(p: np.ndarray) -> np.ndarray:
+    def slopes(t: float, x: np.ndarray) -> np.ndarray:
+        return np.array([x[1], p[0] * (1.0 - x[0] ** 2) * x[1] - x[0] + input_at(t)])
+
+    return runge_kutta(slopes, p[1:], TIMES)
+
+
+def chain(p: np.ndarray) -> np.ndarray:
+    a, b = p[:5], p[5:]
+
+    def slopes(t: float, x: np.ndarray) -> np.ndarray:
+        inflow = np.concatenate([[input_at(t)], a[:4] * x[:4]])
+        return inflow - a * x - b * x**2
+
+    x = runge_kutta(slopes, np.array([2.0, 0, 0, 0, 0]) + 0 * p[:5], TIMES)
+    return np.column_stack([x, a[4] * x[:, 4]])
+
+
+def decay(p: np.ndarray) -> np.ndarray:
+    x = runge_kutta(lambda t, x: input_at(t) - p[0] * x, p[2:], TIMES)
+    return p[1] * x
+
+
+@pytest.fixture
+def ask(own_fmu: Give) -> Iterator[Ask]:
+    """Have one point answered, as a worker would, and sent."""
+    made: list[Evaluator] = []
+
+    def give(
+        name: str, fmi: int, experiment: Experiment, parameters: tuple[str, ...],
+        point: FloatArray, solver: Solver = ACCURATE, want: str = "sensitivities",
+        interface: str = "model_exchange",
+    ) -> Outcome:  # fmt: skip
+        model = Model(name, own_fmu(name, fmi).read_bytes(), interface, solver, parameters)
+        made.append(Evaluator(model, (experiment,), "w"))
+        batch = Batch.of([Task(0, 0, point, want)])
+        return Answers.of(made[-1].evaluate(batch)).outcomes()[0]
+
+    yield give
+    for each in made:
+        each.close()
+
+
+@BOTH
+@SOLVERS
+@pytest.mark.parametrize(
+    ("name", "parameters", "point", "outputs", "truth"),
+    [
+        ("van_der_pol", ("mu", "x0", "x1"), [1.3, 2.0, 0.4], ("x0", "x1"), van_der_pol),
+        (
+            "chain", RATES, [1.0, 0.8, 0.6, 0.5, 0.4, 0.1, 0.15, 0.2, 0.25, 0.3],
+            ("x1", "x2", "x3", "x4", "x5", "y"), chain,
+        ),
+        ("states_directional", ("k", "c", "x"), [1.2, 0.7, 1.5], ("y",), decay),
+    ],
+)  # fmt: skip
+def test_against_complex_steps(
+    ask: Ask, fmi: int, solver: Solver, name: str, parameters: tuple[str, ...], point: list[float],
+    outputs: tuple[str, ...], truth: Callable[[np.ndarray], np.ndarray],
+) -> None:  # fmt: skip
+    found = ask(name, fmi, measured(outputs), parameters, np.array(point), solver)
+
+    expected = -by_complex_steps(truth, np.array(point)) / 0.5
+    assert found.message == ""
+    scale = np.abs(expected).max(axis=0)
+    assert np.abs((found.sensitivities - expected) / scale).max() < 1e-6
+
+
+@BOTH
+@SOLVERS
+def test_the_trajectory_keeps_its_bits(ask: Ask, fmi: int, solver: Solver) -> None:
+    given = "states_directional", fmi, measured(("y",)), ("k", "c", "x"), np.array([1.2, 0.7, 1.5])
+
+    plain = ask(*given, solver, "residuals")
+    again = [ask(*given, solver) for _ in range(2)]
+
+    assert np.array_equal(again[0].residuals, plain.residuals)
+    assert np.array_equal(again[0].sensitivities, again[1].sensitivities)
+
+
+def test_curves_and_bounds_are_differentiated_too(ask: Ask) -> None:
+    curve = Curve(
+        ("x0", "x1"), np.array([[2.0, 0.0], [1.0, -1.0], [-1.0, -1.5]]), np.linspace(0, 5, 201)
+    )
+    bound = SignalBound("low", "x1", TIMES, np.full(26, -1.0), np.full(26, 9.0))
+    run = replace(measured(()), curve=curve, bounds=(bound,))
+    point, parameters = np.array([1.3, 2.0, 0.4]), ("mu", "x0", "x1")
+
+    found = ask("van_der_pol", 2, run, parameters, point)
+
+    def both(at: FloatArray) -> FloatArray:
+        given = ask("van_der_pol", 2, run, parameters, at, want="residuals")
+        return np.concatenate([given.residuals, given.constraints])
+
+    steps = 1e-5 * np.eye(3)
+    expected = np.stack([(both(point + h) - both(point - h)) / 2e-5 for h in steps], axis=1)
+    assert found.sensitivities.shape == expected.shape == (4, 3)
+    np.testing.assert_allclose(found.sensitivities, expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "output", "parameter", "options", "why"),
+    [
+        ("bouncing_ball", "height", "e", {}, "no directional derivatives"),
+        ("van_der_pol", "y", "mu", {"solver": Solver("cvode")}, "solver 'cvode'"),
+        (
+            "van_der_pol", "y", "mu",
+            {"solver": Solver("fmu"), "interface": "co_simulation"}, "in model exchange only",
+        ),
+    ],
+)  # fmt: skip
+def test_it_says_why_there_are_none(
+    ask: Ask, name: str, output: str, parameter: str, options: dict, why: str
+) -> None:
+    run = replace(measured((output,)), inputs=())
+
+    found = ask(name, 2, run, (parameter,), np.array([0.8]), **options)
+
+    assert found.ok
+    assert found.sensitivities is None
+    assert why in found.message
+    plain = ask(name, 2, run, (parameter,), np.array([0.8]), want="residuals", **options)
+    assert np.array_equal(found.residuals, plain.residuals)
+
+
+def problem_of(
+    own_fmu: Give, ask: Ask, name: str, parameters: tuple[Parameter, ...], truth: list[float],
+    outputs: tuple[str, ...],
+) -> Problem:  # fmt: skip
+    """Two experiments with a little disturbance, to which the truth is no perfect fit."""
+    names = tuple(p.name for p in parameters if not p.auxiliary)
+    run = measured(outputs)
+    exact = -0.5 * ask(name, 2, run, names, np.array(truth), want="residuals").residuals
+    pieces = np.split(exact + 1e-3 * np.sin(7.0 * np.arange(len(exact))), len(outputs))
+    columns = tuple(Output(n, TIMES, piece) for n, piece in zip(outputs, pieces, strict=True))
+    runs = tuple(replace(run, id=label, outputs=columns) for label in ("e", "f"))
+    model = Model(name, own_fmu(name, 2).read_bytes(), "model_exchange", ACCURATE, names)
+    return Problem(model, parameters, runs)
+
+
+@pytest.mark.parametrize("method", [LeastSquares, Sqp])
+def test_ten_parameters_reach_the_same_minimum_in_fewer_simulations(
+    own_fmu: Give, ask: Ask, method: type
+) -> None:
+    truth = [1.0, 0.8, 0.6, 0.5, 0.4, 0.1, 0.15, 0.2, 0.25, 0.3]
+    factors = np.linspace(0.8, 1.3, 10)
+    scales = ["linear"] * 5 + ["log"] * 5
+    parameters = tuple(
+        Parameter(name, value * factor, lower=1e-3, upper=5.0, scale=scale)
+        for name, value, factor, scale in zip(RATES, truth, factors, scales, strict=True)
+    )
+    problem = problem_of(own_fmu, ask, "chain", parameters, truth, ("x1", "x2", "x3", "x4", "x5"))
+
+    usual, carried = (fit(problem, method(differences=d)) for d in ("auto", "sensitivities"))
+
+    assert carried.solution.message == ""
+    assert carried.solution.cost == pytest.approx(usual.solution.cost, rel=1e-9)
+    np.testing.assert_allclose(carried.solution.x, usual.solution.x, rtol=1e-5)
+    assert carried.simulated < usual.simulated / 2
+
+
+def test_local_tied_and_logarithmic_parameters(own_fmu: Give, ask: Ask) -> None:
+    parameters = (
+        Parameter("mu", 1.0, lower=0.1, upper=10.0, scale="log"),
+        Parameter("x0", 1.8, lower=0.0, upper=4.0, per="experiment"),
+        Parameter("x1", 0.0, expression="0.2 * x0 * mu"),
+    )
+    problem = problem_of(own_fmu, ask, "van_der_pol", parameters, [1.3, 2.0, 0.52], ("y",))
+
+    usual, carried = (
+        fit(problem, LeastSquares(differences=d)) for d in ("auto", "sensitivities")
+    )  # fmt: skip
+
+    assert carried.solution.message == ""
+    np.testing.assert_allclose(carried.solution.x, usual.solution.x, rtol=1e-6)
+    np.testing.assert_allclose(
+        carried.solution.jacobian, usual.solution.jacobian,
+        atol=1e-5 * np.abs(usual.solution.jacobian).max(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["zero_directional", "wrong_directional"])
+def test_derivatives_that_disagree_give_way_to_differences(
+    own_fmu: Give, ask: Ask, name: str
+) -> None:
+    parameters = (Parameter("k", 0.8), Parameter("x", 1.4))
+    problem = problem_of(own_fmu, ask, name, parameters, [1.2, 1.1], ("y",))
+
+    usual, carried = (
+        fit(problem, LeastSquares(differences=d)) for d in ("auto", "sensitivities")
+    )  # fmt: skip
+
+    assert "directional derivatives disagree with differences" in carried.solution.message
+    assert np.array_equal(carried.solution.x, usual.solution.x)
