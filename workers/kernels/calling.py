@@ -17,7 +17,7 @@ from numba import config, njit
 from numba.core import types
 from numba.extending import intrinsic
 
-inlined = njit(inline="always")
+inlined = njit(forceinline=True, nogil=True, _nrt=False)
 """Compiles a helper into each loop that uses it."""
 
 

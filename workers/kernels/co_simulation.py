@@ -12,7 +12,7 @@ from workers.kernels.failure import (
     failed,
     failed_step,
 )
-from workers.kernels.fmi import ENDED, do_step, reached, set_real_input_derivatives
+from workers.kernels.fmi import ENDED, do_step, has_ended, reached, set_real_input_derivatives
 from workers.kernels.hooks import before, begin, first_inputs, inside, take_inputs, take_point
 from workers.kernels.initialise import initialise, n_steps
 from workers.kernels.values import DISCARD, get_values, set_reals, set_values
@@ -55,9 +55,9 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
 def _co_simulate(c, references, starts, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
     times = grid.times
     tolerance = settings.fmu_tolerance
-    inputs = first_inputs(hooks, grid, work)
     work.info[ENDED] = 0
-    status = initialise(c, references, starts, point, inputs, tolerance, times[0], work)
+    first_inputs(hooks, grid, work)
+    status = initialise(c, references, starts, point, work.edited, tolerance, times[0], work)
     if status >= DISCARD:
         return failed(INITIALISATION, status), times[0]
     if hooks.before != 0:
@@ -87,7 +87,7 @@ def _go(c, references, settings, grid, work, record):  # type: ignore[no-untyped
         status = _advance(c, references, settings, grid, i, steps, work)
         if status >= DISCARD:
             return failed_step(status), times[i]
-        if work.info[ENDED] != 0:
+        if has_ended(c, work.info):
             return TERMINATED, _ended_at(c, times[i], work)
     return FINISHED, times[-1]
 
@@ -111,7 +111,7 @@ def _go_with_effects(c, references, settings, hooks, grid, work, record):  # typ
         status = _advance_with_effects(c, references, settings, hooks, grid, i, steps, work)
         if status >= DISCARD:
             return failed_step(status), times[i]
-        if work.info[ENDED] != 0:
+        if has_ended(c, work.info):
             return TERMINATED, _ended_at(c, times[i], work)
     return FINISHED, times[-1]
 
@@ -132,7 +132,7 @@ def _advance(c, references, settings, grid, i, steps, work):  # type: ignore[no-
     step = settings.fixed or (grid.times[i + 1] - grid.times[i]) / steps
     status = 0
     for s in range(steps):
-        if work.info[ENDED] != 0:
+        if has_ended(c, work.info):
             break
         if s > 0 and status < DISCARD and len(work.inputs) > 0:
             take_inputs(grid, i, grid.times[i] + s * step, work)
@@ -153,7 +153,7 @@ def _advance_with_effects(c, references, settings, hooks, grid, i, steps, work):
     status = 0
     for s in range(steps):
         time = grid.times[i] + s * step
-        if work.info[ENDED] != 0:
+        if has_ended(c, work.info):
             break
         if s > 0 and status < DISCARD:
             status = _write_edited(c, references, hooks, grid, i, time, work)

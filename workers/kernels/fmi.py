@@ -156,8 +156,7 @@ def completed_integrator_step(c, info):  # type: ignore[no-untyped-def]
 
 @inlined
 def do_step(c, time, step, info):  # type: ignore[no-untyped-def]
-    """One communication step; ENDED of `info` says whether the FMU ends the simulation with it."""
-    info[ENDED] = 0
+    """One communication step; see `has_ended` for whether the FMU ends the simulation with it."""
     if is_fmi_2(c):
         return _step(c.do_step, (c.handle, time, step, 1))
     b = address_of(info) + 4 * BYTES
@@ -165,6 +164,12 @@ def do_step(c, time, step, info):  # type: ignore[no-untyped-def]
     status = _step_3(c.do_step, (c.handle, time, step, 1, b, b + 1, b + 2, to))
     info[ENDED] = peek(b + 1, np.uint8(0))
     return status
+
+
+@inlined
+def has_ended(c, info):  # type: ignore[no-untyped-def]
+    """Whether the last step says that the FMU ends the simulation; FMI 2.0 says it otherwise."""
+    return False if is_fmi_2(c) else info[ENDED] != 0
 
 
 @inlined

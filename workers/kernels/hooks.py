@@ -115,12 +115,16 @@ def take_inputs(grid, i, time, work):  # type: ignore[no-untyped-def]
 
 @inlined
 def first_inputs(hooks, grid, work):  # type: ignore[no-untyped-def]
-    """The inputs that the FMU is initialised with; its states are not known yet and count as 0."""
+    """The inputs that the FMU is initialised with, into `edited`.
+
+    Its states are not known yet and count as 0.
+    """
     take_inputs(grid, 0, grid.times[0], work)
     if hooks.before == 0:
-        return work.inputs
-    for j in range(len(work.states)):
-        work.states[j] = 0.0
-    begin(hooks, grid.times[0], work)
-    before(hooks, grid.times[0], work.states, work)
-    return work.edited
+        for j in range(len(work.inputs)):
+            work.edited[j] = work.inputs[j]
+    else:
+        for j in range(len(work.states)):
+            work.states[j] = 0.0
+        begin(hooks, grid.times[0], work)
+        before(hooks, grid.times[0], work.states, work)

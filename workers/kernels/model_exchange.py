@@ -14,10 +14,10 @@ from workers.kernels.values import DISCARD
 @inlined
 def start(c, references, starts, settings, hooks, grid, point, work):  # type: ignore[no-untyped-def]
     """Initialise, iterate the initial event to its end, and fetch the states."""
-    inputs = first_inputs(hooks, grid, work)
+    first_inputs(hooks, grid, work)
     for j in range(len(work.atols)):
         work.atols[j] = settings.atols[j]
-    status = initialise(c, references, starts, point, inputs, 0.0, grid.times[0], work)
+    status = initialise(c, references, starts, point, work.edited, 0.0, grid.times[0], work)
     if status < DISCARD:
         status, code = iterate_event(c, settings, work)
         if code != FINISHED:

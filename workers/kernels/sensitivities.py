@@ -90,9 +90,9 @@ def _start_sensitivities(c, references, starts, settings, hooks, grid, point, wo
 
 
 @kernel
-def takes_as_known(
+def takes_as_known(  # type: ignore[no-untyped-def]
     c, references, starts, settings, hooks, grid, point, work, unknowns, known, found
-):  # type: ignore[no-untyped-def]
+):
     """Start the FMU and ask it for a derivative by one variable. Returns (code, status)."""
     code = _start(c, references, starts, settings, hooks, grid, point, work)
     if code != FINISHED:
