@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -34,6 +35,7 @@ from workers.messages import (
     SolverName,
     Value,
 )
+from workers.variables import Variable
 
 _OPTION_TYPES: dict[Any, tuple[Any, str]] = {
     float: ((int, float), "a number"),
@@ -218,7 +220,7 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     structure: dict[str, int] = {}
     for name, value in config.values.items():
         if description.variable(name, "values").causality == "structuralParameter":
-            _check_value(f"values.{name}", "integer", value)
+            _check_value(f"values.{name}", description.variables[name], value)
             structure[name] = int(value)
     description = describe(path.name, archive, structure)
     check_signals(config, description)
@@ -281,7 +283,7 @@ def _check_roles(problem: Problem, description: Description) -> None:
                     f"{where}.values.{name}: must not be an input of the same experiment but is; "
                     "remove one of the two"
                 )
-            _check_value(f"{where}.values.{name}", description.variables[name].kind, value)
+            _check_value(f"{where}.values.{name}", description.variables[name], value)
         for name in experiment.recorded:
             causality = description.variables[name].causality
             if causality in ("parameter", "input", "independent"):
@@ -292,19 +294,28 @@ def _check_roles(problem: Problem, description: Description) -> None:
                 )
 
 
-def _check_value(where: str, kind: str, value: Value) -> None:
-    truth, text = isinstance(value, bool), isinstance(value, str)
+def _check_value(where: str, variable: Variable, value: Value) -> None:
+    truth, text, kind = isinstance(value, bool), isinstance(value, str), variable.kind
     number = not truth and not text
-    whole = number and float(value).is_integer() and abs(float(value)) < 2**53
+    low, high, called = _whole_numbers(variable.type)
     fits = {
         "real": number,
-        "integer": whole,
+        "integer": number and float(value).is_integer() and low <= float(value) <= high,
         "boolean": truth or (number and value in (0, 1)),
         "string": text,
     }
     if not fits.get(kind, False):
-        must = {"integer": "a whole number", "boolean": "true or false", "string": "a text"}
+        must = {"integer": called, "boolean": "true or false", "string": "a text"}
         raise ConfigError(
             f"{where}: must be {must.get(kind, 'a number')}, because the variable is of type "
             f"{kind}, but is {shown(value)}"
         )
+
+
+def _whole_numbers(type_: str) -> tuple[float, float, str]:
+    """The least and the greatest of an FMI type, and what they are called."""
+    bits = int(re.sub(r"\D", "", type_) or 64)
+    most = min(bits, 53)  # beyond that, not every one is a float64
+    if type_.startswith("U"):
+        return 0.0, 2.0**most - 1, f"a whole number of {bits} bits that is not negative"
+    return -(2.0 ** (most - 1)), 2.0 ** (most - 1) - 1, f"a whole number of {bits} bits"

@@ -29,7 +29,7 @@ def examined(own_fmu: Give) -> Examine:
 
     def look(name: str, fmi: int = 2, seconds: float = MINUTE, executor: str = "local") -> Page:
         problem = bare_problem(own_fmu(name, fmi))
-        return examine(problem, Resources(executor=executor), seconds)
+        return examine(problem, Resources(executor=executor), seconds, declared=False)
 
     return look
 

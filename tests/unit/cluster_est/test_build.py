@@ -218,12 +218,10 @@ def test_an_interface_that_cannot_be_used_is_said_to_be_left_out(tmp_path):
     assert "because it lists the derivative of one state twice, and is left out); choose" in said
 
 
-def test_events_want_the_interface_that_has_them(tmp_path):
+def test_an_fmu_with_events_is_integrated_like_any_other(tmp_path):
     events = spoiled_fmu(xml={'numberOfEventIndicators="0"': 'numberOfEventIndicators="2"'})
     (tmp_path / "x.fmu").write_bytes(events)
-    assert build(tmp_path, {"model.fmu": "x.fmu"}).model.interface == "co_simulation"
-    changes = {"model.fmu": "x.fmu", "model.interface": "model_exchange"}
-    assert "has 2 event indicators" in refusal(tmp_path, changes)
+    assert build(tmp_path, {"model.fmu": "x.fmu"}).model.interface == "model_exchange"
 
 
 def test_the_fmu_may_be_given_by_its_full_path(tmp_path):
