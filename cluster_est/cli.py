@@ -79,7 +79,10 @@ def _parser() -> argparse.ArgumentParser:
         "read config, data and FMU, and say what is wrong with them; or FMU alone",
     )
     check.add_argument(
-        "--seconds", type=_seconds, default=None, help="that all checks share (default 4)"
+        "--seconds",
+        type=_seconds,
+        default=None,
+        help="that all checks share (default 4); 0: only read everything",
     )
     check.set_defaults(run=_check)
 
@@ -169,8 +172,8 @@ def _add_allow_code(command: argparse.ArgumentParser) -> None:
 
 def _seconds(text: str) -> float:
     seconds = float(text)
-    if not 0.5 <= seconds < 1e6:
-        raise argparse.ArgumentTypeError(f"must be a number of seconds from 0.5 on but is {text}")
+    if seconds != 0.0 and not 0.5 <= seconds < 1e6:
+        raise argparse.ArgumentTypeError(f"must be 0 or a number from 0.5 on but is {text}")
     return seconds
 
 

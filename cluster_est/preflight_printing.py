@@ -10,6 +10,8 @@ from cluster_est.printing import say
 
 def print_page(console: Console, page: Page) -> None:
     """A line for each check, and below it what can be done."""
+    if not page.findings:
+        return
     say(console, "")
     verdicts = max(len(each.verdict) for each in page.findings)
     names = max(len(each.check) for each in page.findings)

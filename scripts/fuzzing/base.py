@@ -32,7 +32,7 @@ class Input:
     files: tuple[tuple[str, bytes], ...]
 
 
-CHECK = ("check", "config.toml")
+CHECK = ("check", "config.toml", "--seconds", "0")
 FIT = (
     "fit", "config.toml", "--out", "out", "executor.name=local", "executor.workers=1",
     "budget.evaluations=20",
