@@ -74,3 +74,23 @@ def own_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Pa
         return path if path.exists() else own.build(name, fmi, folder)
 
     return give
+
+
+@pytest.fixture
+def fmpy_prints() -> Iterator[None]:
+    """What FMUs of FMI 2.0 say is printed, as fmpy does it, and not kept, as the project does.
+
+    There is one logger for all of them in a process: that of whoever has asked last.
+    """
+    from ctypes import byref
+
+    import fmpy.fmi2
+    from fmpy.logging import addLoggerProxy
+
+    import workers.fmu
+
+    theirs = fmpy.fmi2.fmi2CallbackFunctions()
+    theirs.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(fmpy.fmi2.printLogMessage)
+    addLoggerProxy(byref(theirs))
+    yield
+    workers.fmu._callbacks = workers.fmu._make_callbacks()

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from cluster_est import Parameter, Problem, fit
 from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.printing import print_check
+from cluster_est.printing import print_model
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
 from workers.wire import Batch
@@ -136,5 +136,5 @@ def test_a_fit_finds_the_rate_and_says_what_it_did(
     assert "every 0.1 s; experiment 'e' has times between them" in note
     result = fit(problem, LeastSquares())
     assert result.estimates[0].value == pytest.approx(0.8, abs=2e-3)
-    print_check(Console(width=400), problem, LeastSquares(), [])
+    print_model(Console(width=400), problem, "")
     assert note in capsys.readouterr().out

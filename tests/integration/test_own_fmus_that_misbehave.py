@@ -17,6 +17,8 @@ from fmus.drive import Driven
 Give = Callable[[str, int], Path]
 Open = Callable[..., Driven]
 
+pytestmark = pytest.mark.usefixtures("fmpy_prints")
+
 BOTH = pytest.mark.parametrize("fmi", [2, 3])
 STEP = 0.1
 
