@@ -181,14 +181,18 @@ def test_memory_does_not_grow(simulator):
     points = np.tile([[1.0], [2.0]], (500, 1))
     failing = np.full((50, 1), np.nan)
     simulated.run(0, points)
-    before = resident()
-    for _ in range(10):
-        simulated.run(0, points)
-        simulated.run(0, failing)
-    for _ in range(1000):
-        sundials.Integrator(20)
-    gc.collect()
-    assert resident() - before < 2**20
+    growths = []
+    for _ in range(3):
+        before = resident()
+        for _ in range(10):
+            simulated.run(0, points)
+            simulated.run(0, failing)
+        for _ in range(1000):
+            sundials.Integrator(20)
+        gc.collect()
+        growths.append(resident() - before)
+    # Other threads of the process may take memory in between, but not each time.
+    assert min(growths) < 2**20
 
 
 def test_failures_are_sentences_and_nothing_is_printed(simulator, capfd):

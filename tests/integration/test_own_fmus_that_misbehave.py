@@ -98,12 +98,16 @@ def test_once_per_process(
 def test_leaks(opened: Open, fmi: int, name: str) -> None:
     driven = opened(name, fmi)
     simulated(driven)
-    before = resident_megabytes()
-    for _ in range(20):
-        driven.fmu.reset()
-        simulated(driven)
+    growths = []
+    for _ in range(3):
+        before = resident_megabytes()
+        for _ in range(20):
+            driven.fmu.reset()
+            simulated(driven)
+        growths.append(resident_megabytes() - before)
 
-    assert resident_megabytes() > before + 18.0
+    # What other tests left behind may be freed in between, but not each time.
+    assert max(growths) > 18.0
 
 
 @BOTH
