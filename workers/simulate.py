@@ -13,6 +13,7 @@ from workers.description import Description
 from workers.errors import ModelError
 from workers.fmu import Instance
 from workers.install import Installed, install
+from workers.jacobian import AGREES, compare, named
 from workers.kernels import failure, linearise
 from workers.kernels.co_simulation import co_simulate_batch
 from workers.kernels.component import Component, Workspace, nothing_loaded, workspace
@@ -105,6 +106,7 @@ class Simulator:
         self._prepared: dict[tuple[int, tuple[tuple[Definition, int], ...], int], Prepared] = {}
         name = model.solver.name
         self._batch = CvodeBatch() if name == "cvode" else BATCHES[name]
+        self._asks_for_jacobian = name == "cvode" and _may_give_jacobian(model, description)
         self._workspaces: dict[tuple[int, ...], Workspace] = {}
         self._widest = max((v.size for v in description.variables.values()), default=1)
         self._sensing = Sensing(model, description)
@@ -147,6 +149,7 @@ class Simulator:
         EffectError
             If an effect does not fit the FMU.
         """
+        self._find_jacobian()
         ready = self._installed[experiment]
         count = len(self._model.parameters)
         values, coefficients = points[:, :count], points[:, count:]
@@ -271,6 +274,32 @@ class Simulator:
     def close(self) -> None:
         self._sensing.close()
         self.instance.free()
+
+    @property
+    def gives_jacobian(self) -> bool:
+        """Whether CVODE takes its Jacobian from the FMU, as far as it has simulated anything."""
+        return isinstance(self._batch, CvodeBatch) and len(self._batch.jacobian.states) > 0
+
+    def _find_jacobian(self) -> None:
+        """Let CVODE have the FMU's directional derivatives, if they are right where it starts.
+
+        That is at the FMU's own start values, so that all workers find the same.
+        """
+        if not self._asks_for_jacobian or not isinstance(self._batch, CvodeBatch):
+            return
+        self._asks_for_jacobian = False
+        ready, known = self._installed[0], self._description.variables
+        start = replace(ready, grid=ready.grid._replace(times=ready.grid.times[:1]))
+        values = np.array([[known[name].start or 0.0 for name in self._model.parameters]])
+        if self._run(start, values, no_hooks(1), 0).codes[0] != failure.FINISHED:
+            return
+        jacobian = named(self._description)
+        try:
+            found = compare(self.instance.fmu, self._description.version, jacobian)
+        except ModelError:
+            return
+        if found.error <= AGREES and not found.zero:
+            self._batch.jacobian = jacobian
 
     def _resolved(self, effects: tuple[Effect, ...]) -> Effects:
         from workers.augment import Effects  # SymPy takes half a second to import
@@ -458,6 +487,13 @@ class Simulator:
         if code in failure.OF_STIFFNESS and self._model.solver.name == "dormand_prince":
             sentence += '; if the model is stiff, model.solver = "cvode" goes on in long steps'
         return f"{sentence}; it said: {said}" if said else sentence
+
+
+def _may_give_jacobian(model: Model, description: Description) -> bool:
+    """Whether an FMU offers it, and may be started only to be asked whether it is right."""
+    offered = description.offer(model.interface).provides_directional_derivatives
+    renewed = model.renew == "process"
+    return offered and not renewed and len(named(description).states) > 0
 
 
 def _moving_first(description: Description, experiment: Experiment) -> Experiment:

@@ -21,6 +21,7 @@ import numpy as np
 from numba.core.types import float64, int32, intp
 
 from workers.grid import Grid
+from workers.kernels.callbacks import callbacks, move
 from workers.kernels.calling import address_of, c_function, inlined, kernel
 from workers.kernels.component import Component, References, Starts, Workspace
 from workers.kernels.dormand_prince import dormand_prince_batch
@@ -38,7 +39,6 @@ from workers.kernels.hooks import Hooks, take_point
 from workers.kernels.initialise import Settings
 from workers.kernels.model_exchange import arrive, complete_step, start
 from workers.kernels.moving import record_outputs
-from workers.kernels.right_hand_side import move, right_hand_side
 from workers.kernels.sundials import (
     DUE,
     FIRST_DERIVATIVE_FAILED,
@@ -53,6 +53,7 @@ from workers.kernels.sundials import (
     TOLD,
     TOO_CLOSE,
     Integrator,
+    Jacobian,
     libraries,
 )
 from workers.kernels.values import DISCARD, ERROR
@@ -74,7 +75,8 @@ _interpolate = c_function(int32, intp, float64, int32, intp)
 class CvodeBatch:
     """A batch function that has an integrator for each number of states, made once and reused.
 
-    It must not be called by two threads at a time.
+    It must not be called by two threads at a time. `jacobian` may be set before each call: it is
+    used where no effects act.
 
     Raises
     ------
@@ -85,6 +87,7 @@ class CvodeBatch:
     def __init__(self) -> None:
         libraries()
         self._integrators: dict[int, Integrator] = {}
+        self.jacobian = Jacobian.of()
 
     def __call__(
         self,
@@ -119,7 +122,8 @@ class CvodeBatch:
         while True:
             if count not in self._integrators:
                 self._integrators[count] = Integrator(count)
-            tried = int(_cvode_batch(self._integrators[count].cvode, *simulation, kept))
+            cvode = self._integrators[count].cvode._replace(jacobian=self.jacobian)
+            tried = int(_cvode_batch(cvode, *simulation, kept))
             if tried != ANOTHER:
                 return tried
             del self._integrators[count]
@@ -130,16 +134,17 @@ def _cvode_batch(  # type: ignore[no-untyped-def]
     s, c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at,
     kept,
 ):  # fmt: skip
-    function, data = right_hand_side((s, c, references, hooks, grid, work))
+    function, jacobian, data = callbacks((s, c, references, hooks, grid, work))
     if s.notes[MADE_WITH] == 0:
         s.notes[MADE_WITH] = function
         _init(s.init, (s.memory, function, grid.times[0], s.states))
-        # differences give the Jacobian; CVodeSetJacFn would take one of directional derivatives
         _set_linear_solver(s.set_linear_solver, (s.memory, s.solver, s.matrix))
     if s.notes[MADE_WITH] != function:
         return ANOTHER
     _set_number(s.set_max_step, (s.memory, settings.step))  # 0: no limit
     _set_pointer(s.set_user_data, (s.memory, data))
+    own = len(s.jacobian.states) == len(s.y) and hooks.before == 0 and hooks.inside == 0
+    _set_pointer(s.set_jacobian, (s.memory, jacobian if own else 0))  # 0: by differences
     for p in range(len(points)):
         take_point(hooks, p, work)
         codes[p], stopped_at[p] = _cvode(

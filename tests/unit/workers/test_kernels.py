@@ -21,6 +21,7 @@ from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.hooks import no_hooks
 from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
+from workers.kernels.sundials import Jacobian
 from workers.kernels.values import Access
 from workers.messages import Experiment, FloatArray, Output
 
@@ -46,6 +47,7 @@ SIGNATURES = {
     "enter_continuous_time_mode": (),
     "completed_integrator_step": (c_int32, flags, flags),
     "do_step": (c_double, c_double, c_int32),
+    "get_directional_derivative": (c_void_p, c_size_t, c_void_p, c_size_t, doubles, doubles),
 }
 
 
@@ -103,6 +105,12 @@ class FakeFmu:
 
     def get_derivatives(self, derivatives: doubles, count: int) -> int:
         derivatives[0] = -self.x
+        return OK
+
+    def get_directional_derivative(
+        self, asked: int, n_asked: int, known: int, n_known: int, seed: doubles, found: doubles
+    ) -> int:
+        found[0] = -seed[0]
         return OK
 
     def update_discrete_states(self, info: flags) -> int:
@@ -383,7 +391,7 @@ def test_derivative_out_of_range_ends_adaptive_solvers(
     assert len(fmu.calls) < 100_000
 
 
-def test_cvode_serves_arrays_of_other_types_with_another_right_hand_side() -> None:
+def test_cvode_serves_arrays_of_other_types_with_other_callbacks() -> None:
     """It is compiled for the types that it is given; an integrator knows one only."""
     cvode, fmu = CvodeBatch(), FakeFmu()
     plain = grid()
@@ -393,6 +401,32 @@ def test_cvode_serves_arrays_of_other_types_with_another_right_hand_side() -> No
         code, _, outputs = run(fmu, cvode, on=given)
         assert code == failure.FINISHED
         np.testing.assert_allclose(outputs, np.exp(-TIMES), rtol=1e-6)
+
+
+def with_jacobian() -> CvodeBatch:
+    cvode = CvodeBatch()
+    cvode.jacobian = Jacobian.of([0], [1])
+    return cvode
+
+
+def test_cvode_takes_its_jacobian_from_the_fmu() -> None:
+    fmu, other = FakeFmu(), FakeFmu()
+    code, _, outputs = run(fmu, with_jacobian())
+    assert code == failure.FINISHED
+    np.testing.assert_allclose(outputs, np.exp(-TIMES), rtol=1e-6)
+    assert "get_directional_derivative" in fmu.calls
+    run(other, "cvode")
+    assert "get_directional_derivative" not in other.calls
+    assert fmu.calls.count("get_derivatives") < other.calls.count("get_derivatives")
+
+
+@pytest.mark.parametrize(
+    ("status", "code"), [(DISCARD, failure.STEP_TOO_SMALL), (ERROR, failure.STEP)]
+)
+def test_an_fmu_may_refuse_to_give_its_jacobian(status: int, code: int) -> None:
+    fmu = FakeFmu()
+    fmu.get_directional_derivative = lambda *arguments: status  # type: ignore[method-assign]
+    assert run(fmu, with_jacobian())[0] == code
 
 
 @pytest.mark.parametrize("solver", EXCHANGE)
