@@ -22,6 +22,7 @@ from cluster_est.build import (
     build_settings,
     build_uncertainty,
 )
+from cluster_est.cheaper_slopes import Carried, recorded_slopes
 from cluster_est.config import Config, read_config
 from cluster_est.curves import residual_table, trajectory_table
 from cluster_est.errors import BudgetError, ModelError, ProblemError, RunFolderError
@@ -300,7 +301,9 @@ class _Keeper:
         self.folder: RunFolder | None = None
         self.logged: LoggedOutcomes | None = None
         self.chosen: Chosen | None = None
+        self.carried: Carried | None = None
         self._renew: Chosen | None = None
+        self._carry: Carried | None = None
         self.finished = False
         if not resume:
             check_free(out, overwrite=overwrite)
@@ -310,7 +313,8 @@ class _Keeper:
             found = "holds a finished run"
             if self.logged is not None:
                 found = f"is resumed; {len(self.logged)} simulations stand in its log"
-                self._renew = recorded(read_facts(out))
+                facts = read_facts(out)
+                self._renew, self._carry = recorded(facts), recorded_slopes(facts)
             say(Console(stderr=True), f"cluster-est: {out} {found}")
         self._open: Callable[[], RunFolder] = lambda: open_folder(
             out,
@@ -321,17 +325,30 @@ class _Keeper:
             logged=self.logged,
             base=base,
             chosen=self.chosen,
+            carried=self.carried,
         )
 
     def resources(self, config: Config) -> Resources:
         """Those of the config, behind what an interrupted run has left."""
         found = build_resources(config)
-        return replace(found, log=self.logged, renew=self._renew, chosen=self._choose)
+        return replace(
+            found,
+            log=self.logged,
+            renew=self._renew,
+            carried=self._carry,
+            chosen=self._choose,
+            slopes=self._take,
+        )
 
     def _choose(self, chosen: Chosen) -> None:
         self.chosen = chosen
         if not chosen.plain:
             say(Console(stderr=True), f"cluster-est: {chosen.sentence}")
+
+    def _take(self, carried: Carried) -> None:
+        self.carried = carried
+        if carried.carry:
+            say(Console(stderr=True), f"cluster-est: sensitivities are used: {carried.sentence}")
 
     @property
     def steps(self) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cluster_est.cheaper_slopes import Carried
 from cluster_est.closed_loop import tables
 from cluster_est.closed_loop.result import LoopResult
 from cluster_est.curves import residual_table, trajectory_table
@@ -64,8 +65,8 @@ class RunFolder:
         What the run that is there has simulated, if it is taken up again: its log goes on.
     config_folder
         The folder that the config's paths start from.
-    chosen
-        What every simulation begins with.
+    chosen, carried
+        What every simulation begins with; whether sensitivities are taken from the model.
 
     Raises
     ------
@@ -86,6 +87,7 @@ class RunFolder:
         logged: LoggedOutcomes | None = None,
         config_folder: Path | None = None,
         chosen: Chosen | None = None,
+        carried: Carried | None = None,
     ) -> None:
         check_free(path, overwrite=overwrite or logged is not None)
         self.path = path
@@ -94,7 +96,7 @@ class RunFolder:
         self._config_hash = config_hash
         self._logged = logged
         self._config_folder = config_folder
-        self._chosen = chosen
+        self._chosen, self._carried = chosen, carried
         self._iterations: dict[tuple[str, int, str], dict[str, Any]] = {}
         self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
         self._begin = time.time()
@@ -204,6 +206,7 @@ class RunFolder:
                 "solver": self._problem.model.solver.name,
             },
             "renewal": dataclasses.asdict(self._chosen) if self._chosen is not None else None,
+            "sensitivities": dataclasses.asdict(self._carried) if self._carried else None,
             "experiments": {e.id: e.key for e in self._problem.experiments},
             "versions": versions(),
         }

@@ -20,6 +20,7 @@ LEAST_RTOL = 1e-13
 GOOD, BAD = 1e-5, 1e-2
 """Changes of the outputs, of their size, that need not and must concern somebody."""
 
+
 def accuracy(subject: Subject) -> list[Finding]:
     """The same simulation with a tighter tolerance or a shorter step."""
     if not subject.repeats:
