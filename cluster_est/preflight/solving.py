@@ -11,9 +11,9 @@ from cluster_est.preflight.subject import Subject, unanswered
 from workers.bench import Stopped
 from workers.directional import Directional
 from workers.jacobian import AGREES
+from workers.loop import DEFAULT_RTOL
 from workers.messages import Solver
 from workers.probes import Solves, Stiff
-from workers.simulate import DEFAULT_RTOL
 
 TIGHTER = 100.0
 LEAST_RTOL = 1e-13
