@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cluster_est.executors import Executor
+from cluster_est.executors import WorkerPool
 from cluster_est.methods.base import Method
 from cluster_est.methods.least_squares import LeastSquares
 from cluster_est.methods.sqp import Sqp
@@ -51,7 +51,7 @@ def recorded_slopes(facts: Mapping[str, Any]) -> Carried:
     return Carried(bool(found.get("carry")), str(found.get("sentence") or ""))
 
 
-def cheaper_slopes(executor: Executor, space: Space, method: Method) -> Carried:
+def cheaper_slopes(executor: WorkerPool, space: Space, method: Method) -> Carried:
     """Time both, where there is a choice, and that costs little beside the search.
 
     Parameters
@@ -93,7 +93,7 @@ def _is_open(problem: Problem, method: Method) -> bool:
     return problem.describe().offer("model_exchange").provides_directional_derivatives
 
 
-def _seconds(executor: Executor, space: Space, place: int, want: Want) -> float | None:
+def _seconds(executor: WorkerPool, space: Space, place: int, want: Want) -> float | None:
     """What one simulation takes at the start; None if there is no answer, or not what is wanted."""
     count = len(space.problem.model.parameters)
     values = space.physical(space.start)[place, :count]

@@ -9,7 +9,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from cluster_est.cheaper_slopes import Carried, cheaper_slopes, with_slopes
-from cluster_est.executors import Executor
+from cluster_est.executors import Executor, WorkerPool
 from cluster_est.executors.recall import Recall
 from cluster_est.logged import LoggedOutcomes
 from cluster_est.methods.base import Method
@@ -81,7 +81,9 @@ def open_executor(problem: Problem, resources: Resources) -> Executor:
 
 def suit_method(method: Method, executor: Executor, space: Space, resources: Resources) -> Method:
     """The method, with derivatives from where they are cheaper; nothing was simulated yet."""
-    found = resources.carried or cheaper_slopes(executor, space, method)
+    found = resources.carried or Carried(False)
+    if resources.carried is None and isinstance(executor, WorkerPool):
+        found = cheaper_slopes(executor, space, method)
     if resources.slopes is not None:
         resources.slopes(found)
     return with_slopes(method, found)
