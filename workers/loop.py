@@ -13,6 +13,7 @@ from workers.fmu import Instance
 from workers.install import Installed
 from workers.jacobian import AGREES, compare, named
 from workers.kernels import failure, linearise
+from workers.kernels.asked import Asked
 from workers.kernels.co_simulation import co_simulate_batch
 from workers.kernels.component import Component, Workspace, nothing_loaded, workspace
 from workers.kernels.cvode import CvodeBatch
@@ -22,7 +23,13 @@ from workers.kernels.initialise import Settings
 from workers.kernels.rk4 import rk4_batch
 from workers.messages import FloatArray, IntArray, Linearisation, Model
 
-BATCHES = {"fmu": co_simulate_batch, "rk4": rk4_batch, "dormand_prince": dormand_prince_batch}
+Batch = Callable[[Asked], int]
+"""Simulates many points and returns how many of them: up to the first that failed."""
+BATCHES: dict[str, Batch] = {
+    "fmu": lambda asked: int(co_simulate_batch(*asked)),
+    "rk4": lambda asked: int(rk4_batch(*asked)),
+    "dormand_prince": lambda asked: int(dormand_prince_batch(*asked)),
+}
 
 DEFAULT_RTOL = 1e-8
 """Of Dormand-Prince: on sampled inputs its steps are short anyhow, so accuracy costs little."""
@@ -76,7 +83,7 @@ class Loop:
     def __init__(self, model: Model, description: Description) -> None:
         self._model, self._description = model, description
         name = model.solver.name
-        self.batch = CvodeBatch() if name == "cvode" else BATCHES[name]
+        self.batch: Batch = CvodeBatch() if name == "cvode" else BATCHES[name]
         self._asks_for_jacobian = name == "cvode" and _may_give_jacobian(model, description)
         self._workspaces: dict[tuple[int, ...], Workspace] = {}
         self._widest = max((v.size for v in description.variables.values()), default=1)
@@ -104,7 +111,7 @@ class Loop:
         values: FloatArray,
         hooks: Hooks,
         own_states: int = 0,
-        batch: Callable[..., int] | None = None,
+        batch: Batch | None = None,
     ) -> Record:
         """Simulate an experiment for many points.
 
@@ -232,7 +239,7 @@ class Loop:
 
     def _call(
         self,
-        batch: Callable[..., int],
+        batch: Batch,
         component: Component,
         ready: Installed,
         hooks: Hooks,
@@ -252,7 +259,7 @@ class Loop:
         settings = self.settings(own_states)
         if (fixed := ready.communication) is not None:
             settings = settings._replace(step=fixed.longest, fixed=fixed.step)
-        return batch(
+        asked = Asked(
             component,
             ready.references,
             ready.starts,
@@ -265,6 +272,7 @@ class Loop:
             record.codes[left],
             stopped_at[left],
         )
+        return batch(asked)
 
     def _explain(self, code: int, time: float) -> str:
         said = " | ".join(dict.fromkeys(self.instance.log))

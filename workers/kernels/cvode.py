@@ -20,10 +20,9 @@ from __future__ import annotations
 import numpy as np
 from numba.core.types import float64, int32, intp
 
-from workers.grid import Grid
+from workers.kernels.asked import Asked
 from workers.kernels.callbacks import callbacks, move
 from workers.kernels.calling import address_of, c_function, inlined, kernel
-from workers.kernels.component import Component, References, Starts, Workspace
 from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.events import find_event, handle_event, shortest
 from workers.kernels.failure import (
@@ -35,8 +34,7 @@ from workers.kernels.failure import (
     TOO_MANY_STEPS,
     failed,
 )
-from workers.kernels.hooks import Hooks, take_point
-from workers.kernels.initialise import Settings
+from workers.kernels.hooks import take_point
 from workers.kernels.model_exchange import arrive, complete_step, start
 from workers.kernels.moving import record_outputs
 from workers.kernels.sundials import (
@@ -57,7 +55,7 @@ from workers.kernels.sundials import (
     libraries,
 )
 from workers.kernels.values import DISCARD, ERROR
-from workers.messages import FloatArray, IntArray
+from workers.messages import FloatArray
 
 ANOTHER = -1
 """What the loop returns if the integrator was made with another right-hand side than its own."""
@@ -89,41 +87,25 @@ class CvodeBatch:
         self._integrators: dict[int, Integrator] = {}
         self.jacobian = Jacobian.of()
 
-    def __call__(
-        self,
-        c: Component,
-        references: References,
-        starts: Starts,
-        settings: Settings,
-        hooks: Hooks,
-        grid: Grid,
-        points: FloatArray,
-        work: Workspace,
-        outputs: FloatArray,
-        codes: IntArray,
-        stopped_at: FloatArray,
-        states: FloatArray | None = None,
-    ) -> int:
-        """Simulate one experiment for many points; arguments as in `co_simulate_batch`.
+    def __call__(self, asked: Asked, states: FloatArray | None = None) -> int:
+        """Simulate one experiment for many points; returns how many, as `co_simulate_batch` does.
 
         Parameters
         ----------
+        asked
+            What to simulate.
         states : (n, x), optional
             Filled with the states at each time of the grid, of the last point.
         """
-        count = len(work.states)
+        count = len(asked.work.states)
         kept = np.empty((0, count)) if states is None else states
-        simulation = (
-            c, references, starts, settings, hooks, grid, points, work, outputs, codes,
-            stopped_at,
-        )  # fmt: skip
         if count == 0:  # nothing to integrate, which CVODE refuses
-            return int(dormand_prince_batch(*simulation))
+            return int(dormand_prince_batch(*asked))
         while True:
             if count not in self._integrators:
                 self._integrators[count] = Integrator(count)
             cvode = self._integrators[count].cvode._replace(jacobian=self.jacobian)
-            tried = int(_cvode_batch(cvode, *simulation, kept))
+            tried = int(_cvode_batch(cvode, *asked, kept))
             if tried != ANOTHER:
                 return tried
             del self._integrators[count]

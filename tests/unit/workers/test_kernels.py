@@ -14,15 +14,15 @@ import pytest
 
 from workers.grid import Grid, build_grid
 from workers.kernels import failure
-from workers.kernels.co_simulation import co_simulate_batch
+from workers.kernels.asked import Asked
 from workers.kernels.component import Component, References, Starts, nothing_loaded, workspace
 from workers.kernels.cvode import CvodeBatch
-from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.hooks import no_hooks
 from workers.kernels.initialise import Settings
-from workers.kernels.rk4 import rk4_batch
 from workers.kernels.sundials import Jacobian
 from workers.kernels.values import Access
+from workers.loop import BATCHES as LOOPS
+from workers.loop import Batch
 from workers.messages import Experiment, FloatArray, Output
 
 OK, DISCARD, ERROR, FATAL = 0, 2, 3, 4
@@ -126,12 +126,7 @@ class FakeFmu:
         return OK
 
 
-BATCHES: dict[str, Callable[..., int]] = {
-    "dormand_prince": dormand_prince_batch,
-    "rk4": rk4_batch,
-    "cvode": CvodeBatch(),
-    "fmu": co_simulate_batch,
-}
+BATCHES: dict[str, Batch] = LOOPS | {"cvode": CvodeBatch()}
 EXCHANGE = ["dormand_prince", "rk4", "cvode"]
 
 
@@ -156,7 +151,7 @@ def run(
     none, one = reals(), reals(7)
     outputs, codes, stopped = np.full((1, 5, 1), np.nan), np.zeros(1, np.int64), np.zeros(1)
     atols = np.full(n_states, 1e-8)
-    tried = batch(
+    asked = Asked(
         fmu.component(completes_steps=completes_steps)._replace(n_states=n_states),
         References(none, none, one),
         Starts(none, none, none.reals, np.zeros(0, np.int64)),
@@ -169,7 +164,7 @@ def run(
         codes,
         stopped,
     )
-    assert tried == 1
+    assert batch(asked) == 1
     return int(codes[0]), float(stopped[0]), outputs[0, :, 0]
 
 
