@@ -1,0 +1,249 @@
+"""`cluster-est init` writes a config that `check` accepts, or says what to fill in."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+import pytest
+from problems import FMU, ROOT
+
+import cluster_est as ce
+from cluster_est.cli import main
+from cluster_est.drafting import draft, write
+from cluster_est.drafting.columns import read_columns
+from cluster_est.drafting.units import conversion, same_unit
+
+TIMES = np.arange(50) * 0.02
+FORCE = np.where(TIMES > 0.1, 1.0, 0.0)
+TANK = ROOT / "configs" / "models" / "stirred_tank_reactor.fmu"
+
+
+def table(path: Path, **columns: np.ndarray) -> Path:
+    pa.csv.write_csv(pa.table(columns), path)
+    return path
+
+
+@pytest.fixture
+def written(tmp_path, monkeypatch, capsys):
+    """Runs init in a folder and gives the text, the tree, and what it printed."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*data: Path, fmu: Path = FMU, out: str = "first.toml") -> tuple[str, dict, str]:
+        assert main(["init", str(fmu), *(str(d) for d in data), "--out", out]) == 0
+        text = Path(out).read_text(encoding="utf-8")
+        return text, tomllib.loads(text), capsys.readouterr().out
+
+    return call
+
+
+class TestWhereColumnsMatch:
+    def test_the_config_passes_check_as_it_is(self, written, tmp_path, capsys):
+        files = [table(tmp_path / f"{n}.csv", time=TIMES, F=FORCE, y=FORCE) for n in "abc"]
+        text, tree, said = written(*files)
+        assert "fill in" not in said
+        assert main(["check", "first.toml", "--seconds", "0"]) == 0
+        assert [e["id"] for e in tree["experiments"]] == ["a", "b", "c"]
+        assert [e.get("role", "train") for e in tree["experiments"]] == ["train", "train", "test"]
+        assert tree["experiments"][0]["inputs"] == {"F": "F"}
+        assert tree["parameters"]["k"] == {"start": 25.0, "bounds": [0.0, 250.0]}
+        assert "[N/m] stiffness of the spring" in text
+        assert '# x = { start = 0.0, per = "experiment" }' in text
+        result = ce.fit(ce.read_problem("first.toml", ["parameters.m.fixed=true"]))
+        assert np.isfinite(result.cost)
+
+    @pytest.mark.parametrize(
+        ("force", "position", "time"),
+        [
+            ("f", "Y", "Time [s]"),
+            ("F [N]", "y_", "t"),
+            ("F (N)", " y", "TIME"),
+            ("F / N", "y", "t"),
+        ],
+    )
+    def test_spelling_does_not_matter(self, written, tmp_path, force, position, time):
+        path = tmp_path / "a.parquet"
+        pq.write_table(pa.table({time: TIMES, force: FORCE, position: FORCE}), path)
+        _, tree, said = written(path)
+        assert "fill in" not in said
+        assert main(["check", "first.toml", "--seconds", "0"]) == 0
+        (experiment,) = tree["experiments"]
+        assert experiment["inputs"] == {"F": force.strip()}
+        assert experiment["time"] == time
+
+    def test_paths_start_from_the_config(self, written, tmp_path):
+        (tmp_path / "data").mkdir()
+        path = table(tmp_path / "data" / "a.csv", time=TIMES, F=FORCE, y=FORCE)
+        _, tree, _ = written(path, out="configs/first.toml")
+        assert tree["experiments"][0]["data"] == "../data/a.csv"
+        assert main(["check", "configs/first.toml", "--seconds", "0"]) == 0
+
+    def test_units_that_differ_are_converted(self, written, tmp_path):
+        path = tmp_path / "a.parquet"
+        columns = {
+            "time [ms]": TIMES * 1e3,
+            "F [kN]": FORCE,
+            "y [mm]": FORCE,
+            "v [furlong/h]": FORCE,
+        }
+        pq.write_table(pa.table(columns), path)
+        text, tree, _ = written(path)
+        factors = {name: each["factor"] for name, each in tree["experiments"][0]["columns"].items()}
+        assert factors == {"time [ms]": 1e-3, "F [kN]": 1e3, "y [mm]": 1e-3}
+        assert "v [furlong/h] is in furlong/h but v is in m/s" in text
+        problem = ce.read_problem("first.toml")
+        assert problem.experiments[0].stop == pytest.approx(TIMES[-1])
+        assert problem.experiments[0].inputs[0].values.max() == 1000.0
+
+    def test_a_local_variable_with_a_column_of_its_name_is_compared_too(self, written, tmp_path):
+        _, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, F=FORCE, y=FORCE, v=FORCE))
+        assert tree["experiments"][0]["outputs"] == {"y": "y", "v": "v"}
+
+
+class TestWhereSomethingIsOpen:
+    def test_similar_names_must_be_confirmed(self, written, tmp_path, capsys):
+        path = table(tmp_path / "a.csv", time=TIMES, force=FORCE, position=FORCE)
+        text, _, said = written(path)
+        lines = text.split("\n")
+        for name in ('inputs.F = "FILL IN: force?"', 'outputs.y = "FILL IN: position?"'):
+            number = next(i for i, line in enumerate(lines, 1) if line.startswith(name))
+            assert f"first.toml, line {number}: fill in {name}" in said
+        assert main(["check", "first.toml", "--seconds", "0"]) == 2
+        refused = capsys.readouterr().err
+        assert "has no column 'FILL IN: position?'" in refused
+        Path("first.toml").write_text(text.replace("FILL IN: ", "").replace('?"', '"'))
+        assert main(["check", "first.toml", "--seconds", "0"]) == 0
+
+    def test_a_table_without_a_time_asks_for_the_sample_time(self, written, tmp_path, capsys):
+        path = table(tmp_path / "a.csv", index=np.arange(50.0), F=FORCE, y=FORCE)
+        text, _, said = written(path)
+        assert "fill in sample_time" in said
+        assert '# time = "index"' in text
+        assert main(["check", "first.toml"]) == 2
+        assert "sample_time" in capsys.readouterr().err
+        Path("first.toml").write_text(text.replace('"FILL IN: seconds between rows"', "0.02"))
+        assert main(["check", "first.toml", "--seconds", "0"]) == 0
+
+    def test_an_input_without_any_column_keeps_its_start(self, written, tmp_path):
+        path = table(tmp_path / "a.csv", time=TIMES, y=FORCE, Zzz=FORCE, Www=FORCE)
+        text, tree, _ = written(path)
+        assert "inputs" not in tree["experiments"][0]
+        assert "keeps its start value 0" in text
+        assert "# columns without a variable of the FMU: Zzz, Www" in text
+        assert main(["check", "first.toml", "--seconds", "0"]) == 0
+
+
+def test_names_of_any_kind_are_written_as_toml(written, tmp_path):
+    path = tmp_path / 'a "quoted" \\ name.parquet'
+    odd = {'y"]\\ [m]': FORCE, "Ä\u00a0# ümläut\n[[x]]": FORCE, "time": TIMES, "F": FORCE}
+    pq.write_table(pa.table(odd), path)
+    text, tree, _ = written(path)
+    assert tree["experiments"][0]["data"] == path.name
+    assert tree["experiments"][0]["outputs"] == {"y": 'y"]\\ [m]'}
+    assert [line for line in text.split("\n") if line.startswith("[[x")] == []
+
+
+def test_few_parameters_are_active_and_the_others_say_why():
+    found = draft(TANK, [ROOT / "configs" / "data" / "mass_spring_damper" / "exp1.csv"])
+    active = [c for c in found.parameters if not c.why_not]
+    assert 1 <= len(active) <= 6
+    assert len(found.parameters) > len(active)
+    text = write(found, TANK.parent).toml
+    assert all(f"not estimated: {c.why_not}" in text for c in found.parameters if c.why_not)
+
+
+def test_an_fmu_without_parameters_says_so(own_fmu, tmp_path):
+    path = table(tmp_path / "a.csv", time=TIMES, y=FORCE)
+    found = draft(own_fmu("bouncing_ball", 2), [path])
+    bare = type(found)(found.fmu, found.description, (), found.states, found.runs)
+    text = write(bare, tmp_path).toml
+    assert "declares no real parameter" in text
+    assert tomllib.loads(text)["parameters"] == {}
+
+
+class TestMistakes:
+    @pytest.fixture
+    def refused(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.chdir(tmp_path)
+        table(tmp_path / "a.csv", time=TIMES, F=FORCE, y=FORCE)
+        (tmp_path / "text.csv").write_text("a,b\nx,y\n")
+        (tmp_path / "broken.parquet").write_text("no table")
+        (tmp_path / "there.toml").write_text("")
+        (tmp_path / "no.fmu").write_text("no archive")
+
+        def call(*arguments: str) -> str:
+            assert main(["init", *arguments]) == 2
+            error = capsys.readouterr().err
+            assert error.startswith("cluster-est: ")
+            assert "Traceback" not in error
+            return error
+
+        return call
+
+    @pytest.mark.parametrize(
+        ("arguments", "said"),
+        [
+            (["missing.fmu", "a.csv"], "there is no FMU missing.fmu; check the path"),
+            (["no.fmu", "a.csv"], "no.fmu"),
+            ([str(FMU), "missing.csv"], "there is no file missing.csv; check the path"),
+            ([str(FMU), "broken.parquet"], "must be a parquet file that can be read"),
+            ([str(FMU), "text.csv"], "must have columns of numbers but has none"),
+            ([str(FMU), "a.csv", "./a.csv"], "must be named once but is named 2 times"),
+            ([str(FMU), "a.csv", "--out", "there.toml"], "is there already; choose another"),
+            ([str(FMU), "a.csv", "--out", "."], "must be a file but is a folder"),
+            ([str(FMU), "a.csv", "--out", "a.csv/b.toml"], "cannot be written"),
+        ],
+    )
+    def test_each_is_a_sentence(self, refused, arguments, said):
+        assert said in refused(*arguments)
+
+    def test_overwrite_replaces(self, refused, tmp_path):
+        assert main(["init", str(FMU), "a.csv", "--out", "there.toml", "--overwrite"]) == 0
+        assert (tmp_path / "there.toml").read_text().startswith("# A first config")
+
+
+def test_runs_of_the_same_name_get_different_ids(tmp_path):
+    files = []
+    for folder in ("mon", "tue"):
+        (tmp_path / folder).mkdir()
+        files.append(table(tmp_path / folder / "run.csv", time=TIMES, F=FORCE, y=FORCE))
+    assert [run.id for run in draft(FMU, files).runs] == ["run", "run_2"]
+
+
+def test_a_column_called_t_is_a_temperature_where_there_is_a_time(tmp_path):
+    path = tmp_path / "a.parquet"
+    pq.write_table(pa.table({"time": TIMES, "T": FORCE, "t [degC]": FORCE}), path)
+    found = read_columns(path)
+    assert found.time is not None
+    assert found.time.name == "time"
+    assert [c.name for c in found.signals] == ["T", "t [degC]"]
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted", "number", "expected"),
+    [
+        ("mm", "m", 5.0, 0.005),
+        ("degC", "K", 20.0, 293.15),
+        ("K", "°C", 293.15, 20.0),
+        ("rpm", "rad/s", 60.0, 2.0 * np.pi),
+        ("bar", "Pa", 1.5, 1.5e5),
+        ("l/min", "m3/s", 60.0, 1e-3),
+        ("km/h", "m/s", 36.0, 10.0),
+    ],
+)
+def test_units_are_converted(given, wanted, number, expected):
+    found = conversion(given, wanted)
+    assert found is not None
+    assert found.factor * number + found.offset == pytest.approx(expected)
+
+
+def test_units_that_cannot_be_converted():
+    assert conversion("m", "s") is None
+    assert conversion("furlong", "m") is None
+    assert same_unit("N*m", "N.m")
+    assert same_unit("m/s^2", "m/s2")
+    assert not same_unit("m", "mm")
