@@ -236,9 +236,19 @@ class LoopResult:
         return self.after.fun
 
     @property
+    def jac(self) -> FloatArray | None:
+        """Of the last fit, with the effects; see `Result.jac`."""
+        return self.after.jac
+
+    @property
     def nfev(self) -> int:
         """Points that were asked for."""
         return self.evaluations
+
+    @property
+    def nit(self) -> int:
+        """Iterations of the last fit."""
+        return self.after.nit
 
     @property
     def tables(self) -> tuple[str, ...]:

@@ -28,14 +28,14 @@ def keys_page() -> str:
     """Every key of a config and of a sweep: its type, default and meaning."""
     parts = [
         "# Keys of a config",
-        "Made from the code that reads a config. A key without a default is needed. Paths start "
-        "from the config's folder. `KEY=VALUE` on the command line overrides a key, with dots "
-        "between its parts.",
-        *_section("", Config),
-        "# A whole config with every key",
+        "Made from the code that reads a config. Paths start from the config's folder. `KEY=VALUE` "
+        "on the command line overrides a key, with dots between its parts. Where the default is "
+        "empty, a key that is left out says nothing.",
+        *_section("", Config, "##", "At the top"),
+        "## Every key in one file",
         f"```toml\n{REFERENCE.read_text(encoding='utf-8').strip()}\n```",
-        "# Keys of a sweep",
-        *_section("", SweepSections),
+        "## Keys of a sweep",
+        *_section("", SweepSections, "###", "At the top of a sweep"),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -82,9 +82,9 @@ def python_page() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _section(path: str, section: type[BaseModel]) -> Iterator[str]:
+def _section(path: str, section: type[BaseModel], level: str, title: str = "") -> Iterator[str]:
     """A table of a section's own keys, then the sections inside it."""
-    yield f"## {path}" if path else "## At the top"
+    yield f"{level} {title or path}"
     rows, inside = [], []
     for name, field in section.model_fields.items():
         key = f"{path}.{name}" if path else name
@@ -98,7 +98,7 @@ def _section(path: str, section: type[BaseModel]) -> Iterator[str]:
         rows.append((f"`{name}`", kind, _default(field), field.description or ""))
     yield _table(("key", "type", "default", "meaning"), rows)
     for below, nested in inside:
-        yield from _section(below, nested)
+        yield from _section(below, nested, level)
 
 
 def _nested(annotation: Any) -> tuple[type[BaseModel] | None, bool, bool]:
@@ -135,7 +135,7 @@ def _kind(annotation: Any) -> str:
 
 def _default(field: FieldInfo) -> str:
     if field.is_required():
-        return ""
+        return "needed"
     default = field.get_default(call_default_factory=True)
     if default is None or default is PydanticUndefined or isinstance(default, BaseModel):
         return ""

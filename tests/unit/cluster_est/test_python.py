@@ -80,6 +80,43 @@ class TestResult:
             result.table("residual")
 
 
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """A sensor that reads too much, as a result and as a run folder."""
+    out = tmp_path_factory.mktemp("loop") / "run"
+    changes = [f"experiments.{i}.columns.position.offset=0.1" for i in range(5)]
+    changes += ["closed_loop.effects=['bias']", "closed_loop.max_effects=1"]
+    assert main(["close-loop", str(CONFIG), *changes, "--out", str(out)]) == 0
+    problem = ce.read_problem(CONFIG, changes)
+    settings = ce.LoopSettings(forms=("bias",), max_effects=1)
+    return ce.close_loop(problem, settings=settings), out
+
+
+class TestLoopResult:
+    def test_its_tables_are_those_of_a_run_folder(self, found):
+        result, out = found
+        assert [effect.form for effect in result.effects] == ["bias"]
+        written = {path.stem for path in out.glob("*.parquet")} - {"searches", "workers"}
+        assert set(result.tables) == written
+        for name in result.tables:
+            rows = pq.read_table(out / f"{name}.parquet").to_pylist()
+            assert repr(result.table(name).to_pylist()) == repr(rows), name  # NaN is not NaN
+        assert result.parameters.equals(result.table("parameters"))
+
+    def test_it_has_the_fields_of_scipy(self, found):
+        result, _ = found
+        assert result.success == result.after.success
+        assert result.message == result.summary
+        assert result.cost == pytest.approx(np.dot(result.fun, result.fun))
+        assert result.nfev > result.nit > 0
+        assert result.x == result.after.x
+        assert result.jac.shape == (len(result.fun), len(result.after.solution.x))
+
+    def test_a_notebook_shows_the_verdict(self, found):
+        result, _ = found
+        assert f"Closed loop: {result.verdict}." in result._repr_html_()
+
+
 class TestNotebook:
     def test_what_is_shown_is_escaped(self, truth):
         problem = truth.problem
