@@ -86,7 +86,8 @@ def init(fmu: Path, data: list[Path], out: Path | None, *, overwrite: bool) -> i
         raise ConfigError(
             f"--out: {out} is there already; choose another, or replace it with --overwrite"
         )
-    text = write(draft(fmu, data), out.parent)
+    found = draft(fmu, data)
+    text = write(found, out.parent)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(text.toml, encoding="utf-8", newline="\n")
@@ -95,6 +96,12 @@ def init(fmu: Path, data: list[Path], out: Path | None, *, overwrite: bool) -> i
     console = Console()
     for number, line in text.open:
         say(console, f"{out}, line {number}: fill in {line}")
+    for run in found.runs:
+        for name in run.unfed:
+            say(
+                console,
+                f"{out}: no column of {run.id!r} is like input {name!r}; it stays as it starts",
+            )
     say(console, f"{out} is written; look through it, then: cluster-est check {out}")
     return DONE
 

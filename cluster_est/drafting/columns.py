@@ -98,12 +98,17 @@ def read_columns(path: Path) -> Columns:
 
 
 def _numbers(table: Table) -> tuple[dict[str, FloatArray], list[str]]:
-    """Columns of numbers by name, and the names of the others."""
+    """Columns in which numbers were measured by name, and the names of the others."""
     found, others = {}, list(table.unusable)
     for name in table.columns:
         try:
-            found[name] = table.numbers(name, "init")
+            values = table.numbers(name, "init")
         except DataError:
+            others.append(name)
+            continue
+        if name and np.isfinite(values).any():
+            found[name] = values
+        elif name:
             others.append(name)
     return found, others
 

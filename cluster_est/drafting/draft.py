@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cluster_est.drafting.candidates import Candidate, candidates, initial_states
 from cluster_est.drafting.columns import Columns, read_columns
-from cluster_est.drafting.matching import Match, match
+from cluster_est.drafting.matching import Match, match, same
 from cluster_est.errors import DataError, ModelError
 from workers.description import Description, describe
 from workers.messages import Role
@@ -36,6 +36,11 @@ class Run:
     inputs: tuple[Match, ...]
     outputs: tuple[Match, ...]
     further: tuple[Match, ...]
+
+    @property
+    def unfed(self) -> tuple[str, ...]:
+        """Inputs that no column is like."""
+        return tuple(m.variable.name for m in self.inputs if m.column is None and not m.similar)
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,7 @@ def _run(name: str, columns: Columns, role: Role, description: Description) -> R
     left = [column for column in columns.signals if column not in given]
     own = {v.name for v in (*inputs, *numbers)}
     others = [v for v in description.variables.values() if _computed(v) and v.name not in own]
-    further = [each for each in match(others, left) if each.column is not None]
+    further = [Match(description.variables[n], column) for n, column in same(others, left).items()]
     return Run(
         name,
         columns,

@@ -14,6 +14,9 @@ from workers.variables import Variable
 SIMILAR = 0.6
 """Ratio of `difflib` from which two names look alike."""
 
+_PARTS = re.compile(r"[A-Z]?[a-z0-9]+|[A-Z0-9]+")
+"""Of a column's name: "u" and "Est" of "uEst"."""
+
 
 @dataclass(frozen=True)
 class Match:
@@ -39,9 +42,7 @@ def match(variables: Sequence[Variable], columns: Sequence[Column]) -> list[Matc
 
     No column is given twice.
     """
-    sure = _same([(v, v.name) for v in variables], [(c, c.name) for c in columns])
-    sure |= _same([(v, v.name) for v in variables], [(c, c.plain) for c in columns], sure)
-    sure |= _same([(v, fold(v.name)) for v in variables], [(c, c.folded) for c in columns], sure)
+    sure = same(variables, columns)
     left = [c for c in columns if c not in sure.values()]
     found = []
     for variable in variables:
@@ -51,6 +52,14 @@ def match(variables: Sequence[Variable], columns: Sequence[Column]) -> list[Matc
             left.remove(similar)
         found.append(Match(variable, column, similar))
     return _last_one(found, left)
+
+
+def same(variables: Sequence[Variable], columns: Sequence[Column]) -> dict[str, Column]:
+    """The columns that are certain, by the variable's name."""
+    sure = _same([(v, v.name) for v in variables], [(c, c.name) for c in columns])
+    sure |= _same([(v, v.name) for v in variables], [(c, c.plain) for c in columns], sure)
+    folded = [(v, fold(v.name)) for v in variables]
+    return sure | _same(folded, [(c, c.folded) for c in columns], sure)
 
 
 def _last_one(found: list[Match], left: list[Column]) -> list[Match]:
@@ -84,9 +93,10 @@ def _most_similar(variable: Variable, columns: list[Column]) -> Column | None:
 
 
 def _score(variable: Variable, column: Column) -> float:
-    names = [variable.name, variable.name.split(".")[-1]]
-    ratios = [difflib.SequenceMatcher(None, fold(n), column.folded).ratio() for n in names]
+    names = [fold(variable.name), fold(variable.name.split(".")[-1])]
+    ratios = [difflib.SequenceMatcher(None, name, column.folded).ratio() for name in names]
+    parts = {fold(part) for part in _PARTS.findall(column.plain)}
     described = {fold(word) for word in re.findall(r"\w+", variable.description)}
-    if len(column.folded) > 1 and column.folded in described:
+    if parts & set(names) or (len(column.folded) > 1 and column.folded in described):
         ratios.append(SIMILAR)
     return max(ratios)

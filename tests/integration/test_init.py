@@ -15,8 +15,10 @@ from problems import FMU, ROOT
 import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.drafting import draft, write
-from cluster_est.drafting.columns import read_columns
+from cluster_est.drafting.columns import Column, read_columns
+from cluster_est.drafting.matching import match
 from cluster_est.drafting.units import conversion, same_unit
+from workers.variables import Variable
 
 TIMES = np.arange(50) * 0.02
 FORCE = np.where(TIMES > 0.1, 1.0, 0.0)
@@ -130,11 +132,46 @@ class TestWhereSomethingIsOpen:
 
     def test_an_input_without_any_column_keeps_its_start(self, written, tmp_path):
         path = table(tmp_path / "a.csv", time=TIMES, y=FORCE, Zzz=FORCE, Www=FORCE)
-        text, tree, _ = written(path)
+        text, tree, said = written(path)
+        assert "no column of 'a' is like input 'F'; it stays as it starts" in said
         assert "inputs" not in tree["experiments"][0]
         assert "keeps its start value 0" in text
         assert "# columns without a variable of the FMU: Zzz, Www" in text
         assert main(["check", "first.toml", "--seconds", "0"]) == 0
+
+
+def test_columns_without_a_name_or_a_number_are_left_out(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time,uEst,uVal,empty,words,\n0,1,2,,x,\n1,1,2,,y,\n", encoding="utf-8")
+    found = read_columns(path)
+    assert [c.name for c in found.signals] == ["uEst", "uVal"]
+    assert found.unusable == ("empty", "words")
+
+
+@pytest.mark.parametrize(
+    ("column", "name", "description"),
+    [
+        ("uEst", "u", ""),
+        ("u_measured", "u", ""),
+        ("Motor speed", "drive.speed", ""),
+        ("posiiton", "position", ""),
+        ("voltage", "V1", "the voltage of the pump"),
+    ],
+)
+def test_a_similar_name_is_a_suggestion_and_no_more(column, name, description):
+    variable = Variable(name, 1, "real", "input", True, description=description)
+    (found,) = match([variable], [Column(column, column, ""), Column("other", "other", "")])
+    assert found.column is None
+    assert found.similar is not None
+    assert found.similar.name == column
+
+
+def test_names_that_fold_alike_are_not_told_apart():
+    columns = [Column(name, name, "") for name in ("T_1", "T1")]
+    (found,) = match([Variable("t 1", 1, "real", "input", True)], columns)
+    assert found.column is None
+    (found,) = match([Variable("T1", 1, "real", "input", True)], columns)
+    assert found.column is columns[1]
 
 
 def test_names_of_any_kind_are_written_as_toml(written, tmp_path):
