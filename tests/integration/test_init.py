@@ -18,6 +18,8 @@ from cluster_est.drafting import draft, write
 from cluster_est.drafting.columns import Column, read_columns
 from cluster_est.drafting.matching import match
 from cluster_est.drafting.units import conversion, same_unit
+from cluster_est.space import make_space
+from workers.description import describe
 from workers.variables import Variable
 
 TIMES = np.arange(50) * 0.02
@@ -104,6 +106,32 @@ class TestWhereColumnsMatch:
     def test_a_local_variable_with_a_column_of_its_name_is_compared_too(self, written, tmp_path):
         _, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, F=FORCE, y=FORCE, v=FORCE))
         assert tree["experiments"][0]["outputs"] == {"y": "y", "v": "v"}
+
+
+def accepted(fmu: Path, folder: Path) -> ce.Problem:
+    """The problem of what init writes where all columns are called as in the FMU."""
+    description = describe(fmu.name, fmu.read_bytes())
+    names = [v.name for v in description.inputs() if v.kind in ("real", "integer", "boolean")]
+    names += [n for n in description.outputs if n not in names]
+    columns = {"time": TIMES} | {name: np.ones(len(TIMES)) for name in names}
+    pq.write_table(pa.table(columns), folder / "a.parquet")
+    text = write(draft(fmu, [folder / "a.parquet"]), folder)
+    assert text.open == ()
+    (folder / "first.toml").write_text(text.toml, encoding="utf-8")
+    return ce.read_problem(folder / "first.toml")
+
+
+@pytest.mark.parametrize("fmu", sorted((ROOT / "configs" / "models").glob("*.fmu")), ids=lambda p: p.stem)
+def test_every_example_has_a_config_that_can_be_fitted(fmu, tmp_path):
+    problem = accepted(fmu, tmp_path)
+    assert 1 <= len(problem.parameters) <= 6
+    assert make_space(problem, (0,)).size == len(problem.parameters)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("name", ["fixed_step", "bouncing_ball", "types"])
+def test_fmus_of_other_kinds_too(own_fmu, name, version, tmp_path):
+    accepted(own_fmu(name, version), tmp_path)
 
 
 class TestWhereSomethingIsOpen:
