@@ -17,6 +17,11 @@ from workers.messages import FloatArray
 TIMES = ("time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "times", "timestamp")
 """What a time column may be called, folded."""
 
+LEAST_NOISE = 1e-3
+"""Of a signal's standard deviation."""
+LEAST_SAMPLES = 10
+"""Samples from which on noise can be guessed at all."""
+
 _IN_BRACKETS = re.compile(r"(.*?)[\s_]*[\[(<]([^\[\](){}<>]*)[\])>]\s*")
 _AFTER_SLASH = re.compile(r"(.*\S)\s+(?:/|in)\s+(\S+)\s*")
 
@@ -31,11 +36,14 @@ class Column:
         As it stands in the table.
     plain, unit
         "force" and "N" of "force [N]".
+    noise
+        A first guess of the standard deviation of its noise, in its unit; 0 if there is none.
     """
 
     name: str
     plain: str
     unit: str
+    noise: float = 0.0
 
     @property
     def folded(self) -> str:
@@ -87,7 +95,7 @@ def read_columns(path: Path) -> Columns:
             f"init: {path} must have columns of numbers but has none; check what separates its "
             "columns, and that its first row holds their names"
         )
-    columns = [_column(name) for name in numbers]
+    columns = [_column(name, _noise(values)) for name, values in numbers.items()]
     time = next((c for c in columns if _is_time(c)), None)
     rows = Counter(len(values) for values in numbers.values()).most_common(1)[0][0]
     if time is not None:
@@ -113,11 +121,22 @@ def _numbers(table: Table) -> tuple[dict[str, FloatArray], list[str]]:
     return found, others
 
 
-def _column(name: str) -> Column:
+def _column(name: str, noise: float) -> Column:
     known = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
     if known is None or not known.group(1).strip():
-        return Column(name, name, "")
-    return Column(name, known.group(1).strip(), known.group(2).strip())
+        return Column(name, name, "", noise)
+    return Column(name, known.group(1).strip(), known.group(2).strip(), noise)
+
+
+def _noise(values: FloatArray) -> float:
+    """From second differences, which a smooth signal has hardly any of; their median, so that a
+    few jumps do not count. At least a part of the signal's own spread: sensors are no better.
+    """
+    known = values[np.isfinite(values)]
+    if len(known) < LEAST_SAMPLES:
+        return 0.0
+    spread = float(1.4826 * np.median(np.abs(np.diff(known, 2))) / np.sqrt(6.0))
+    return max(spread, LEAST_NOISE * float(np.std(known)))
 
 
 def _is_time(column: Column) -> bool:

@@ -122,12 +122,11 @@ def _experiment(run: Run, folder: Path) -> Iterator[str]:
         yield from _input(match, columns.signals)
     yield from _outputs(run)
     yield from _conversions(run)
-    names = [m.variable.name for m in run.outputs if m.column is not None]
-    for name in names[:1]:
-        yield f"# {dotted('sigma', name)} = 0.01  # standard deviation of its noise, if known"
+    yield from _sigmas(run)
     if run.role == "test":
         yield 'role = "test"  # held out: reported, never fitted'
-    used = {m.column for m in (*run.inputs, *run.outputs, *run.further)}
+    matches = (*run.inputs, *run.outputs, *run.further)
+    used = {m.column for m in matches} | {m.similar for m in matches}
     idle = [c.name for c in columns.signals if c not in used]
     if idle:
         yield f"# columns without a variable of the FMU: {', '.join(idle)}"
@@ -180,12 +179,36 @@ def _outputs(run: Run) -> Iterator[str]:
         yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
 
 
+def _compared(run: Run) -> list[tuple[Variable, Column]]:
+    """Outputs that are written with a column, those among them that must be confirmed."""
+    known = [(m.variable, m.column) for m in (*run.outputs, *run.further) if m.column is not None]
+    return known or [(m.variable, m.similar) for m in run.outputs if m.similar is not None]
+
+
+def _sigmas(run: Run) -> Iterator[str]:
+    """The noise of each output, as its samples suggest it: what several outputs are weighted by."""
+    compared = _compared(run)
+    guesses = [_in_unit(column.noise, column, variable) for variable, column in compared]
+    several = len(compared) > 1 and all(guesses)
+    if several:
+        yield "# What the outputs are weighted by: a guess of their noise, from the samples alone."
+    for (variable, _), guess in zip(compared, guesses, strict=True):
+        line = f"{dotted('sigma', variable.name)} = {inline(guess or 0.01)}"
+        yield line if several else f"# {line}  # standard deviation of its noise, a guess"
+
+
+def _in_unit(noise: float, column: Column, variable: Variable) -> float:
+    """A column's noise in the unit of its variable, to two digits."""
+    known = conversion(column.unit, variable.unit)
+    return float(f"{noise * (1.0 if known is None else known.factor):.2g}")
+
+
 def _conversions(run: Run) -> Iterator[str]:
     """Lines for columns whose unit is not that of their variable."""
     if run.columns.time is not None and run.columns.time.unit:
         yield from _conversion(run.columns.time, "s", "times are in seconds")
-    for match in (*run.inputs, *run.outputs, *run.further):
-        column, variable = match.column, match.variable
+    fed = [(m.variable, m.column or m.similar) for m in run.inputs]
+    for variable, column in (*fed, *_compared(run)):
         if column is not None and column.unit and variable.unit:
             yield from _conversion(column, variable.unit, f"{variable.name} is in {variable.unit}")
 

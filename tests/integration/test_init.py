@@ -121,7 +121,9 @@ def accepted(fmu: Path, folder: Path) -> ce.Problem:
     return ce.read_problem(folder / "first.toml")
 
 
-@pytest.mark.parametrize("fmu", sorted((ROOT / "configs" / "models").glob("*.fmu")), ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "fmu", sorted((ROOT / "configs" / "models").glob("*.fmu")), ids=lambda p: p.stem
+)
 def test_every_example_has_a_config_that_can_be_fitted(fmu, tmp_path):
     problem = accepted(fmu, tmp_path)
     assert 1 <= len(problem.parameters) <= 6
@@ -133,8 +135,39 @@ def test_every_example_has_a_config_that_can_be_fitted(fmu, tmp_path):
 def test_fmus_of_other_kinds_too(own_fmu, name, version, tmp_path):
     accepted(own_fmu(name, version), tmp_path)
 
+    def test_several_outputs_are_weighted_by_their_noise(self, written, tmp_path):
+        generator = np.random.default_rng(1)
+        times = np.arange(2000) * 0.01
+        path = tmp_path / "a.parquet"
+        y, v = np.sin(times), 50.0 * np.cos(times)
+        columns = {
+            "time": times,
+            "F": y,
+            "y [mm]": y * 1e3 + 5.0 * generator.normal(size=2000),
+            "v": v + 2.0 * generator.normal(size=2000) + 100.0 * (times > 5.0),
+        }
+        pq.write_table(pa.table(columns), path)
+        _, tree, _ = written(path)
+        sigma = tree["experiments"][0]["sigma"]
+        assert sigma == pytest.approx({"y": 0.005, "v": 2.0}, rel=0.1)
+
+    def test_one_output_is_left_without(self, written, tmp_path):
+        text, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, F=FORCE, y=FORCE))
+        assert "sigma" not in tree["experiments"][0]
+        assert "# sigma.y = " in text
+
 
 class TestWhereSomethingIsOpen:
+    def test_what_must_be_confirmed_is_converted_already(self, written, tmp_path):
+        path = tmp_path / "a.parquet"
+        columns = {"time": TIMES, "force [kN]": FORCE, "position [mm]": FORCE}
+        pq.write_table(pa.table(columns), path)
+        text, tree, _ = written(path)
+        factors = {name: each["factor"] for name, each in tree["experiments"][0]["columns"].items()}
+        assert factors == {"force [kN]": 1e3, "position [mm]": 1e-3}
+        Path("first.toml").write_text(text.replace("FILL IN: ", "").replace('?"', '"'))
+        assert ce.read_problem("first.toml").experiments[0].inputs[0].values.max() == 1000.0
+
     def test_similar_names_must_be_confirmed(self, written, tmp_path, capsys):
         path = table(tmp_path / "a.csv", time=TIMES, force=FORCE, position=FORCE)
         text, _, said = written(path)
