@@ -14,7 +14,7 @@ from cluster_est.drafting.units import conversion
 from cluster_est.errors import DataError
 from workers.messages import FloatArray
 
-TIMES = ("time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "times", "timestamp")
+TIMES = ("time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp")
 """What a time column may be called, folded."""
 
 LEAST_NOISE = 1e-3
