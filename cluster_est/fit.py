@@ -14,9 +14,10 @@ from cluster_est.judging import judge
 from cluster_est.methods.base import Method, Solution
 from cluster_est.methods.least_squares import LeastSquares
 from cluster_est.multistart import Multistart, check_starts, search_from_starts
+from cluster_est.output_errors import Simulation, output_errors
 from cluster_est.problem import Problem
 from cluster_est.resources import Resources, one_blas_thread, open_executor, suit_method
-from cluster_est.result import Result, Simulation, output_errors
+from cluster_est.result import Result
 from cluster_est.runner import Note, Record, Runner, SearchRequest, Show
 from cluster_est.space import Space, make_space
 from cluster_est.uncertainty import (
