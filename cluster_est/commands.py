@@ -51,7 +51,7 @@ from cluster_est.replay_printing import print_answer, print_failures, print_ques
 from cluster_est.resources import Resources
 from cluster_est.resuming import check_resumable, is_finished, open_folder
 from cluster_est.run_folder import RunFolder, check_free
-from cluster_est.runner import Iteration, Origin
+from cluster_est.runner import Iteration, Origin, Show, Snapshot
 from cluster_est.space import make_space
 from cluster_est.sweep_printing import print_sweep
 from workers.messages import Outcome
@@ -135,7 +135,7 @@ def fit(
             resources,
             config.method.seed,
             keeper.record,
-            line.show,
+            keeper.shown(line.show),
             keeper.note,
             multistart,
             uncertainty,
@@ -176,7 +176,13 @@ def close_loop(
         with progress as line, keeper, stopped_by(out / STOP):
             seed = config.closed_loop.seed
             result = run_loop(
-                problem, resources, settings, seed, keeper.record, line.show, keeper.note
+                problem,
+                resources,
+                settings,
+                seed,
+                keeper.record,
+                keeper.shown(line.show),
+                keeper.note,
             )
             if keeper.folder is not None:
                 keeper.folder.write_loop(result)
@@ -345,6 +351,16 @@ class _Keeper:
         self._searches.pop(origin.search, None)
         self._searches[origin.search] = None
         self.folder.record(origin, outcome)
+
+    def shown(self, show: Show) -> Show:
+        """Show on this terminal, and to who watches the folder."""
+
+        def both(snapshot: Snapshot) -> None:
+            show(snapshot)
+            if self.folder is not None:
+                self.folder.show(snapshot)
+
+        return both
 
     def note(self, iteration: Iteration) -> None:
         if self.folder is not None:

@@ -155,6 +155,9 @@ class Result:
         For each output of each experiment.
     simulations
         Every experiment at the estimates.
+    before
+        Every experiment at the start values, without residuals; empty where all of them together
+        would take too much memory.
     evaluations, simulated, failures, seconds
         What it took.
     search_seconds
@@ -192,6 +195,7 @@ class Result:
     profiles: tuple[ProfileResult, ...] = field(default=(), repr=False)
     bootstrap: BootstrapResult | None = field(default=None, repr=False)
     interrupted: bool = False
+    before: tuple[Simulation, ...] = field(default=(), repr=False)
 
     @property
     def success(self) -> bool:

@@ -24,10 +24,11 @@ from cluster_est.errors import RunFolderError
 from cluster_est.evaluation_log import EvaluationLog, LogSettings
 from cluster_est.logged import LoggedOutcomes
 from cluster_est.problem import Problem
+from cluster_est.progress_file import PROGRESS, ProgressFile
 from cluster_est.renewal import Chosen
-from cluster_est.result import Result
+from cluster_est.result import Result, Simulation
 from cluster_est.run_identity import FORMAT, versions
-from cluster_est.runner import Iteration, Origin
+from cluster_est.runner import Iteration, Origin, Snapshot
 from cluster_est.uncertainty.rows import (
     bootstrap_rows,
     correlation_rows,
@@ -112,6 +113,7 @@ class RunFolder:
                 first,
             )
             _write_text(path / "config.toml", config_text)
+            self._progress = ProgressFile(path / PROGRESS)
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be written ({error}); choose another") from error
         self._write_status("running", {})
@@ -132,23 +134,29 @@ class RunFolder:
             key = (iteration.search, progress.iteration, progress.ending)
             row = {"search": iteration.search, **dataclasses.asdict(progress)}
             self._iterations[key] = row | {"evaluations": iteration.evaluations}
+            self._progress.iteration(iteration)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Let others see how far it is."""
+        self._progress.show(snapshot)
 
     def write(self, result: Result) -> None:
         """Write all tables at the end of a run."""
-        self._log.close()
+        self._close()
         self._table("parameters", [dataclasses.asdict(e) for e in result.estimates])
         self._table("errors", [dataclasses.asdict(e) for e in result.errors])
-        self._write_fit(result)
+        self._write_fit(result, result.before)
         self._write_status(_status(result), _numbers(result))
 
     def write_loop(self, result: LoopResult) -> None:
         """Write all tables of a closed loop: those of its last fit, and what it found."""
-        self._log.close()
+        self._close()
         self._table("parameters", tables.parameter_rows(result))
         self._table("errors", tables.error_rows(result))
         self._write_table("findings", tables.finding_table(result))
         self._write_table("effects", tables.effect_table(result))
-        self._write_fit(result.after)
+        self._write_table("shapes", tables.shape_table(result))
+        self._write_fit(result.after, result.before.simulations)
         given = any(o.sigma != 1.0 for e in self._problem.experiments for o in e.outputs)
         numbers = _numbers(result.after) | {
             "cost_before": result.before.cost,
@@ -160,8 +168,8 @@ class RunFolder:
         }
         self._write_status("done", numbers | tables.facts(result))
 
-    def _write_fit(self, result: Result) -> None:
-        """Iterations, workers, residuals and trajectories."""
+    def _write_fit(self, result: Result, before: tuple[Simulation, ...]) -> None:
+        """Iterations, workers, residuals and trajectories; `before` is what they are beside."""
         iterations = sorted(self._iterations.values(), key=lambda row: _natural(row["search"]))
         self._table("searches", iterations)
         rows = [{"worker": name, **numbers} for name, numbers in sorted(self._workers.items())]
@@ -170,13 +178,18 @@ class RunFolder:
         for name, found in _tables(result).items():
             if found:
                 self._table(name, [dataclasses.asdict(row) for row in found])
-        self._write_table("residuals", residual_table(result.problem, result.simulations))
-        self._write_table("trajectories", trajectory_table(result.problem, result.simulations))
+        simulated = result.problem, result.simulations, before
+        self._write_table("residuals", residual_table(*simulated))
+        self._write_table("trajectories", trajectory_table(*simulated))
 
     def abandon(self, reason: str, status: str = "failed") -> None:
         """Close the log of a run that ended without a result, and say so."""
-        self._log.close()
+        self._close()
         self._write_status(status, {"message": reason})
+
+    def _close(self) -> None:
+        self._log.close()
+        self._progress.close()
 
     def _table(self, name: str, rows: list[dict[str, Any]]) -> None:
         self._write_table(name, pa.Table.from_pylist(rows) if rows else pa.table({}))
@@ -318,5 +331,6 @@ def _finite(value: Any) -> Any:
 def _remove_run(path: Path) -> None:
     """Remove what a run wrote, and nothing else."""
     shutil.rmtree(path / "evaluations", ignore_errors=True)
-    for file in [*path.glob("*.parquet"), path / "run.json", path / "config.toml"]:
+    texts = [path / name for name in ("run.json", "config.toml", "report.html", PROGRESS)]
+    for file in [*path.glob("*.parquet"), *texts]:
         file.unlink(missing_ok=True)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cluster_est.result import Estimate, Result
 from workers.messages import Effect, Role
+
+if TYPE_CHECKING:  # it needs SymPy, which is slow
+    from cluster_est.closed_loop.drawn import DrawnEffect
 
 
 class Verdict(enum.StrEnum):
@@ -176,6 +180,8 @@ class LoopResult:
         Every site that was open.
     notes
         What a reader should know: closed sites, no held-out experiment, sigma at odds with noise.
+    drawn
+        The shapes of the effects that were added.
     simulations
         In units of one experiment's full length.
     simulated, evaluations, failures, seconds
@@ -198,6 +204,7 @@ class LoopResult:
     evaluations: int
     failures: int
     seconds: float
+    drawn: tuple[DrawnEffect, ...] = field(default=(), repr=False)
 
     def rms(self, role: Role, when: str) -> float:
         """Root mean square of the normalised errors "before" or "after"; NaN without any."""
