@@ -1,0 +1,141 @@
+"""What the log says of the workers: when they were busy, and what failed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from cluster_est.log_tail import LogTail
+from workers.messages import FloatArray, IntArray, Status
+
+KINDS_OF_FAILURE = 200
+"""How many different ones are told apart: messages may hold numbers."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Simulations that failed in the same way; `first` is the row of the log that replay takes."""
+
+    status: str
+    message: str
+    count: int
+    first: int
+    experiments: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Activity:
+    """All simulations of a log.
+
+    Attributes
+    ----------
+    simulations
+        How many.
+    workers
+        Their names.
+    worker : (n,)
+        Which one, for each simulation whose end is known.
+    ended, seconds : (n,)
+        When its answer came, in seconds since 1970, and what it took.
+    failures
+        The most frequent ones first.
+    """
+
+    simulations: int
+    workers: tuple[str, ...]
+    worker: IntArray = field(repr=False)
+    ended: FloatArray = field(repr=False)
+    seconds: FloatArray = field(repr=False)
+    failures: tuple[Failure, ...]
+
+
+class FailureCounts:
+    """Counts failures by what is said of them, batch after batch."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[str, str], tuple[int, int, dict[str, None]]] = {}
+        self.rows = 0
+        self.failed = 0
+
+    def add(self, batch: pa.RecordBatch) -> None:
+        """Count the rows of a batch of the log."""
+        bad = pc.not_equal(batch.column("status"), str(Status.OK)).to_numpy(zero_copy_only=False)
+        for row in np.flatnonzero(bad).tolist():
+            self._note(batch, row)
+        self.rows += batch.num_rows
+        self.failed += int(bad.sum())
+
+    def _note(self, batch: pa.RecordBatch, row: int) -> None:
+        status, message, experiment = (
+            batch.column(name)[row].as_py() or "" for name in ("status", "message", "experiment")
+        )
+        key = status, message
+        if key not in self._found and len(self._found) >= KINDS_OF_FAILURE:
+            key = status, "others"
+        number, first, experiments = self._found.get(key, (0, self.rows + row, {}))
+        self._found[key] = number + 1, first, experiments | {experiment: None}
+
+    @property
+    def failures(self) -> tuple[Failure, ...]:
+        """The most frequent ones first."""
+        rows = [
+            Failure(status, message, number, first, tuple(experiments))
+            for (status, message), (number, first, experiments) in self._found.items()
+        ]
+        return tuple(sorted(rows, key=lambda row: (-row.count, row.first)))
+
+
+def read_activity(folder: Path) -> Activity:
+    """Read the small columns of a log, of one that is still written too."""
+    return gather(LogTail(folder).new())
+
+
+def gather(batches: Iterable[pa.RecordBatch]) -> Activity:
+    """Put together what batches of a log say."""
+    counts = FailureCounts()
+    names: dict[str, int] = {}
+    parts: list[tuple[IntArray, FloatArray, FloatArray]] = []
+    for batch in batches:
+        counts.add(batch)
+        if "ended" in batch.schema.names:
+            workers = [names.setdefault(w, len(names)) for w in batch.column("worker").to_pylist()]
+            ended, seconds = (np.array(batch.column(n).to_numpy()) for n in ("ended", "seconds"))
+            parts.append((np.array(workers, np.int64), ended, seconds))
+    empty = (np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+    worker, ended, seconds = (
+        np.concatenate(each) for each in zip(*(parts or [empty]), strict=True)
+    )
+    return Activity(counts.rows, tuple(names), worker, ended, seconds, counts.failures)
+
+
+def busy_shares(activity: Activity, bins: int) -> tuple[FloatArray, FloatArray]:
+    """The share of each stretch of time for which each worker was busy.
+
+    Returns
+    -------
+    (bins + 1,) seconds since the first simulation began, (workers, bins) shares from 0 to 1
+    """
+    begun = activity.ended - activity.seconds
+    first, last = float(begun.min()), float(activity.ended.max())
+    edges = np.linspace(0.0, max(last - first, 1e-9), bins + 1)
+    shares = np.zeros((len(activity.workers), bins))
+    for number in range(len(activity.workers)):
+        own = activity.worker == number
+        starts = np.sort(begun[own] - first)
+        ends = np.sort(activity.ended[own] - first)
+        # the busy time until t is the sum of max(t - start, 0) less that of max(t - end, 0)
+        busy = _ramps(starts, edges) - _ramps(ends, edges)
+        shares[number] = np.clip(np.diff(busy) / np.diff(edges), 0.0, 1.0)
+    return edges, shares
+
+
+def _ramps(places: FloatArray, edges: FloatArray) -> FloatArray:
+    """The sum of max(t - place, 0) over all places, at each edge t."""
+    sums = np.concatenate([[0.0], np.cumsum(places)])
+    below = np.searchsorted(places, edges, side="right")
+    return np.asarray(below * edges - sums[below])
