@@ -91,7 +91,7 @@ def _draw(
     if over is None:
         return [_none(candidate, "it is no function of one variable alone")]
     symbol, name = over
-    seen = np.concatenate([c.times for c in courses]) if symbol == "t" else pooled(courses, name)
+    seen = _visited(candidate, courses, symbol, name)
     low, high = float(seen.min()), float(seen.max())
     x = np.linspace(low, high, POINTS)
     counts, edges = np.histogram(seen, BINS, (low, high if high > low else low + 1.0))
@@ -125,6 +125,16 @@ def _draw(
             )
         )
     return drawn
+
+
+def _visited(candidate: Candidate, courses: Sequence[Course], symbol: str, name: str) -> FloatArray:
+    """Where the training experiments were; of an output, before effects act on it."""
+    if symbol == "t":
+        return np.concatenate([course.times for course in courses])
+    if symbol == "s" and candidate.site.kind == "output":
+        having = [c for c in courses if name in c.names]
+        return np.concatenate([c.outputs[:, c.names.index(name)] for c in having])
+    return pooled(courses, name)
 
 
 def _variable(candidate: Candidate, text: str) -> tuple[str, str] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,12 +15,15 @@ from cluster_est.log_tail import LogTail
 from workers.messages import FloatArray, IntArray, Status
 
 KINDS_OF_FAILURE = 200
-"""How many different ones are told apart: messages may hold numbers."""
+NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Simulations that failed in the same way; `first` is the row of the log that replay takes."""
+    """Simulations that failed in the same way, but for the numbers in what is said of them.
+
+    `message` is that of the first, and `first` its row in the log, which replay takes.
+    """
 
     status: str
     message: str
@@ -58,7 +62,7 @@ class FailureCounts:
     """Counts failures by what is said of them, batch after batch."""
 
     def __init__(self) -> None:
-        self._found: dict[tuple[str, str], tuple[int, int, dict[str, None]]] = {}
+        self._found: dict[tuple[str, str], tuple[int, int, str, dict[str, None]]] = {}
         self.rows = 0
         self.failed = 0
 
@@ -74,18 +78,18 @@ class FailureCounts:
         status, message, experiment = (
             batch.column(name)[row].as_py() or "" for name in ("status", "message", "experiment")
         )
-        key = status, message
+        key = status, NUMBER.sub("", message)
         if key not in self._found and len(self._found) >= KINDS_OF_FAILURE:
-            key = status, "others"
-        number, first, experiments = self._found.get(key, (0, self.rows + row, {}))
-        self._found[key] = number + 1, first, experiments | {experiment: None}
+            key, message = (status, ""), "others"
+        number, first, said, experiments = self._found.get(key, (0, self.rows + row, message, {}))
+        self._found[key] = number + 1, first, said, experiments | {experiment: None}
 
     @property
     def failures(self) -> tuple[Failure, ...]:
         """The most frequent ones first."""
         rows = [
             Failure(status, message, number, first, tuple(experiments))
-            for (status, message), (number, first, experiments) in self._found.items()
+            for (status, _), (number, first, message, experiments) in self._found.items()
         ]
         return tuple(sorted(rows, key=lambda row: (-row.count, row.first)))
 

@@ -24,6 +24,11 @@ def digits(value: float | None, count: int = 4) -> str:
     return _signed(f"{value:.{max(0, count - 1 - size)}f}")
 
 
+def compact(value: float) -> str:
+    """To three digits, without zeros behind them: for what a person has chosen, like a bound."""
+    return digits(value) if math.isinf(value) else _signed(f"{value:.3g}")
+
+
 def beside(value: float | None, width: float) -> str:
     """A number to two digits of the width of its interval, and four digits at least."""
     if value is None or not math.isfinite(value) or not 0.0 < width < math.inf:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cluster_est.report.blocks import Tone
-from cluster_est.report.folder import Run
+from cluster_est.report.folder import Row, Run
 from cluster_est.report.numbers import count, digits, duration, percent
 
 
@@ -58,7 +59,7 @@ def _opening(run: Run) -> list[str]:
     facts = run.facts
     if run.is_loop:
         effects = facts.get("effects") or []
-        named = ", ".join(f"{e['form']} at {e['site']}" for e in effects)
+        named = ", ".join(_named(effect) for effect in effects)
         added = f"Added to the model: {named}." if effects else "Nothing was added to the model."
         return [_sentence(facts.get("summary") or ""), added]
     if not run.finished:
@@ -69,6 +70,11 @@ def _opening(run: Run) -> list[str]:
     message = facts.get("message") or ""
     ended = f"The search ended: {message}." if message else ""
     return [ended] if ended else []
+
+
+def _named(effect: Row) -> str:
+    of = ", ".join(effect.get("variables") or ())
+    return f"{effect['form']}{' of ' + of if of else ''} at {effect['site']}"
 
 
 def _costs(run: Run) -> list[str]:
@@ -101,7 +107,7 @@ def _errors(run: Run) -> list[str]:
     ]
 
 
-def _pooled(rows: list, when: str) -> float:  # type: ignore[type-arg]
+def _pooled(rows: Sequence[Row], when: str) -> float:
     """Root mean square of the normalised errors over samples."""
     samples = sum(row["samples"] for row in rows)
     if not samples:

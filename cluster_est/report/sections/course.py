@@ -43,6 +43,8 @@ def _convergence(run: Run) -> list[Block]:
     for row in run.tables["searches"]:
         if row["cost"] is not None and math.isfinite(row["cost"]):
             searches.setdefault(row["search"], []).append(row)
+    moving = {name: rows for name, rows in searches.items() if len(rows) > 1}
+    searches = moving or searches  # single points are nothing that converges
     if not searches:
         return []
     best = {name: min(row["cost"] for row in rows) for name, rows in searches.items()}
@@ -51,8 +53,7 @@ def _convergence(run: Run) -> list[Block]:
     order = [name for name in searches if name in names and name != lead] + [lead]
     traces = [
         {
-            "x": [row["evaluations"] for row in searches[name]],
-            "y": short(np.array([row["cost"] for row in searches[name]], float)),
+            **_line(searches[name]),
             "name": plain(name),
             "mode": "lines+markers" if len(searches[name]) < 60 else "lines",
             "marker": {"size": 4},
@@ -70,6 +71,19 @@ def _convergence(run: Run) -> list[Block]:
     }
     shown = "" if len(names) == len(searches) else f", the best {len(names)} of {len(searches)}"
     return [Figure("convergence", f"Cost over evaluations{shown}", traces, layout)]
+
+
+def _line(rows: Sequence[Row]) -> dict[str, Any]:
+    """Evaluations and costs; broken where another search of the same name begins."""
+    x: list[float | None] = []
+    y: list[float | None] = []
+    for row in rows:
+        if x and x[-1] is not None and row["evaluations"] < x[-1]:
+            x.append(None)
+            y.append(None)
+        x.append(row["evaluations"])
+        y.append(float(f"{row['cost']:.7g}"))
+    return {"x": x, "y": y}
 
 
 def _cost_axis(costs: Sequence[float], title: str = "cost") -> dict[str, Any]:

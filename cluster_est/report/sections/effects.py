@@ -96,7 +96,7 @@ def _shape(row: Row, number: int) -> Figure:
     edges = np.array(row["edges"], float)
     middles, width = 0.5 * (edges[1:] + edges[:-1]), float(edges[1] - edges[0])
     bars = {"type": "bar", "x": short(middles), "y": row["counts"], "width": width, "yaxis": "y2"}
-    traces.append({**bars, "marker": {"color": "$faint"}, "name": "samples"})
+    traces.append({**bars, "marker": {"color": "$faint"}, "name": "samples", "showlegend": False})
     over = with_unit(row["variable"], row["variable_unit"])
     layout = {
         "xaxis": axis(over, anchor="y2"),
@@ -107,7 +107,7 @@ def _shape(row: Row, number: int) -> Figure:
     title = f"{row['part']} over {over}, where the training data were"
     if not known:
         title += "; the data do not determine every coefficient, so there is no band"
-    return Figure(f"shape-{row['effect']}-{number}", title, traces, layout, 360)
+    return Figure(f"shape-{row['effect']}-{number}", title, traces, layout, 320)
 
 
 def candidates(run: Run) -> Section:

@@ -20,7 +20,7 @@ from cluster_est.report.blocks import (
 )
 from cluster_est.report.encode import short
 from cluster_est.report.folder import Row, Run
-from cluster_est.report.numbers import beside, digits, interval, percent
+from cluster_est.report.numbers import MINUS, beside, compact, digits, interval, percent
 
 MOST_IN_MAP = 60
 MOST_OPEN = 30
@@ -77,7 +77,7 @@ def _interval(row: Row, when: str = "") -> str:
 def _bounds(row: Row) -> str:
     if not (math.isfinite(row["lower"]) or math.isfinite(row["upper"])):
         return ""
-    return f"{digits(row['lower'], 3)} … {digits(row['upper'], 3)}"
+    return f"{compact(row['lower'])} … {compact(row['upper'])}"
 
 
 def _remark(row: Row) -> Cell:
@@ -153,6 +153,14 @@ def _correlations(run: Run) -> list[Block]:
     return blocks
 
 
+def _two_places(value: float) -> str:
+    return (
+        f"{value + 0.0:.2f}".replace("-0.00", "0.00").replace("-", MINUS)
+        if math.isfinite(value)
+        else ""
+    )
+
+
 def _map(labels: list[str], rows: tuple[Row, ...]) -> Figure:
     place = {label: i for i, label in enumerate(labels)}
     matrix = np.full((len(labels), len(labels)), np.nan)
@@ -174,7 +182,7 @@ def _map(labels: list[str], rows: tuple[Row, ...]) -> Figure:
         "ygap": 1,
         "colorscale": "$diverging",
         "hoverongaps": False,
-        "text": [[f"{v:.2f}" if math.isfinite(v) else "" for v in line] for line in matrix],
+        "text": [[_two_places(v) for v in line] for line in matrix],
         "customdata": [[[a, b] for a in named[:-1]] for b in named[1:]],
         "hovertemplate": "%{customdata[1]}, %{customdata[0]}: %{text}<extra></extra>",
         "colorbar": {"thickness": 10, "outlinewidth": 0, "tickvals": [-1, 0, 1]},

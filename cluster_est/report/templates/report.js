@@ -4,6 +4,9 @@
   const data = JSON.parse(document.getElementById("data").textContent);
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   const printing = window.matchMedia("print");
+  const PAPER = 660; // pixels between the margins of A4 or Letter
+  const NARROW = 520;
+  let onPaper = false;
   const drawn = new Map();
 
   function colours() {
@@ -41,8 +44,9 @@
         title: { font: { size: 12, color: theme["$muted"] }, standoff: 8, ...own[name].title },
       };
     }
+    const size = onPaper ? { width: PAPER, height } : { height };
     return {
-      height, paper_bgcolor: theme["$page"], plot_bgcolor: theme["$page"],
+      ...size, paper_bgcolor: theme["$page"], plot_bgcolor: theme["$page"],
       font: { family: "system-ui, sans-serif", size: 12, color: theme["$text"] },
       margin: { l: 8, r: 8, t: 26, b: 8 }, hovermode: "x unified", dragmode: "zoom",
       hoverlabel: { bgcolor: theme["$page"], bordercolor: theme["$line"] },
@@ -52,11 +56,21 @@
     };
   }
 
-  function plot(place, traces, layout) {
+  function plot(place, given, layout) {
     const theme = colours();
+    const narrow = place.clientWidth < NARROW;
+    const traces = narrow ? given.map(({ texttemplate, ...each }) => each) : given;
     const made = layoutOf(themed(layout, theme), theme, Number(place.dataset.height));
+    if (narrow) tighten(traces, made);
     const options = { displaylogo: false, responsive: true, displayModeBar: false };
     return Plotly.react(place, themed(traces, theme), made, options);
+  }
+
+  // On a phone, there is no room for texts in the cells of a map and below its columns.
+  function tighten(traces, layout) {
+    if (!traces.some((each) => each.type === "heatmap" && each.customdata)) return;
+    layout.xaxis.showticklabels = false;
+    layout.height = Math.max(260, layout.height - 60);
   }
 
   function drawFigure(place) {
@@ -161,9 +175,14 @@
   );
   for (const place of places) watcher.observe(place);
   dark.addEventListener("change", () => drawn.forEach((maker) => maker()));
-  const drawAll = () => places.forEach((place) => draw(place));
-  window.addEventListener("beforeprint", drawAll);
-  printing.addEventListener("change", (event) => event.matches && drawAll());
+  const print = (on) => {
+    onPaper = on;
+    if (on) places.forEach((place) => draw(place));
+    else drawn.forEach((maker) => maker());
+  };
+  window.addEventListener("beforeprint", () => print(true));
+  window.addEventListener("afterprint", () => print(false));
+  printing.addEventListener("change", (event) => print(event.matches));
   if (document.body.dataset.reload) {
     setTimeout(() => location.reload(), 1000 * Number(document.body.dataset.reload));
   }
