@@ -112,6 +112,7 @@ def fit(
     overwrite: bool,
     resume: bool,
     allow_code: bool,
+    with_report: bool = True,
 ) -> int:
     """Estimate, write the run folder, print the tables."""
     config = read_config(path, overrides)
@@ -121,7 +122,14 @@ def fit(
     check_search(problem, method, uncertainty, multistart)
     make_space(problem, problem.indices("test"))
     keeper = _Keeper(
-        out, problem, config, path.parent, "closed_loop", overwrite=overwrite, resume=resume
+        out,
+        problem,
+        config,
+        path.parent,
+        "closed_loop",
+        overwrite=overwrite,
+        resume=resume,
+        with_report=with_report,
     )
     if keeper.finished:
         print_run(Console(), out)
@@ -156,6 +164,7 @@ def close_loop(
     overwrite: bool,
     resume: bool,
     allow_code: bool,
+    with_report: bool = True,
 ) -> int:
     """Find what the model lacks, write the run folder, print what was found."""
     from cluster_est.closed_loop.loop import close_loop as run_loop  # needs SymPy, which is slow
@@ -165,7 +174,14 @@ def close_loop(
     settings = build_settings(config)
     make_space(problem, problem.indices("test"))
     keeper = _Keeper(
-        out, problem, config, path.parent, "method", overwrite=overwrite, resume=resume
+        out,
+        problem,
+        config,
+        path.parent,
+        "method",
+        overwrite=overwrite,
+        resume=resume,
+        with_report=with_report,
     )
     if keeper.finished:
         print_any_run(Console(), out)
@@ -253,6 +269,35 @@ def show(run_folder: Path, *, iterations: bool, search: str | None, failures: bo
     return DONE
 
 
+def report(run_folder: Path, out: Path | None) -> int:
+    """Write the report of a run."""
+    from cluster_est.report import write_report  # not everybody wants to wait for Jinja
+
+    say(Console(), f"report: {write_report(run_folder, out)}")
+    return DONE
+
+
+def _write_report(run_folder: Path) -> None:
+    """The report at the end of a run, which must not spoil what the run has done."""
+    from cluster_est.report import write_report
+
+    try:
+        write_report(run_folder)
+    except Exception as error:
+        said = str(error) or type(error).__name__
+        say(Console(stderr=True), f"cluster-est: the report could not be written: {said}")
+
+
+def watch(run_folder: Path, every: float, *, html: bool) -> int:
+    """Follow a run until it ends."""
+    from cluster_est.report.watch import follow
+    from cluster_est.report.watch_printing import WatchTable
+
+    with WatchTable(Console()) as table:
+        follow(run_folder, every, table.show, html=html)
+    return DONE
+
+
 def sweep(path: Path, out: Path, *, retry_failed: bool, allow_code: bool) -> int:
     """Do what a sweep still lacks, and print a line for each of its runs."""
     from cluster_est.sweep import sweep as run_sweep
@@ -301,7 +346,9 @@ class _Keeper:
         *,
         overwrite: bool,
         resume: bool,
+        with_report: bool = True,
     ) -> None:
+        self._out, self._with_report = out, with_report
         self._searches: dict[str, None] = {}
         self.folder: RunFolder | None = None
         self.logged: LoggedOutcomes | None = None
@@ -381,6 +428,8 @@ class _Keeper:
             status = "interrupted" if stopped else "failed"
             reason = status if stopped else str(error) or type(error).__name__
             self.folder.abandon(f"{reason}; {self.steps}", status)
+        if self.folder is not None and self._with_report:
+            _write_report(self._out)
 
 
 def _table_writer(out: Path):  # type: ignore[no-untyped-def]

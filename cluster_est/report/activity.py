@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -96,25 +95,40 @@ class FailureCounts:
 
 def read_activity(folder: Path) -> Activity:
     """Read the small columns of a log, of one that is still written too."""
-    return gather(LogTail(folder).new())
+    tail = ActivityTail(folder)
+    tail.read()
+    return tail.activity
 
 
-def gather(batches: Iterable[pa.RecordBatch]) -> Activity:
-    """Put together what batches of a log say."""
-    counts = FailureCounts()
-    names: dict[str, int] = {}
-    parts: list[tuple[IntArray, FloatArray, FloatArray]] = []
-    for batch in batches:
-        counts.add(batch)
-        if "ended" in batch.schema.names:
-            workers = [names.setdefault(w, len(names)) for w in batch.column("worker").to_pylist()]
-            ended, seconds = (np.array(batch.column(n).to_numpy()) for n in ("ended", "seconds"))
-            parts.append((np.array(workers, np.int64), ended, seconds))
-    empty = (np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-    worker, ended, seconds = (
-        np.concatenate(each) for each in zip(*(parts or [empty]), strict=True)
-    )
-    return Activity(counts.rows, tuple(names), worker, ended, seconds, counts.failures)
+class ActivityTail:
+    """What a log says, kept up to date while it is written; see `LogTail`."""
+
+    def __init__(self, folder: Path) -> None:
+        self._tail = LogTail(folder)
+        self._names: dict[str, int] = {}
+        self._parts: list[tuple[IntArray, FloatArray, FloatArray]] = []
+        self.counts = FailureCounts()
+
+    def read(self) -> None:
+        """Take in what is new."""
+        names = self._names
+        for batch in self._tail.new():
+            self.counts.add(batch)
+            if "ended" in batch.schema.names:
+                own = [names.setdefault(w, len(names)) for w in batch.column("worker").to_pylist()]
+                ended, seconds = (np.array(batch.column(n)) for n in ("ended", "seconds"))
+                self._parts.append((np.array(own, np.int64), ended, seconds))
+
+    @property
+    def activity(self) -> Activity:
+        """Everything so far."""
+        if len(self._parts) > 1:
+            worker, ended, seconds = (np.concatenate(p) for p in zip(*self._parts, strict=True))
+            self._parts = [(worker, ended, seconds)]
+        nothing = (np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+        worker, ended, seconds = self._parts[0] if self._parts else nothing
+        failures = self.counts.failures
+        return Activity(self.counts.rows, tuple(self._names), worker, ended, seconds, failures)
 
 
 def busy_shares(activity: Activity, bins: int) -> tuple[FloatArray, FloatArray]:

@@ -69,8 +69,8 @@ class Run:
         return "declared model, fitted" if self.is_loop else "start values"
 
 
-def read_run(path: Path) -> Run:
-    """Read a run folder.
+def read_run(path: Path, activity: Activity | None = None) -> Run:
+    """Read a run folder; its log only if `activity` is not known already.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def read_run(path: Path) -> Run:
         tables=tables,
         residuals=_table(path / "residuals.parquet") if curves else None,
         trajectories=_table(path / "trajectories.parquet") if curves else None,
-        activity=read_activity(path / "evaluations"),
+        activity=activity or read_activity(path / "evaluations"),
     )
 
 

@@ -6,7 +6,9 @@ import base64
 import hashlib
 import importlib.resources
 import importlib.util
+import os
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from cluster_est.errors import RunFolderError
+from cluster_est.report.activity import Activity
 from cluster_est.report.blocks import Explorer, Figure, Section
 from cluster_est.report.encode import json_text
 from cluster_est.report.folder import Run, read_run
@@ -32,7 +35,13 @@ SECTIONS = (errors, curves, effects, candidates, parameters, course, workers, pr
 """In the order of the page."""
 
 
-def write_report(run_folder: Path, out: Path | None = None, reload: float | None = None) -> Path:
+def write_report(
+    run_folder: Path,
+    out: Path | None = None,
+    *,
+    reload: float | None = None,
+    activity: Activity | None = None,
+) -> Path:
     """Write the report of a run, in one step.
 
     Parameters
@@ -43,6 +52,8 @@ def write_report(run_folder: Path, out: Path | None = None, reload: float | None
         The file to write; report.html in the folder if None.
     reload
         Seconds after which the page loads itself again, while the run goes on.
+    activity
+        What its log says, where that has been read already.
 
     Returns
     -------
@@ -57,12 +68,14 @@ def write_report(run_folder: Path, out: Path | None = None, reload: float | None
     path = run_folder / REPORT if out is None else out
     if path.is_dir():
         raise RunFolderError(f"{path}: must be a file but is a folder; choose another --out")
-    text = render(read_run(run_folder), reload)
-    partial = path.with_name(f".{path.name}")
+    text = render(read_run(run_folder, activity), reload)
+    partial = path.with_name(f".{path.name}.{os.getpid()}")  # others may write it too
     try:
         partial.write_text(text, encoding="utf-8", newline="\n")
         partial.replace(path)
     except OSError as error:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
         raise RunFolderError(
             f"{path}: must be written but cannot be ({error}); make room, or choose another --out"
         ) from error
