@@ -149,7 +149,7 @@ def _figures(run: Run) -> tuple[Figures, ...]:
             over = facts.get("errors_over") or "sigma"
             before = digits(_pooled(rows, "before"), 3)
             found.append(Figures(label, digits(after, 3), f"before {before}, over {over}"))
-    simulations = facts.get("simulations") or run.activity.simulations
+    simulations = run.activity.simulations or facts.get("simulations")
     if simulations:
         failures = sum(each.count for each in run.activity.failures)
         more = f"{count(failures)} failed" if failures else "none failed"

@@ -27,6 +27,8 @@ from cluster_est.report.numbers import digits
 
 MOST_LINES = 40
 """Searches that are drawn: the best ones."""
+AFTERWARDS = ("derivatives", "profile", "bootstrap")
+"""How the names of searches begin that look around a solution."""
 SMALL_MULTIPLES = 12
 LOG_FROM = 10.0
 """Ratio of the costs beyond which their axis is logarithmic."""
@@ -41,6 +43,8 @@ def course(run: Run) -> Section:
 def _convergence(run: Run) -> list[Block]:
     searches: dict[str, list[Row]] = {}
     for row in run.tables["searches"]:
+        if row["search"].startswith(AFTERWARDS):
+            continue
         if row["cost"] is not None and math.isfinite(row["cost"]):
             searches.setdefault(row["search"], []).append(row)
     moving = {name: rows for name, rows in searches.items() if len(rows) > 1}
@@ -93,6 +97,8 @@ def _cost_axis(costs: Sequence[float], title: str = "cost") -> dict[str, Any]:
         return axis(
             title, type="log", exponentformat="power", dtick=1 if high / low > 100 else "D2"
         )
+    if high - low < 1e-3 * abs(high):  # nothing but rounding would fill the axis
+        return axis(title, range=sorted((0.5 * low, 1.5 * high)))
     return axis(title)
 
 

@@ -189,9 +189,10 @@ def _map(labels: list[str], rows: tuple[Row, ...]) -> Figure:
     }
     if small:
         trace["texttemplate"] = "%{text}"
+    angle = 0 if sum(map(len, labels)) < 90 else -40
     ticks = {"showgrid": False, "zeroline": False, "showline": False, "ticks": ""}
     layout = {
-        "xaxis": {**ticks, "tickvals": trace["x"], "ticktext": named[:-1], "tickangle": -40},
+        "xaxis": {**ticks, "tickvals": trace["x"], "ticktext": named[:-1], "tickangle": angle},
         "yaxis": {**ticks, "tickvals": trace["y"], "ticktext": named[1:], "autorange": "reversed"},
         "hovermode": "closest",
         "dragmode": False,

@@ -100,10 +100,11 @@
   const escaped = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;");
 
   function line(panel, name, x, y, more) {
-    const width = name === "measured" ? 1 : 1.5;
+    const under = name === "measured"; // wide and pale, so that a curve that follows it hides nothing
     return {
       x: numbers(panel[x]), y: numbers(panel[y]), type: "scatter", mode: "lines", name,
-      visible: form[name].checked, line: { color: "$" + name, width }, ...more,
+      visible: form[name].checked, opacity: under ? 0.5 : 1,
+      line: { color: "$" + name, width: under ? 3.5 : 1.4 }, ...more,
     };
   }
 
