@@ -29,7 +29,8 @@ class ProgressFile:
         self._path = path
         self._last: dict[str, str] = {}
         self._shown = 0.0
-        self._file = path.open("w", encoding="utf-8")
+        self._size = 0
+        path.write_bytes(b"")
 
     def iteration(self, iteration: Iteration) -> None:
         """A new line of a search's iteration table."""
@@ -56,18 +57,13 @@ class ProgressFile:
         names = ("evaluations", "simulations", "failures", "busy", "workers", "seconds")
         self._write(_line({"now": snapshot.search} | {n: getattr(snapshot, n) for n in names}))
 
-    def close(self) -> None:
-        with suppress(OSError):
-            self._file.close()
-
     def _write(self, line: str) -> None:
-        with suppress(OSError, ValueError):  # ValueError: closed
-            if self._file.tell() > MOST_BYTES:
-                self._file.seek(0)
-                self._file.truncate()
-                self._file.writelines(self._last.values())
-            self._file.write(line)
-            self._file.flush()
+        text, mode = line, "ab"
+        if self._size > MOST_BYTES:
+            text, mode, self._size = "".join(self._last.values()) + line, "wb", 0
+        with suppress(OSError), self._path.open(mode) as file:
+            file.write(text.encode())
+            self._size += len(text)
 
 
 def _line(row: dict[str, Any]) -> str:

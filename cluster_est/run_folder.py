@@ -142,7 +142,7 @@ class RunFolder:
 
     def write(self, result: Result) -> None:
         """Write all tables at the end of a run."""
-        self._close()
+        self._log.close()
         self._table("parameters", [dataclasses.asdict(e) for e in result.estimates])
         self._table("errors", [dataclasses.asdict(e) for e in result.errors])
         self._write_fit(result, result.before)
@@ -150,7 +150,7 @@ class RunFolder:
 
     def write_loop(self, result: LoopResult) -> None:
         """Write all tables of a closed loop: those of its last fit, and what it found."""
-        self._close()
+        self._log.close()
         self._table("parameters", tables.parameter_rows(result))
         self._table("errors", tables.error_rows(result))
         self._write_table("findings", tables.finding_table(result))
@@ -184,12 +184,8 @@ class RunFolder:
 
     def abandon(self, reason: str, status: str = "failed") -> None:
         """Close the log of a run that ended without a result, and say so."""
-        self._close()
-        self._write_status(status, {"message": reason})
-
-    def _close(self) -> None:
         self._log.close()
-        self._progress.close()
+        self._write_status(status, {"message": reason})
 
     def _table(self, name: str, rows: list[dict[str, Any]]) -> None:
         self._write_table(name, pa.Table.from_pylist(rows) if rows else pa.table({}))
@@ -333,4 +329,5 @@ def _remove_run(path: Path) -> None:
     shutil.rmtree(path / "evaluations", ignore_errors=True)
     texts = [path / name for name in ("run.json", "config.toml", "report.html", PROGRESS)]
     for file in [*path.glob("*.parquet"), *texts]:
-        file.unlink(missing_ok=True)
+        if not file.is_dir():  # a folder of that name is not the run's
+            file.unlink(missing_ok=True)
