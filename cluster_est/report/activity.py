@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,8 @@ from cluster_est.log_tail import LogTail
 from workers.messages import FloatArray, IntArray, Status
 
 KINDS_OF_FAILURE = 200
+BREAK_SECONDS, BREAK_SHARE = 60.0, 0.05
+"""A break is longer than both: this, and this share of the whole."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
@@ -129,6 +131,24 @@ class ActivityTail:
         worker, ended, seconds = self._parts[0] if self._parts else nothing
         failures = self.counts.failures
         return Activity(self.counts.rows, tuple(self._names), worker, ended, seconds, failures)
+
+
+def without_breaks(activity: Activity) -> tuple[Activity, float]:
+    """The same without long breaks of all workers, as there are before a run is taken up again.
+
+    Returns
+    -------
+    Activity, and the seconds that were taken out
+    """
+    begun = activity.ended - activity.seconds
+    order = np.argsort(begun, kind="stable")
+    busy_until = np.maximum.accumulate(activity.ended[order])
+    idle = np.append(0.0, begun[order][1:] - busy_until[:-1])
+    least = max(BREAK_SECONDS, BREAK_SHARE * float(busy_until[-1] - begun.min()))
+    removed = np.cumsum(np.where(idle > least, idle, 0.0))
+    shift = np.empty_like(removed)
+    shift[order] = removed
+    return replace(activity, ended=activity.ended - shift), float(removed[-1])
 
 
 def busy_shares(activity: Activity, bins: int) -> tuple[FloatArray, FloatArray]:

@@ -182,9 +182,8 @@ def test_on_paper_every_plot_is_drawn_and_none_is_wider_than_the_page(browser, r
     seen = opened(browser, write_report(run), viewport={"width": 1440, "height": 900})
     page = seen.page
     page.emulate_media(media="print")
-    page.wait_for_function(
-        "() => [...document.querySelectorAll('.plot')].every((each) => each._fullLayout?.width === 660)"
-    )
+    widths = "[...document.querySelectorAll('.plot')].map((each) => each._fullLayout?.width)"
+    page.wait_for_function(f"() => {widths}.every((width) => width === 660)")
     assert len(page.pdf(format="A4", path=tmp_path / "report.pdf")) > 10_000
     assert seen.said == []
     page.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from workers.messages import FloatArray
 
 MOST_POINTS = 80_000
 """Of all curves together: about 32 bytes each in the page."""
-FEWEST, MOST = 400, 20_000
+FEWEST, MOST = 100, 20_000
 """Points of one output of one experiment."""
 
 
@@ -26,22 +27,18 @@ def curves(run: Run) -> Section:
     table = run.residuals
     if table is None or not table.num_rows:
         return Section("curves", "Curves", ())
-    keys = table.group_by(["experiment", "output"], use_threads=False).aggregate([("role", "min")])
-    pairs = list(zip(*(keys[name].to_pylist() for name in ("experiment", "output")), strict=True))
-    roles = keys["role_min"].to_pylist()
+    measured, simulated = _parts(table), _parts(run.trajectories)
     units = {row["output"]: row["unit"] for row in run.tables["errors"]}
-    most = int(np.clip(MOST_POINTS / max(1, len(pairs)), FEWEST, MOST))
+    most = int(np.clip(MOST_POINTS / max(1, len(measured)), FEWEST, MOST))
     found: dict[str, dict[str, Any]] = {}
     samples, drawn = 0, 0
-    for (experiment, output), role in zip(pairs, roles, strict=True):
-        panel, size, kept = _panel(run, experiment, output, units.get(output, ""), most)
-        if panel is None:
-            continue
+    for (experiment, output), part in measured.items():
+        unit = units.get(output, "")
+        panel, size, kept = _panel(part, simulated.get((experiment, output)), output, unit, most)
+        role = part["role"][0].as_py()
         entry = found.setdefault(experiment, {"id": experiment, "role": role, "outputs": []})
         entry["outputs"].append(panel)
         samples, drawn = samples + size, drawn + kept
-    if not found:
-        return Section("curves", "Curves", ())
     how = (
         "Every sample is drawn."
         if samples == drawn
@@ -53,10 +50,9 @@ def curves(run: Run) -> Section:
 
 
 def _panel(
-    run: Run, experiment: str, output: str, unit: str, most: int
-) -> tuple[dict[str, Any] | None, int, int]:
+    table: pa.Table, finer: pa.Table | None, output: str, unit: str, most: int
+) -> tuple[dict[str, Any], int, int]:
     """One output of one experiment, with how many samples it has and how many are drawn."""
-    table = _rows(run.residuals, experiment, output)
     time, measured, after, before = (
         _column(table, name) for name in ("time", "measured", "simulated", "simulated_before")
     )
@@ -73,16 +69,13 @@ def _panel(
         if np.isfinite(curve).any():
             panel[name] = floats(curve[kept])
             panel[f"{name}_residual"] = floats(measured[kept] - curve[kept])
-    panel |= _finer(run, experiment, output, len(time), most)
+    panel |= _finer(finer, len(time), most)
     return panel, len(time), len(kept)
 
 
-def _finer(run: Run, experiment: str, output: str, samples: int, most: int) -> dict[str, Any]:
+def _finer(table: pa.Table | None, samples: int, most: int) -> dict[str, Any]:
     """The simulated curves between the measured times, where they are known there."""
-    if run.trajectories is None or "output" not in run.trajectories.column_names:
-        return {}
-    table = _rows(run.trajectories, experiment, output)
-    if table.num_rows <= samples:
+    if table is None or table.num_rows <= samples:
         return {}
     time = _column(table, "time")
     found = {
@@ -96,9 +89,22 @@ def _finer(run: Run, experiment: str, output: str, samples: int, most: int) -> d
     return {"t_fine": doubles(time[kept]), **more}
 
 
-def _rows(table: pa.Table, experiment: str, output: str) -> pa.Table:
-    wanted = pc.and_(pc.equal(table["experiment"], experiment), pc.equal(table["output"], output))
-    return table.filter(wanted)
+def _parts(table: pa.Table | None) -> dict[tuple[str, str], pa.Table]:
+    """The rows of each output of each experiment, which stand behind each other in the table."""
+    if table is None or not {"experiment", "output"} <= set(table.column_names):
+        return {}
+    encoded = [
+        table[name].combine_chunks().dictionary_encode() for name in ("experiment", "output")
+    ]
+    codes = np.array([np.asarray(each.indices) for each in encoded])
+    changes = np.flatnonzero((codes[:, 1:] != codes[:, :-1]).any(axis=0)) + 1
+    found: dict[tuple[str, str], pa.Table] = {}
+    for begin, end in pairwise([0, *changes.tolist(), table.num_rows]):
+        key = tuple(str(each[begin].as_py()) for each in encoded)
+        part = table.slice(begin, end - begin)
+        known = found.get((key[0], key[1]))
+        found[key[0], key[1]] = part if known is None else pa.concat_tables([known, part])
+    return found
 
 
 def _column(table: pa.Table, name: str) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.report.activity import busy_shares
+from cluster_est.report.activity import busy_shares, without_breaks
 from cluster_est.report.blocks import (
     Block,
     Cell,
@@ -53,6 +53,7 @@ def _time_line(run: Run) -> list[Block]:
     activity = run.activity
     if not len(activity.ended):
         return []
+    activity, idle = without_breaks(activity)
     edges, shares = busy_shares(activity, BINS)
     middles = 0.5 * (edges[1:] + edges[:-1])
     order = sorted(range(len(activity.workers)), key=lambda i: activity.workers[i])[:MOST_WORKERS]
@@ -78,7 +79,9 @@ def _time_line(run: Run) -> list[Block]:
     }  # fmt: skip
     shown = "" if len(order) == len(activity.workers) else f", {len(order)} of them"
     height = 120 + max(22, min(44, 400 // len(order))) * len(order)
-    return [Figure("time-line", f"When the workers were busy{shown}", [trace], layout, height)]
+    cut = f"; breaks of {duration(idle)} are cut out" if idle else ""
+    title = f"When the workers were busy{shown}{cut}"
+    return [Figure("time-line", title, [trace], layout, height)]
 
 
 def _table(run: Run) -> list[Block]:

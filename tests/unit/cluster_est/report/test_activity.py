@@ -8,7 +8,13 @@ import pytest
 
 from cluster_est.evaluation_log import SCHEMA
 from cluster_est.log_format import slim
-from cluster_est.report.activity import Activity, ActivityTail, busy_shares, read_activity
+from cluster_est.report.activity import (
+    Activity,
+    ActivityTail,
+    busy_shares,
+    read_activity,
+    without_breaks,
+)
 
 
 def batch(rows: list[dict]) -> pa.RecordBatch:
@@ -102,3 +108,12 @@ def test_busy_shares_are_those_of_the_simulations():
     assert edges.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
     assert shares[0] == pytest.approx([1.0, 0.0, 0.0, 1.0, 1.0])
     assert shares[1] == pytest.approx(np.ones(5))
+
+
+def test_long_breaks_are_cut_out_of_the_time_line_and_short_ones_stay():
+    ended = np.array([10.0, 1010.0, 12.0, 1015.0])
+    activity = Activity(4, ("a",), np.zeros(4, int), ended, np.array([1.0, 2.0, 1.0, 1.0]), ())
+    shorter, idle = without_breaks(activity)
+    assert idle == pytest.approx(1008.0 - 12.0)
+    assert shorter.ended == pytest.approx([10.0, 1010.0 - idle, 12.0, 1015.0 - idle])
+    assert without_breaks(shorter)[1] == 0.0
