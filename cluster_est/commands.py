@@ -151,6 +151,7 @@ def fit(
         if keeper.folder is not None:
             keeper.folder.write(result)
     print_run(Console(), out)
+    keeper.name_report()
     if result.interrupted:
         return INTERRUPTED
     return DONE if result.success else NO_SOLUTION
@@ -210,6 +211,7 @@ def close_loop(
         say(Console(stderr=True), f"cluster-est: {what}; {keeper.steps}; the log is in {out}")
         return INTERRUPTED if stopped else NO_SOLUTION
     print_any_run(Console(), out)
+    keeper.name_report()
     return DONE
 
 
@@ -277,15 +279,16 @@ def report(run_folder: Path, out: Path | None) -> int:
     return DONE
 
 
-def _write_report(run_folder: Path) -> None:
-    """The report at the end of a run, which must not spoil what the run has done."""
-    from cluster_est.report import write_report
-
+def _write_report(run_folder: Path) -> Path | None:
+    """Write the report at the end of a run, without spoiling what the run has done."""
     try:
-        write_report(run_folder)
+        from cluster_est.report import write_report
+
+        return write_report(run_folder)
     except Exception as error:
         said = str(error) or type(error).__name__
         say(Console(stderr=True), f"cluster-est: the report could not be written: {said}")
+        return None
 
 
 def watch(run_folder: Path, every: float, *, html: bool) -> int:
@@ -349,6 +352,7 @@ class _Keeper:
         with_report: bool = True,
     ) -> None:
         self._out, self._with_report = out, with_report
+        self.reported: Path | None = None
         self._searches: dict[str, None] = {}
         self.folder: RunFolder | None = None
         self.logged: LoggedOutcomes | None = None
@@ -413,6 +417,11 @@ class _Keeper:
         if self.folder is not None:
             self.folder.note(iteration)
 
+    def name_report(self) -> None:
+        """Print where the report is, if there is one."""
+        if self.reported is not None:
+            say(Console(), f"report: {self.reported}")
+
     def __enter__(self) -> Self:
         return self
 
@@ -429,7 +438,7 @@ class _Keeper:
             reason = status if stopped else str(error) or type(error).__name__
             self.folder.abandon(f"{reason}; {self.steps}", status)
         if self.folder is not None and self._with_report:
-            _write_report(self._out)
+            self.reported = _write_report(self._out)
 
 
 def _table_writer(out: Path):  # type: ignore[no-untyped-def]

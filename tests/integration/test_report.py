@@ -224,9 +224,39 @@ def test_a_fit_writes_its_report_and_ends_as_it_would_without(tmp_path, capsys):
     assert not (tmp_path / "run" / "report.html").exists()
     assert main(run) == 0
     assert (tmp_path / "run" / "report.html").is_file()
-    capsys.readouterr()
+    assert f"report: {tmp_path / 'run' / 'report.html'}" in capsys.readouterr().out
     (tmp_path / "run" / "report.html").unlink()
     (tmp_path / "run" / "report.html").mkdir()
     assert main(run) == 0
     error = capsys.readouterr().err
     assert "the report could not be written" in error
+
+
+def test_many_long_experiments_stay_small_and_keep_their_peaks(run, tmp_path):
+    long = copied(run, tmp_path)
+    times, generator = np.arange(10_000) * 0.01, np.random.default_rng(0)
+    tables, spikes = [], []
+    for number in range(20):
+        measured = np.sin(times) + 0.1 * generator.normal(size=len(times))
+        spikes.append(int(generator.integers(len(times))))
+        measured[spikes[-1]] = 50.0
+        columns = {
+            "experiment": np.full(len(times), f"run{number}"),
+            "role": np.full(len(times), "train"),
+            "output": np.full(len(times), "y"),
+            "time": times,
+            "measured": measured,
+            "simulated": np.sin(times),
+            "simulated_before": np.cos(times),
+            "residual": measured - np.sin(times),
+        }
+        tables.append(pa.table(columns))
+    pq.write_table(pa.concat_tables(tables), long / "residuals.parquet")
+    path = write_report(long)
+    assert path.stat().st_size < 8_000_000
+    experiments = data_of(Page(path))["experiments"]
+    assert len(experiments) == 20
+    for spike, each in zip(spikes, experiments, strict=True):
+        (panel,) = each["outputs"]
+        at = numbers(panel["t"]) == times[spike]
+        assert numbers(panel["measured"])[at] == pytest.approx([50.0])
