@@ -35,7 +35,8 @@ class Run:
     config
         The resolved config as text, "" if it is not there.
     tables
-        The rows of each small table, by its name; a table that is not there has none.
+        The rows of each small table, by its name; a table that is not there has none. "progress"
+        has the lines of all searches in the order in which they came.
     residuals, trajectories
         None if they are not there.
     activity
@@ -81,8 +82,8 @@ def read_run(path: Path, activity: Activity | None = None) -> Run:
     tables = {name: _rows(path, name) for name in SMALL}
     if facts["status"] == "running":  # tables of an earlier run in a folder that is taken up again
         tables = dict.fromkeys(SMALL, ())
-    if not tables["searches"]:
-        tables["searches"] = tuple(vars(line) for line in ProgressTail(path / PROGRESS).new())
+    tables["progress"] = tuple(vars(line) for line in ProgressTail(path / PROGRESS).new())
+    tables["searches"] = tables["searches"] or tables["progress"]
     curves = bool(tables["parameters"])
     try:
         config = (path / "config.toml").read_text(encoding="utf-8", errors="replace")

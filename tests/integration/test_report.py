@@ -260,3 +260,26 @@ def test_many_long_experiments_stay_small_and_keep_their_peaks(run, tmp_path):
         (panel,) = each["outputs"]
         at = numbers(panel["t"]) == times[spike]
         assert numbers(panel["measured"])[at] == pytest.approx([50.0])
+
+
+def test_searches_of_one_name_are_points_in_their_order(closed):
+    figure = data_of(Page(write_report(closed)))["figures"]["convergence"]
+    lines = [json.loads(line) for line in (closed / "progress.jsonl").read_text().splitlines()]
+    lines = [line for line in lines if "search" in line]
+    drawn = {
+        x: y for trace in figure["traces"] for x, y in zip(trace["x"], trace["y"], strict=True)
+    }
+    assert drawn == {
+        number: pytest.approx(line["cost"], rel=1e-6)
+        for number, line in enumerate(lines)
+        if line["cost"] is not None
+    }
+
+
+def test_a_report_goes_where_it_is_told(run, tmp_path, capsys):
+    out = tmp_path / "other.html"
+    assert main(["report", str(run), "--out", str(out)]) == 0
+    assert capsys.readouterr().out == f"report: {out}\n"
+    assert out.is_file()
+    assert main(["report", str(run), "--out", str(tmp_path / "none" / "other.html")]) == 2
+    assert "must be written but cannot be" in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ MOST_LINES = 40
 """Searches that are drawn: the best ones."""
 AFTERWARDS = ("derivatives", "profile", "bootstrap")
 """How the names of searches begin that look around a solution."""
+MOST_POINTS = 3000
 SMALL_MULTIPLES = 12
 LOG_FROM = 10.0
 """Ratio of the costs beyond which their axis is logarithmic."""
@@ -51,13 +53,16 @@ def _convergence(run: Run) -> list[Block]:
     searches = moving or searches  # single points are nothing that converges
     if not searches:
         return []
+    if any(_begins_again(rows) for rows in searches.values()):
+        return _all_searches(run)
     best = {name: min(row["cost"] for row in rows) for name, rows in searches.items()}
     names = sorted(searches, key=lambda name: (best[name], name))[:MOST_LINES]
     lead = next((n for n in ("train", "final", "base", *names) if n in searches), names[0])
     order = [name for name in searches if name in names and name != lead] + [lead]
     traces = [
         {
-            **_line(searches[name]),
+            "x": [row["evaluations"] for row in searches[name]],
+            "y": short(np.array([row["cost"] for row in searches[name]], float)),
             "name": plain(name),
             "mode": "lines+markers" if len(searches[name]) < 60 else "lines",
             "marker": {"size": 4},
@@ -77,17 +82,38 @@ def _convergence(run: Run) -> list[Block]:
     return [Figure("convergence", f"Cost over evaluations{shown}", traces, layout)]
 
 
-def _line(rows: Sequence[Row]) -> dict[str, Any]:
-    """Evaluations and costs; broken where another search of the same name begins."""
-    x: list[float | None] = []
-    y: list[float | None] = []
-    for row in rows:
-        if x and x[-1] is not None and row["evaluations"] < x[-1]:
-            x.append(None)
-            y.append(None)
-        x.append(row["evaluations"])
-        y.append(float(f"{row['cost']:.7g}"))
-    return {"x": x, "y": y}
+def _begins_again(rows: Sequence[Row]) -> bool:
+    """Whether several searches have one name, as in a closed loop, where many run at a time."""
+    return any(later["evaluations"] < row["evaluations"] for row, later in pairwise(rows))
+
+
+def _all_searches(run: Run) -> list[Block]:
+    """The costs of all searches as points, in their order."""
+    rows = [
+        (number, row)
+        for number, row in enumerate(run.tables["progress"])
+        if math.isfinite(row["cost"])
+    ]
+    rows = rows[:: max(1, len(rows) // MOST_POINTS)]
+    traces = [
+        {
+            "x": [number for number, row in rows if row["search"] == name],
+            "y": short(np.array([row["cost"] for _, row in rows if row["search"] == name], float)),
+            "name": plain(name),
+            "mode": "markers",
+            "marker": {"size": 5, "opacity": 0.7},
+        }
+        for name in dict.fromkeys(row["search"] for _, row in rows)
+    ]
+    if not traces:
+        return [Text("The folder does not tell its searches apart, so none is drawn.", "faint")]
+    layout = {
+        "xaxis": axis("iterations of all searches, in their order"),
+        "yaxis": _cost_axis([row["cost"] for _, row in rows]),
+        "hovermode": "closest",
+        "showlegend": len(traces) <= 12,
+    }
+    return [Figure("convergence", "Costs of all searches", traces, layout, 360)]
 
 
 def _cost_axis(costs: Sequence[float], title: str = "cost") -> dict[str, Any]:
