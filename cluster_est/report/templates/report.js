@@ -50,7 +50,7 @@
       font: { family: "system-ui, sans-serif", size: 12, color: theme["$text"] },
       margin: { l: 8, r: 8, t: 26, b: 8 }, hovermode: "x unified", dragmode: "zoom",
       hoverlabel: { bgcolor: theme["$page"], bordercolor: theme["$line"] },
-      colorway: [theme["$before"], "#6a8f3c", "#8e5ea8", "#3b9aa8", "#b8862b", "#a8506b", theme["$muted"]],
+      colorway: [theme["$before"], "#6a8f3c", "#8e5ea8", "#3b9aa8", "#b8862b", "#a8506b", theme["$muted"], theme["$after"], "#7a5c3e", "#4f8f7b"],
       legend: { orientation: "h", x: 0, y: 1.0, yanchor: "bottom", font: { color: theme["$muted"] } },
       ...own, ...axes,
     };
