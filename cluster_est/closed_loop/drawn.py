@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import sympy as sp
@@ -12,11 +12,13 @@ from cluster_est.closed_loop.candidates import Candidate
 from cluster_est.closed_loop.course import Course, pooled
 from cluster_est.closed_loop.workbench import Fitted, Workbench
 from cluster_est.errors import ClusterEstError
-from cluster_est.result import Result
+from cluster_est.result import Estimate, Result
 from workers.effects.expression import parse
 from workers.messages import FloatArray
 
 POINTS, BINS = 201, 48
+Shape = Callable[[FloatArray, FloatArray], FloatArray]
+"""What an effect adds, over its variable and its coefficients."""
 NORMAL95 = 1.959963984540054
 
 
@@ -92,39 +94,55 @@ def _draw(
         return [_none(candidate, "it is no function of one variable alone")]
     symbol, name = over
     seen = _visited(candidate, courses, symbol, name)
-    low, high = float(seen.min()), float(seen.max())
-    x = np.linspace(low, high, POINTS)
-    counts, edges = np.histogram(seen, BINS, (low, high if high > low else low + 1.0))
-    estimates = {e.label: e for e in result.estimates}
-    own = [estimates[f"{candidate.effect.name}.{c.name}"] for c in form.coefficients]
-    values = np.array([e.value for e in own])
-    covariance = _covariance(result, [e.label for e in own])
-    fixed = estimates.get(site.target)
+    seen = seen[np.isfinite(seen)]
+    if not len(seen):
+        return [_none(candidate, f"nothing is known of {name}")]
+    units = {n: v.unit for n, v in bench.description.variables.items()}
+    own = units.get(name.partition(" - ")[0], "")
+    counts, edges = np.histogram(seen, BINS)
+    rows = {e.label: e for e in result.estimates}
+    fixed = rows.get(site.target)
     signal = fixed.value if fixed is not None and site.kind == "parameter" else 1.0
-    drawn = []
-    for text, target in zip(texts, site.targets, strict=False):
-        shape = _function(candidate, text, symbol, signal)
-        y = shape(x, values)
-        spread = NORMAL95 * _spread(shape, x, values, covariance)
-        part = f"der({target})" if site.at_rates else str(site)
-        units = {n: v.unit for n, v in bench.description.variables.items()}
-        unit = units.get(target, "")
-        drawn.append(
-            DrawnEffect(
-                effect=candidate.effect.name,
-                part=part,
-                variable=name,
-                variable_unit="s" if symbol == "t" else units.get(name.partition(" - ")[0], ""),
-                unit=f"{unit}/s" if unit and site.at_rates else unit,
-                x=x,
-                y=y,
-                lower=y - spread,
-                upper=y + spread,
-                edges=edges,
-                counts=counts.astype(np.float64),
-            )
-        )
-    return drawn
+    known = DrawnEffect(
+        effect=candidate.effect.name,
+        part=str(site),
+        variable=name,
+        variable_unit="s" if symbol == "t" else own,
+        x=np.linspace(float(seen.min()), float(seen.max()), POINTS),
+        edges=edges,
+        counts=counts.astype(np.float64),
+    )
+    return [
+        _curve(known, candidate, _function(candidate, text, symbol, signal), target, units, result)
+        for text, target in zip(texts, site.targets, strict=False)
+    ]
+
+
+def _curve(
+    known: DrawnEffect,
+    candidate: Candidate,
+    shape: Shape,
+    target: str,
+    units: Mapping[str, str],
+    result: Result,
+) -> DrawnEffect:
+    """One part of an effect with its band."""
+    rows = {e.label: e for e in result.estimates}
+    own = [rows[f"{known.effect}.{c.name}"] for c in candidate.form.coefficients]
+    values = np.array([e.value for e in own])
+    y = shape(known.x, values)
+    if not np.isfinite(y).any():
+        return _none(candidate, "it is not finite where the data were")
+    spread = NORMAL95 * _spread(shape, known.x, values, _covariance(result, own))
+    unit, at_rates = units.get(target, ""), candidate.site.at_rates
+    return replace(
+        known,
+        part=f"der({target})" if at_rates else known.part,
+        unit=f"{unit}/s" if unit and at_rates else unit,
+        y=y,
+        lower=y - spread,
+        upper=y + spread,
+    )
 
 
 def _visited(candidate: Candidate, courses: Sequence[Course], symbol: str, name: str) -> FloatArray:
@@ -139,13 +157,11 @@ def _visited(candidate: Candidate, courses: Sequence[Course], symbol: str, name:
 
 def _variable(candidate: Candidate, text: str) -> tuple[str, str] | None:
     """The only thing that an equation depends on: its symbol there, and its name."""
-    form, site = candidate.form, candidate.site
-    used = {str(symbol) for symbol in _parsed(candidate, text).free_symbols} & set("tsvw")
-    if site.kind == "parameter":
-        used -= {"s"}
-    elif form.variables:
-        added = _parsed(candidate, text) - (0 if site.at_rates else sp.Symbol("s", real=True))
-        used = {str(symbol) for symbol in sp.expand(added).free_symbols} & set("tsvw")
+    site = candidate.site
+    equation = _parsed(candidate, text)
+    used = _used(equation) - ({"s"} if site.kind == "parameter" else set())
+    if len(used) > 1 and not site.at_rates:  # what is added to the signal may be simpler
+        used = _used(sp.expand(equation - sp.Symbol("s", real=True)))
     if used == {"t"}:
         return "t", "time"
     if used == {"s"}:
@@ -155,15 +171,17 @@ def _variable(candidate: Candidate, text: str) -> tuple[str, str] | None:
     return None
 
 
+def _used(equation: sp.Expr) -> set[str]:
+    return {str(symbol) for symbol in equation.free_symbols} & set("tsvw")
+
+
 def _parsed(candidate: Candidate, text: str) -> sp.Expr:
     names = [*"tsvw", *(c.name for c in candidate.form.coefficients)]
     symbols = {name: sp.Symbol(name, real=True) for name in names}
     return parse(text, symbols, f"form {candidate.form.name}")
 
 
-def _function(
-    candidate: Candidate, text: str, over: str, signal: float
-) -> Callable[[FloatArray, FloatArray], FloatArray]:
+def _function(candidate: Candidate, text: str, over: str, signal: float) -> Shape:
     """What the effect adds, or makes of its signal, over x and the coefficients."""
     equation = _parsed(candidate, text)
     s = sp.Symbol("s", real=True)
@@ -182,14 +200,12 @@ def _function(
     return shape
 
 
-def _covariance(result: Result, labels: Sequence[str]) -> FloatArray:
+def _covariance(result: Result, coefficients: Sequence[Estimate]) -> FloatArray:
     """Of the coefficients; those that are held do not vary."""
-    rows = {e.label: e for e in result.estimates}
+    labels = [e.label for e in coefficients]
     known = result.uncertainty
     shared = () if known is None else known.shared
-    errors = np.array(
-        [0.0 if rows[label].estimated_on == "known" else rows[label].std_error for label in labels]
-    )
+    errors = np.array([0.0 if e.estimated_on == "known" else e.std_error for e in coefficients])
     correlations = np.eye(len(labels))
     for i, one in enumerate(labels):
         for j, other in enumerate(labels[:i]):
@@ -200,7 +216,7 @@ def _covariance(result: Result, labels: Sequence[str]) -> FloatArray:
 
 
 def _spread(
-    shape: Callable[[FloatArray, FloatArray], FloatArray],
+    shape: Shape,
     x: FloatArray,
     values: FloatArray,
     covariance: FloatArray,

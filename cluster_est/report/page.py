@@ -68,7 +68,12 @@ def write_report(
     path = run_folder / REPORT if out is None else out
     if path.is_dir():
         raise RunFolderError(f"{path}: must be a file but is a folder; choose another --out")
-    text = render(read_run(run_folder, activity), reload)
+    _replace(path, render(read_run(run_folder, activity), reload))
+    return path
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file in one step."""
     partial = path.with_name(f".{path.name}.{os.getpid()}")  # others may write it too
     try:
         partial.write_text(text, encoding="utf-8", newline="\n")
@@ -79,7 +84,6 @@ def write_report(
         raise RunFolderError(
             f"{path}: must be written but cannot be ({error}); make room, or choose another --out"
         ) from error
-    return path
 
 
 def render(run: Run, reload: float | None = None) -> str:
