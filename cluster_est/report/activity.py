@@ -117,9 +117,11 @@ class ActivityTail:
         for batch in self._tail.new():
             self.counts.add(batch)
             if "ended" in batch.schema.names:
-                own = [names.setdefault(w, len(names)) for w in batch.column("worker").to_pylist()]
+                coded = batch.column("worker").dictionary_encode()
+                known = [names.setdefault(w, len(names)) for w in coded.dictionary.to_pylist()]
+                own = np.array(known, np.int64)[np.asarray(coded.indices)]
                 ended, seconds = (np.array(batch.column(n)) for n in ("ended", "seconds"))
-                self._parts.append((np.array(own, np.int64), ended, seconds))
+                self._parts.append((own, ended, seconds))
 
     @property
     def activity(self) -> Activity:
