@@ -133,6 +133,7 @@ def fit(
     )
     if keeper.finished:
         print_run(Console(), out)
+        keeper.name_report()
         return DONE
     resources = keeper.resources(config)
     progress = ProgressLine(Console(stderr=True), resources.budget)
@@ -186,6 +187,7 @@ def close_loop(
     )
     if keeper.finished:
         print_any_run(Console(), out)
+        keeper.name_report()
         return DONE
     resources = keeper.resources(config)
     try:
@@ -279,16 +281,15 @@ def report(run_folder: Path, out: Path | None) -> int:
     return DONE
 
 
-def _write_report(run_folder: Path) -> Path | None:
+def _write_report(run_folder: Path) -> None:
     """Write the report at the end of a run, without spoiling what the run has done."""
     try:
         from cluster_est.report import write_report
 
-        return write_report(run_folder)
+        write_report(run_folder)
     except Exception as error:
         said = str(error) or type(error).__name__
         say(Console(stderr=True), f"cluster-est: the report could not be written: {said}")
-        return None
 
 
 def watch(run_folder: Path, every: float, *, html: bool) -> int:
@@ -352,7 +353,6 @@ class _Keeper:
         with_report: bool = True,
     ) -> None:
         self._out, self._with_report = out, with_report
-        self.reported: Path | None = None
         self._searches: dict[str, None] = {}
         self.folder: RunFolder | None = None
         self.logged: LoggedOutcomes | None = None
@@ -419,8 +419,8 @@ class _Keeper:
 
     def name_report(self) -> None:
         """Print where the report is, if there is one."""
-        if self.reported is not None:
-            say(Console(), f"report: {self.reported}")
+        if (self._out / "report.html").is_file():
+            say(Console(), f"report: {self._out / 'report.html'}")
 
     def __enter__(self) -> Self:
         return self
@@ -438,7 +438,7 @@ class _Keeper:
             reason = status if stopped else str(error) or type(error).__name__
             self.folder.abandon(f"{reason}; {self.steps}", status)
         if self.folder is not None and self._with_report:
-            self.reported = _write_report(self._out)
+            _write_report(self._out)
 
 
 def _table_writer(out: Path):  # type: ignore[no-untyped-def]
