@@ -38,7 +38,7 @@ from cluster_est.uncertainty.rows import (
 )
 from workers.messages import Outcome
 
-BEGUN = {"evaluations", "config.toml", ".config.toml", ".run.json"}
+BEGUN = {"evaluations", "config.toml", ".config.toml", PROGRESS, ".run.json"}
 """All that a folder can hold if its process was killed before it wrote run.json."""
 
 
