@@ -1,4 +1,4 @@
-"""The command line: init, check, fit, close-loop, replay, show, simulate, sweep.
+"""The command line: init, check, fit, close-loop, replay, report, show, simulate, sweep, watch.
 
 Exit codes: 0 done; 1 ran, but did not reach a solution; 2 bad input, with a sentence; 130
 interrupted.
@@ -102,6 +102,7 @@ def _parser() -> argparse.ArgumentParser:
             action="store_true",
             help="take up the run in that folder where it was interrupted; begin if there is none",
         )
+        command.add_argument("--no-report", action="store_true", help="write no report.html")
 
     simulate = _command(commands, "simulate", "simulate every experiment at the start values")
     simulate.add_argument(
@@ -120,6 +121,8 @@ def _parser() -> argparse.ArgumentParser:
     show.add_argument("--failures", action="store_true", help="list what failed, for replay")
     show.add_argument("--search", help="of this search, such as 'start 3'; without: of the best")
     show.set_defaults(run=_show)
+    _add_report(commands)
+    _add_watch(commands)
     return parser
 
 
@@ -139,6 +142,27 @@ def _add_init(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     )
     init.add_argument("--overwrite", action="store_true", help="replace that file")
     init.set_defaults(run=_init)
+
+
+def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "write a run's report, one HTML file that needs no network"
+    report = commands.add_parser(
+        "report", help=summary, description=summary[0].upper() + summary[1:]
+    )
+    report.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    report.add_argument("--out", type=Path, help="file to write; without: RUN/report.html")
+    report.set_defaults(run=_report)
+
+
+def _add_watch(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "follow a run from another terminal or machine, by its folder alone"
+    watch = commands.add_parser("watch", help=summary, description=summary[0].upper() + summary[1:])
+    watch.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    watch.add_argument("--html", action="store_true", help="keep RUN/report.html fresh too")
+    watch.add_argument(
+        "--every", metavar="SECONDS", type=_period, default=1.0, help="between two looks (1)"
+    )
+    watch.set_defaults(run=_watch)
 
 
 def _add_sweep(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -202,6 +226,13 @@ def _init(options: argparse.Namespace) -> int:
     return init(options.fmu, options.data, options.out, overwrite=options.overwrite)
 
 
+def _period(text: str) -> float:
+    seconds = float(text)
+    if not 0.1 <= seconds < 1e5:
+        raise argparse.ArgumentTypeError(f"must be a number from 0.1 to 100000 but is {text}")
+    return seconds
+
+
 def _check(options: argparse.Namespace) -> int:
     from cluster_est.commands import check
 
@@ -219,6 +250,7 @@ def _fit(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
         resume=options.resume,
         allow_code=options.allow_code,
+        with_report=not options.no_report,
     )
 
 
@@ -232,6 +264,7 @@ def _close_loop(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
         resume=options.resume,
         allow_code=options.allow_code,
+        with_report=not options.no_report,
     )
 
 
@@ -262,6 +295,18 @@ def _replay(options: argparse.Namespace) -> int:
     from cluster_est.commands import replay
 
     return replay(options.run_folder, options.number, options.config, allow_code=options.allow_code)
+
+
+def _report(options: argparse.Namespace) -> int:
+    from cluster_est.commands import report
+
+    return report(options.run_folder, options.out)
+
+
+def _watch(options: argparse.Namespace) -> int:
+    from cluster_est.commands import watch
+
+    return watch(options.run_folder, options.every, html=options.html)
 
 
 def _show(options: argparse.Namespace) -> int:

@@ -53,7 +53,7 @@ from cluster_est.replay_printing import print_answer, print_failures, print_ques
 from cluster_est.resources import Resources
 from cluster_est.resuming import check_resumable, is_finished, open_folder
 from cluster_est.run_folder import RunFolder, check_free
-from cluster_est.runner import Iteration, Origin
+from cluster_est.runner import Iteration, Origin, Show, Snapshot
 from cluster_est.space import make_space
 from cluster_est.sweep_printing import print_sweep
 from workers.messages import Outcome
@@ -143,6 +143,7 @@ def fit(
     overwrite: bool,
     resume: bool,
     allow_code: bool,
+    with_report: bool = True,
 ) -> int:
     """Estimate, write the run folder, print the tables."""
     config = read_config(path, overrides)
@@ -152,10 +153,18 @@ def fit(
     check_search(problem, method, uncertainty, multistart)
     make_space(problem, problem.indices("test"))
     keeper = _Keeper(
-        out, problem, config, path.parent, "closed_loop", overwrite=overwrite, resume=resume
+        out,
+        problem,
+        config,
+        path.parent,
+        "closed_loop",
+        overwrite=overwrite,
+        resume=resume,
+        with_report=with_report,
     )
     if keeper.finished:
         print_run(Console(), out)
+        keeper.name_report()
         return DONE
     resources = keeper.resources(config)
     progress = ProgressLine(Console(stderr=True), resources.budget)
@@ -166,7 +175,7 @@ def fit(
             resources,
             config.method.seed,
             keeper.record,
-            line.show,
+            keeper.shown(line.show),
             keeper.note,
             multistart,
             uncertainty,
@@ -174,6 +183,7 @@ def fit(
         if keeper.folder is not None:
             keeper.folder.write(result)
     print_run(Console(), out)
+    keeper.name_report()
     if result.interrupted:
         return INTERRUPTED
     return DONE if result.success else NO_SOLUTION
@@ -187,6 +197,7 @@ def close_loop(
     overwrite: bool,
     resume: bool,
     allow_code: bool,
+    with_report: bool = True,
 ) -> int:
     """Find what the model lacks, write the run folder, print what was found."""
     from cluster_est.closed_loop.loop import close_loop as run_loop  # needs SymPy, which is slow
@@ -196,10 +207,18 @@ def close_loop(
     settings = build_settings(config)
     make_space(problem, problem.indices("test"))
     keeper = _Keeper(
-        out, problem, config, path.parent, "method", overwrite=overwrite, resume=resume
+        out,
+        problem,
+        config,
+        path.parent,
+        "method",
+        overwrite=overwrite,
+        resume=resume,
+        with_report=with_report,
     )
     if keeper.finished:
         print_any_run(Console(), out)
+        keeper.name_report()
         return DONE
     resources = keeper.resources(config)
     try:
@@ -207,7 +226,13 @@ def close_loop(
         with progress as line, keeper, stopped_by(out / STOP):
             seed = config.closed_loop.seed
             result = run_loop(
-                problem, resources, settings, seed, keeper.record, line.show, keeper.note
+                problem,
+                resources,
+                settings,
+                seed,
+                keeper.record,
+                keeper.shown(line.show),
+                keeper.note,
             )
             if keeper.folder is not None:
                 keeper.folder.write_loop(result)
@@ -219,6 +244,7 @@ def close_loop(
         say(Console(stderr=True), f"cluster-est: {what}; {keeper.steps}; the log is in {out}")
         return INTERRUPTED if stopped else NO_SOLUTION
     print_any_run(Console(), out)
+    keeper.name_report()
     return DONE
 
 
@@ -278,6 +304,35 @@ def show(run_folder: Path, *, iterations: bool, search: str | None, failures: bo
     return DONE
 
 
+def report(run_folder: Path, out: Path | None) -> int:
+    """Write the report of a run."""
+    from cluster_est.report import write_report  # not everybody wants to wait for Jinja
+
+    say(Console(), f"report: {write_report(run_folder, out)}")
+    return DONE
+
+
+def _write_report(run_folder: Path) -> None:
+    """Write the report at the end of a run, without spoiling what the run has done."""
+    try:
+        from cluster_est.report import write_report
+
+        write_report(run_folder)
+    except Exception as error:
+        said = str(error) or type(error).__name__
+        say(Console(stderr=True), f"cluster-est: the report could not be written: {said}")
+
+
+def watch(run_folder: Path, every: float, *, html: bool) -> int:
+    """Follow a run until it ends."""
+    from cluster_est.report.watch import follow
+    from cluster_est.report.watch_printing import WatchTable
+
+    with WatchTable(Console()) as table:
+        follow(run_folder, every, table.show, html=html)
+    return DONE
+
+
 def sweep(path: Path, out: Path, *, retry_failed: bool, allow_code: bool) -> int:
     """Do what a sweep still lacks, and print a line for each of its runs."""
     from cluster_est.sweep import sweep as run_sweep
@@ -326,7 +381,9 @@ class _Keeper:
         *,
         overwrite: bool,
         resume: bool,
+        with_report: bool = True,
     ) -> None:
+        self._out, self._with_report = out, with_report
         self._searches: dict[str, None] = {}
         self.folder: RunFolder | None = None
         self.logged: LoggedOutcomes | None = None
@@ -393,9 +450,24 @@ class _Keeper:
         self._searches[origin.search] = None
         self.folder.record(origin, outcome)
 
+    def shown(self, show: Show) -> Show:
+        """Show on this terminal, and to who watches the folder."""
+
+        def both(snapshot: Snapshot) -> None:
+            show(snapshot)
+            if self.folder is not None:
+                self.folder.show(snapshot)
+
+        return both
+
     def note(self, iteration: Iteration) -> None:
         if self.folder is not None:
             self.folder.note(iteration)
+
+    def name_report(self) -> None:
+        """Print where the report is, if there is one."""
+        if (self._out / "report.html").is_file():
+            say(Console(), f"report: {self._out / 'report.html'}")
 
     def __enter__(self) -> Self:
         return self
@@ -412,6 +484,8 @@ class _Keeper:
             status = "interrupted" if stopped else "failed"
             reason = status if stopped else str(error) or type(error).__name__
             self.folder.abandon(f"{reason}; {self.steps}", status)
+        if self.folder is not None and self._with_report:
+            _write_report(self._out)
 
 
 def _table_writer(out: Path):  # type: ignore[no-untyped-def]

@@ -88,7 +88,7 @@ class EvaluationLog:
         self._experiments = experiments
         self._schema = SCHEMA.with_metadata(metadata)
         self._settings = settings or LogSettings()
-        self._rows: list[tuple[Origin, Outcome]] = []
+        self._rows: list[tuple[Origin, Outcome, float]] = []
         self._bytes = 0
         self._written = self._synced = 0.0
         self._segment = first_segment
@@ -112,7 +112,7 @@ class EvaluationLog:
         if self._failure is not None:
             raise self._failure
         with self._adding:
-            self._rows.append((origin, outcome))
+            self._rows.append((origin, outcome, time.time()))
             self._bytes += 200 + _size(outcome)
             late = time.monotonic() - self._written > SECONDS_PER_WRITE
             full = len(self._rows) >= ROWS_PER_WRITE or self._bytes >= BYTES_PER_WRITE
@@ -208,8 +208,8 @@ class EvaluationLog:
                 total += path.stat().st_size
                 self._slim.add(path.name)
 
-    def _batch(self, rows: list[tuple[Origin, Outcome]]) -> pa.RecordBatch:
-        origins, outcomes = zip(*rows, strict=True)
+    def _batch(self, rows: list[tuple[Origin, Outcome, float]]) -> pa.RecordBatch:
+        origins, outcomes, ended = zip(*rows, strict=True)
         kept = self._settings.residuals
         paths = [outcome.trajectory if kept else None for outcome in outcomes]
         names = [origin.installed or self._experiments[origin.experiment] for origin in origins]
@@ -228,7 +228,7 @@ class EvaluationLog:
             pa.array([[effect.name for effect in origin.effects] for origin in origins]),
             pa.array([str(outcome.status) for outcome in outcomes]),
             pa.array([outcome.message for outcome in outcomes]),
-            pa.array([logged_cost(each, origin.want) for origin, each in rows], pa.float64()),
+            pa.array([logged_cost(each, origin.want) for origin, each, _ in rows], pa.float64()),
             _lists([outcome.residuals if kept else None for outcome in outcomes]),
             _lists([outcome.constraints if outcome.ok else None for outcome in outcomes]),
             pa.array([outcome.seconds for outcome in outcomes], pa.float64()),
@@ -236,6 +236,7 @@ class EvaluationLog:
             pa.array([path and list(path.variables) for path in paths], pa.list_(pa.string())),
             _lists([path and path.times for path in paths]),
             _lists([path and path.values.ravel() for path in paths]),
+            pa.array(ended, pa.float64()),
         ]
         return pa.RecordBatch.from_arrays(columns, schema=self._schema)
 

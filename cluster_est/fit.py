@@ -32,6 +32,9 @@ from cluster_est.uncertainty import (
     profiles,
 )
 
+BEFORE_BYTES = 2**28
+"""Of all trajectories at the start values together: more are not kept until the end of a fit."""
+
 
 def fit(
     problem: Problem,
@@ -184,7 +187,16 @@ def complete(
         constraints=rows.constraints(train, solution, before, after),
         front=rows.points(train, solution.others),
         uncertainty=uncertainty,
+        before=_kept(before),
     )
+
+
+def _kept(simulations: list[Simulation]) -> tuple[Simulation, ...]:
+    """What is drawn of them later, if that is no burden."""
+    paths = [s.outcome.trajectory for s in simulations]
+    if sum(path.values.nbytes for path in paths if path is not None) > BEFORE_BYTES:
+        return ()
+    return tuple(replace(s, outcome=replace(s.outcome, residuals=None)) for s in simulations)
 
 
 def refine(

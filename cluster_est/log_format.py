@@ -33,9 +33,11 @@ SCHEMA = pa.schema(
         ("variables", pa.list_(pa.string())),
         ("times", pa.list_(pa.float64())),
         ("trajectory", pa.list_(pa.float64())),
+        ("ended", pa.float64()),
     ]
 )
-"""`trajectory` is (times, variables), row after row, where that was wanted."""
+"""`trajectory` is (times, variables), row after row, where that was wanted; `ended` is when its
+answer came, in seconds since 1970, and is missing in logs of versions that did not keep it."""
 LARGE = ("residuals", "variables", "times", "trajectory")
 """Columns that can be left out: a resumed run simulates those rows again."""
 END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
@@ -157,4 +159,7 @@ def read_log(folder: Path) -> pa.Table:
             _, wrong = read_batches(opened, lambda position, batch: batches.append(batch))
         if wrong:
             warnings.warn(f"{path}: its torn end was dropped ({wrong})", stacklevel=2)
-    return pa.Table.from_batches(batches, schema=batches[0].schema if batches else SCHEMA)
+    if not batches:
+        return pa.Table.from_batches([], schema=SCHEMA)
+    tables = [pa.Table.from_batches([batch]) for batch in batches]
+    return pa.concat_tables(tables, promote_options="default")  # segments may be older than others

@@ -49,12 +49,12 @@ class LoggedOutcomes:
         paths = segments(folder)
         self._segments = [pa.memory_map(str(path)) for path in paths]
         self._batches: list[tuple[int, int]] = []  # segment, position
-        self._schema: pa.Schema | None = None
+        self._schemas: dict[int, pa.Schema] = {}
         begins, keys, whole = [0], [np.zeros(0, f"S{KEY_LENGTH + 2}")], [np.zeros(0, bool)]
         for number, mapped in enumerate(self._segments):
 
             def visit(position: int, batch: pa.RecordBatch, number: int = number) -> None:
-                self._schema = self._schema or batch.schema
+                self._schemas.setdefault(number, batch.schema)
                 self._batches.append((number, position))
                 begins.append(begins[-1] + batch.num_rows)
                 keys.append(_keys(batch))
@@ -127,7 +127,7 @@ class LoggedOutcomes:
             mapped = self._segments[segment]
             mapped.seek(position)
             message = pa.ipc.read_message(mapped)
-            self._read = number, pa.ipc.read_record_batch(message, self._schema)
+            self._read = number, pa.ipc.read_record_batch(message, self._schemas[segment])
         return self._read[1]
 
 

@@ -141,6 +141,9 @@ class Result:
         For each output of each experiment.
     simulations
         Every experiment at the estimates.
+    before
+        Every experiment at the start values, without residuals; empty where all of them together
+        would take too much memory.
     evaluations, simulated, failures, seconds
         What it took.
     search_seconds
@@ -178,6 +181,7 @@ class Result:
     profiles: tuple[ProfileResult, ...] = field(default=(), repr=False)
     bootstrap: BootstrapResult | None = field(default=None, repr=False)
     interrupted: bool = False
+    before: tuple[Simulation, ...] = field(default=(), repr=False)
 
     @property
     def success(self) -> bool:
@@ -251,9 +255,9 @@ class Result:
             If this fit has no such table.
         """
         if name == "residuals":
-            return residual_table(self.problem, self.simulations)
+            return residual_table(self.problem, self.simulations, self.before)
         if name == "trajectories":
-            return trajectory_table(self.problem, self.simulations)
+            return trajectory_table(self.problem, self.simulations, self.before)
         rows: dict[str, Sequence[Any]] = {"parameters": self.estimates, "errors": self.errors}
         rows |= self.optional_rows()
         if not rows.get(name):

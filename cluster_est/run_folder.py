@@ -23,13 +23,14 @@ from cluster_est.errors import RunFolderError
 from cluster_est.evaluation_log import EvaluationLog, LogSettings
 from cluster_est.logged import LoggedOutcomes
 from cluster_est.problem import Problem
+from cluster_est.progress_file import PROGRESS, ProgressFile
 from cluster_est.renewal import Chosen
 from cluster_est.result import Result
 from cluster_est.run_identity import FORMAT, versions
-from cluster_est.runner import Iteration, Origin
+from cluster_est.runner import Iteration, Origin, Snapshot
 from workers.messages import Outcome
 
-BEGUN = {"evaluations", "config.toml", ".config.toml", ".run.json"}
+BEGUN = {"evaluations", "config.toml", ".config.toml", PROGRESS, ".run.json"}
 """All that a folder can hold if its process was killed before it wrote run.json."""
 
 
@@ -105,6 +106,7 @@ class RunFolder:
                 first,
             )
             _write_text(path / "config.toml", config_text)
+            self._progress = ProgressFile(path / PROGRESS)
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be written ({error}); choose another") from error
         self._write_status("running", {})
@@ -125,6 +127,11 @@ class RunFolder:
             key = (iteration.search, progress.iteration, progress.ending)
             row = {"search": iteration.search, **dataclasses.asdict(progress)}
             self._iterations[key] = row | {"evaluations": iteration.evaluations}
+            self._progress.iteration(iteration)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Let others see how far it is."""
+        self._progress.show(snapshot)
 
     def write(self, result: Result) -> None:
         """Write all tables at the end of a run."""
@@ -137,9 +144,9 @@ class RunFolder:
     def write_loop(self, result: LoopResult) -> None:
         """Write all tables of a closed loop: those of its last fit, and what it found."""
         self._log.close()
-        for name in ("parameters", "errors", "findings", "effects"):
+        for name in ("parameters", "errors", "findings", "effects", "shapes"):
             self._write_table(name, result.table(name))
-        self._write_fit(result.after)
+        self._write_fit(result.final)
         given = any(o.sigma != 1.0 for e in self._problem.experiments for o in e.outputs)
         numbers = _numbers(result.after) | {
             "cost_before": result.before.cost,
@@ -294,5 +301,7 @@ def _finite(value: Any) -> Any:
 def _remove_run(path: Path) -> None:
     """Remove what a run wrote, and nothing else."""
     shutil.rmtree(path / "evaluations", ignore_errors=True)
-    for file in [*path.glob("*.parquet"), path / "run.json", path / "config.toml"]:
-        file.unlink(missing_ok=True)
+    texts = [path / name for name in ("run.json", "config.toml", "report.html", PROGRESS)]
+    for file in [*path.glob("*.parquet"), *texts]:
+        if not file.is_dir():  # a folder of that name is not the run's
+            file.unlink(missing_ok=True)

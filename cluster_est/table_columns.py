@@ -41,6 +41,12 @@ _TIME = Column("time", NUMBER, "s", "simulated time; nothing for a point of a cu
 _LABEL = Column("label", TEXT, "", '"k", or "x0[exp5]" where it has a value of its own there')
 _COST = Column("cost", NUMBER, "", "its cost; for the sum of squares, in sigmas squared")
 _ENDING = Column("ending", TEXT, "", 'how its search ended, such as "converged"')
+_BEFORE = Column(
+    "simulated_before",
+    NUMBER,
+    OF_OUTPUT,
+    "at the start values; in a closed loop by the declared model fitted; null where that is too much",
+)
 
 PARAMETERS = TableMeaning(
     "parameters",
@@ -105,6 +111,7 @@ TABLES = (
             Column("measured", NUMBER, OF_OUTPUT, "as in the data"),
             Column("simulated", NUMBER, OF_OUTPUT, "at the estimates"),
             Column("residual", NUMBER, "", "(measured - simulated) / sigma"),
+            _BEFORE,
         ),
     ),
     TableMeaning(
@@ -116,6 +123,7 @@ TABLES = (
             _OUTPUT,
             Column("time", NUMBER, "s", "simulated time"),
             Column("simulated", NUMBER, OF_OUTPUT, "at the estimates"),
+            _BEFORE,
         ),
     ),
     TableMeaning(
@@ -304,6 +312,25 @@ TABLES = (
         ),
     ),
     TableMeaning(
+        "shapes",
+        "effect that was added, and place where it acts",
+        IN_LOOPS,
+        (
+            Column("effect", TEXT, "", "its name"),
+            Column("part", TEXT, "", 'where it acts, such as "der(v)"'),
+            Column("variable", TEXT, "", "what it is a function of"),
+            Column("variable_unit", TEXT, "", "unit of that"),
+            Column("unit", TEXT, "", "unit of what it adds"),
+            Column("x", NUMBERS, "the variable's", "points over the range that the data visited"),
+            Column("y", NUMBERS, "", "what it adds there, in `unit`"),
+            Column("lower", NUMBERS, "", "lower end of its 95 % band, in `unit`"),
+            Column("upper", NUMBERS, "", "its upper end"),
+            Column("edges", NUMBERS, "the variable's", "of the histogram of the training data"),
+            Column("counts", NUMBERS, "", "samples between two edges"),
+            Column("why_not", TEXT, "", "why it has no shape; the lists are empty then"),
+        ),
+    ),
+    TableMeaning(
         "evaluations",
         "simulation, in the files evaluations/*.arrows",
         ALWAYS,
@@ -323,6 +350,7 @@ TABLES = (
             Column("constraints", NUMBERS, "", "of signals, over their scales"),
             Column("seconds", NUMBER, "s", "what it took"),
             Column("worker", TEXT, "", "who did it"),
+            Column("ended", NUMBER, "s", "when its answer came, since 1970, UTC"),
             Column("variables", TEXTS, "", "of the trajectory"),
             Column("times", NUMBERS, "s", "of the trajectory"),
             Column("trajectory", NUMBERS, "the FMU's", "(times, variables), row after row"),

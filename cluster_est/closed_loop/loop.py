@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cluster_est.closed_loop.drawn import draw_effects
 from cluster_est.closed_loop.naming import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.prepare import open_bench
 from cluster_est.closed_loop.result import LoopResult, Verdict
@@ -103,6 +104,7 @@ def _report(bench: Workbench, found: Search, judgement: Judgement, begin: float)
     if judgement.verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         notes = (*notes, where_left(bench, found.current if keep else found.base))
     after = grown if keep else before
+    drawn = draw_effects(bench, found.current, grown) if keep else ()
     return LoopResult(
         verdict=judgement.verdict,
         summary=judgement.reason,
@@ -120,6 +122,7 @@ def _report(bench: Workbench, found: Search, judgement: Judgement, begin: float)
         evaluations=bench.runner.evaluations,
         failures=bench.runner.failures,
         seconds=0.0,
+        drawn=drawn,
     )
 
 

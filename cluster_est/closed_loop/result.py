@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -11,6 +12,9 @@ import pyarrow as pa
 from cluster_est import notebook
 from cluster_est.result import Estimate, Result, fit_tables
 from workers.messages import Effect, FloatArray, Role
+
+if TYPE_CHECKING:  # it needs SymPy, which is slow
+    from cluster_est.closed_loop.drawn import DrawnEffect
 
 
 class Verdict(enum.StrEnum):
@@ -178,6 +182,8 @@ class LoopResult:
         Every site that was open.
     notes
         What a reader should know: closed sites, no held-out experiment, sigma at odds with noise.
+    drawn
+        The shapes of the effects that were added.
     simulations
         In units of one experiment's full length.
     simulated, evaluations, failures, seconds
@@ -200,6 +206,7 @@ class LoopResult:
     evaluations: int
     failures: int
     seconds: float
+    drawn: tuple[DrawnEffect, ...] = field(default=(), repr=False)
 
     def rms(self, role: Role, when: str) -> float:
         """Root mean square of the normalised errors "before" or "after"; NaN without any."""
@@ -251,9 +258,14 @@ class LoopResult:
         return self.after.nit
 
     @property
+    def final(self) -> Result:
+        """The fit with the effects, beside the curves of the declared model fitted."""
+        return replace(self.after, before=self.before.simulations)
+
+    @property
     def tables(self) -> tuple[str, ...]:
         """What `table` can give: a run folder's files have the same names."""
-        return tuple(dict.fromkeys(("effects", "findings", *self.after.tables)))
+        return tuple(dict.fromkeys(("effects", "findings", "shapes", *self.after.tables)))
 
     def table(self, name: str) -> pa.Table:
         """One of `tables`, with the columns that it has in a run folder.
@@ -268,10 +280,11 @@ class LoopResult:
         made = {
             "effects": tables.effect_table,
             "findings": tables.finding_table,
+            "shapes": tables.shape_table,
             "parameters": tables.parameter_table,
             "errors": tables.error_table,
         }
-        return made[name](self) if name in made else self.after.table(name)
+        return made[name](self) if name in made else self.final.table(name)
 
     @property
     def parameters(self) -> pa.Table:
@@ -281,12 +294,12 @@ class LoopResult:
     @property
     def residuals(self) -> pa.Table:
         """The table of that name, with the effects."""
-        return self.after.residuals
+        return self.final.residuals
 
     @property
     def trajectories(self) -> pa.Table:
         """The table of that name, with the effects."""
-        return self.after.trajectories
+        return self.final.trajectories
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""

@@ -38,6 +38,16 @@ FINDINGS = pa.schema(
         ("imitated_by", pa.string()),
     ]
 )
+SHAPES = pa.schema(
+    [
+        *((name, pa.string()) for name in ("effect", "part", "variable", "variable_unit", "unit")),
+        *(
+            (name, pa.list_(pa.float64()))
+            for name in ("x", "y", "lower", "upper", "edges", "counts")
+        ),
+        ("why_not", pa.string()),
+    ]
+)
 BEFORE = ("value", "std_error", "lower95", "upper95")
 
 
@@ -91,6 +101,11 @@ def effect_table(result: LoopResult) -> pa.Table:
         for estimate in effect.coefficients
     ]
     return pa.Table.from_pylist(rows, schema=EFFECTS)
+
+
+def shape_table(result: LoopResult) -> pa.Table:
+    """A row for each shape of each effect that was added; its points are lists."""
+    return pa.Table.from_pylist([dataclasses.asdict(each) for each in result.drawn], schema=SHAPES)
 
 
 def finding_table(result: LoopResult) -> pa.Table:

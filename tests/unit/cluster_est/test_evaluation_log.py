@@ -13,6 +13,7 @@ from cluster_est import evaluation_log
 from cluster_est.errors import RunFolderError
 from cluster_est.evaluation_log import SCHEMA, EvaluationLog, LogSettings, read_log
 from cluster_est.log_format import END_OF_STREAM, mend
+from cluster_est.logged import LoggedOutcomes
 from cluster_est.runner import Origin
 from workers.messages import Effect, Outcome, Status, Trajectory
 
@@ -315,3 +316,30 @@ def test_a_log_of_the_first_format_can_be_read(tmp_path: Path) -> None:
     with pa.ipc.new_stream(tmp_path / "00000.arrows", table.schema) as writer:
         writer.write_table(table)
     check(read_log(tmp_path), rows(4))
+
+
+def test_segments_of_a_version_without_ends_are_read_with_those_that_have_them(tmp_path):
+    recorded = rows(8)
+    write(tmp_path, recorded[:4], 2).close()
+    old = tmp_path / "00000.arrows"
+    table = read_log(tmp_path).drop_columns(["ended"])
+    with old.open("wb") as file, pa.ipc.new_stream(file, table.schema) as writer:
+        writer.write_table(table)
+    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, first_segment=1)
+    for origin, outcome in recorded[4:]:
+        log.record(origin, outcome)
+    log.close()
+    both = read_log(tmp_path)
+    check(both, recorded)
+    ended = both["ended"].to_pylist()
+    assert ended[:4] == [None] * 4
+    assert ended[4:] == sorted(ended[4:])
+    logged = LoggedOutcomes(tmp_path)
+    for row, (_, outcome) in enumerate(recorded):
+        found = logged.outcome(row, row)
+        assert (found.status, found.message, found.seconds) == (
+            outcome.status,
+            outcome.message,
+            outcome.seconds,
+        )
+        assert (found.residuals is None) == (outcome.residuals is None)

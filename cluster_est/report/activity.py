@@ -1,0 +1,181 @@
+"""What the log says of the workers: when they were busy, and what failed."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from cluster_est.log_tail import LogTail
+from workers.messages import FloatArray, IntArray, Status
+
+KINDS_OF_FAILURE = 200
+BREAK_SECONDS, BREAK_SHARE = 60.0, 0.05
+"""A break is longer than both: this, and this share of the whole."""
+NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Simulations that failed in the same way, but for the numbers in what is said of them.
+
+    `message` is that of the first, and `first` its row in the log, which replay takes.
+    """
+
+    status: str
+    message: str
+    count: int
+    first: int
+    experiments: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Activity:
+    """All simulations of a log.
+
+    Attributes
+    ----------
+    simulations
+        How many.
+    workers
+        Their names.
+    worker : (n,)
+        Which one, for each simulation whose end is known.
+    ended, seconds : (n,)
+        When its answer came, in seconds since 1970, and what it took.
+    failures
+        The most frequent ones first.
+    """
+
+    simulations: int
+    workers: tuple[str, ...]
+    worker: IntArray = field(repr=False)
+    ended: FloatArray = field(repr=False)
+    seconds: FloatArray = field(repr=False)
+    failures: tuple[Failure, ...]
+
+
+class FailureCounts:
+    """Counts failures by what is said of them, batch after batch."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[str, str], tuple[int, int, str, dict[str, None]]] = {}
+        self.rows = 0
+        self.failed = 0
+
+    def add(self, batch: pa.RecordBatch) -> None:
+        """Count the rows of a batch of the log."""
+        bad = pc.not_equal(batch.column("status"), str(Status.OK)).to_numpy(zero_copy_only=False)
+        for row in np.flatnonzero(bad).tolist():
+            self._note(batch, row)
+        self.rows += batch.num_rows
+        self.failed += int(bad.sum())
+
+    def _note(self, batch: pa.RecordBatch, row: int) -> None:
+        status, message, experiment = (
+            batch.column(name)[row].as_py() or "" for name in ("status", "message", "experiment")
+        )
+        key = status, NUMBER.sub("", message)
+        if key not in self._found and len(self._found) >= KINDS_OF_FAILURE:
+            key, message = (status, ""), "others"
+        number, first, said, experiments = self._found.get(key, (0, self.rows + row, message, {}))
+        self._found[key] = number + 1, first, said, experiments | {experiment: None}
+
+    @property
+    def failures(self) -> tuple[Failure, ...]:
+        """The most frequent ones first."""
+        rows = [
+            Failure(status, message, number, first, tuple(experiments))
+            for (status, _), (number, first, message, experiments) in self._found.items()
+        ]
+        return tuple(sorted(rows, key=lambda row: (-row.count, row.first)))
+
+
+def read_activity(folder: Path) -> Activity:
+    """Read the small columns of a log, of one that is still written too."""
+    tail = ActivityTail(folder)
+    tail.read()
+    return tail.activity
+
+
+class ActivityTail:
+    """What a log says, kept up to date while it is written; see `LogTail`."""
+
+    def __init__(self, folder: Path) -> None:
+        self._tail = LogTail(folder)
+        self._names: dict[str, int] = {}
+        self._parts: list[tuple[IntArray, FloatArray, FloatArray]] = []
+        self.counts = FailureCounts()
+
+    def read(self) -> None:
+        """Take in what is new."""
+        names = self._names
+        for batch in self._tail.new():
+            self.counts.add(batch)
+            if "ended" in batch.schema.names:
+                coded = batch.column("worker").dictionary_encode()
+                known = [names.setdefault(w, len(names)) for w in coded.dictionary.to_pylist()]
+                own = np.array(known, np.int64)[np.asarray(coded.indices)]
+                ended, seconds = (np.array(batch.column(n)) for n in ("ended", "seconds"))
+                self._parts.append((own, ended, seconds))
+
+    @property
+    def activity(self) -> Activity:
+        """Everything so far."""
+        if len(self._parts) > 1:
+            worker, ended, seconds = (np.concatenate(p) for p in zip(*self._parts, strict=True))
+            self._parts = [(worker, ended, seconds)]
+        nothing = (np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+        worker, ended, seconds = self._parts[0] if self._parts else nothing
+        failures = self.counts.failures
+        return Activity(self.counts.rows, tuple(self._names), worker, ended, seconds, failures)
+
+
+def without_breaks(activity: Activity) -> tuple[Activity, float]:
+    """The same without long breaks of all workers, as there are before a run is taken up again.
+
+    Returns
+    -------
+    Activity, and the seconds that were taken out
+    """
+    begun = activity.ended - activity.seconds
+    order = np.argsort(begun, kind="stable")
+    busy_until = np.maximum.accumulate(activity.ended[order])
+    idle = np.append(0.0, begun[order][1:] - busy_until[:-1])
+    least = max(BREAK_SECONDS, BREAK_SHARE * float(busy_until[-1] - begun.min()))
+    removed = np.cumsum(np.where(idle > least, idle, 0.0))
+    shift = np.empty_like(removed)
+    shift[order] = removed
+    return replace(activity, ended=activity.ended - shift), float(removed[-1])
+
+
+def busy_shares(activity: Activity, bins: int) -> tuple[FloatArray, FloatArray]:
+    """The share of each stretch of time for which each worker was busy.
+
+    Returns
+    -------
+    (bins + 1,) seconds since the first simulation began, (workers, bins) shares from 0 to 1
+    """
+    begun = activity.ended - activity.seconds
+    first, last = float(begun.min()), float(activity.ended.max())
+    edges = np.linspace(0.0, max(last - first, 1e-9), bins + 1)
+    shares = np.zeros((len(activity.workers), bins))
+    for number in range(len(activity.workers)):
+        own = activity.worker == number
+        starts = np.sort(begun[own] - first)
+        ends = np.sort(activity.ended[own] - first)
+        # the busy time until t is the sum of max(t - start, 0) less that of max(t - end, 0)
+        busy = _ramps(starts, edges) - _ramps(ends, edges)
+        shares[number] = np.clip(np.diff(busy) / np.diff(edges), 0.0, 1.0)
+    return edges, shares
+
+
+def _ramps(places: FloatArray, edges: FloatArray) -> FloatArray:
+    """The sum of max(t - place, 0) over all places, at each edge t."""
+    sums = np.concatenate([[0.0], np.cumsum(places)])
+    below = np.searchsorted(places, edges, side="right")
+    return np.asarray(below * edges - sums[below])

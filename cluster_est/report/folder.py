@@ -1,0 +1,114 @@
+"""A run folder, read: whatever is there of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluster_est.errors import RunFolderError
+from cluster_est.printing import read_facts, read_run_table
+from cluster_est.progress_file import PROGRESS, ProgressTail
+from cluster_est.report.activity import Activity, read_activity
+
+Row = Mapping[str, Any]
+SMALL = (
+    "parameters", "errors", "constraints", "starts", "minima", "front", "correlations",
+    "directions", "profiles", "intervals", "searches", "workers", "findings", "shapes",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a report is made of.
+
+    Attributes
+    ----------
+    name
+        Of the folder.
+    facts
+        As run.json has them.
+    config
+        The resolved config as text, "" if it is not there.
+    tables
+        The rows of each small table, by its name; a table that is not there has none. "progress"
+        has the lines of all searches in the order in which they came.
+    residuals, trajectories
+        None if they are not there.
+    activity
+        What the log says of workers and failures.
+    """
+
+    name: str
+    facts: Mapping[str, Any] = field(repr=False)
+    config: str = field(repr=False)
+    tables: Mapping[str, tuple[Row, ...]] = field(repr=False)
+    residuals: pa.Table | None = field(repr=False)
+    trajectories: pa.Table | None = field(repr=False)
+    activity: Activity = field(repr=False)
+
+    @property
+    def status(self) -> str:
+        return str(self.facts["status"])
+
+    @property
+    def finished(self) -> bool:
+        """Whether there are results."""
+        return bool(self.tables["parameters"])
+
+    @property
+    def is_loop(self) -> bool:
+        return self.facts.get("verdict") is not None
+
+    @property
+    def before(self) -> str:
+        """What the curves and errors before are of."""
+        return "declared model, fitted" if self.is_loop else "start values"
+
+
+def read_run(path: Path, activity: Activity | None = None) -> Run:
+    """Read a run folder; its log only if `activity` is not known already.
+
+    Raises
+    ------
+    RunFolderError
+        If it is none, or one of its tables is damaged.
+    """
+    facts = read_facts(path)
+    tables = {name: _rows(path, name) for name in SMALL}
+    if facts["status"] == "running":  # tables of an earlier run in a folder that is taken up again
+        tables = dict.fromkeys(SMALL, ())
+    tables["progress"] = tuple(vars(line) for line in ProgressTail(path / PROGRESS).new())
+    tables["searches"] = tables["searches"] or tables["progress"]
+    curves = bool(tables["parameters"])
+    try:
+        config = (path / "config.toml").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        config = ""
+    return Run(
+        name=path.resolve().name,
+        facts=facts,
+        config=config,
+        tables=tables,
+        residuals=_table(path / "residuals.parquet") if curves else None,
+        trajectories=_table(path / "trajectories.parquet") if curves else None,
+        activity=activity or read_activity(path / "evaluations"),
+    )
+
+
+def _rows(path: Path, name: str) -> tuple[Row, ...]:
+    file = path / f"{name}.parquet"
+    return tuple(read_run_table(file)) if file.is_file() else ()
+
+
+def _table(path: Path) -> pa.Table | None:
+    if not path.is_file():
+        return None
+    try:
+        return pq.read_table(path)
+    except (pa.ArrowException, OSError) as error:
+        raise RunFolderError(f"{path}: is damaged ({error}); run again") from error

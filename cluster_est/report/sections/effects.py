@@ -1,0 +1,186 @@
+"""What the model lacked: equations, coefficients, shapes over the range that the data visited."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cluster_est.report.blocks import (
+    Block,
+    Cell,
+    Figure,
+    Items,
+    Section,
+    Source,
+    Table,
+    Text,
+    axis,
+    cells,
+    columns,
+    with_unit,
+)
+from cluster_est.report.encode import short
+from cluster_est.report.folder import Row, Run
+from cluster_est.report.numbers import beside, digits, interval
+
+ROOM = 1.5
+"""How far beyond a shape, in its own heights, its band is drawn: a wide one would hide it."""
+
+
+def effects(run: Run) -> Section:
+    """The effects that were added, or those that did not pass."""
+    blocks: list[Block] = []
+    for effect in run.facts.get("effects") or []:
+        blocks += _effect(run, effect)
+    rejected = run.facts.get("rejected") or []
+    if rejected:
+        blocks.append(
+            Text("Not accepted; what follows shows where to look, not what is missing.", "faint")
+        )
+        rows = [cells(Cell(e["site"], code=True), e["form"], Cell(e["equation"], code=True))
+                for e in rejected]  # fmt: skip
+        blocks.append(Table(columns("site", "form", "equation"), tuple(rows)))
+    return Section("effects", "What the model lacked", tuple(blocks))
+
+
+def _effect(run: Run, effect: Row) -> list[Block]:
+    names = columns("coefficient", "#value", "#95 % interval", "unit", "")
+    rows = []
+    for name, row in effect["parameters"].items():
+        low, high = row["lower95"], row["upper95"]
+        width = high - low if low is not None and high is not None else 0.0
+        said = "held" if row["fixed"] else "not determined" if low is None else ""
+        rows.append(
+            cells(
+                Cell(name, code=True),
+                beside(row["value"], width),
+                interval(low, high),
+                row["unit"],
+                Cell(said, "faint"),
+            )
+        )
+    blocks: list[Block] = [
+        Text(f"{effect['name']}: {effect['family']} at {effect['site']}", kind="heading"),
+        Text(effect["equation"], kind="equation"),
+        Table(names, tuple(rows)),
+    ]
+    evidence = tuple(effect.get("evidence") or ())
+    blocks += [Items(evidence)] if evidence else []
+    shapes = [row for row in run.tables["shapes"] if row["effect"] == effect["name"]]
+    blocks += [_shape(row, i) for i, row in enumerate(shapes) if not row["why_not"]]
+    blocks += [Text(f"No shape is drawn: {row['why_not']}.", "faint")
+               for row in shapes if row["why_not"]]  # fmt: skip
+    if not shapes:
+        blocks.append(Text("This run's folder holds no shapes to draw.", "faint"))
+    blocks.append(Source("As a block for a config", effect["config"]))
+    return blocks
+
+
+def _shape(row: Row, number: int) -> Figure:
+    x, y, low, high = (np.array(row[name], float) for name in ("x", "y", "lower", "upper"))
+    traces: list[dict[str, Any]] = []
+    height = float(np.nanmax(y) - np.nanmin(y)) or abs(float(y[0])) or 1.0
+    floor, ceiling = float(np.nanmin(y)) - ROOM * height, float(np.nanmax(y)) + ROOM * height
+    known = bool(np.isfinite(low).all() and np.isfinite(high).all())
+    wide = known and bool((low < floor).any() or (high > ceiling).any())
+    if known:
+        hidden = {"mode": "lines", "line": {"width": 0}, "x": short(x), "hoverinfo": "skip"}
+        low, high = np.clip(low, floor, ceiling), np.clip(high, floor, ceiling)
+        traces.append({**hidden, "y": short(low), "showlegend": False})
+        name = "95 % band, cut off" if wide else "95 % band"
+        traces.append({**hidden, "y": short(high), "fill": "tonexty", "fillcolor": "$band",
+                       "name": name})  # fmt: skip
+    line = {"color": "$after", "width": 2}
+    traces.append({"x": short(x), "y": short(y), "mode": "lines", "line": line, "name": "effect"})
+    edges = np.array(row["edges"], float)
+    middles, width = 0.5 * (edges[1:] + edges[:-1]), float(edges[1] - edges[0])
+    bars = {"type": "bar", "x": short(middles), "y": row["counts"], "width": width, "yaxis": "y2"}
+    traces.append({**bars, "marker": {"color": "$faint"}, "name": "samples", "showlegend": False})
+    over = with_unit(row["variable"], row["variable_unit"])
+    layout = {
+        "xaxis": axis(over, anchor="y2"),
+        "yaxis": axis(with_unit(row["part"], row["unit"]), domain=[0.3, 1.0]),
+        "yaxis2": axis("samples", domain=[0.0, 0.2], anchor="x", nticks=3),
+        "bargap": 0,
+    }
+    title = f"{row['part']} over {over}, where the training data were"
+    if not known:
+        title += "; the data do not determine every coefficient, so there is no band"
+    return Figure(f"shape-{row['effect']}-{number}", title, traces, layout, 320)
+
+
+def candidates(run: Run) -> Section:
+    """Candidates ranked, and what cannot be told apart."""
+    rows = run.tables["findings"]
+    blocks: list[Block] = [_rivals(effect) for effect in run.facts.get("effects") or []]
+    if rows:
+        blocks.insert(
+            0,
+            Text(
+                "Each step ranks everything that could be missing by how well it points along the "
+                "residual. Explained is the share of the residual's squares that its direction "
+                "carries; the criterion is that of its refit less that of the model without it, "
+                "where it was refitted (lower is better)."
+            ),
+        )
+    for step in sorted({row["step"] for row in rows}):
+        own = sorted((row for row in rows if row["step"] == step), key=_rank)
+        blocks.append(_ranked(step, own))
+    return Section("candidates", "Candidates", tuple(blocks))
+
+
+STAGES = ("accepted", "refitted", "tried", "screened", "set aside")
+
+
+def _rank(row: Row) -> tuple[int, float, float]:
+    stage = row["stage"]
+    place = STAGES.index(stage) if stage in STAGES else len(STAGES)
+    criterion = row["criterion"]
+    return place, 0.0 if criterion is None or criterion != criterion else criterion, row["log_p"]
+
+
+def _ranked(step: int, rows: list[Row]) -> Table:
+    names = columns("site", "form", "of", "stage", "#explained", "#log₁₀ p", "#criterion", "")
+    lines = [
+        cells(
+            Cell(row["site"], code=True),
+            row["form"],
+            Cell(", ".join(row["variables"] or ()), code=True),
+            Cell(row["stage"], "good" if row["stage"] == "accepted" else ""),
+            f"{100.0 * row['explained']:.1f}\u2009%",
+            digits(row["log_p"] / np.log(10.0), 4),
+            digits(row["criterion"], 4),
+            Cell(f"imitated by {row['imitated_by']}" if row["imitated_by"] else "", "faint"),
+        )
+        for row in rows
+    ]
+    return Table(names, tuple(lines), f"Step {step}: {len(rows)} candidates", folded=True)
+
+
+def _rivals(effect: Row) -> Block:
+    others = effect.get("alternatives") or []
+    if not others:
+        return Text(f"{effect['name']}: nothing else that was tried explains the data as well.")
+    names = columns("cannot be told apart", "equation", "#criterion", "differ most at", "#by")
+    chosen = cells(
+        Cell(f"{effect['form']} at {effect['site']} (chosen)"),
+        Cell(effect["equation"], code=True), "0", "", "",
+    )  # fmt: skip
+    lines = [chosen]
+    for other in others:
+        at, by = "", ""
+        if other["experiment"] and other["time"] is not None and other["difference"] is not None:
+            at = f"{other['output']} of {other['experiment']}, {digits(other['time'])} s"
+            by = f"{digits(other['difference'], 2)} times the noise"
+        criterion = other["criterion"]
+        lines.append(
+            cells(
+                f"{other['form']} at {other['site']}",
+                Cell(other["equation"], code=True),
+                "" if criterion is None else ("+" if criterion >= 0 else "") + digits(criterion, 3),
+                at,
+                by,
+            )
+        )
+    return Table(names, tuple(lines), f"{effect['name']}: {len(lines)} that explain the data alike")

@@ -1,0 +1,201 @@
+"""Parameters before and after, how they hang together, and what the data do not determine."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cluster_est.report.blocks import (
+    Block,
+    Cell,
+    Figure,
+    Items,
+    Section,
+    Table,
+    Text,
+    cells,
+    columns,
+    plain,
+)
+from cluster_est.report.encode import short
+from cluster_est.report.folder import Row, Run
+from cluster_est.report.numbers import MINUS, beside, compact, digits, interval, percent
+
+MOST_IN_MAP = 60
+MOST_OPEN = 30
+STRONG = 0.95
+"""Correlation beyond which two parameters are named."""
+
+
+def parameters(run: Run) -> Section:
+    """Tables of estimates, intervals, constraints; correlations; directions."""
+    rows = run.tables["parameters"]
+    if not rows:
+        return Section("parameters", "Parameters", ())
+    blocks: list[Block] = [_table(run, rows)]
+    blocks += _intervals(run) + _constraints(run) + _directions(run) + _correlations(run)
+    return Section("parameters", "Parameters", tuple(blocks))
+
+
+def _table(run: Run, rows: tuple[Row, ...]) -> Table:
+    loop = run.is_loop
+    more = ("#before", "#95 % interval") if loop else ("#start",)
+    names = columns("parameter", *more, "#after", "#95 % interval", "unit", "bounds", "")
+    lines = []
+    for row in rows:
+        width = row["upper95"] - row["lower95"]
+        if loop:
+            earlier = _width(row, "_before")
+            then = [beside(row["value_before"], earlier), _interval(row, "_before")]
+        else:
+            then = [digits(row["start"])]
+        lines.append(
+            cells(
+                Cell(row["label"], code=True),
+                *then,
+                beside(row["value"], width),
+                _interval(row),
+                row["unit"],
+                Cell(_bounds(row), "faint"),
+                _remark(row),
+            )
+        )
+    return Table(names, tuple(lines), folded=len(lines) > MOST_OPEN,
+                 caption=f"{len(lines)} parameters" if len(lines) > MOST_OPEN else "")  # fmt: skip
+
+
+def _width(row: Row, when: str = "") -> float:
+    low, high = row[f"lower95{when}"], row[f"upper95{when}"]
+    return math.nan if low is None or high is None else float(high - low)
+
+
+def _interval(row: Row, when: str = "") -> str:
+    return interval(row[f"lower95{when}"], row[f"upper95{when}"])
+
+
+def _bounds(row: Row) -> str:
+    if not (math.isfinite(row["lower"]) or math.isfinite(row["upper"])):
+        return ""
+    return f"{compact(row['lower'])} … {compact(row['upper'])}"
+
+
+def _remark(row: Row) -> Cell:
+    if row["at_bound"]:
+        return Cell(f"at its {row['at_bound']} bound", "bad")
+    if row["estimated_on"] == "known":
+        return Cell("fixed", "faint")
+    if row["estimated_on"] == "derived":
+        return Cell("derived", "faint")
+    if math.isnan(row["lower95"]):
+        return Cell("not determined", "bad")
+    return Cell("held out" if row["estimated_on"] == "test" else "", "faint")
+
+
+def _intervals(run: Run) -> list[Block]:
+    rows = run.tables["intervals"]
+    if not rows:
+        return []
+    names = columns("parameter", "from", "#confidence", "#lower", "#upper")
+    lines = tuple(
+        cells(
+            Cell(row["label"], code=True),
+            row["source"],
+            percent(row["confidence"]),
+            row["open_lower"] or digits(row["lower"]),
+            row["open_upper"] or digits(row["upper"]),
+        )
+        for row in rows
+    )
+    return [Table(names, lines, "Intervals that took refits")]
+
+
+def _constraints(run: Run) -> list[Block]:
+    rows = run.tables["constraints"]
+    if not rows:
+        return []
+    names = columns("constraint", "must be", "#before", "#after", "")
+    lines = tuple(
+        cells(
+            Cell(row["constraint"], code=True),
+            row["kind"],
+            digits(row["before"]),
+            digits(row["after"]),
+            Cell("kept", "good") if row["satisfied"] else Cell("violated", "bad"),
+        )
+        for row in rows
+    )
+    return [Table(names, lines, "Constraints, over their scales")]
+
+
+def _directions(run: Run) -> list[Block]:
+    found = tuple(dict.fromkeys(row["sentence"] for row in run.tables["directions"]))
+    if not found:
+        return []
+    return [Text("What the data do not determine", kind="heading"), Items(found)]
+
+
+def _correlations(run: Run) -> list[Block]:
+    rows = run.tables["correlations"]
+    labels = list(dict.fromkeys([row["other"] for row in rows] + [row["label"] for row in rows]))
+    if len(labels) < 2:
+        return []
+    blocks: list[Block] = []
+    strong = sorted((r for r in rows if abs(r["correlation"]) > STRONG),
+                    key=lambda r: -abs(r["correlation"]))[:10]  # fmt: skip
+    if strong:
+        named = tuple(f"{r['label']} and {r['other']}: {r['correlation']:.3f}" for r in strong)
+        blocks.append(Text(f"Correlations beyond {STRONG} in size:"))
+        blocks.append(Items(named))
+    blocks.append(_map(labels[:MOST_IN_MAP], rows))
+    if len(labels) > MOST_IN_MAP:
+        blocks.append(Text(f"The map shows {MOST_IN_MAP} of {len(labels)} parameters.", "faint"))
+    return blocks
+
+
+def _two_places(value: float) -> str:
+    return (
+        f"{value + 0.0:.2f}".replace("-0.00", "0.00").replace("-", MINUS)
+        if math.isfinite(value)
+        else ""
+    )
+
+
+def _map(labels: list[str], rows: tuple[Row, ...]) -> Figure:
+    place = {label: i for i, label in enumerate(labels)}
+    matrix = np.full((len(labels), len(labels)), np.nan)
+    for row in rows:
+        if row["label"] in place and row["other"] in place:
+            i, j = sorted((place[row["label"]], place[row["other"]]))
+            matrix[j, i] = row["correlation"]
+    matrix = matrix[1:, :-1]  # below the diagonal: the rest says the same again
+    small = len(labels) <= 14
+    named = [plain(label) for label in labels]
+    trace = {
+        "type": "heatmap",
+        "z": [short(line) for line in matrix],
+        "x": list(range(len(labels) - 1)),
+        "y": list(range(1, len(labels))),
+        "zmin": -1,
+        "zmax": 1,
+        "xgap": 1,
+        "ygap": 1,
+        "colorscale": "$diverging",
+        "hoverongaps": False,
+        "text": [[_two_places(v) for v in line] for line in matrix],
+        "customdata": [[[a, b] for a in named[:-1]] for b in named[1:]],
+        "hovertemplate": "%{customdata[1]}, %{customdata[0]}: %{text}<extra></extra>",
+        "colorbar": {"thickness": 10, "outlinewidth": 0, "tickvals": [-1, 0, 1]},
+    }
+    if small:
+        trace["texttemplate"] = "%{text}"
+    angle = 0 if sum(map(len, labels)) < 90 else -40
+    ticks = {"showgrid": False, "zeroline": False, "showline": False, "ticks": ""}
+    layout = {
+        "xaxis": {**ticks, "tickvals": trace["x"], "ticktext": named[:-1], "tickangle": angle},
+        "yaxis": {**ticks, "tickvals": trace["y"], "ticktext": named[1:], "autorange": "reversed"},
+        "hovermode": "closest",
+        "dragmode": False,
+    }
+    size = 26 if small else 18
+    return Figure("correlations", "Correlations", [trace], layout, 150 + size * len(labels))

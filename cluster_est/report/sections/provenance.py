@@ -1,0 +1,36 @@
+"""What the run was made from, so that it can be made again."""
+
+from __future__ import annotations
+
+from cluster_est.report.blocks import Block, Cell, Section, Source, Table, cells, columns
+from cluster_est.report.folder import Run
+
+
+def provenance(run: Run) -> Section:
+    """Model, hashes, seed, versions, data and the resolved config."""
+    facts = run.facts
+    fmu = facts.get("fmu") or {}
+    known = [
+        ("FMU", fmu.get("name")),
+        ("its SHA-256", fmu.get("sha256")),
+        ("interface", str(fmu.get("interface") or "").replace("_", " ")),
+        ("solver", fmu.get("solver")),
+        ("config hash", facts.get("config_hash")),
+        ("seed", facts.get("seed")),
+        ("started", facts.get("started")),
+        ("format", facts.get("format")),
+    ]
+    rows = [cells(k, Cell(str(v), code=True)) for k, v in known if v not in (None, "")]
+    blocks: list[Block] = [Table(columns("", ""), tuple(rows))]
+    versions = facts.get("versions") or {}
+    lines = tuple(cells(k, Cell(str(v), code=True)) for k, v in sorted(versions.items()))
+    if lines:
+        blocks.append(Table(columns("software", "version"), lines, "Versions", folded=True))
+    experiments = facts.get("experiments") or {}
+    lines = tuple(cells(str(k), Cell(str(v), code=True)) for k, v in experiments.items())
+    if lines:
+        caption = f"Hashes of the {len(lines)} experiments"
+        blocks.append(Table(columns("experiment", "hash"), lines, caption, folded=True))
+    if run.config:
+        blocks.append(Source("The config, with every default", run.config))
+    return Section("provenance", "Where this comes from", tuple(blocks))

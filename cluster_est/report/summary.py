@@ -1,0 +1,170 @@
+"""The verdict and what to know, in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cluster_est.report.blocks import Tone
+from cluster_est.report.folder import Row, Run
+from cluster_est.report.numbers import count, digits, duration, percent
+
+
+@dataclass(frozen=True)
+class Figures:
+    """A number at the top of the page, with what it is."""
+
+    label: str
+    value: str
+    more: str = ""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What stands first."""
+
+    verdict: str
+    tone: Tone
+    sentences: tuple[str, ...]
+    figures: tuple[Figures, ...]
+    notes: tuple[str, ...]
+
+
+GOING_ON = "The run goes on"
+VERDICTS: dict[str, tuple[str, Tone]] = {
+    "found": ("The missing effects were found", "good"),
+    "partial": ("A part of what is missing was found", ""),
+    "unexplained": ("Something is missing, and nothing explains it", "bad"),
+    "none": ("Nothing is missing", "good"),
+    "none (coloured noise)": ("Nothing is missing; the noise is coloured", "good"),
+    "done": ("The fit reached a solution", "good"),
+    "not converged": ("The fit did not converge", "bad"),
+    "interrupted": ("The run was interrupted", "bad"),
+    "failed": ("The run failed", "bad"),
+    "running": (GOING_ON, ""),
+}
+
+
+def summarise(run: Run) -> Summary:
+    """Put the result of a run into words."""
+    known = run.facts.get("verdict") or run.status
+    verdict, tone = VERDICTS.get(str(known), (str(known), ""))
+    sentences = [*_opening(run), *_costs(run), *_errors(run), *_bounds(run), *_failed(run)]
+    notes = tuple(_sentence(note) for note in run.facts.get("notes") or ())
+    return Summary(verdict, tone, tuple(sentences), _figures(run), notes)
+
+
+def _opening(run: Run) -> list[str]:
+    facts = run.facts
+    if run.is_loop:
+        effects = facts.get("effects") or []
+        named = ", ".join(_named(effect) for effect in effects)
+        added = f"Added to the model: {named}." if effects else "Nothing was added to the model."
+        return [_sentence(facts.get("summary") or ""), added]
+    if not run.finished:
+        if run.status == "running":
+            return ["What follows is what its folder holds so far; results come when it ends."]
+        message = facts.get("message") or ""
+        return [_sentence(message), "It left no results; what its folder holds is shown."]
+    message = facts.get("message") or ""
+    ended = f"The search ended: {message}." if message else ""
+    return [ended] if ended else []
+
+
+def _named(effect: Row) -> str:
+    of = ", ".join(effect.get("variables") or ())
+    return f"{effect['form']}{' of ' + of if of else ''} at {effect['site']}"
+
+
+def _costs(run: Run) -> list[str]:
+    before, after = run.facts.get("cost_before"), run.facts.get("cost")
+    if before is None or after is None:
+        if run.finished:
+            return ["The cost is not known before and after, because a simulation failed."]
+        return []
+    what = "from the declared model, fitted," if run.is_loop else "from the start values"
+    if not before:
+        return [f"The cost was 0 {what} and is {digits(after)}."]
+    share = after / before
+    if share < 0.01:
+        return [f"The cost fell {what} by a factor of {digits(before / max(after, 1e-300), 3)}."]
+    moved = "fell" if share <= 1.0 else "rose"
+    return [f"The cost {moved} {what} by {percent(abs(1.0 - share))}."]
+
+
+def _errors(run: Run) -> list[str]:
+    """How the held-out error moved, which no estimate was made for."""
+    rows = [row for row in run.tables["errors"] if row["role"] == "test"]
+    before, after = (_pooled(rows, when) for when in ("before", "after"))
+    if math.isnan(before) or math.isnan(after) or not before:
+        if run.finished and not rows:
+            return ["There is no held-out experiment, so nothing tells how it predicts."]
+        return []
+    moved = "fell" if after <= before else "grew"
+    return [
+        f"On held-out experiments the error {moved} to {percent(after / before)} of what it was."
+    ]
+
+
+def _pooled(rows: Sequence[Row], when: str) -> float:
+    """Root mean square of the normalised errors over samples."""
+    samples = sum(row["samples"] for row in rows)
+    if not samples:
+        return math.nan
+    squares = sum(row["samples"] * row[f"normalised_{when}"] ** 2 for row in rows)
+    return math.sqrt(squares / samples)
+
+
+def _bounds(run: Run) -> list[str]:
+    held = [row["label"] for row in run.tables["parameters"] if row["at_bound"]]
+    if not held:
+        return []
+    if len(held) == 1:
+        return [f"{held[0]} stands at a bound."]
+    names = ", ".join(held[:5]) + (", …" if len(held) > 5 else "")
+    return [f"{len(held)} parameters stand at a bound: {names}."]
+
+
+def _failed(run: Run) -> list[str]:
+    failures = sum(each.count for each in run.activity.failures)
+    if not failures:
+        return []
+    total = max(run.activity.simulations, 1)
+    share = "less than 0.1\u2009%" if failures / total < 1e-3 else percent(failures / total)
+    return [f"{count(failures)} of {count(total)} simulations failed ({share})."]
+
+
+def _figures(run: Run) -> tuple[Figures, ...]:
+    facts = run.facts
+    found = []
+    if facts.get("cost") is not None:
+        found.append(
+            Figures("Cost", digits(facts["cost"]), f"before {digits(facts['cost_before'])}")
+        )
+    for role, label in (("train", "Error, training"), ("test", "Error, held out")):
+        rows = [row for row in run.tables["errors"] if row["role"] == role]
+        after = _pooled(rows, "after")
+        if not math.isnan(after):
+            over = facts.get("errors_over") or "sigma"
+            before = digits(_pooled(rows, "before"), 3)
+            found.append(Figures(label, digits(after, 3), f"before {before}, over {over}"))
+    simulations = run.activity.simulations or facts.get("simulations")
+    if simulations:
+        failures = sum(each.count for each in run.activity.failures)
+        more = f"{count(failures)} failed" if failures else "none failed"
+        found.append(Figures("Simulations", count(simulations), more))
+    if facts.get("seconds") is not None:
+        workers = len(run.tables["workers"]) or 1
+        more = f"{workers} worker{'s' if workers > 1 else ''}"
+        found.append(Figures("Time", duration(facts["seconds"]), more))
+    return tuple(found)
+
+
+def _sentence(text: str) -> str:
+    """With a capital and a full stop."""
+    text = text.strip()
+    if not text:
+        return ""
+    text = text[0].upper() + text[1:] if text.split()[0].isalpha() else text
+    return text if text[-1] in ".!?" else f"{text}."

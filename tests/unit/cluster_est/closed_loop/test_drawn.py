@@ -1,0 +1,64 @@
+"""The shapes that are drawn of effects are those of their equations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cluster_est.closed_loop.candidates import Candidate
+from cluster_est.closed_loop.drawn import _function, _spread, _variable
+from workers.effects.forms import FORMS
+from workers.effects.site import Site
+from workers.messages import Effect
+
+NUMPY = {
+    "abs": np.abs,
+    "exp": np.exp,
+    "sign": np.sign,
+    "sqrt": np.sqrt,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tanh": np.tanh,
+    "min": np.minimum,
+    "max": np.maximum,
+    "where": np.where,
+}
+PLAIN = [(kind, f) for (kind, _), f in FORMS.items() if not f.memory and not f.states]
+X = np.linspace(-3.0, 4.0, 57)
+
+
+def candidate(kind: str, form) -> Candidate:
+    site = Site(kind, "a", "b" if kind == "pair" else "")
+    variables = ("v", "w")[: form.variables]
+    return Candidate(Effect("e", str(site), form.name, variables), form, site, False, (), (), ())
+
+
+@pytest.mark.parametrize(("kind", "form"), PLAIN, ids=lambda each: getattr(each, "name", each))
+def test_every_form_is_drawn_as_its_equation(kind, form):
+    made = candidate(kind, form)
+    over = _variable(made, form.equation)
+    if over is None:
+        assert form.name == "product" or form.equation == "k"  # of two, or of none
+        return
+    values = np.linspace(0.6, 1.7, len(form.coefficients))
+    names = {c.name: v for c, v in zip(form.coefficients, values, strict=True)}
+    at = {"t": X, "v": X, "s": X if over[0] == "s" else 2.5} | names
+    equation = form.equation.replace("^", "**")
+    with np.errstate(all="ignore"):
+        expected = eval(equation, {"__builtins__": {}}, NUMPY | at)
+        if kind in ("input", "output") and over[0] != "s":
+            expected = expected - 2.5
+    found = _function(made, form.equation, over[0], 2.5)(X, values)
+    assert found == pytest.approx(np.broadcast_to(expected, X.shape), rel=1e-9, abs=1e-12)
+
+
+def test_the_band_is_that_of_a_straight_line():
+    """Of a + b x, whose variance is known exactly."""
+    covariance = np.array([[0.04, -0.01], [-0.01, 0.09]])
+    found = _spread(lambda x, c: c[0] + c[1] * x, X, np.array([1.0, 2.0]), covariance)
+    assert found == pytest.approx(np.sqrt(0.04 - 0.02 * X + 0.09 * X**2), rel=1e-6)
+
+
+def test_a_coefficient_that_is_not_determined_leaves_no_band():
+    found = _spread(lambda x, c: c[0] * x, X, np.array([1.0]), np.array([[np.nan]]))
+    assert np.isnan(found).all()

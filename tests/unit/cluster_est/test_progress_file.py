@@ -1,0 +1,75 @@
+"""The file that says how far a run is, written and followed."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from cluster_est import progress_file
+from cluster_est.methods.base import Progress
+from cluster_est.progress_file import ProgressFile, ProgressTail
+from cluster_est.run_records import Iteration, Snapshot
+
+
+def line(search: str, number: int, cost: float, ending: str = "") -> Iteration:
+    return Iteration(search, Progress(number, cost, ending=ending), 10 * number)
+
+
+def snapshot(seconds: float) -> Snapshot:
+    return Snapshot("train", Progress(1, 2.0), 5, 10, 1, 3, 4, seconds)
+
+
+def test_what_was_written_is_read_once(tmp_path):
+    path = tmp_path / "progress.jsonl"
+    file, tail = ProgressFile(path), ProgressTail(path)
+    file.iteration(line("train", 0, math.nan))
+    file.show(snapshot(1.5))
+    first = tail.new()
+    assert [(each.search, each.iteration) for each in first] == [("train", 0)]
+    assert math.isnan(first[0].cost)
+    assert (tail.state.busy, tail.state.workers, tail.state.seconds) == (3, 4, 1.5)
+    assert tail.new() == []
+    file.iteration(line("train", 1, 2.5, "converged"))
+    (second,) = tail.new()
+    assert (second.cost, second.ending, second.evaluations) == (2.5, "converged", 10)
+
+
+def test_half_a_line_waits_for_its_end(tmp_path):
+    path = tmp_path / "progress.jsonl"
+    file = ProgressFile(path)
+    file.iteration(line("a", 0, 1.0))
+    file.iteration(line("b", 0, 2.0))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-20])
+    tail = ProgressTail(path)
+    assert [each.search for each in tail.new()] == ["a"]
+    path.write_bytes(whole)
+    assert [each.search for each in tail.new()] == ["b"]
+
+
+def test_it_stays_small_and_begins_anew_with_the_last_lines(tmp_path, monkeypatch):
+    monkeypatch.setattr(progress_file, "MOST_BYTES", 2000)
+    path = tmp_path / "progress.jsonl"
+    file, tail = ProgressFile(path), ProgressTail(path)
+    file.iteration(line("first", 7, 0.5))
+    seen = tail.new()
+    for number in range(200):
+        file.iteration(line("train", number, 1.0))
+        assert path.stat().st_size < 3000
+        seen += tail.new()
+    assert max(each.iteration for each in seen if each.search == "train") == 199
+    assert [each.iteration for each in ProgressTail(path).new() if each.search == "first"] == [7]
+
+
+@pytest.mark.parametrize("text", ["{}", "nonsense", '{"now": 1}', "[1]", '{"search": "a"}'])
+def test_lines_of_other_versions_are_left_out(tmp_path, text):
+    path = tmp_path / "progress.jsonl"
+    path.write_text(text + "\n")
+    tail = ProgressTail(path)
+    assert tail.new() == []
+    assert tail.state is None
+
+
+def test_there_need_not_be_a_file(tmp_path):
+    assert ProgressTail(tmp_path / "none").new() == []
