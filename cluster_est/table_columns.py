@@ -45,7 +45,7 @@ _BEFORE = Column(
     "simulated_before",
     NUMBER,
     OF_OUTPUT,
-    "at the start values; in a closed loop by the declared model fitted; null where that is too much",
+    "at the start values; in a closed loop by the declared model fitted; null if that is too much",
 )
 
 PARAMETERS = TableMeaning(
