@@ -20,6 +20,7 @@ import enum
 from abc import ABC, abstractmethod
 from collections.abc import Generator
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from typing import ClassVar
 
@@ -119,7 +120,7 @@ class Evaluation:
     violation: float = 0.0
     index: int = -1
 
-    @property
+    @cached_property
     def ok(self) -> bool:
         return all(outcome.ok for outcome in self.outcomes)
 
