@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 import sympy as sp
@@ -53,14 +54,19 @@ def effects_source(layout: Layout) -> str:
 
 
 def _function(header: str, places: Places, assignments: Sequence[Assignment]) -> str:
-    return f"{header} {{\n{_body(places, assignments)}}}"
+    return f"{header} {{\n{_unused(header)}{_body(places, assignments)}}}"
+
+
+def _unused(header: str) -> str:
+    """Not every equation uses every argument; compilers are told so."""
+    return "".join(f"    (void){name};\n" for name in re.findall(r"(\w+)[,)]", header))
 
 
 def _body(places: Places, assignments: Sequence[Assignment], indent: str = "    ") -> str:
     """Statements: the symbols that are used, common parts, and what is assigned in the end."""
     used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
     meaning: dict[sp.Symbol, sp.Symbol] = {TIME: sp.Symbol("t", real=True)}
-    lines = [f"(void){name};" for name in ("t", "states", "raw", "coefficients")]
+    lines = []
     for number, symbol in enumerate(sorted(used - {TIME}, key=str)):
         array, index = places[symbol]
         meaning[symbol] = sp.Symbol(f"s{number}", real=True)
@@ -90,15 +96,11 @@ def _inline(value: sp.Expr) -> str:
 
 def _inside_rate(layout: Layout) -> str:
     """The fastest rate of own states, as far as it depends on coefficients alone."""
-    rates = [
-        abs(rate) for i in layout.inside for rate in known_rates(layout.effect(i), ())
-    ]
+    rates = [abs(rate) for i in layout.inside for rate in known_rates(layout.effect(i), ())]
     fastest = Assignment("fastest", -1, sp.Max(sp.Integer(0), *rates))
-    head = "double effects_rate(const double *coefficients) {\n    double fastest;\n"
-    body = _body(layout.equations.places, [fastest]).replace("    (void)t;\n", "")
-    for name in ("states", "raw"):
-        body = body.replace(f"    (void){name};\n", "")
-    return f"{head}{body}    return fastest;\n}}"
+    head = "double effects_rate(const double *coefficients)"
+    body = _body(layout.equations.places, [fastest])
+    return f"{head} {{\n    double fastest;\n{_unused(head)}{body}    return fastest;\n}}"
 
 
 def _outputs(layout: Layout) -> list[str]:
@@ -116,20 +118,13 @@ def _outputs(layout: Layout) -> list[str]:
         arms = ""
         for number, i in enumerate(layout.outputs):
             places, assignments = _output(layout, i, what)
-            body = _body(places, assignments, " " * 12) if assignments else ""
-            if what == "rate":
-                body = body.replace(" " * 12 + "(void)t;\n", "")
-                body = body.replace(" " * 12 + "(void)states;\n", "")
+            body = _body(places, assignments, " " * 12)
             arms += f"        case {number}: {{\n{body}            break;\n        }}\n"
         gives = what in ("after", "rate")
-        result = "    double result = 0.0;\n" if gives else ""
-        quiet = "" if what == "rate" else "    (void)t;\n    (void)states;\n"
-        quiet += "    (void)slopes;\n" if what == "inside" else ""
-        made.append(
-            f"{head} {{\n{result}{quiet}    (void)row;\n    (void)raw;\n    (void)coefficients;\n"
-            f"    switch (e) {{\n{arms}        default:\n            break;\n    }}\n"
-            f"{'    return result;' if gives else ''}\n}}".replace("    }\n\n}", "    }\n}")
-        )
+        first = "    double result = 0.0;\n" if gives else ""
+        last = "    return result;\n" if gives else ""
+        choice = f"    switch (e) {{\n{arms}        default:\n            break;\n    }}\n"
+        made.append(f"{head} {{\n{first}{_unused(head)}{choice}{last}}}")
     return made
 
 

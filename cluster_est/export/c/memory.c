@@ -5,6 +5,9 @@
 
 #include "wrapper.h"
 
+/* What counts as no time at all: a kink that is nearer than this is here. */
+static double instant(double time) { return 1e-12 * (fabs(time) + 1e-3); }
+
 void history_clear(History *history) {
     free(history->segments);
     memset(history, 0, sizeof *history);
@@ -76,7 +79,7 @@ static Segment delayed(History *history, Segment given, double delay, double *ne
     size_t n;
     Segment found = given;
     history_note(history, given.since, given.value, given.slope);
-    n = begun(history, given.since - delay + 1e-13 * fabs(given.since));
+    n = begun(history, given.since - delay + instant(given.since));
     if (n < history->count) *next = fmin(*next, history->segments[n].since + delay);
     if (n == 0) {
         found.value = history->segments[0].value;
@@ -98,7 +101,7 @@ static Segment played(double *out, Segment given, double half_width, double *nex
     if (given.slope == 0.0) return found;
     way = given.slope > 0.0 ? 1.0 : -1.0;
     left = way * (*out + way * half_width - given.value);
-    if (left > 1e-14 * (fabs(given.value) + half_width)) {
+    if (left > instant(given.since) * fabs(given.slope)) {
         found.slope = 0.0;
         *next = fmin(*next, given.since + left / fabs(given.slope));
     }
@@ -125,7 +128,7 @@ double see_inputs(Instance *c, double time, double end) {
         c->now.moves[j] = seen->slope;
     }
 #endif
-    return next > time + 1e-12 * (fabs(time) + 1e-3) && next < end ? next : end;
+    return next < end - instant(end) ? next : end;
 }
 
 /* The inputs go along their lines from one time to another. */

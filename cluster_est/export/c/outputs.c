@@ -82,10 +82,14 @@ static void advance(Instance *c, int e, const double *row, double begin, double 
                               + stages[3][j]);
 }
 
-static int substeps(const Instance *c, int e, const double *row, const double *raw, double length) {
-    double rate = fmax(output_rate(e, row, raw, c->now.coefficients),
-                       output_rate(e, c->now.rows[e], raw, c->now.coefficients));
-    return (int)fmin(fmax(1.0, ceil(8.0 * length * rate)), 10000.0);
+/* As many that a time constant at either end of the step has eight, as in the run. */
+static int substeps(const Instance *c, int e, const double *row, double begin, double end) {
+    double first[ROOM(N_RAW)], last[ROOM(N_RAW)], rate;
+    take_inputs(c, begin, first);
+    take_inputs(c, end, last);
+    rate = fmax(output_rate(e, c->now.rows[e], first, c->now.coefficients),
+                output_rate(e, row, last, c->now.coefficients));
+    return (int)fmin(fmax(1.0, ceil(8.0 * (end - begin) * rate)), 10000.0);
 }
 #endif
 
@@ -97,7 +101,7 @@ fmi2Status advance_outputs(Instance *c, double begin, double end) {
     int e, n;
     take_inputs(c, end, raw);
     for (e = 0; e < N_OUTPUT_EFFECTS; e++) {
-        int steps = effects[e].count > 0 ? substeps(c, e, row, raw, end - begin) : 0;
+        int steps = effects[e].count > 0 ? substeps(c, e, row, begin, end) : 0;
         for (n = 0; n < steps; n++) advance(c, e, row, begin, end - begin, n, steps);
         row[effects[e].column] = result_of(c, e, row, raw);
     }
