@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from ctypes import byref
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from fmpy import extract, read_model_description
-from fmpy.fmi2 import FMU2Model, FMU2Slave
+from fmpy import calloc, free, read_model_description
+from fmpy.fmi2 import (
+    FMU2Slave,
+    fmi2CallbackAllocateMemoryTYPE,
+    fmi2CallbackFreeMemoryTYPE,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+)
+from fmpy.logging import addLoggerProxy
 
 from cluster_est.export.fmu import archive_files
 from cluster_est.export.layout import lay_out
@@ -62,10 +70,24 @@ def unpacked(repair: Repair, folder: Path) -> Path:
     return folder
 
 
+def _callbacks(said: list[str]) -> fmi2CallbackFunctions:
+    """What an instance is told to call; its messages go into a list."""
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(
+        lambda environment, name, status, category, text: said.append(text.decode())
+    )
+    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
+    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
+    addLoggerProxy(byref(callbacks))
+    return callbacks
+
+
 class Exported:
     """An instance of an unpacked exported FMU."""
 
-    def __init__(self, folder: Path, kind: type[Any] = FMU2Slave) -> None:
+    def __init__(
+        self, folder: Path, kind: type[Any] = FMU2Slave, said: list[str] | None = None
+    ) -> None:
         described = read_model_description(str(folder))
         self.references = {v.name: v.valueReference for v in described.modelVariables}
         interface = described.coSimulation if kind is FMU2Slave else described.modelExchange
@@ -75,8 +97,8 @@ class Exported:
             modelIdentifier=interface.modelIdentifier,
             instanceName="one",
         )
-        self.said: list[str] = []
-        self.fmu.instantiate()
+        self._callbacks = _callbacks([] if said is None else said)
+        self.fmu.instantiate(callbacks=self._callbacks)
 
     def set(self, name: str, value: float) -> None:
         self.fmu.setReal([self.references[name]], [value])
@@ -124,5 +146,3 @@ def co_simulated(
             exported.fmu.doStep(float(times[i]), float(times[i + 1] - times[i]))
     return np.array(found)
 
-
-__all__ = ["COMPILER", "Exported", "FMU2Model", "co_simulated", "needs_compiler", "repair_of"]

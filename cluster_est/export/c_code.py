@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping, Sequence
 
 import sympy as sp
-from sympy.codegen.rewriting import create_expand_pow_optimization
 from sympy.printing.c import C99CodePrinter
 
 from cluster_est.export.layout import Layout
@@ -14,20 +13,20 @@ from workers.effects.definition import SIGNAL, TIME, Definition, known_rates, va
 from workers.effects.source import Assignment
 
 Places = Mapping[sp.Symbol, tuple[str, int]]
-_products = create_expand_pow_optimization(4, base_req=lambda base: True)
 
 
-class _Printer(C99CodePrinter):
-    """C99, with truths as numbers where an equation computes with them."""
+class _Printer(C99CodePrinter):  # type: ignore[misc]
+    """C99; small powers are products, as compilers make them of what a run compiles."""
+
+    def _print_Pow(self, expr: sp.Expr) -> str:  # noqa: N802 - SymPy's name
+        base, exponent = expr.args
+        if exponent in (2, 3, 4):
+            return "(" + "*".join([f"({self._print(base)})"] * int(exponent)) + ")"
+        return str(super()._print_Pow(expr))
 
     def _print_sign(self, expr: sp.Expr) -> str:
         value = self._print(expr.args[0])
         return f"((double)(({value} > 0.0) - ({value} < 0.0)))"
-
-
-def c_expression(value: sp.Expr) -> str:
-    """An expression in C; small powers are products."""
-    return str(_Printer().doprint(_products(value)))
 
 
 def effects_source(layout: Layout) -> str:
@@ -91,7 +90,7 @@ def _comment(symbol: sp.Symbol) -> str:
 
 
 def _inline(value: sp.Expr) -> str:
-    return " ".join(c_expression(value).split())
+    return " ".join(_Printer().doprint(value).split())
 
 
 def _inside_rate(layout: Layout) -> str:

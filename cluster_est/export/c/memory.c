@@ -74,11 +74,21 @@ double history_at(const History *history, double at, double now, double value) {
 #if N_INPUT_MEMORIES > 0
 static const struct { int backlash, column, coefficient; } memories[] = INPUT_MEMORIES;
 
+/* Whether a signal goes on as it did, so that nothing need be noted. */
+static int goes_on(const History *history, Segment given) {
+    const Segment *last = history->segments + history->count - 1;
+    double line;
+    if (history->count == 0 || last->slope != given.slope || last->since >= given.since) return 0;
+    line = last->value + last->slope * (given.since - last->since);
+    return fabs(line - given.value) <= 1e-12 * (fabs(line) + fabs(given.value));
+}
+
 /* The delayed signal, and when its slope changes next. */
 static Segment delayed(History *history, Segment given, double delay, double *next) {
     size_t n;
     Segment found = given;
-    history_note(history, given.since, given.value, given.slope);
+    if (!goes_on(history, given))
+        history_note(history, given.since, given.value, given.slope);
     n = begun(history, given.since - delay + instant(given.since));
     if (n < history->count) *next = fmin(*next, history->segments[n].since + delay);
     if (n == 0) {

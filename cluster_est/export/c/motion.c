@@ -22,7 +22,7 @@ void take_inputs(const Instance *c, double time, double *raw) {
 
 /* Hand over the inputs and varied parameters; those inputs that may jump alone only if `all`. */
 fmi2Status write_inputs(Instance *c, double time, const double *states, int all) {
-    double raw[ROOM(N_RAW)];
+    double raw[ROOM(N_RAW)] = {0.0};
     fmi2Status status = fmi2OK;
     size_t count = all ? N_INPUTS : N_MOVING;
     take_inputs(c, time, raw);
@@ -49,7 +49,7 @@ fmi2Status write_inputs(Instance *c, double time, const double *states, int all)
 
 /* The inputs that the original is initialised with. Its states are not known yet and count as 0. */
 fmi2Status first_inputs(Instance *c) {
-    double raw[ROOM(N_RAW)];
+    double raw[ROOM(N_RAW)] = {0.0};
     sample_inputs(c);
     take_inputs(c, c->now.time, raw);
     memset(c->now.states, 0, sizeof c->now.states);
@@ -84,7 +84,7 @@ fmi2Status go_to(Instance *c, double time, const double *states) {
 /* dx/dt of the original's states and of those of the effects inside. */
 fmi2Status derivative(Instance *c, double time, const double *states, int moved, double *result) {
     fmi2Status status = moved ? go_to(c, time, states) : fmi2OK;
-    double raw[ROOM(N_RAW)];
+    double raw[ROOM(N_RAW)] = {0.0};
     if (N_STATES > 0 && !AT_LEAST_DISCARD(status))
         status = worse(status, c->original.GetDerivatives(c->original.handle, result, N_STATES));
     take_inputs(c, time, raw);
@@ -94,7 +94,7 @@ fmi2Status derivative(Instance *c, double time, const double *states, int moved,
 
 /* Start the own states, once the original's are known. */
 void begin_own_states(Instance *c) {
-    double raw[ROOM(N_RAW)];
+    double raw[ROOM(N_RAW)] = {0.0};
     take_inputs(c, c->now.time, raw);
     effects_begin(c->now.time, c->now.states, raw, c->now.coefficients, c->now.base);
 }
@@ -107,7 +107,7 @@ fmi2Status all_derivatives(Instance *c, double *result) {
     status = worse(status, derivative(c, c->now.time, c->now.states, 0, result));
 #if N_OUTPUT_OWN > 0
     if (!AT_LEAST_DISCARD(status)) {
-        double rows[ROOM(N_OUTPUT_EFFECTS)][ROOM(N_ROW)], last[ROOM(N_ROW)], raw[ROOM(N_RAW)];
+        double rows[ROOM(N_OUTPUT_EFFECTS)][ROOM(N_ROW)], last[ROOM(N_ROW)], raw[ROOM(N_RAW)] = {0.0};
         int e;
         status = worse(status, output_rows(c, rows, last));
         take_inputs(c, c->now.time, raw);

@@ -25,7 +25,7 @@ static fmi2Status get_row(Instance *c, double *row) {
 
 /* What each effect sees, and in `last` what all of them make of it. */
 fmi2Status output_rows(Instance *c, double rows[][ROOM(N_ROW)], double *last) {
-    double raw[ROOM(N_RAW)];
+    double raw[ROOM(N_RAW)] = {0.0};
     fmi2Status status = get_row(c, last);
     int e;
     take_inputs(c, c->now.time, raw);
@@ -37,7 +37,7 @@ fmi2Status output_rows(Instance *c, double rows[][ROOM(N_ROW)], double *last) {
 }
 
 fmi2Status begin_outputs(Instance *c) {
-    double row[ROOM(N_ROW)], raw[ROOM(N_RAW)];
+    double row[ROOM(N_ROW)], raw[ROOM(N_RAW)] = {0.0};
     fmi2Status status = get_row(c, row);
     int e;
     take_inputs(c, c->now.time, raw);
@@ -63,7 +63,7 @@ fmi2Status note_outputs(Instance *c) {
 /* One classic Runge-Kutta step, number n of so many, of an effect's own states. */
 static void advance(Instance *c, int e, const double *row, double begin, double length, int n,
                     int steps) {
-    double stages[4][ROOM(N_ALL)], trial[ROOM(N_ALL)], between[ROOM(N_ROW)], raw[ROOM(N_RAW)];
+    double stages[4][ROOM(N_ALL)], trial[ROOM(N_ALL)], between[ROOM(N_ROW)], raw[ROOM(N_RAW)] = {0.0};
     double step = length / steps, *x = c->now.states;
     int stage, j, last = effects[e].first + effects[e].count;
     memcpy(trial, x, sizeof trial);
@@ -82,21 +82,21 @@ static void advance(Instance *c, int e, const double *row, double begin, double 
                               + stages[3][j]);
 }
 
-/* As many that a time constant at either end of the step has eight, as in the run. */
+/* As many that a time constant, as it is at either end, has eight, as in the run. */
 static int substeps(const Instance *c, int e, const double *row, double begin, double end) {
     double first[ROOM(N_RAW)], last[ROOM(N_RAW)], rate;
     take_inputs(c, begin, first);
     take_inputs(c, end, last);
     rate = fmax(output_rate(e, c->now.rows[e], first, c->now.coefficients),
                 output_rate(e, row, last, c->now.coefficients));
-    return (int)fmin(fmax(1.0, ceil(8.0 * (end - begin) * rate)), 10000.0);
+    return (int)fmin(fmax(1.0, ceil(8.0 * c->now.step * rate)), 10000.0);
 }
 #endif
 
 /* Over a communication step, within which the outputs count as linear. */
 fmi2Status advance_outputs(Instance *c, double begin, double end) {
 #if N_OUTPUT_OWN > 0
-    double row[ROOM(N_ROW)], raw[ROOM(N_RAW)];
+    double row[ROOM(N_ROW)], raw[ROOM(N_RAW)] = {0.0};
     fmi2Status status = get_row(c, row);
     int e, n;
     take_inputs(c, end, raw);

@@ -35,7 +35,7 @@ static const fmi2ValueReference inputs[] = INPUT_REFERENCES;
 #if N_OWN > 0
 /* One classic Runge-Kutta step of the effects' own states. */
 static void advance(Instance *c, double time, double step) {
-    double k[4][ROOM(N_OWN)], trial[ROOM(N_OWN)], raw[ROOM(N_RAW)], *x = c->now.states;
+    double k[4][ROOM(N_OWN)], trial[ROOM(N_OWN)], raw[ROOM(N_RAW)] = {0.0}, *x = c->now.states;
     int stage, j;
     for (stage = 0; stage < 4; stage++) {
         double reach = stage == 0 ? 0.0 : (stage == 3 ? step : 0.5 * step);
@@ -50,7 +50,7 @@ static void advance(Instance *c, double time, double step) {
 
 /* The inputs at a time as the effects make them, which the original is to see. */
 static void edit(const Instance *c, double time, double *edited) {
-    double raw[ROOM(N_RAW)];
+    double raw[ROOM(N_RAW)] = {0.0};
     take_inputs(c, time, raw);
 #if HAS_BEFORE
     double varied[ROOM(N_BASE)];
@@ -66,7 +66,8 @@ static fmi2Status prepare(Instance *c, double time, double step) {
     edit(c, time, first);
 #if N_OWN > 0
     {
-        double most = fmin(fmax(1.0, ceil(8.0 * step * effects_rate(c->now.coefficients))), 1e4);
+        double rate = effects_rate(c->now.coefficients);
+        double most = fmin(fmax(1.0, ceil(8.0 * c->now.step * rate)), 1e4);
         int n, steps = (int)most;
         for (n = 0; n < steps; n++) advance(c, time + n * (step / steps), step / steps);
     }
@@ -115,6 +116,7 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real point, fmi2Real size, fm
     if (!c->simulates || c->now.phase != RUNNING)
         return complain(c, fmi2Error, "fmi2DoStep must follow fmi2ExitInitializationMode");
     c->now.time = point;
+    c->now.step = size;
     while (c->now.time < end && !AT_LEAST_DISCARD(status)) {
         begin = c->now.time;
         until = see_inputs(c, begin, end);

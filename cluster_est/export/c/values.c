@@ -207,7 +207,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component component, const fmi2Value
     size_t i, j;
     if (c->original.GetDirectionalDerivative == NULL)
         return complain(c, fmi2Error, "the original FMU gives no directional derivatives");
-    for (i = 0; i < N_TOUCHED; i++) {
+    for (i = 0; i != N_TOUCHED; i++) {
         for (j = 0; j < unknowns + knowns; j++)
             if ((j < unknowns ? unknown[j] : known[j - unknowns]) == touched[i])
                 return complain(c, fmi2Error,

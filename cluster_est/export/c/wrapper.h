@@ -44,7 +44,8 @@ typedef struct {
     double rows[ROOM(N_OUTPUT_EFFECTS)][ROOM(N_ROW)]; /* what each saw when the step began */
     double indicators[ROOM(N_INDICATORS)];
     double atols[ROOM(N_INNER)];
-    double next_event, proposed, stop;
+    double step;                         /* of co-simulation, the latest */
+    double next_event, proposed;
     int dirty;                           /* the original does not know the inputs yet */
     int begun;                           /* the own states have been started */
     int in_event;                        /* in co-simulation: something discrete was set */
