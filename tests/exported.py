@@ -49,12 +49,8 @@ def repair_of(
         own = tuple(Found(name, "", left.pop(0)) for name in names)
         found.append(own)
         parameters += [Parameter(f.name, f.value) for f in own]
-    own_parameters = [
-        Parameter(n, v) for n, v in zip(model.parameters, values, strict=True)
-    ]
-    problem = Problem(
-        model, (*own_parameters, *parameters), (experiment,), effects=tuple(effects)
-    )
+    own_parameters = [Parameter(n, v) for n, v in zip(model.parameters, values, strict=True)]
+    problem = Problem(model, (*own_parameters, *parameters), (experiment,), effects=tuple(effects))
     known = tuple(Found(n, "", v) for n, v in zip(model.parameters, values, strict=True))
     return Repair(
         "test", problem, description, tuple(made), tuple(found), known, experiment.values, ()
@@ -145,4 +141,3 @@ def co_simulated(
         if not last:
             exported.fmu.doStep(float(times[i]), float(times[i + 1] - times[i]))
     return np.array(found)
-

@@ -135,9 +135,7 @@ def _output(
     first = layout.first_output_state(index)
     places |= {s: ("states", first + i) for i, s in enumerate(definition.states)}
     if what == "begin":
-        return places, [
-            Assignment("states", first + i, e) for i, e in enumerate(definition.starts)
-        ]
+        return places, [Assignment("states", first + i, e) for i, e in enumerate(definition.starts)]
     if what == "inside":
         return places, [
             Assignment("slopes", first + i, e) for i, e in enumerate(definition.derivatives)

@@ -167,10 +167,10 @@ def _extend_structure(root: Element, layout: Layout, indices: dict[str, int]) ->
     assert structure is not None
     assert variables is not None
     touched = {str(reference) for reference in layout.touched}
-    memory = any(e.form.memory or e.site.kind in ("input", "parameter") for e in layout.repair.effects)  # fmt: skip
+    ahead = any(e.site.kind in ("input", "parameter") for e in layout.repair.effects)
     for unknown in structure.iter("Unknown"):
         index = int(unknown.get("index", "0"))
-        if memory or variables[index - 1].get("valueReference") in touched:
+        if ahead or variables[index - 1].get("valueReference") in touched:
             unknown.attrib.pop("dependencies", None)
             unknown.attrib.pop("dependenciesKind", None)
     rates = [indices[own.name] for own in layout.own if own.kind == "RATE"]

@@ -59,7 +59,9 @@ def write_fmu(repair: Repair, path: Path) -> tuple[str, ...]:
         _write_archive(partial, content)
         partial.replace(path)
     except OSError as error:
-        raise RunFolderError(f"--fmu: {path} cannot be written ({error}); choose another") from error
+        raise RunFolderError(
+            f"--fmu: {path} cannot be written ({error}); choose another"
+        ) from error
     return _notes(layout)
 
 
@@ -117,9 +119,10 @@ def _notes(layout: Layout) -> tuple[str, ...]:
             "integrates"
         )
     if layout.signals:
+        one = len(layout.signals) == 1
         notes.append(
-            f"{', '.join(layout.signals)} {'is an input' if len(layout.signals) == 1 else 'are inputs'}"
-            " of the exported FMU, because effects depend on what was measured there"
+            f"{', '.join(layout.signals)} {'is an input' if one else 'are inputs'} of the exported "
+            "FMU, because effects depend on what was measured there"
         )
     return tuple(notes)
 

@@ -114,7 +114,7 @@ class Layout:
 
     def first_output_state(self, index: int) -> int:
         """Where the own states of an effect at an output begin."""
-        before = [i for i in (*self.inside, *self.outputs[: self.outputs.index(index)])]
+        before = (*self.inside, *self.outputs[: self.outputs.index(index)])
         return len(self.states) + sum(len(self.effect(i).states) for i in before)
 
 

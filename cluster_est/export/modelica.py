@@ -40,7 +40,7 @@ class _Printer(StrPrinter):  # type: ignore[misc]
 
     def _nested(self, name: str, expr: sp.Expr) -> str:
         """Modelica's min and max take two numbers."""
-        first, *rest = (self._print(argument) for argument in expr.args)
+        first, *rest = (str(self._print(argument)) for argument in expr.args)
         for argument in rest:
             first = f"{name}({first}, {argument})"
         return first

@@ -92,7 +92,9 @@ class Repair:
         return tuple(np.cumsum([0, *map(len, self.coefficients)])[:-1].tolist())
 
 
-def gather(run_folder: Path, config: Path | None, experiment: str | None, *, allow_code: bool) -> Repair:  # fmt: skip
+def gather(
+    run_folder: Path, config: Path | None, experiment: str | None, *, allow_code: bool
+) -> Repair:
     """Read what a run was made from and what it has found.
 
     Parameters

@@ -55,7 +55,9 @@ def export(
         If nothing is asked for, the run cannot be read, or a file cannot be written.
     """
     if wanted == Wanted():
-        raise ConfigError("export: must be told what to write; add --fmu, --ssv, --modelica or --text")  # fmt: skip
+        raise ConfigError(
+            "export: must be told what to write; add --fmu, --ssv, --modelica or --text"
+        )
     _check_name(wanted.fmu, "--fmu", ".fmu")
     _check_name(wanted.ssv, "--ssv", ".ssv")
     repair = gather(run_folder, config, experiment, allow_code=allow_code)

@@ -51,7 +51,8 @@ def effects_of(kind, late=False):
 
     At inputs those that come late are apart: the others would enlarge how they are rounded.
     """
-    known = {"low": -0.5, "limit": 0.05, "tau": 0.03, "width": 0.05, "high": 0.5}
+    limit = 2.0 if kind == "input" else 0.05
+    known = {"low": -0.5, "limit": limit, "tau": 0.03, "width": 0.05, "high": 0.5}
     forms = [f for k, f in FORMS if k == kind and (k != "input" or (f in LAGGARDS) is late)]
     effects, values = [], []
     for number, name in enumerate(forms):

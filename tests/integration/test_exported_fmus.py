@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from exported import Exported, co_simulated, needs_compiler, repair_of, unpacked
@@ -113,7 +115,8 @@ def test_model_exchange_integrates_the_effects_states(tmp_path):
     truth = solve(slope, (*START, FORCE[0]))[:, 0]
     described = describe("spring.fmu", (tmp_path / "spring.fmu").read_bytes())
     assert described.states == ("x", "v", "late.z")
-    exported = Model("spring.fmu", (tmp_path / "spring.fmu").read_bytes(), "model_exchange", EXACT, ())  # fmt: skip
+    archive = (tmp_path / "spring.fmu").read_bytes()
+    exported = Model("spring.fmu", archive, "model_exchange", EXACT, ())
     found = simulated(exported, experiment(), ())[:, 0]
     np.testing.assert_allclose(found, truth, rtol=0.0, atol=1e-7)
 
@@ -183,11 +186,70 @@ def test_other_events_pass_through(own_fmu, tmp_path, name):
     measured = Experiment("e", 0.0, stop, inputs, chosen)
     of = Model(archive.name, archive.read_bytes(), "model_exchange", Solver("dormand_prince"), ())
     exported = Exported(unpacked(repair_of(of, measured, (), (), ()), tmp_path))
-    exported.begin({n: wave[0] for n in driven})
+    exported.begin(dict.fromkeys(driven, wave[0]))
     found = co_simulated(exported, times, dict.fromkeys(driven, wave), outputs[0], hold=True)
     exported.close()
     truth = simulated(of, measured, ())[:, 0]
     np.testing.assert_allclose(found, truth, rtol=1e-6, atol=1e-6)
+
+
+def test_a_measured_signal_that_an_effect_needs_becomes_an_input(tmp_path):
+    wind = np.cos(3.0 * TIMES)
+    measured = replace(experiment(), signals=(Input("wind", TIMES, wind),))
+    effect = Effect("blow", "der(v)", "linear", ("wind",))
+    repair = repair_of(model(), measured, (M, K, C), (effect,), (0.7,))
+    exported = Exported(unpacked(repair, tmp_path))
+    exported.begin({"F": FORCE[0], "wind": wind[0]})
+    found = co_simulated(exported, TIMES, {"F": FORCE, "wind": wind}, "y")
+    exported.close()
+    truth = solve(pushed(lambda t, x, f: 0.7 * np.interp(t, TIMES, wind)))[:, 0]
+    np.testing.assert_allclose(found, truth, rtol=0.0, atol=1e-7)
+
+
+def test_an_original_with_a_fixed_step_keeps_it(own_fmu, tmp_path):
+    archive = own_fmu("fixed_step", 2)
+    description = describe(archive.name, archive.read_bytes())
+    step = description.fixed_internal_step or description.default_step or 0.1
+    times = step * np.arange(21)
+    chosen = Output(description.outputs[0], times, np.zeros(21))
+    measured = Experiment("e", 0.0, float(times[-1]), (), (chosen,))
+    of = Model(archive.name, archive.read_bytes(), "co_simulation", Solver("fmu"), ())
+    gain = (Effect("gain", f"output {chosen.variable}", "gain"),)
+    repair = repair_of(of, measured, (), gain, (0.5,))
+    write_fmu(repair, tmp_path / "fixed.fmu")
+    made = describe("fixed.fmu", (tmp_path / "fixed.fmu").read_bytes())
+    assert not made.variable_steps
+    exported = Exported(unpacked(repair, tmp_path / "unpacked"))
+    exported.begin({})
+    found = co_simulated(exported, times, {}, chosen.variable)
+    exported.close()
+    truth = simulated(of, measured, (0.5,), gain)[:, 0]
+    np.testing.assert_allclose(found, truth, rtol=0.0, atol=1e-12)
+
+
+def test_directional_derivatives_pass_through_where_no_effect_touches_them(own_fmu, tmp_path):
+    archive = own_fmu("states_directional", 2)
+    description = describe(archive.name, archive.read_bytes())
+    first, last = description.states[0], description.states[-1]
+    output = Output(first, np.array([0.0, 1.0]), np.zeros(2))
+    of = Model(archive.name, archive.read_bytes(), "model_exchange", EXACT, ())
+    measured = Experiment("e", 0.0, 1.0, (), (output,))
+    rates = {v.derivative_of: v.reference for v in description.variables.values()}
+    references = [description.variables[first].reference], [rates[first]]
+    given = []
+    for effects in ((), (Effect("push", f"der({last})", "constant"),)):
+        repair = repair_of(of, measured, (), effects, (0.5,) * len(effects))
+        folder = unpacked(repair, tmp_path / str(len(effects)))
+        exported = Exported(folder, FMU2Model)
+        exported.begin({})
+        exported.fmu.enterContinuousTimeMode()
+        given.append(exported.fmu.getDirectionalDerivative(references[1], references[0], [1.0]))
+        if effects:
+            with pytest.raises(FMICallException):
+                exported.fmu.getDirectionalDerivative([rates[last]], references[0], [1.0])
+        exported.close()
+    assert list(given[0]) == list(given[1])
+    assert given[0][0] != 0.0
 
 
 def test_what_the_original_says_passes_through(own_fmu, tmp_path):
@@ -218,4 +280,3 @@ def test_the_same_repair_is_the_same_archive(spring, tmp_path):
     repair = repair_of(model(), experiment(), (M, K, C), *TOGETHER)
     write_fmu(repair, tmp_path / "spring.fmu")
     assert (tmp_path / "spring.fmu").read_bytes() == spring[0].read_bytes()
-

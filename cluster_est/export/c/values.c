@@ -77,6 +77,7 @@ static fmi2Status set_special(Instance *c, const Special *special, double value)
         case BASE:
             c->now.base[special->index] = value;
             c->now.dirty = 1;
+            if (c->now.phase == RUNNING) return fmi2OK;
             return c->original.SetReal(c->original.handle, &reference, 1, &value);
         case START: {
             fmi2Status status = open_for_discrete(c);
@@ -161,7 +162,7 @@ fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference vr[], s
     Instance *c = component;
     fmi2Status status = sync(c), worst = status;
 #if N_SPECIALS > 0
-    size_t i, plain = 0;
+    size_t i, plain = !TOUCHES_EXCHANGE && !c->simulates ? n : 0;
     if (AT_LEAST_DISCARD(status)) return status;
     while (plain < n && find(vr[plain]) == NULL) plain++;
     if (plain == n) return c->original.GetReal(c->original.handle, vr, n, value);
