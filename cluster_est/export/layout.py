@@ -245,7 +245,8 @@ def _specials(layout: Layout) -> tuple[tuple[Special, ...], tuple[int, ...]]:
     for variable in description.variables.values():
         if variable.derivative_of in rates:
             add(variable.reference, "RATE", layout.states.index(variable.derivative_of))
-    named = [n for e in layout.repair.effects for n in (*e.uses, *e.site.targets)]
+    named = [n for e in layout.repair.effects for n in e.uses]
+    named += [e.site.target for e in layout.repair.effects if not e.site.at_rates]
     touched = {s.reference for s in found.values() if s.kind not in ("INPUT", "START")}
     touched |= {layout.reference(name) for name in named if name in description.variables}
     order = sorted(found.values(), key=lambda special: special.reference)
