@@ -127,7 +127,8 @@ static fmi2Status try_step(Instance *c, double step, double k[][ROOM(N_INNER)], 
     for (stage = 1; stage < STAGES && !AT_LEAST_DISCARD(status); stage++) {
         for (j = 0; j < N_INNER; j++) {
             double slope = 0.0;
-            for (before = 0; before < stage; before++) slope += weights[stage][before] * k[before][j];
+            for (before = 0; before < stage; before++)
+                slope += weights[stage][before] * k[before][j];
             trial[j] = x[j] + step * slope;
         }
         status = derivative(c, c->now.time + nodes[stage] * step, trial, 1, k[stage]);

@@ -107,7 +107,8 @@ fmi2Status all_derivatives(Instance *c, double *result) {
     status = worse(status, derivative(c, c->now.time, c->now.states, 0, result));
 #if N_OUTPUT_OWN > 0
     if (!AT_LEAST_DISCARD(status)) {
-        double rows[ROOM(N_OUTPUT_EFFECTS)][ROOM(N_ROW)], last[ROOM(N_ROW)], raw[ROOM(N_RAW)] = {0.0};
+        double rows[ROOM(N_OUTPUT_EFFECTS)][ROOM(N_ROW)], last[ROOM(N_ROW)];
+        double raw[ROOM(N_RAW)] = {0.0};
         int e;
         status = worse(status, output_rows(c, rows, last));
         take_inputs(c, c->now.time, raw);

@@ -63,7 +63,8 @@ fmi2Status note_outputs(Instance *c) {
 /* One classic Runge-Kutta step, number n of so many, of an effect's own states. */
 static void advance(Instance *c, int e, const double *row, double begin, double length, int n,
                     int steps) {
-    double stages[4][ROOM(N_ALL)], trial[ROOM(N_ALL)], between[ROOM(N_ROW)], raw[ROOM(N_RAW)] = {0.0};
+    double stages[4][ROOM(N_ALL)], trial[ROOM(N_ALL)];
+    double between[ROOM(N_ROW)], raw[ROOM(N_RAW)] = {0.0};
     double step = length / steps, *x = c->now.states;
     int stage, j, last = effects[e].first + effects[e].count;
     memcpy(trial, x, sizeof trial);

@@ -17,7 +17,8 @@ typedef struct {
 static const Special specials[N_SPECIALS] = SPECIALS;
 
 static int compare(const void *one, const void *other) {
-    fmi2ValueReference a = ((const Special *)one)->reference, b = ((const Special *)other)->reference;
+    fmi2ValueReference a = ((const Special *)one)->reference;
+    fmi2ValueReference b = ((const Special *)other)->reference;
     return (a > b) - (a < b);
 }
 

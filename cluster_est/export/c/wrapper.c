@@ -262,21 +262,23 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component component, fmi2Real r
     return c->original.GetNominalsOfContinuousStates(c->original.handle, result, N_STATES);
 }
 #else
-#define REFUSE(name, arguments)                                                         \
-    fmi2Status fmi2##name arguments {                                                   \
-        return complain(component, fmi2Error, "this FMU is for co-simulation alone");   \
+#define REFUSE(name, arguments, unused)                                               \
+    fmi2Status fmi2##name arguments {                                                 \
+        unused;                                                                       \
+        return complain(component, fmi2Error, "this FMU is for co-simulation alone"); \
     }
-#define UNUSED __attribute__((unused))
-REFUSE(EnterEventMode, (fmi2Component component))
-REFUSE(NewDiscreteStates, (fmi2Component component, fmi2EventInfo *info UNUSED))
-REFUSE(EnterContinuousTimeMode, (fmi2Component component))
-REFUSE(CompletedIntegratorStep, (fmi2Component component, fmi2Boolean keeps UNUSED,
-                                 fmi2Boolean *wants UNUSED, fmi2Boolean *ends UNUSED))
-REFUSE(SetTime, (fmi2Component component, fmi2Real time UNUSED))
-REFUSE(SetContinuousStates, (fmi2Component component, const fmi2Real x[] UNUSED, size_t n UNUSED))
-REFUSE(GetDerivatives, (fmi2Component component, fmi2Real result[] UNUSED, size_t n UNUSED))
-REFUSE(GetEventIndicators, (fmi2Component component, fmi2Real result[] UNUSED, size_t n UNUSED))
-REFUSE(GetContinuousStates, (fmi2Component component, fmi2Real x[] UNUSED, size_t n UNUSED))
-REFUSE(GetNominalsOfContinuousStates,
-       (fmi2Component component, fmi2Real result[] UNUSED, size_t n UNUSED))
+#define ARRAY(name, type) \
+    REFUSE(name, (fmi2Component component, type x[], size_t n), ((void)x, (void)n))
+REFUSE(EnterEventMode, (fmi2Component component), (void)0)
+REFUSE(NewDiscreteStates, (fmi2Component component, fmi2EventInfo *info), (void)info)
+REFUSE(EnterContinuousTimeMode, (fmi2Component component), (void)0)
+REFUSE(CompletedIntegratorStep,
+       (fmi2Component component, fmi2Boolean keeps, fmi2Boolean *wants, fmi2Boolean *ends),
+       ((void)keeps, (void)wants, (void)ends))
+REFUSE(SetTime, (fmi2Component component, fmi2Real time), (void)time)
+ARRAY(SetContinuousStates, const fmi2Real)
+ARRAY(GetDerivatives, fmi2Real)
+ARRAY(GetEventIndicators, fmi2Real)
+ARRAY(GetContinuousStates, fmi2Real)
+ARRAY(GetNominalsOfContinuousStates, fmi2Real)
 #endif
