@@ -86,7 +86,7 @@ def _type(value: sp.Basic) -> str:
 
 def _comment(symbol: sp.Symbol) -> str:
     name = str(symbol).removeprefix("fmu:").removeprefix("base:")
-    return name.replace("*/", "* /").replace("\n", " ")
+    return re.sub(r"[/*\\\n]+", " ", name)
 
 
 def _inline(value: sp.Expr) -> str:
