@@ -1,64 +1,68 @@
-"""Estimate the parameters and initial states of an FMU from many measured experiments at once."""
+"""Estimate the parameters and initial states of an FMU from many measured experiments at once.
+
+`read_problem` and `fit`, or `close_loop`, are where to begin. What is not named here is imported
+from its own module, such as `cluster_est.methods` for the methods.
+"""
 
 from __future__ import annotations
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from cluster_est.build import build_problem
-from cluster_est.config import parse_config, read_config
+from cluster_est.build import build_problem, read_problem
+from cluster_est.config import read_config
 from cluster_est.data import read_table
 from cluster_est.errors import ClusterEstError
 from cluster_est.fit import fit, simulate
 from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.methods.scipy_least_squares import ScipyLeastSquares
+from cluster_est.multistart import Multistart
 from cluster_est.problem import Parameter, Problem
+from cluster_est.residual_function import residuals
 from cluster_est.resources import Resources
-from cluster_est.result import Estimate, OutputError, Result
+from cluster_est.result import Estimate, Result
 from cluster_est.runner import Budget
-from workers.messages import Experiment, Input, Model, Output, Solver
+from cluster_est.uncertainty import UncertaintySettings
+from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 
 if TYPE_CHECKING:
     from cluster_est.closed_loop.loop import close_loop
-    from cluster_est.closed_loop.parts import Detection, add_effect, detect, locate
-    from cluster_est.closed_loop.result import Finding, LoopResult
+    from cluster_est.closed_loop.parts import add_effect, detect, locate
+    from cluster_est.closed_loop.result import LoopResult
     from cluster_est.closed_loop.settings import LoopSettings
 
 __all__ = [
     "Budget",
     "ClusterEstError",
-    "Detection",
+    "Effect",
     "Estimate",
     "Experiment",
-    "Finding",
     "Input",
     "LeastSquares",
     "LoopResult",
     "LoopSettings",
     "Model",
+    "Multistart",
     "Output",
-    "OutputError",
     "Parameter",
     "Problem",
     "Resources",
     "Result",
-    "ScipyLeastSquares",
     "Solver",
+    "UncertaintySettings",
     "add_effect",
     "build_problem",
     "close_loop",
     "detect",
     "fit",
     "locate",
-    "parse_config",
     "read_config",
+    "read_problem",
     "read_table",
+    "residuals",
     "simulate",
 ]
 
 _LATE = {
-    "Detection": "parts",
-    "Finding": "result",
     "LoopResult": "result",
     "LoopSettings": "settings",
     "add_effect": "parts",
@@ -73,3 +77,7 @@ def __getattr__(name: str) -> Any:
     if name not in _LATE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"cluster_est.closed_loop.{_LATE[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.code import Code
-from cluster_est.config import Config, ParameterSection
+from cluster_est.config import Config, ParameterSection, read_config
 from cluster_est.costs import ALIASES as COST_ALIASES
 from cluster_est.costs import COSTS, Cost
 from cluster_est.costs.total import Total
@@ -43,6 +44,29 @@ _OPTION_TYPES: dict[Any, tuple[Any, str]] = {
     bool: (bool, "true or false"),
     str: (str, "text in quotes"),
 }
+
+
+def read_problem(
+    path: str | Path, overrides: Sequence[str] = (), *, allow_code: bool = False
+) -> Problem:
+    """The problem that a config file describes, with its FMU and data read.
+
+    Parameters
+    ----------
+    path
+        The TOML file; paths in it start from its folder.
+    overrides
+        "key=value" with dots in the key, as on the command line.
+    allow_code
+        Whether Python functions that it names may run.
+
+    Raises
+    ------
+    ClusterEstError
+        If the config, a file or a name in it is wrong.
+    """
+    path = Path(path)
+    return build_problem(read_config(path, list(overrides)), path.parent, allow_code=allow_code)
 
 
 def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Problem:

@@ -1,4 +1,4 @@
-"""The command line: check, fit, close-loop, export, replay, show, simulate, sweep.
+"""The command line: init, check, fit, close-loop, export, replay, show, simulate, sweep.
 
 Exit codes: 0 done; 1 ran, but did not reach a solution; 2 bad input, with a sentence; 130
 interrupted.
@@ -73,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
+    _add_init(commands)
     check = _command(
         commands,
         "check",
@@ -121,6 +122,24 @@ def _parser() -> argparse.ArgumentParser:
     show.add_argument("--search", help="of this search, such as 'start 3'; without: of the best")
     show.set_defaults(run=_show)
     return parser
+
+
+def _add_init(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "write a first config for an FMU and measured tables"
+    init = commands.add_parser("init", help=summary, description=summary[0].upper() + summary[1:])
+    init.add_argument("fmu", metavar="FMU", type=Path, help="the model")
+    init.add_argument(
+        "data",
+        metavar="DATA",
+        type=Path,
+        nargs="+",
+        help="tables, one an experiment: .csv, .parquet, .feather, .mat; the last is held out",
+    )
+    init.add_argument(
+        "--out", type=Path, help="TOML file to write; without: the FMU's name, in this folder"
+    )
+    init.add_argument("--overwrite", action="store_true", help="replace that file")
+    init.set_defaults(run=_init)
 
 
 def _add_sweep(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -200,6 +219,12 @@ def _seconds(text: str) -> float:
     if seconds != 0.0 and not 0.5 <= seconds < 1e6:
         raise argparse.ArgumentTypeError(f"must be 0 or a number from 0.5 on but is {text}")
     return seconds
+
+
+def _init(options: argparse.Namespace) -> int:
+    from cluster_est.commands import init
+
+    return init(options.fmu, options.data, options.out, overwrite=options.overwrite)
 
 
 def _check(options: argparse.Namespace) -> int:

@@ -22,9 +22,11 @@ from cluster_est.build import (
     build_settings,
     build_uncertainty,
 )
+from cluster_est.cheaper_slopes import Carried, recorded_slopes
 from cluster_est.config import Config, read_config
 from cluster_est.curves import residual_table, trajectory_table
-from cluster_est.errors import BudgetError, ModelError, ProblemError, RunFolderError
+from cluster_est.drafting import draft, write
+from cluster_est.errors import BudgetError, ConfigError, ModelError, ProblemError, RunFolderError
 from cluster_est.fit import check_search
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
@@ -74,6 +76,35 @@ STEPS = {
     "final": "the final fits",
 }
 """What the searches of a closed loop do, by their names in the log."""
+
+
+def init(fmu: Path, data: list[Path], out: Path | None, *, overwrite: bool) -> int:
+    """Write a first config, and say what to fill in or to do next."""
+    out = Path(f"{fmu.stem}.toml") if out is None else out
+    if out.is_dir():
+        raise ConfigError(f"--out: {out} must be a file but is a folder; name a file in it")
+    if out.exists() and not overwrite:
+        raise ConfigError(
+            f"--out: {out} is there already; choose another, or replace it with --overwrite"
+        )
+    found = draft(fmu, data)
+    text = write(found, out.parent)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(text.toml, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise ConfigError(f"--out: {out} cannot be written ({error}); choose another") from error
+    console = Console()
+    for number, line in text.open:
+        say(console, f"{out}, line {number}: fill in {line}")
+    for run in found.runs:
+        for name in run.unfed:
+            say(
+                console,
+                f"{out}: no column of {run.id!r} is like input {name!r}; it stays as it starts",
+            )
+    say(console, f"{out} is written; look through it, then: cluster-est check {out}")
+    return DONE
 
 
 def check(path: Path, overrides: list[str], *, allow_code: bool, seconds: float = SECONDS) -> int:
@@ -326,7 +357,9 @@ class _Keeper:
         self.folder: RunFolder | None = None
         self.logged: LoggedOutcomes | None = None
         self.chosen: Chosen | None = None
+        self.carried: Carried | None = None
         self._renew: Chosen | None = None
+        self._carry: Carried | None = None
         self.finished = False
         if not resume:
             check_free(out, overwrite=overwrite)
@@ -336,7 +369,8 @@ class _Keeper:
             found = "holds a finished run"
             if self.logged is not None:
                 found = f"is resumed; {len(self.logged)} simulations stand in its log"
-                self._renew = recorded(read_facts(out))
+                facts = read_facts(out)
+                self._renew, self._carry = recorded(facts), recorded_slopes(facts)
             say(Console(stderr=True), f"cluster-est: {out} {found}")
         self._open: Callable[[], RunFolder] = lambda: open_folder(
             out,
@@ -347,17 +381,30 @@ class _Keeper:
             logged=self.logged,
             base=base,
             chosen=self.chosen,
+            carried=self.carried,
         )
 
     def resources(self, config: Config) -> Resources:
         """Those of the config, behind what an interrupted run has left."""
         found = build_resources(config)
-        return replace(found, log=self.logged, renew=self._renew, chosen=self._choose)
+        return replace(
+            found,
+            log=self.logged,
+            renew=self._renew,
+            carried=self._carry,
+            chosen=self._choose,
+            slopes=self._take,
+        )
 
     def _choose(self, chosen: Chosen) -> None:
         self.chosen = chosen
         if not chosen.plain:
             say(Console(stderr=True), f"cluster-est: {chosen.sentence}")
+
+    def _take(self, carried: Carried) -> None:
+        self.carried = carried
+        if carried.carry:
+            say(Console(stderr=True), f"cluster-est: sensitivities are used: {carried.sentence}")
 
     @property
     def steps(self) -> str:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from cluster_est.output_errors import Simulation, curve_residuals, output_residuals
 from cluster_est.problem import Problem
-from cluster_est.result import Simulation, curve_residuals, output_residuals
 from workers.messages import Experiment, FloatArray
 
 

@@ -14,9 +14,10 @@ from cluster_est.judging import judge
 from cluster_est.methods.base import Method, Solution
 from cluster_est.methods.least_squares import LeastSquares
 from cluster_est.multistart import Multistart, check_starts, search_from_starts
+from cluster_est.output_errors import Simulation, output_errors
 from cluster_est.problem import Problem
-from cluster_est.resources import Resources, one_blas_thread, open_executor
-from cluster_est.result import Result, Simulation, output_errors
+from cluster_est.resources import Resources, one_blas_thread, open_executor, suit_method
+from cluster_est.result import Result
 from cluster_est.runner import Note, Record, Runner, SearchRequest, Show
 from cluster_est.space import Space, make_space
 from cluster_est.uncertainty import (
@@ -79,6 +80,7 @@ def fit(
     multistart = multistart or Multistart()
     train = check_search(problem, method, settings, multistart)
     with one_blas_thread(), open_executor(problem, resources) as executor:
+        method = suit_method(method, executor, train, resources)
         runner = Runner(executor, resources.budget, record, show, note)
         result = fit_on(runner, train, method, seed, multistart, settings)
     return replace(result, seconds=time.monotonic() - begin)

@@ -15,8 +15,8 @@ from rich.console import Console
 
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.base import TOLERANCE
+from cluster_est.output_errors import Simulation
 from cluster_est.problem import Problem
-from cluster_est.result import Simulation
 from cluster_est.rows import constraints_at_start
 from cluster_est.space import make_space
 from workers.description import nearest

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
+from cluster_est import notebook
 from cluster_est.costs.base import Cost
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
@@ -216,6 +217,39 @@ class Problem:
         if self.model.interface == "model_exchange":
             return ()
         return communication_notes(self.model, self.describe(), self.experiments)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        model = self.model
+        kind = model.interface.replace("_", " ")
+        title = f"Problem: {model.name}, {kind}, solver {model.solver.name}, cost {self.cost.name}"
+        parameters = [
+            (p.name, p.start, p.lower, p.upper, p.unit, _kind(p)) for p in self.parameters
+        ]
+        experiments = [
+            (e.id, e.role, e.start, e.stop, ", ".join(o.variable for o in e.outputs), str(e.size))
+            for e in self.experiments
+        ]
+        return notebook.section(
+            title,
+            notebook.Table(
+                "Parameters", ("name", "start", "lower", "upper", "unit", "kind"), parameters
+            ),
+            notebook.Table(
+                "Experiments",
+                ("id", "role", "from [s]", "to [s]", "outputs", "residuals"),
+                experiments,
+            ),
+        )
+
+
+def _kind(parameter: Parameter) -> str:
+    """How a parameter is estimated, in a word or two."""
+    if parameter.expression:
+        return f"= {parameter.expression}"
+    if parameter.fixed:
+        return "fixed"
+    return f"one for each {parameter.per}" if parameter.per else "shared"
 
 
 def check_variables(problem: Problem, description: Description) -> None:

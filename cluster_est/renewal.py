@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from cluster_est.errors import ExecutorError
-from cluster_est.executors import Executor, executor_class
+from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem import Problem
 from cluster_est.space import make_space
 from workers.errors import ModelError
@@ -80,7 +80,7 @@ class Question:
         values = space.physical(space.start)[:, : len(problem.model.parameters)]
         return cls(tuple(Task(i, e, values[e]) for i, e in enumerate(asked)))
 
-    def ask(self, executor: Executor) -> bool | None:
+    def ask(self, executor: WorkerPool) -> bool | None:
         """Whether the answers are the same bits; None if that cannot be found out."""
         (first,) = executor.first_worker(self.tasks[:1]) or (None,)
         if first is None or not first.ok or first.seconds > SLOW_SECONDS:
@@ -96,7 +96,7 @@ def open_renewing(
     address: str | None,
     limits: Limits,
     known: Chosen | None,
-) -> tuple[Executor, Chosen]:
+) -> tuple[WorkerPool, Chosen]:
     """Start the workers, with what every simulation has to begin with.
 
     Parameters
@@ -114,7 +114,7 @@ def open_renewing(
         If the FMU cannot be loaded.
     """
 
-    def start(kind: str, renew: Renewal, count: int | None) -> Executor:
+    def start(kind: str, renew: Renewal, count: int | None) -> WorkerPool:
         model = replace(problem.model, renew=renew)
         return executor_class(kind).open(model, problem.experiments, count, address, limits)
 
@@ -150,8 +150,8 @@ def _other_way(
     name: str,
     workers: int | None,
     question: Question,
-    start: Callable[[str, Renewal, int | None], Executor],
-) -> tuple[Executor, Chosen]:
+    start: Callable[[str, Renewal, int | None], WorkerPool],
+) -> tuple[WorkerPool, Chosen]:
     """The least that lets the question have one answer; a reset if nothing does."""
     for renew in WAYS[1:]:
         elsewhere = renew == "process" and name == "local"

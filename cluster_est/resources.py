@@ -8,12 +8,15 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from cluster_est.executors import Executor
+from cluster_est.cheaper_slopes import Carried, cheaper_slopes, with_slopes
+from cluster_est.executors import Executor, WorkerPool
 from cluster_est.executors.recall import Recall
 from cluster_est.logged import LoggedOutcomes
+from cluster_est.methods.base import Method
 from cluster_est.problem import Problem
 from cluster_est.renewal import Chosen, open_renewing
 from cluster_est.runner import Budget
+from cluster_est.space import Space
 from workers.messages import Limits
 
 
@@ -37,8 +40,11 @@ class Resources:
         What an interrupted run has simulated already, if this one takes it up again.
     renew
         What that run's simulations began with, if it had to be chosen.
-    chosen
-        Told what every simulation begins with, before the first one that counts.
+    carried
+        Whether that run's method took sensitivities from the model, if that was found out.
+    chosen, slopes
+        Told what every simulation begins with, and where derivatives come from, before the first
+        simulation that counts.
     """
 
     executor: str = "local"
@@ -48,7 +54,9 @@ class Resources:
     limits: Limits = field(default_factory=Limits)
     log: LoggedOutcomes | None = field(default=None, repr=False, compare=False)
     renew: Chosen | None = None
+    carried: Carried | None = None
     chosen: Callable[[Chosen], None] | None = field(default=None, repr=False, compare=False)
+    slopes: Callable[[Carried], None] | None = field(default=None, repr=False, compare=False)
 
 
 def one_blas_thread() -> Any:
@@ -69,3 +77,13 @@ def open_executor(problem: Problem, resources: Resources) -> Executor:
     if resources.log is None:
         return executor
     return Recall(executor, problem.model, problem.experiments, resources.log)
+
+
+def suit_method(method: Method, executor: Executor, space: Space, resources: Resources) -> Method:
+    """The method, with derivatives from where they are cheaper; nothing was simulated yet."""
+    found = resources.carried or Carried(False)
+    if resources.carried is None and isinstance(executor, WorkerPool):
+        found = cheaper_slopes(executor, space, method)
+    if resources.slopes is not None:
+        resources.slopes(found)
+    return with_slopes(method, found)

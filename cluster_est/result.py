@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
+from cluster_est import notebook
+from cluster_est.curves import residual_table, trajectory_table
+from cluster_est.errors import RunFolderError
 from cluster_est.methods.base import Solution
+from cluster_est.output_errors import OutputError, Simulation
 from cluster_est.problem import Problem
 from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
-from workers.messages import Experiment, FloatArray, Outcome, Output, Role
+from cluster_est.uncertainty.rows import (
+    bootstrap_rows,
+    correlation_rows,
+    direction_rows,
+    interval_rows,
+    profile_rows,
+)
+from workers.description import nearest
+from workers.messages import FloatArray, Role
 
 
 @dataclass(frozen=True)
@@ -53,28 +69,6 @@ class Estimate:
     upper95: float
     difference_step: float
     estimated_on: str
-
-
-@dataclass(frozen=True)
-class OutputError:
-    """How well one output of one experiment is followed, a row of errors.parquet.
-
-    `before` is at the start values, `after` at the estimates. `rmse` is in the output's unit,
-    `relative` is over the standard deviation of the measured signal, `normalised` over sigma. NaN
-    where the simulation failed.
-    """
-
-    experiment: str
-    role: Role
-    output: str
-    unit: str
-    samples: int
-    rmse_before: float
-    rmse_after: float
-    relative_before: float
-    relative_after: float
-    normalised_before: float
-    normalised_after: float
 
 
 @dataclass(frozen=True)
@@ -125,14 +119,6 @@ class PointValue:
     value: float
     cost: float
     objectives: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True)
-class Simulation:
-    """One experiment simulated at given values: its outcome, with trajectory."""
-
-    experiment: int
-    outcome: Outcome = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -199,10 +185,98 @@ class Result:
         return self.solution.ending.success
 
     @property
+    def message(self) -> str:
+        """Why the search ended."""
+        return self.solution.message or str(self.solution.ending)
+
+    @property
     def x(self) -> dict[str, float]:
         """Estimated physical values by label."""
         searched = ("train", "test")
         return {e.label: e.value for e in self.estimates if e.estimated_on in searched}
+
+    @property
+    def fun(self) -> FloatArray | None:
+        """Residuals of the training experiments at the estimates, one after the other, over sigma.
+
+        None where a simulation failed.
+        """
+        at = self.solution.at
+        return at.residuals if at is not None and at.ok else None
+
+    @property
+    def jac(self) -> FloatArray | None:
+        """(residuals, unknowns): d `fun` / d the solution's x, which is logarithmic where a
+        parameter's scale is; None where the method has none, or it is too large for one array.
+        """
+        return self.solution.jacobian
+
+    @property
+    def nfev(self) -> int:
+        """Points that were asked for, those of finite differences included."""
+        return self.evaluations
+
+    @property
+    def nit(self) -> int:
+        """Iterations of the search."""
+        return self.solution.iterations
+
+    @property
+    def parameters(self) -> pa.Table:
+        """The table of that name: estimates with intervals."""
+        return self.table("parameters")
+
+    @property
+    def residuals(self) -> pa.Table:
+        """The table of that name: measured, simulated and residual at each measured time."""
+        return self.table("residuals")
+
+    @property
+    def trajectories(self) -> pa.Table:
+        """The table of that name: every simulated value."""
+        return self.table("trajectories")
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """What `table` can give: a run folder's files have the same names."""
+        optional = (name for name, rows in self.optional_rows().items() if rows)
+        return ("parameters", "errors", "residuals", "trajectories", *optional)
+
+    def table(self, name: str) -> pa.Table:
+        """One of `tables`, with the columns that it has in a run folder.
+
+        Raises
+        ------
+        RunFolderError
+            If this fit has no such table.
+        """
+        if name == "residuals":
+            return residual_table(self.problem, self.simulations)
+        if name == "trajectories":
+            return trajectory_table(self.problem, self.simulations)
+        rows: dict[str, Sequence[Any]] = {"parameters": self.estimates, "errors": self.errors}
+        rows |= self.optional_rows()
+        if not rows.get(name):
+            raise RunFolderError(
+                f"table: must be one of the tables that this fit has but is {name!r}"
+                f"{nearest(name, self.tables)}"
+            )
+        return pa.Table.from_pylist([dataclasses.asdict(row) for row in rows[name]])
+
+    def optional_rows(self) -> dict[str, Sequence[Any]]:
+        """Rows of the tables that not every fit has, by name; empty where it has none."""
+        uncertainty, drawn = self.uncertainty, self.bootstrap
+        return {
+            "constraints": self.constraints,
+            "starts": self.starts,
+            "minima": self.minima,
+            "front": self.front,
+            "correlations": [] if uncertainty is None else correlation_rows(uncertainty),
+            "directions": [] if uncertainty is None else direction_rows(uncertainty),
+            "profiles": profile_rows(self.profiles),
+            "bootstrap": [] if drawn is None else bootstrap_rows(drawn),
+            "intervals": interval_rows(self.profiles, drawn),
+        }
 
     def rmse(self, role: Role) -> float:
         """Root mean square error over all outputs of the experiments with this role, in sigmas."""
@@ -211,82 +285,29 @@ class Result:
         squares = samples * np.array([e.normalised_after for e in rows]) ** 2
         return float(np.sqrt(squares.sum() / samples.sum())) if rows else np.nan
 
-
-def output_errors(
-    problem: Problem, before: list[Simulation], after: list[Simulation], units: dict[str, str]
-) -> tuple[OutputError, ...]:
-    """The table of errors, from each experiment simulated at the start and at the estimates."""
-    rows = []
-    for old, new in zip(before, after, strict=True):
-        experiment = problem.experiments[old.experiment]
-        for output in experiment.outputs:
-            spread = float(np.std(output.values)) or np.nan
-            then = _rms(output_residuals(output, old.outcome))
-            now = _rms(output_residuals(output, new.outcome))
-            rows.append(
-                OutputError(
-                    experiment=experiment.id,
-                    role=experiment.role,
-                    output=output.variable,
-                    unit=units.get(output.variable, ""),
-                    samples=len(output.times),
-                    rmse_before=then * output.sigma,
-                    rmse_after=now * output.sigma,
-                    relative_before=then * output.sigma / spread,
-                    relative_after=now * output.sigma / spread,
-                    normalised_before=then,
-                    normalised_after=now,
-                )
-            )
-        if experiment.curve is not None:
-            rows.append(_curve_error(experiment, old.outcome, new.outcome))
-    return tuple(rows)
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        title = f"Result: {self.message}; cost {self.cost_before:.6g} before, {self.cost:.6g} after"
+        return notebook.section(title, *fit_tables(self.estimates, self.errors))
 
 
-def output_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
-    """(measured - simulated) / sigma of one output at its measured times; None if it failed.
-
-    From the trajectory, whatever the cost makes of it.
-    """
-    trajectory = outcome.trajectory
-    if trajectory is None:
-        return None
-    column = trajectory.variables.index(output.variable)
-    rows = np.searchsorted(trajectory.times, output.times)
-    simulated: FloatArray = trajectory.values[rows, column]
-    return (output.values - simulated) / output.sigma
-
-
-def curve_residuals(experiment: Experiment, outcome: Outcome) -> FloatArray | None:
-    """Distances of a curve's segments, relative to its size; None if it failed, or has no curve."""
-    if experiment.curve is None or outcome.trajectory is None:
-        return None
-    if experiment.cost_function is not None:
-        return None
-    count = len(experiment.curve.points) - 1
-    return None if outcome.residuals is None else outcome.residuals[-count:]
-
-
-def _curve_error(experiment: Experiment, old: Outcome, new: Outcome) -> OutputError:
-    """Of a curve, whose distances are relative to its size already."""
-    curve = experiment.curve
-    then, now = _rms(curve_residuals(experiment, old)), _rms(curve_residuals(experiment, new))
-    return OutputError(
-        experiment=experiment.id,
-        role=experiment.role,
-        output="curve of " + ", ".join(curve.variables if curve is not None else ()),
-        unit="",
-        samples=0 if curve is None else len(curve.points),
-        rmse_before=then,
-        rmse_after=now,
-        relative_before=then,
-        relative_after=now,
-        normalised_before=then,
-        normalised_after=now,
+def fit_tables(
+    estimates: Sequence[Estimate], errors: Sequence[Any]
+) -> tuple[notebook.Table, notebook.Table]:
+    """Estimates and errors, of a fit or of a closed loop, as a notebook shows them."""
+    values = [
+        (e.label, e.value, e.unit, e.std_error, e.lower95, e.upper95, e.at_bound) for e in estimates
+    ]
+    fits = [(e.experiment, e.role, e.output, e.rmse_before, e.rmse_after, e.unit) for e in errors]
+    return (
+        notebook.Table(
+            "Parameters",
+            ("parameter", "value", "unit", "standard error", "95 % from", "to", "at bound"),
+            values,
+        ),
+        notebook.Table(
+            "Root mean square errors",
+            ("experiment", "role", "output", "before", "after", "unit"),
+            fits,
+        ),
     )
-
-
-def _rms(residuals: FloatArray | None) -> float:
-    if residuals is None or not len(residuals):
-        return np.nan
-    return float(np.sqrt(np.mean(residuals**2)))

@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from cluster_est.cheaper_slopes import Carried
 from cluster_est.config import Config
 from cluster_est.errors import RunFolderError
 from cluster_est.evaluation_log import LogSettings
@@ -30,6 +31,7 @@ def open_folder(
     logged: LoggedOutcomes | None = None,
     base: Path | None = None,
     chosen: Chosen | None = None,
+    carried: Carried | None = None,
 ) -> RunFolder:
     """The folder of a run by a config, whose paths start from `base`.
 
@@ -46,6 +48,7 @@ def open_folder(
         logged=logged,
         config_folder=base,
         chosen=chosen,
+        carried=carried,
     )
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from cluster_est.judging import judge
 from cluster_est.methods.base import TOLERANCE, Other, Solution
 from cluster_est.multistart import Found
+from cluster_est.output_errors import Simulation
 from cluster_est.problem import Parameter, Problem
-from cluster_est.result import ConstraintValue, Estimate, PointValue, Simulation, StartResult
+from cluster_est.result import ConstraintValue, Estimate, PointValue, StartResult
 from cluster_est.space import Space
 from cluster_est.uncertainty import Interval, Uncertainty
 from workers.description import describe_model

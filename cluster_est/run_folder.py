@@ -9,7 +9,6 @@ import re
 import shutil
 import time
 from collections import defaultdict
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cluster_est.cheaper_slopes import Carried
 from cluster_est.closed_loop import tables
 from cluster_est.closed_loop.result import LoopResult
-from cluster_est.curves import residual_table, trajectory_table
 from cluster_est.errors import RunFolderError
 from cluster_est.evaluation_log import EvaluationLog, LogSettings
 from cluster_est.logged import LoggedOutcomes
@@ -28,13 +27,6 @@ from cluster_est.renewal import Chosen
 from cluster_est.result import Result
 from cluster_est.run_identity import FORMAT, versions
 from cluster_est.runner import Iteration, Origin
-from cluster_est.uncertainty.rows import (
-    bootstrap_rows,
-    correlation_rows,
-    direction_rows,
-    interval_rows,
-    profile_rows,
-)
 from workers.messages import Outcome
 
 BEGUN = {"evaluations", "config.toml", ".config.toml", ".run.json"}
@@ -64,8 +56,8 @@ class RunFolder:
         What the run that is there has simulated, if it is taken up again: its log goes on.
     config_folder
         The folder that the config's paths start from.
-    chosen
-        What every simulation begins with.
+    chosen, carried
+        What every simulation begins with; whether sensitivities are taken from the model.
 
     Raises
     ------
@@ -86,6 +78,7 @@ class RunFolder:
         logged: LoggedOutcomes | None = None,
         config_folder: Path | None = None,
         chosen: Chosen | None = None,
+        carried: Carried | None = None,
     ) -> None:
         check_free(path, overwrite=overwrite or logged is not None)
         self.path = path
@@ -94,7 +87,7 @@ class RunFolder:
         self._config_hash = config_hash
         self._logged = logged
         self._config_folder = config_folder
-        self._chosen = chosen
+        self._chosen, self._carried = chosen, carried
         self._iterations: dict[tuple[str, int, str], dict[str, Any]] = {}
         self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
         self._begin = time.time()
@@ -144,10 +137,8 @@ class RunFolder:
     def write_loop(self, result: LoopResult) -> None:
         """Write all tables of a closed loop: those of its last fit, and what it found."""
         self._log.close()
-        self._table("parameters", tables.parameter_rows(result))
-        self._table("errors", tables.error_rows(result))
-        self._write_table("findings", tables.finding_table(result))
-        self._write_table("effects", tables.effect_table(result))
+        for name in ("parameters", "errors", "findings", "effects"):
+            self._write_table(name, result.table(name))
         self._write_fit(result.after)
         given = any(o.sigma != 1.0 for e in self._problem.experiments for o in e.outputs)
         numbers = _numbers(result.after) | {
@@ -167,11 +158,11 @@ class RunFolder:
         rows = [{"worker": name, **numbers} for name, numbers in sorted(self._workers.items())]
         seconds = result.search_seconds if np.isfinite(result.search_seconds) else result.seconds
         self._table("workers", [row | {"seconds": seconds} for row in rows])
-        for name, found in _tables(result).items():
+        for name, found in result.optional_rows().items():
             if found:
                 self._table(name, [dataclasses.asdict(row) for row in found])
-        self._write_table("residuals", residual_table(result.problem, result.simulations))
-        self._write_table("trajectories", trajectory_table(result.problem, result.simulations))
+        self._write_table("residuals", result.residuals)
+        self._write_table("trajectories", result.trajectories)
 
     def abandon(self, reason: str, status: str = "failed") -> None:
         """Close the log of a run that ended without a result, and say so."""
@@ -204,26 +195,11 @@ class RunFolder:
                 "solver": self._problem.model.solver.name,
             },
             "renewal": dataclasses.asdict(self._chosen) if self._chosen is not None else None,
+            "sensitivities": dataclasses.asdict(self._carried) if self._carried else None,
             "experiments": {e.id: e.key for e in self._problem.experiments},
             "versions": versions(),
         }
         _write_text(self.path / "run.json", json.dumps(_finite(facts), indent=2) + "\n")
-
-
-def _tables(result: Result) -> dict[str, Sequence[Any]]:
-    """The tables that not every run has."""
-    uncertainty, drawn = result.uncertainty, result.bootstrap
-    return {
-        "constraints": result.constraints,
-        "starts": result.starts,
-        "minima": result.minima,
-        "front": result.front,
-        "correlations": [] if uncertainty is None else correlation_rows(uncertainty),
-        "directions": [] if uncertainty is None else direction_rows(uncertainty),
-        "profiles": profile_rows(result.profiles),
-        "bootstrap": [] if drawn is None else bootstrap_rows(drawn),
-        "intervals": interval_rows(result.profiles, drawn),
-    }
 
 
 def check_free(path: Path, *, overwrite: bool) -> None:
@@ -264,7 +240,7 @@ def _status(result: Result) -> str:
 def _numbers(result: Result) -> dict[str, Any]:
     return {
         "ending": result.solution.ending.name.lower(),
-        "message": result.solution.message or str(result.solution.ending),
+        "message": result.message,
         "cost_before": result.cost_before,
         "cost": result.cost,
         "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},

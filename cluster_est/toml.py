@@ -26,6 +26,11 @@ def inline(value: Any) -> str:
     return _value(value)
 
 
+def dotted(*parts: str) -> str:
+    """A key of several parts, each in quotes where it needs them."""
+    return ".".join(_key(part) for part in parts)
+
+
 def _table(tree: dict[str, Any], path: tuple[str, ...]) -> list[str]:
     lines: list[str] = []
     for key, value in tree.items():
@@ -33,7 +38,7 @@ def _table(tree: dict[str, Any], path: tuple[str, ...]) -> list[str]:
             lines.append(f"{_key(key)} = {_value(value)}")
     for key, value in tree.items():
         deeper = (*path, key)
-        header = ".".join(_key(part) for part in deeper)
+        header = dotted(*deeper)
         if _is_table(value):
             lines += ["", f"[{header}]", *_table(value, deeper)]
         elif _is_tables(value):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from ctypes import byref
+from ctypes import CFUNCTYPE, c_char_p, c_int, c_void_p, cast
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from fmpy.fmi2 import (
     fmi2CallbackFunctions,
     fmi2CallbackLoggerTYPE,
 )
-from fmpy.logging import addLoggerProxy
 
 from cluster_est.export.fmu import archive_files
 from cluster_est.export.layout import lay_out
@@ -66,15 +65,21 @@ def unpacked(repair: Repair, folder: Path) -> Path:
     return folder
 
 
+_LOGGER = CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_char_p)
+"""The wrapper's messages are one text behind "%s"."""
+
+
 def _callbacks(said: list[str]) -> fmi2CallbackFunctions:
-    """What an instance is told to call; its messages go into a list."""
+    """What an instance is told to call; its messages go into a list.
+
+    Not through fmpy's proxy, of which there is one for all FMUs of a process.
+    """
     callbacks = fmi2CallbackFunctions()
-    callbacks.logger = fmi2CallbackLoggerTYPE(
-        lambda environment, name, status, category, text: said.append(text.decode())
-    )
+    logger = _LOGGER(lambda *arguments: said.append(arguments[-1].decode()))
+    callbacks.logger = cast(logger, fmi2CallbackLoggerTYPE)
     callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
     callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
-    addLoggerProxy(byref(callbacks))
+    callbacks.kept = logger
     return callbacks
 
 

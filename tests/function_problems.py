@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import numpy as np
 
@@ -64,7 +63,6 @@ class FunctionProblem:
 class FunctionExecutor(Executor):
     """Answers a task with the residuals of a function; not finite counts as a failure."""
 
-    name: ClassVar[str] = "function"
     workers = 1
 
     def __init__(
@@ -75,10 +73,6 @@ class FunctionExecutor(Executor):
         self._residuals = residuals
         self._constraints = constraints or (lambda x: np.zeros(0))
         self._queue: list = []
-
-    @classmethod
-    def open(cls, model, experiments, workers, address):
-        raise AssertionError("made directly")
 
     def submit(self, tasks):
         self._queue += tasks

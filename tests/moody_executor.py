@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from typing import ClassVar, Self
 
 import numpy as np
 
 from cluster_est.executors import Executor
-from workers.messages import Experiment, Model, Outcome, Task
+from workers.messages import Outcome, Task
 
 
 class MoodyExecutor(Executor):
@@ -21,8 +20,6 @@ class MoodyExecutor(Executor):
     before
         Called with the number of each call of `completed`.
     """
-
-    name: ClassVar[str] = "moody"
 
     def __init__(
         self,
@@ -41,16 +38,6 @@ class MoodyExecutor(Executor):
         self._generator = np.random.default_rng(seed)
         self._queue: list[Task] = []
         self._running: list[Task] = []
-
-    @classmethod
-    def open(
-        cls,
-        model: Model,
-        experiments: tuple[Experiment, ...],
-        workers: int | None,
-        address: str | None,
-    ) -> Self:
-        raise AssertionError("made directly")
 
     def submit(self, tasks: Sequence[Task]) -> None:
         self._queue += tasks

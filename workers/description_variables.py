@@ -114,6 +114,7 @@ def _scalar(
         nominal=abs(nominal or 1.0),
         type=TYPES[version][raw.tag],
         variability=variability,
+        description=" ".join((own.get("description") or "").split()),
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from workers.description import describe_model
 from workers.install import Installed
 from workers.kernels import failure
+from workers.loop import Record
 from workers.messages import (
     REDUCTIONS,
     Experiment,
@@ -26,7 +27,7 @@ from workers.messages import (
 from workers.residuals.base import Simulated
 from workers.residuals.experiment import ExperimentComparison, Judged
 from workers.residuals.reduce import reduce_residuals
-from workers.simulate import Record, Simulator
+from workers.simulate import Simulator
 from workers.wire import Batch
 
 MAX_VALUES = 4_000_000
@@ -67,10 +68,9 @@ class Evaluator:
             for i, e in enumerate(experiments)
         ]
         self._name = name
+        self._simulator.warm_up()  # also so that no simulation seems to take as long as compiling
         if load:
             self.load()
-        else:
-            self._simulator.warm_up()
 
     @property
     def simulator(self) -> Simulator:

@@ -10,20 +10,17 @@ import numpy as np
 from workers.augment import Augmentation, augment
 from workers.description import Description
 from workers.effects.definition import Definition, define
-from workers.grid import Grid
 from workers.install import Installed, install
-from workers.kernels.component import Component, References, Starts, Workspace
+from workers.kernels.asked import Asked
 from workers.kernels.cvode import CvodeBatch
 from workers.kernels.failure import FINISHED
 from workers.kernels.hooks import Hooks
-from workers.kernels.initialise import Settings
 from workers.kernels.linearise import ADAPTIVE, FIXED, GIVEN, Found, Probe, Range, linearise
 from workers.messages import (
     Effect,
     Experiment,
     FloatArray,
     Input,
-    IntArray,
     Linearisation,
     Model,
 )
@@ -117,32 +114,17 @@ class Pass:
     found: Found
     cvode: CvodeBatch | None
 
-    def __call__(
-        self,
-        c: Component,
-        references: References,
-        starts: Starts,
-        settings: Settings,
-        hooks: Hooks,
-        grid: Grid,
-        points: FloatArray,
-        work: Workspace,
-        outputs: FloatArray,
-        codes: IntArray,
-        stopped_at: FloatArray,
-    ) -> int:
+    def __call__(self, asked: Asked) -> int:
+        """Simulate one point. Always returns 1."""
         way = ADAPTIVE if self.prepared.model.solver.name == "dormand_prince" else FIXED
         if self.cvode is not None:  # it goes ahead, because nobody may call the FMU in between
             way = GIVEN
-            self.cvode(
-                c, references, starts, settings, hooks, grid, points, work, outputs, codes,
-                stopped_at, self.found.states,
-            )  # fmt: skip
-            if codes[0] != FINISHED:
+            self.cvode(asked, self.found.states)
+            if asked.codes[0] != FINISHED:
                 return 1
-        codes[0], stopped_at[0] = linearise(
-            way, c, references, starts, settings, hooks, self.probing, grid, points[0],
-            work, self.probe, self.found, outputs[0],
+        asked.codes[0], asked.stopped_at[0] = linearise(
+            way, *asked[:5], self.probing, asked.grid, asked.points[0], asked.work, self.probe,
+            self.found, asked.outputs[0],
         )  # fmt: skip
         return 1
 

@@ -12,8 +12,9 @@ from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.fmu import Instance
 from workers.kernels import failure
+from workers.loop import Record
 from workers.messages import Experiment, FloatArray, Model, Outcome, Renewal, Solver, Task
-from workers.simulate import Record, Simulator
+from workers.simulate import Simulator
 from workers.wire import Batch
 
 WARM = 10
@@ -247,7 +248,7 @@ def _renewing(evaluator: Evaluator, experiment: int, renew: Renewal) -> Simulato
 def _twin(evaluator: Evaluator, model: Model, experiment: Experiment) -> Simulator:
     """A simulator of something slightly else, on the same instance."""
     twin = Simulator(model, evaluator.description, (experiment,))
-    twin.instance = evaluator.simulator.instance
+    twin.load(evaluator.simulator.instance)
     return twin
 
 

@@ -11,7 +11,8 @@ from workers.description import Description
 from workers.errors import ModelError
 from workers.fmu import Instance
 from workers.install import Installed
-from workers.kernels.component import Component, References, Starts, Workspace
+from workers.kernels.asked import Asked
+from workers.kernels.component import Workspace
 from workers.kernels.dormand_prince import NODES, WEIGHTS
 from workers.kernels.failure import FATAL, FINISHED
 from workers.kernels.forward import AT_START, KNOWN, TWINS, Forward
@@ -44,24 +45,11 @@ class Along:
     fixed: Literal[True] | None
     forward: Forward
 
-    def __call__(
-        self,
-        c: Component,
-        references: References,
-        starts: Starts,
-        settings: Settings,
-        hooks: Hooks,
-        grid: object,
-        points: FloatArray,
-        work: Workspace,
-        outputs: FloatArray,
-        codes: IntArray,
-        stopped_at: FloatArray,
-    ) -> int:
-        codes[0], stopped_at[0] = simulate_forward(
-            self.fixed, c, references, starts, settings, hooks, grid, points[0], work, self.forward,
-            outputs[0],
-        )  # fmt: skip
+    def __call__(self, asked: Asked) -> int:
+        """Simulate one point. Always returns 1."""
+        asked.codes[0], asked.stopped_at[0] = simulate_forward(
+            self.fixed, *asked[:6], asked.points[0], asked.work, self.forward, asked.outputs[0]
+        )
         return 1
 
 

@@ -1,9 +1,8 @@
-"""Model and experiment in, outputs at every time of the grid out: many points in one call."""
+"""Model, experiment and effects in, outputs at every time of the grid out, for many points."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,59 +12,18 @@ from workers.description import Description
 from workers.errors import ModelError
 from workers.fmu import Instance
 from workers.install import Installed, install
-from workers.kernels import failure, linearise
-from workers.kernels.co_simulation import co_simulate_batch
-from workers.kernels.component import Component, Workspace, nothing_loaded, workspace
+from workers.kernels import failure
 from workers.kernels.cvode import CvodeBatch
-from workers.kernels.dormand_prince import dormand_prince_batch
-from workers.kernels.hooks import Hooks, no_hooks
-from workers.kernels.initialise import Settings
-from workers.kernels.rk4 import rk4_batch
+from workers.kernels.hooks import no_hooks
 from workers.kernels.stiffness import stiffness
-from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Linearisation, Model
+from workers.loop import Loop, Record
+from workers.messages import Effect, Experiment, FloatArray, Input, Model
 from workers.sensitivities import Sensing
 
 if TYPE_CHECKING:
     from workers.augment import Augmentation, Effects
     from workers.effects.definition import Definition
     from workers.linearise import Prepared
-
-BATCHES = {"fmu": co_simulate_batch, "rk4": rk4_batch, "dormand_prince": dormand_prince_batch}
-
-DEFAULT_RTOL = 1e-8
-"""Of Dormand-Prince: on sampled inputs its steps are short anyhow, so accuracy costs little."""
-
-
-@dataclass(frozen=True)
-class Record:
-    """What a batch of simulations gave.
-
-    Attributes
-    ----------
-    outputs : (points, times, outputs)
-    messages : (points,)
-        Empty where a simulation reached its end, else a sentence.
-    codes : (points,)
-        See `workers.kernels.failure`.
-    linearisations
-        By point, where that was asked for and the simulation reached its end.
-    slopes
-        (parameters, times, outputs) by point, where sensitivities were asked for and to be had;
-        NaN for parameters by which there are none.
-    """
-
-    outputs: FloatArray
-    messages: list[str]
-    codes: IntArray
-    linearisations: dict[int, Linearisation] = field(default_factory=dict)
-    slopes: dict[int, FloatArray] = field(default_factory=dict)
-
-    @classmethod
-    def empty(cls, points: int, times: int, outputs: int) -> Record:
-        """Nothing simulated yet."""
-        return cls(
-            np.full((points, times, outputs), np.nan), [""] * points, np.zeros(points, np.int64)
-        )
 
 
 class Simulator:
@@ -86,8 +44,6 @@ class Simulator:
         If the FMU lacks a variable that an experiment or the model names.
     """
 
-    instance: Instance
-
     def __init__(
         self, model: Model, description: Description, experiments: tuple[Experiment, ...]
     ) -> None:
@@ -103,29 +59,31 @@ class Simulator:
             tuple[int, tuple[tuple[Definition, int], ...]], tuple[Augmentation, Installed]
         ] = {}
         self._prepared: dict[tuple[int, tuple[tuple[Definition, int], ...], int], Prepared] = {}
-        name = model.solver.name
-        self._batch = CvodeBatch() if name == "cvode" else BATCHES[name]
-        self._workspaces: dict[tuple[int, ...], Workspace] = {}
-        self._widest = max((v.size for v in description.variables.values()), default=1)
         self._sensing = Sensing(model, description)
+        self._loop = Loop(model, description)
 
-    def load(self) -> None:
-        """Load the FMU and instantiate it.
+    def load(self, instance: Instance | None = None) -> None:
+        """Load the FMU and instantiate it, unless another's instance is to be used.
 
         Raises
         ------
         ModelError
             If that does not work on this machine.
         """
-        self.instance = Instance(self._model, self._description)
+        self._loop.load(instance)
+
+    @property
+    def instance(self) -> Instance:
+        return self._loop.instance
+
+    @property
+    def gives_jacobian(self) -> bool:
+        """Whether CVODE takes its Jacobian from the FMU, as far as it has simulated anything."""
+        return self._loop.gives_jacobian
 
     def warm_up(self) -> None:
-        """Have the loops compiled, or read from disk, before there is an FMU to run them on."""
-        ready = self._installed[0]
-        rows = np.empty((0, len(self._model.parameters) + len(ready.known)))
-        sizes = len(ready.grid.times), len(ready.outputs)
-        nowhere, record = nothing_loaded(self._description.version), Record.empty(0, *sizes)
-        self._call(self._batch, nowhere, ready, no_hooks(0), 0, rows, record, np.empty(0))
+        """Have the loop compiled, or read from disk, before there is an FMU to run it on."""
+        self._loop.warm_up(self._installed[0])
 
     def installed(self, experiment: int) -> Installed:
         return self._installed[experiment]
@@ -147,11 +105,12 @@ class Simulator:
         EffectError
             If an effect does not fit the FMU.
         """
+        self._loop.find_jacobian(self._installed[0])
         ready = self._installed[experiment]
         count = len(self._model.parameters)
         values, coefficients = points[:, :count], points[:, count:]
         if not effects:
-            return self._run(ready, values, no_hooks(len(points)), 0)
+            return self._loop.run(ready, values, no_hooks(len(points)))
         record = Record.empty(len(points), len(ready.grid.times), len(ready.outputs))
         for rows, active in self._resolved(effects).groups(coefficients):
             part = self._run_augmented(experiment, values[rows], coefficients[rows], active)
@@ -176,7 +135,7 @@ class Simulator:
                 "which an FMU gives in model exchange only; set model.interface to "
                 '"model_exchange", but it is "co_simulation"'
             )
-        cvode = self._batch if isinstance(self._batch, CvodeBatch) else None
+        cvode = self._loop.batch if isinstance(self._loop.batch, CvodeBatch) else None
         if cvode is not None and self._description.event_indicators > 0:
             raise ModelError(
                 f"{self._model.name}: has events, across which solver cvode cannot be linearised; "
@@ -188,7 +147,7 @@ class Simulator:
             prepared = self._prepare(experiment, point, effects)
             made = prepared.at(point, cvode)
             own = len(prepared.own_states)
-            part = self._run(made.ready, made.values, made.hooks, own, made)
+            part = self._loop.run(made.ready, made.values, made.hooks, own, made)
             record.codes[p], record.messages[p] = part.codes[0], part.messages[0]
             if part.codes[0] == failure.FINISHED:
                 record.linearisations[p] = made.result(part.outputs[0], plain)
@@ -223,13 +182,13 @@ class Simulator:
             return None, why
         row = np.concatenate([point, ready.known])
         kinds = self._sensing.find_kinds(
-            self.instance, ready, _settings(self._model, self._description, 0), no_hooks(1), row,
-            self._workspace(ready, no_hooks(1), 0),
+            self.instance, ready, self._loop.settings(), no_hooks(1), row,
+            self._loop.workspace(ready, no_hooks(1)),
         )  # fmt: skip
         if isinstance(kinds, str):
             return None, kinds
         along = self._sensing.along(ready, point, kinds, self.instance.component.handle)
-        part = self._run(ready, point[None], no_hooks(1), 0, along)
+        part = self._loop.run(ready, point[None], no_hooks(1), 0, along)
         if part.codes[0] != failure.FINISHED:
             if part.codes[0] >= failure.FATAL:
                 self._sensing.forget_twins()
@@ -258,14 +217,14 @@ class Simulator:
     def _of_stiffness(self, experiment: int, point: FloatArray, max_steps: int) -> tuple[Any, ...]:
         ready, hooks = self._installed[experiment], no_hooks(1)
         return (
-            self._component(),
+            self._loop.component(),
             ready.references,
             ready.starts,
-            _settings(self._model, self._description, 0)._replace(max_steps=max_steps),
+            self._loop.settings()._replace(max_steps=max_steps),
             hooks,
             ready.grid,
             np.concatenate([point, ready.known]),
-            self._workspace(ready, hooks, 0),
+            self._loop.workspace(ready, hooks),
         )
 
     def close(self) -> None:
@@ -302,7 +261,7 @@ class Simulator:
         """A group of points on which the same effects act."""
         plain = self._installed[experiment]
         if not active:
-            return self._run(plain, values, no_hooks(len(values)), 0)
+            return self._loop.run(plain, values, no_hooks(len(values)))
         augmentation, ready = self._augment(experiment, active)
         own = augmentation.inner.own_states if augmentation.inner is not None else 0
         record = Record.empty(len(values), len(plain.grid.times), len(plain.outputs))
@@ -314,7 +273,7 @@ class Simulator:
             hooks = augmentation.hooks(
                 ready.running, values[chunk], coefficients[chunk], self._model, self._description
             )
-            part = self._run(ready, values[chunk], hooks, own)
+            part = self._loop.run(ready, values[chunk], hooks, own)
             for p, outputs in enumerate(part.outputs):
                 augmentation.act_on(ready.grid, outputs, coefficients[chunk][p])
             kept = np.searchsorted(ready.grid.times, plain.grid.times)
@@ -338,127 +297,6 @@ class Simulator:
             self._augmented[key] = made, ready
         return self._augmented[key]
 
-    def _run(
-        self,
-        ready: Installed,
-        values: FloatArray,
-        hooks: Hooks,
-        own_states: int,
-        batch: Callable[..., int] | None = None,
-    ) -> Record:
-        known = np.broadcast_to(ready.known, (len(values), len(ready.known)))
-        # hstack keeps columns together if its parts do; the loops need rows
-        rows = np.ascontiguousarray(np.hstack([values, known]))
-        record = Record.empty(len(rows), len(ready.running.times), len(ready.outputs))
-        stopped_at = np.zeros(len(rows))
-        batch = self._batch if batch is None else batch
-        tried = 0
-        while tried < len(rows):
-            self.instance.log.clear()
-            first = tried
-            try:
-                component = self._component()
-            except ModelError as error:
-                record.codes[first], record.messages[first] = failure.INITIALISATION, str(error)
-                tried += 1
-                continue
-            tried += self._call(
-                batch,
-                component,
-                ready,
-                hooks,
-                own_states,
-                rows,
-                record,
-                stopped_at,
-                first,
-            )
-            last = tried - 1
-            code = int(record.codes[last])
-            if code == failure.FINISHED:
-                continue
-            if code == failure.DISCARDED and (end := self.instance.ended_at()) is not None:
-                record.codes[last] = code = failure.TERMINATED
-                stopped_at[last] = max(stopped_at[last], end)
-            if last > first and self.instance.log:
-                tried = last  # again, alone: its neighbours may have said some of this
-            else:
-                record.messages[last] = self._explain(code, float(stopped_at[last]))
-            if code >= failure.FATAL:
-                self.instance.renew()
-        if ready.communication is not None:
-            record = replace(record, outputs=ready.communication.read(record.outputs))
-        return record
-
-    @property
-    def _renews(self) -> bool:
-        """Whether each simulation has an instance of its own."""
-        return self._model.renew in ("instance", "process")
-
-    def _component(self) -> Component:
-        """What the next simulation runs on."""
-        return self.instance.fresh() if self._renews else self.instance.component
-
-    def _call(
-        self,
-        batch: Callable[..., int],
-        component: Component,
-        ready: Installed,
-        hooks: Hooks,
-        own_states: int,
-        rows: FloatArray,
-        record: Record,
-        stopped_at: FloatArray,
-        first: int = 0,
-    ) -> int:
-        """Simulate rows from the first to one that fails; how many."""
-        left = slice(first, first + 1 if self._renews else None)
-        rest = hooks._replace(
-            substeps=hooks.substeps[left],
-            coefficients=hooks.coefficients[left],
-            base=hooks.base[left],
-        )
-        settings = _settings(self._model, self._description, own_states)
-        if (fixed := ready.communication) is not None:
-            settings = settings._replace(step=fixed.longest, fixed=fixed.step)
-        return batch(
-            component,
-            ready.references,
-            ready.starts,
-            settings,
-            rest,
-            ready.running,
-            rows[left],
-            self._workspace(ready, hooks, own_states),
-            record.outputs[left],
-            record.codes[left],
-            stopped_at[left],
-        )
-
-    def _workspace(self, ready: Installed, hooks: Hooks, own_states: int) -> Workspace:
-        states = own_states
-        if self._model.interface == "model_exchange":
-            states += len(self._description.states)
-        sizes = (
-            ready.grid.inputs.shape[1],
-            states,
-            hooks.coefficients.shape[1],
-            hooks.base.shape[1],
-            self._description.event_indicators,
-            self._widest,
-        )
-        if sizes not in self._workspaces:
-            self._workspaces[sizes] = workspace(*sizes)
-        return self._workspaces[sizes]
-
-    def _explain(self, code: int, time: float) -> str:
-        said = " | ".join(dict.fromkeys(self.instance.log))
-        sentences = failure.SENTENCES | linearise.SENTENCES
-        sentence = f"{sentences[code % failure.FATAL]} at t = {time:.9g} s"
-        if code in failure.OF_STIFFNESS and self._model.solver.name == "dormand_prince":
-            sentence += '; if the model is stiff, model.solver = "cvode" goes on in long steps'
-        return f"{sentence}; it said: {said}" if said else sentence
-
 
 def _moving_first(description: Description, experiment: Experiment) -> Experiment:
     """The same with inputs that may move between events first: those are set together."""
@@ -468,19 +306,3 @@ def _moving_first(description: Description, experiment: Experiment) -> Experimen
         return variable is not None and not variable.moves
 
     return replace(experiment, inputs=tuple(sorted(experiment.inputs, key=is_discrete)))
-
-
-def _settings(model: Model, description: Description, own_states: int) -> Settings:
-    solver = model.solver
-    rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
-    atol = rtol if solver.atol is None else solver.atol
-    nominals = [description.variables[name].nominal for name in description.states]
-    nominals += [1.0] * own_states
-    return Settings(
-        step=solver.step or 0.0,
-        rtol=rtol,
-        atol=atol,
-        atols=np.maximum(atol * np.array(nominals, np.float64), np.finfo(np.float64).tiny),
-        max_steps=solver.max_steps,
-        fmu_tolerance=solver.rtol or 0.0,
-    )

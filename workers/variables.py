@@ -59,6 +59,8 @@ class Variable:
         Position in that array, in row-major order, from 0.
     size
         How many elements that array has.
+    description
+        What the FMU says that it is, on one line; "" if nothing.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Variable:
     shape: tuple[int, ...] = ()
     element: int = 0
     size: int = 1
+    description: str = ""
 
     @property
     def moves(self) -> bool:

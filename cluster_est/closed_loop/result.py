@@ -6,9 +6,11 @@ import enum
 from dataclasses import dataclass, field
 
 import numpy as np
+import pyarrow as pa
 
-from cluster_est.result import Estimate, Result
-from workers.messages import Effect, Role
+from cluster_est import notebook
+from cluster_est.result import Estimate, Result, fit_tables
+from workers.messages import Effect, FloatArray, Role
 
 
 class Verdict(enum.StrEnum):
@@ -207,3 +209,90 @@ class LoopResult:
         samples = np.array([e.samples for e in rows], np.float64)
         values = np.array([getattr(e, f"normalised_{when}") for e in rows])
         return float(np.sqrt((samples * values**2).sum() / samples.sum()))
+
+    @property
+    def success(self) -> bool:
+        """Whether the last fit reached a solution; what was found is said by `verdict`."""
+        return self.after.success
+
+    @property
+    def message(self) -> str:
+        """The summary."""
+        return self.summary
+
+    @property
+    def x(self) -> dict[str, float]:
+        """Physical values by label, those of the effects' coefficients among them."""
+        return self.after.x
+
+    @property
+    def cost(self) -> float:
+        """Of the training experiments, with the effects."""
+        return self.after.cost
+
+    @property
+    def fun(self) -> FloatArray | None:
+        """Residuals of the training experiments, with the effects; see `Result.fun`."""
+        return self.after.fun
+
+    @property
+    def jac(self) -> FloatArray | None:
+        """Of the last fit, with the effects; see `Result.jac`."""
+        return self.after.jac
+
+    @property
+    def nfev(self) -> int:
+        """Points that were asked for."""
+        return self.evaluations
+
+    @property
+    def nit(self) -> int:
+        """Iterations of the last fit."""
+        return self.after.nit
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """What `table` can give: a run folder's files have the same names."""
+        return tuple(dict.fromkeys(("effects", "findings", *self.after.tables)))
+
+    def table(self, name: str) -> pa.Table:
+        """One of `tables`, with the columns that it has in a run folder.
+
+        Raises
+        ------
+        RunFolderError
+            If there is no such table.
+        """
+        from cluster_est.closed_loop import tables  # it knows this class
+
+        made = {
+            "effects": tables.effect_table,
+            "findings": tables.finding_table,
+            "parameters": tables.parameter_table,
+            "errors": tables.error_table,
+        }
+        return made[name](self) if name in made else self.after.table(name)
+
+    @property
+    def parameters(self) -> pa.Table:
+        """The table of that name: with the effects, and before."""
+        return self.table("parameters")
+
+    @property
+    def residuals(self) -> pa.Table:
+        """The table of that name, with the effects."""
+        return self.after.residuals
+
+    @property
+    def trajectories(self) -> pa.Table:
+        """The table of that name, with the effects."""
+        return self.after.trajectories
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        effects = [(e.name, e.family, e.equation) for e in self.effects]
+        return notebook.section(
+            f"Closed loop: {self.verdict}. {self.summary}",
+            notebook.Table("Effects", ("name", "family", "equation"), effects),
+            *fit_tables(self.after.estimates, self.errors),
+        )

@@ -64,6 +64,16 @@ def error_rows(result: LoopResult) -> list[Row]:
     return rows
 
 
+def parameter_table(result: LoopResult) -> pa.Table:
+    """`parameter_rows` as a table."""
+    return pa.Table.from_pylist(parameter_rows(result))
+
+
+def error_table(result: LoopResult) -> pa.Table:
+    """`error_rows` as a table."""
+    return pa.Table.from_pylist(error_rows(result))
+
+
 def effect_table(result: LoopResult) -> pa.Table:
     """A row for each coefficient of each effect that was added."""
     rows = [

@@ -1,6 +1,6 @@
 """Executors: where tasks run. One file an executor.
 
-A new executor is one file with a subclass of `Executor` and one line here. They are imported only
+A new executor is one file with a subclass of `WorkerPool` and one line here. They are imported only
 when they are used, because Ray takes a second to import.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from cluster_est.executors.base import Executor
+from cluster_est.executors.base import Executor, WorkerPool
 
 EXECUTORS = {
     "local": "cluster_est.executors.local:LocalExecutor",
@@ -17,11 +17,11 @@ EXECUTORS = {
 }
 
 
-def executor_class(name: str) -> type[Executor]:
+def executor_class(name: str) -> type[WorkerPool]:
     """Import an executor by the name that the config calls it."""
     module, _, attribute = EXECUTORS[name].partition(":")
-    found: type[Executor] = getattr(import_module(module), attribute)
+    found: type[WorkerPool] = getattr(import_module(module), attribute)
     return found
 
 
-__all__ = ["EXECUTORS", "Executor", "executor_class"]
+__all__ = ["EXECUTORS", "Executor", "WorkerPool", "executor_class"]

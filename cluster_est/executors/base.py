@@ -17,49 +17,8 @@ class Executor(ABC):
     a result: what a task answers must not depend on where and with which others it ran.
     """
 
-    name: ClassVar[str]
-    """What the config calls it."""
-
     workers: int
     """How many simulations run at the same time."""
-
-    @classmethod
-    @abstractmethod
-    def open(
-        cls,
-        model: Model,
-        experiments: tuple[Experiment, ...],
-        workers: int | None,
-        address: str | None,
-        limits: Limits | None = None,
-    ) -> Self:
-        """Start workers and install the model and its experiments on each.
-
-        Parameters
-        ----------
-        model, experiments
-            What tasks refer to.
-        workers
-            How many; None for the executor's default.
-        address
-            Of a cluster, for executors that have one.
-        limits
-            When a simulation is ended from outside, for executors that can.
-
-        Raises
-        ------
-        ModelError
-            If the FMU cannot be loaded where it should run.
-        ExecutorError
-            If there are no workers to be had.
-        """
-
-    def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
-        """Have one worker answer tasks in turn, always the same one, while nothing else is asked.
-
-        Their ids may be used again. Empty if this executor cannot.
-        """
-        return []
 
     @abstractmethod
     def submit(self, tasks: Sequence[Task]) -> None:
@@ -92,3 +51,48 @@ class Executor(ABC):
         traceback: TracebackType | None,
     ) -> None:
         self.close()
+
+
+class WorkerPool(Executor):
+    """An executor that a config can choose: it starts workers that hold the model."""
+
+    name: ClassVar[str]
+    """What the config calls it."""
+
+    @classmethod
+    @abstractmethod
+    def open(
+        cls,
+        model: Model,
+        experiments: tuple[Experiment, ...],
+        workers: int | None,
+        address: str | None,
+        limits: Limits | None = None,
+    ) -> Self:
+        """Start workers and install the model and its experiments on each.
+
+        Parameters
+        ----------
+        model, experiments
+            What tasks refer to.
+        workers
+            How many; None for the executor's default.
+        address
+            Of a cluster, for executors that have one.
+        limits
+            When a simulation is ended from outside, for executors that can.
+
+        Raises
+        ------
+        ModelError
+            If the FMU cannot be loaded where it should run.
+        ExecutorError
+            If there are no workers to be had.
+        """
+
+    @abstractmethod
+    def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
+        """Have one worker answer tasks in turn, always the same one, while nothing else is asked.
+
+        Their ids may be used again. Empty if that worker was lost.
+        """

@@ -9,7 +9,7 @@ from typing import ClassVar, Protocol, Self
 
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import Backlog
-from cluster_est.executors.base import Executor
+from cluster_est.executors.base import WorkerPool
 from workers.description import describe_model
 from workers.evaluate import Evaluator
 from workers.messages import Experiment, Limits, Model, Outcome, Task
@@ -28,7 +28,7 @@ class _Evaluates(Protocol):
     def close(self) -> None: ...
 
 
-class LocalExecutor(Executor):
+class LocalExecutor(WorkerPool):
     """One thread for each worker, each with an instance of the FMU.
 
     With one worker quick simulations run in the caller's thread. Slow ones do not: an interrupt

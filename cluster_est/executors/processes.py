@@ -6,13 +6,13 @@ from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import ClassVar, Self
 
-from cluster_est.executors.base import Executor
+from cluster_est.executors.base import WorkerPool
 from cluster_est.executors.local import LocalExecutor
 from workers.guard import Guard
 from workers.messages import Experiment, Limits, Model, Outcome, Task
 
 
-class ProcessExecutor(Executor):
+class ProcessExecutor(WorkerPool):
     """For FMUs that crash, hang, leak or exist once in a process, on the cores of one machine.
 
     It starts in half a second, where Ray takes several. `local` is faster for simulations of less

@@ -18,7 +18,7 @@ from ray.exceptions import RayError, RayTaskError
 
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import Backlog
-from cluster_est.executors.base import Executor
+from cluster_est.executors.base import WorkerPool
 from cluster_est.executors.ray_cluster import connect, cores, disconnect, why_not_started
 from workers.actor import Worker
 from workers.messages import Experiment, Limits, Model, Outcome, Status, Task
@@ -48,7 +48,7 @@ class _Flight(NamedTuple):
     begin: float
 
 
-class RayPool(Executor):
+class RayPool(WorkerPool):
     """A pool of Ray actors. For slow or dangerous FMUs, many cores, and clusters."""
 
     name: ClassVar[str] = "ray"

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Collection, Sequence
-from typing import ClassVar, Self
 
 from cluster_est.executors.base import Executor
 from cluster_est.log_format import simulation_key
 from cluster_est.logged import LoggedOutcomes
-from workers.messages import Experiment, Limits, Model, Outcome, Task
+from workers.messages import Experiment, Model, Outcome, Task
 
 
 class Recall(Executor):
@@ -36,8 +35,6 @@ class Recall(Executor):
         What is known already.
     """
 
-    name: ClassVar[str] = "recall"
-
     def __init__(
         self,
         inner: Executor,
@@ -52,17 +49,6 @@ class Recall(Executor):
         self._held: list[tuple[int, int]] = []  # row, task
         self._later: list[Task] = []
         self._early: dict[int, Outcome] = {}
-
-    @classmethod
-    def open(
-        cls,
-        model: Model,
-        experiments: tuple[Experiment, ...],
-        workers: int | None,
-        address: str | None,
-        limits: Limits | None = None,
-    ) -> Self:
-        raise NotImplementedError("made around an executor that is open already")
 
     @property
     def workers(self) -> int:  # type: ignore[override]

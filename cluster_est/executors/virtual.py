@@ -5,12 +5,11 @@ from __future__ import annotations
 import heapq
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
-from typing import ClassVar, Self
 
 import numpy as np
 
 from cluster_est.executors.base import Executor
-from workers.messages import Experiment, FloatArray, Limits, Model, Outcome, Status, Task
+from workers.messages import FloatArray, Outcome, Status, Task
 
 Answer = Callable[[Task], FloatArray]
 Clock = Callable[[], float]
@@ -52,8 +51,6 @@ class VirtualExecutor(Executor):
         Of these, how many the coordinator has worked, as the clock says.
     """
 
-    name: ClassVar[str] = "virtual"
-
     def __init__(
         self,
         residuals: Answer,
@@ -75,17 +72,6 @@ class VirtualExecutor(Executor):
         self._worked = 0.0
         self._clock = clock or (lambda: 0.0)
         self._left = self._clock()
-
-    @classmethod
-    def open(
-        cls,
-        model: Model,
-        experiments: tuple[Experiment, ...],
-        workers: int | None,
-        address: str | None,
-        limits: Limits | None = None,
-    ) -> Self:
-        raise NotImplementedError("a virtual executor is made from functions, not from a model")
 
     def submit(self, tasks: Sequence[Task]) -> None:
         self._resume()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from cluster_est.export.layout import Layout
-from workers.simulate import DEFAULT_RTOL
+from workers.loop import DEFAULT_RTOL
 
 
 def header(layout: Layout, guid: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+from cluster_est.executors.backlog import BATCH_SECONDS
 from cluster_est.preflight.findings import Finding
 from cluster_est.preflight.subject import Subject, unanswered
 from workers.bench import Stopped
@@ -35,6 +36,9 @@ def _known(subject: Subject) -> Finding:
 def _time(subject: Subject, seconds: float, count: int) -> Finding:
     cores = os.cpu_count() or 1
     said = f"{_shown(seconds)} a simulation (median of {count})"
+    together = round(BATCH_SECONDS / max(seconds, 1e-6))
+    if together > 1:
+        said += f"; a worker gets up to {together} at a time"
     if seconds < QUICK:
         said += "; too short to be worth the way to another process"
         do = "" if subject.executor == "local" else 'executor.name = "local" is enough'

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cluster_est.output_errors import Simulation
 from cluster_est.preflight.costs import costs
 from cluster_est.preflight.findings import Finding, Page
 from cluster_est.preflight.parameters import bounds, corners, effects
@@ -15,7 +16,6 @@ from cluster_est.preflight.solving import accuracy, derivatives, stiffness
 from cluster_est.preflight.subject import Clock, Subject
 from cluster_est.problem import Problem
 from cluster_est.resources import Resources
-from cluster_est.result import Simulation
 from workers.bench import Bench, Stopped
 from workers.messages import Outcome, Status, Task
 from workers.probes import Compiled, Simulated

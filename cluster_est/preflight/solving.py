@@ -10,16 +10,15 @@ from cluster_est.preflight.findings import Finding
 from cluster_est.preflight.subject import Subject, unanswered
 from workers.bench import Stopped
 from workers.directional import Directional
+from workers.jacobian import AGREES
+from workers.loop import DEFAULT_RTOL
 from workers.messages import Solver
 from workers.probes import Solves, Stiff
-from workers.simulate import DEFAULT_RTOL
 
 TIGHTER = 100.0
 LEAST_RTOL = 1e-13
 GOOD, BAD = 1e-5, 1e-2
 """Changes of the outputs, of their size, that need not and must concern somebody."""
-AGREES = 1e-4
-"""Of directional derivatives and differences."""
 
 
 def accuracy(subject: Subject) -> list[Finding]:

@@ -30,9 +30,10 @@ from spoiled import (
     write_input,
 )
 
-from cluster_est import build_problem, parse_config
+from cluster_est import build_problem
 from cluster_est.build import build_method
 from cluster_est.cli import main
+from cluster_est.config import parse_config
 from cluster_est.errors import ClusterEstError
 
 A = "experiments.0"

@@ -97,6 +97,14 @@ def test_what_never_begins(examined: Examine) -> None:
     assert "did not end within" in line(page, "experiment default").found
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_what_crashes(examined: Examine, fmi: int) -> None:
+    page = examined("crashes_at_start", fmi)
+
+    assert not page.good
+    assert "crash: " in line(page, "experiment default").found
+
+
 def test_what_there_is_no_time_for_is_said(examined: Examine) -> None:
     page = examined("slow", seconds=3.0)
 

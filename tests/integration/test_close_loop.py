@@ -15,9 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 from springs_with_friction import FRICTION, TIMES, write_config
 
-from cluster_est import OutputError
 from cluster_est.cli import main
 from cluster_est.evaluation_log import read_log
+from cluster_est.output_errors import OutputError
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,9 @@ from problems import FMU
 from scipy.optimize import brentq, least_squares, minimize
 from scipy.signal import StateSpace, lsim
 
-from cluster_est import LeastSquares, Problem, Result, build_problem, fit, parse_config, simulate
+from cluster_est import LeastSquares, Problem, Result, build_problem, fit, simulate
 from cluster_est.cli import main
+from cluster_est.config import parse_config
 from cluster_est.methods.nelder_mead import NelderMead
 from cluster_est.methods.pattern_search import PatternSearch
 from cluster_est.methods.sqp import Sqp

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from problems import FMU
+from references import robertson
 from stiff_models import fed, oscillation, reaction, van_der_pol
 
 from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
@@ -173,6 +174,28 @@ def test_integrators_in_several_threads_do_not_disturb_each_other(simulator):
 
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    ("name", "right"),
+    [("robertson", True), ("wrong_directional", False), ("zero_directional", False)],
+)
+def test_the_jacobian_is_the_fmus_if_that_is_right(own_fmu, name, right, fmi):
+    archive = own_fmu(name, fmi)
+    content = archive.read_bytes()
+    model = Model(archive.name, content, "model_exchange", Solver("cvode", rtol=1e-8), ())
+    times = np.linspace(0.0, 2.0, 11)
+    output = Output("A" if right else "x", times, np.zeros(11), 1.0)
+    simulated = Simulator(
+        model, describe(archive.name, content), (Experiment("e", 0.0, 2.0, (), (output,)),)
+    )
+    simulated.load()
+    found = outputs(simulated, np.zeros((1, 0)))[0, :, 0]
+    expected = robertson(times)[:, 0] if right else np.exp(-times)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    assert simulated.gives_jacobian == right
+    simulated.close()
 
 
 def test_memory_does_not_grow(simulator):

@@ -148,7 +148,7 @@ def test_an_original_for_co_simulation_stays_one(tmp_path):
 
 
 @pytest.mark.parametrize("solver", [Solver("dormand_prince"), Solver("rk4", step=0.01)])
-def test_state_events_happen_when_they_did(own_fmu, tmp_path, solver):
+def test_state_events_happen_when_they_did(own_fmu, tmp_path, fmpy_prints, solver):
     """A ball that bounces, with a drag on it."""
     archive = own_fmu("bouncing_ball", 2)
     times = np.linspace(0.0, 2.0, 101)

@@ -8,7 +8,8 @@ import pytest
 from measured import measured
 from problems import ROOT
 
-from cluster_est import build_problem, fit, parse_config
+from cluster_est import build_problem, fit
+from cluster_est.config import parse_config
 
 CUBIC = {
     "name": "cubic",

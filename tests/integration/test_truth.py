@@ -8,7 +8,8 @@ from exact_linear import position
 from problems import spring_problem
 from scipy.optimize import least_squares
 
-from cluster_est import LeastSquares, ScipyLeastSquares, Solver, fit
+from cluster_est import LeastSquares, Solver, fit
+from cluster_est.methods.scipy_least_squares import ScipyLeastSquares
 
 METHODS = [
     LeastSquares(),

@@ -20,9 +20,9 @@ from __future__ import annotations
 import numpy as np
 from numba.core.types import float64, int32, intp
 
-from workers.grid import Grid
+from workers.kernels.asked import Asked
+from workers.kernels.callbacks import callbacks, move
 from workers.kernels.calling import address_of, c_function, inlined, kernel
-from workers.kernels.component import Component, References, Starts, Workspace
 from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.events import find_event, handle_event, shortest
 from workers.kernels.failure import (
@@ -34,11 +34,9 @@ from workers.kernels.failure import (
     TOO_MANY_STEPS,
     failed,
 )
-from workers.kernels.hooks import Hooks, take_point
-from workers.kernels.initialise import Settings
+from workers.kernels.hooks import take_point
 from workers.kernels.model_exchange import arrive, complete_step, start
 from workers.kernels.moving import record_outputs
-from workers.kernels.right_hand_side import move, right_hand_side
 from workers.kernels.sundials import (
     DUE,
     FIRST_DERIVATIVE_FAILED,
@@ -53,10 +51,11 @@ from workers.kernels.sundials import (
     TOLD,
     TOO_CLOSE,
     Integrator,
+    Jacobian,
     libraries,
 )
 from workers.kernels.values import DISCARD, ERROR
-from workers.messages import FloatArray, IntArray
+from workers.messages import FloatArray
 
 ANOTHER = -1
 """What the loop returns if the integrator was made with another right-hand side than its own."""
@@ -74,7 +73,8 @@ _interpolate = c_function(int32, intp, float64, int32, intp)
 class CvodeBatch:
     """A batch function that has an integrator for each number of states, made once and reused.
 
-    It must not be called by two threads at a time.
+    It must not be called by two threads at a time. `jacobian` may be set before each call: it is
+    used where no effects act.
 
     Raises
     ------
@@ -85,41 +85,27 @@ class CvodeBatch:
     def __init__(self) -> None:
         libraries()
         self._integrators: dict[int, Integrator] = {}
+        self.jacobian = Jacobian.of()
 
-    def __call__(
-        self,
-        c: Component,
-        references: References,
-        starts: Starts,
-        settings: Settings,
-        hooks: Hooks,
-        grid: Grid,
-        points: FloatArray,
-        work: Workspace,
-        outputs: FloatArray,
-        codes: IntArray,
-        stopped_at: FloatArray,
-        states: FloatArray | None = None,
-    ) -> int:
-        """Simulate one experiment for many points; arguments as in `co_simulate_batch`.
+    def __call__(self, asked: Asked, states: FloatArray | None = None) -> int:
+        """Simulate one experiment for many points; returns how many, as `co_simulate_batch` does.
 
         Parameters
         ----------
+        asked
+            What to simulate.
         states : (n, x), optional
             Filled with the states at each time of the grid, of the last point.
         """
-        count = len(work.states)
+        count = len(asked.work.states)
         kept = np.empty((0, count)) if states is None else states
-        simulation = (
-            c, references, starts, settings, hooks, grid, points, work, outputs, codes,
-            stopped_at,
-        )  # fmt: skip
         if count == 0:  # nothing to integrate, which CVODE refuses
-            return int(dormand_prince_batch(*simulation))
+            return int(dormand_prince_batch(*asked))
         while True:
             if count not in self._integrators:
                 self._integrators[count] = Integrator(count)
-            tried = int(_cvode_batch(self._integrators[count].cvode, *simulation, kept))
+            cvode = self._integrators[count].cvode._replace(jacobian=self.jacobian)
+            tried = int(_cvode_batch(cvode, *asked, kept))
             if tried != ANOTHER:
                 return tried
             del self._integrators[count]
@@ -130,16 +116,17 @@ def _cvode_batch(  # type: ignore[no-untyped-def]
     s, c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at,
     kept,
 ):  # fmt: skip
-    function, data = right_hand_side((s, c, references, hooks, grid, work))
+    function, jacobian, data = callbacks((s, c, references, hooks, grid, work))
     if s.notes[MADE_WITH] == 0:
         s.notes[MADE_WITH] = function
         _init(s.init, (s.memory, function, grid.times[0], s.states))
-        # differences give the Jacobian; CVodeSetJacFn would take one of directional derivatives
         _set_linear_solver(s.set_linear_solver, (s.memory, s.solver, s.matrix))
     if s.notes[MADE_WITH] != function:
         return ANOTHER
     _set_number(s.set_max_step, (s.memory, settings.step))  # 0: no limit
     _set_pointer(s.set_user_data, (s.memory, data))
+    own = len(s.jacobian.states) == len(s.y) and hooks.before == 0 and hooks.inside == 0
+    _set_pointer(s.set_jacobian, (s.memory, jacobian if own else 0))  # 0: by differences
     for p in range(len(points)):
         take_point(hooks, p, work)
         codes[p], stopped_at[p] = _cvode(

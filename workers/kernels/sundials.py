@@ -7,6 +7,7 @@ solvers, ACM Trans. Math. Softw. 31 (2005) 363-396, doi:10.1145/1089014.1089020.
 from __future__ import annotations
 
 import weakref
+from collections.abc import Sequence
 from ctypes import CDLL, byref, c_int, c_int64, c_void_p, cast
 from functools import cache
 from typing import Any, NamedTuple
@@ -22,6 +23,25 @@ MADE_WITH, INTERVAL, STATUS, STEPS_LEFT, STOP, TOLD, FRESH, DUE, STILL = range(9
 """Places in `Cvode.notes`."""
 
 
+class Jacobian(NamedTuple):
+    """The Jacobian by the FMU's directional derivatives: (n,) references, none for differences.
+
+    `states` and `slopes` are the references of the states and of their derivatives; `known` and
+    `one` are memory for a single state and the direction along it.
+    """
+
+    states: IntArray
+    slopes: IntArray
+    known: IntArray
+    one: FloatArray
+
+    @classmethod
+    def of(cls, states: Sequence[int] = (), slopes: Sequence[int] = ()) -> Jacobian:
+        """That of these references."""
+        asked, given = np.array(slopes, np.uint32), np.array(states, np.uint32)
+        return cls(given, asked, np.zeros(1, np.uint32), np.ones(1))
+
+
 class Cvode(NamedTuple):
     """An integrator for compiled code: its handles, the addresses of its functions, its memory.
 
@@ -31,7 +51,7 @@ class Cvode(NamedTuple):
     yet), the interval of the grid, the FMU's last status, the steps that are left, the grid
     time of the next stop, whether the FMU was told of the last step, whether there is none yet
     since the integrator was started, whether there is an event where it stands, and how many there
-    were since it last made a step.
+    were since it last made a step. `jacobian` says how its Jacobian is had.
     """
 
     memory: int
@@ -43,16 +63,19 @@ class Cvode(NamedTuple):
     reinit: int
     set_tolerances: int
     set_linear_solver: int
+    set_jacobian: int
     set_user_data: int
     set_max_step: int
     set_stop_time: int
     integrate: int
     interpolate: int
     values: int
+    elements: int
     y: FloatArray
     z: FloatArray
     time: FloatArray
     notes: IntArray
+    jacobian: Jacobian
 
 
 _CVODE = {
@@ -60,6 +83,7 @@ _CVODE = {
     "reinit": "CVodeReInit",
     "set_tolerances": "CVodeSVtolerances",
     "set_linear_solver": "CVodeSetLinearSolver",
+    "set_jacobian": "CVodeSetJacFn",
     "set_user_data": "CVodeSetUserData",
     "set_max_step": "CVodeSetMaxStep",
     "set_stop_time": "CVodeSetStopTime",
@@ -139,11 +163,13 @@ class Integrator:
             solver=solver.value or 0,
             matrix=matrix.value or 0,
             values=_address(lib.core, "N_VGetArrayPointer"),
+            elements=_address(lib.matrix, "SUNDenseMatrix_Data"),
             **{field: _address(lib.cvode, name) for field, name in _CVODE.items()},
             y=y,
             z=z,
             time=np.zeros(1),
             notes=np.zeros(9, np.int64),
+            jacobian=Jacobian.of(),
         )
         freeing = weakref.finalize(
             self, _free, lib, memory, solver, matrix, vectors, context, (y, z)

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from spoiled import INF, NAN, REMOVED, mutate, spoiled_tree, valid_tree, write_input
 
-from cluster_est import parse_config, read_config
+from cluster_est import read_config
+from cluster_est.config import parse_config
 from cluster_est.errors import ClusterEstError, ConfigError
 from cluster_est.sentences import readable
 from cluster_est.toml import to_toml

@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[3]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "cluster_est" / "docs").glob("*.md"))]
 TEST = re.compile(r"`(tests/[\w/]+\.py)((?:::\w+)*)`")
 LINK = re.compile(r"\]\(([^)#:]+)\)")
+MADE_AT_BUILD = {"keys.md", "tables.md", "commands.md", "python.md"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -28,7 +29,8 @@ def test_every_test_that_a_page_names_exists(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_link_to_a_file_leads_somewhere(page):
     links = LINK.findall(page.read_text(encoding="utf-8"))
-    assert [link for link in links if not (page.parent / link).exists()] == []
+    written = [link for link in links if link not in MADE_AT_BUILD]
+    assert [link for link in written if not (page.parent / link).exists()] == []
 
 
 def test_every_method_and_cost_is_in_the_page_that_helps_to_choose():

@@ -15,10 +15,10 @@ from cluster_est import (
     LoopSettings,
     build_problem,
     config,
-    parse_config,
     read_config,
 )
 from cluster_est.build import build_settings
+from cluster_est.config import parse_config
 
 REFERENCE = ROOT / "configs" / "reference.toml"
 SECTIONS = {

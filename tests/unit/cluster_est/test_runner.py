@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -57,7 +57,6 @@ def answer(task: Task) -> Outcome:
 class FakeExecutor(Executor):
     """Answers at once, some tasks at a time and in any order."""
 
-    name: ClassVar[str] = "fake"
     workers = 3
 
     def __init__(self, seed: int = 0, before: Callable[[int], None] = lambda call: None) -> None:
@@ -66,16 +65,6 @@ class FakeExecutor(Executor):
         self._queue: list[Task] = []
         self._calls = 0
         self.submitted: list[Task] = []
-
-    @classmethod
-    def open(
-        cls,
-        model: Model,
-        experiments: tuple[Experiment, ...],
-        workers: int | None,
-        address: str | None,
-    ) -> Self:
-        return cls()
 
     def submit(self, tasks: Sequence[Task]) -> None:
         self._queue += tasks
@@ -111,7 +100,6 @@ class Script(Method):
     answers: list[list[Evaluation]] = field(default_factory=list)
     closed: bool = False
 
-    name: ClassVar[str] = "script"
     needs_residuals: ClassVar[bool] = False
 
     def search(self, space: Space, generator: np.random.Generator) -> Search:

@@ -14,14 +14,15 @@ import pytest
 
 from workers.grid import Grid, build_grid
 from workers.kernels import failure
-from workers.kernels.co_simulation import co_simulate_batch
+from workers.kernels.asked import Asked
 from workers.kernels.component import Component, References, Starts, nothing_loaded, workspace
 from workers.kernels.cvode import CvodeBatch
-from workers.kernels.dormand_prince import dormand_prince_batch
 from workers.kernels.hooks import no_hooks
 from workers.kernels.initialise import Settings
-from workers.kernels.rk4 import rk4_batch
+from workers.kernels.sundials import Jacobian
 from workers.kernels.values import Access
+from workers.loop import BATCHES as LOOPS
+from workers.loop import Batch
 from workers.messages import Experiment, FloatArray, Output
 
 OK, DISCARD, ERROR, FATAL = 0, 2, 3, 4
@@ -46,6 +47,7 @@ SIGNATURES = {
     "enter_continuous_time_mode": (),
     "completed_integrator_step": (c_int32, flags, flags),
     "do_step": (c_double, c_double, c_int32),
+    "get_directional_derivative": (c_void_p, c_size_t, c_void_p, c_size_t, doubles, doubles),
 }
 
 
@@ -105,6 +107,12 @@ class FakeFmu:
         derivatives[0] = -self.x
         return OK
 
+    def get_directional_derivative(
+        self, asked: int, n_asked: int, known: int, n_known: int, seed: doubles, found: doubles
+    ) -> int:
+        found[0] = -seed[0]
+        return OK
+
     def update_discrete_states(self, info: flags) -> int:
         info[0] = 0
         return OK
@@ -118,12 +126,7 @@ class FakeFmu:
         return OK
 
 
-BATCHES: dict[str, Callable[..., int]] = {
-    "dormand_prince": dormand_prince_batch,
-    "rk4": rk4_batch,
-    "cvode": CvodeBatch(),
-    "fmu": co_simulate_batch,
-}
+BATCHES: dict[str, Batch] = LOOPS | {"cvode": CvodeBatch()}
 EXCHANGE = ["dormand_prince", "rk4", "cvode"]
 
 
@@ -148,7 +151,7 @@ def run(
     none, one = reals(), reals(7)
     outputs, codes, stopped = np.full((1, 5, 1), np.nan), np.zeros(1, np.int64), np.zeros(1)
     atols = np.full(n_states, 1e-8)
-    tried = batch(
+    asked = Asked(
         fmu.component(completes_steps=completes_steps)._replace(n_states=n_states),
         References(none, none, one),
         Starts(none, none, none.reals, np.zeros(0, np.int64)),
@@ -161,7 +164,7 @@ def run(
         codes,
         stopped,
     )
-    assert tried == 1
+    assert batch(asked) == 1
     return int(codes[0]), float(stopped[0]), outputs[0, :, 0]
 
 
@@ -383,7 +386,7 @@ def test_derivative_out_of_range_ends_adaptive_solvers(
     assert len(fmu.calls) < 100_000
 
 
-def test_cvode_serves_arrays_of_other_types_with_another_right_hand_side() -> None:
+def test_cvode_serves_arrays_of_other_types_with_other_callbacks() -> None:
     """It is compiled for the types that it is given; an integrator knows one only."""
     cvode, fmu = CvodeBatch(), FakeFmu()
     plain = grid()
@@ -393,6 +396,32 @@ def test_cvode_serves_arrays_of_other_types_with_another_right_hand_side() -> No
         code, _, outputs = run(fmu, cvode, on=given)
         assert code == failure.FINISHED
         np.testing.assert_allclose(outputs, np.exp(-TIMES), rtol=1e-6)
+
+
+def with_jacobian() -> CvodeBatch:
+    cvode = CvodeBatch()
+    cvode.jacobian = Jacobian.of([0], [1])
+    return cvode
+
+
+def test_cvode_takes_its_jacobian_from_the_fmu() -> None:
+    fmu, other = FakeFmu(), FakeFmu()
+    code, _, outputs = run(fmu, with_jacobian())
+    assert code == failure.FINISHED
+    np.testing.assert_allclose(outputs, np.exp(-TIMES), rtol=1e-6)
+    assert "get_directional_derivative" in fmu.calls
+    run(other, "cvode")
+    assert "get_directional_derivative" not in other.calls
+    assert fmu.calls.count("get_derivatives") < other.calls.count("get_derivatives")
+
+
+@pytest.mark.parametrize(
+    ("status", "code"), [(DISCARD, failure.STEP_TOO_SMALL), (ERROR, failure.STEP)]
+)
+def test_an_fmu_may_refuse_to_give_its_jacobian(status: int, code: int) -> None:
+    fmu = FakeFmu()
+    fmu.get_directional_derivative = lambda *arguments: status  # type: ignore[method-assign]
+    assert run(fmu, with_jacobian())[0] == code
 
 
 @pytest.mark.parametrize("solver", EXCHANGE)

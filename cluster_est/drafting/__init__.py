@@ -1,0 +1,6 @@
+"""A first config for an FMU and measured tables: what `cluster-est init` writes."""
+
+from cluster_est.drafting.draft import Draft, draft
+from cluster_est.drafting.writing import Text, write
+
+__all__ = ["Draft", "Text", "draft", "write"]

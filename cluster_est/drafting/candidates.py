@@ -1,0 +1,100 @@
+"""Which of an FMU's parameters are likely to be estimated, and between which bounds."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from workers.description import Description
+from workers.variables import Variable
+
+MOST_ACTIVE = 6
+"""Parameters estimated at once in a first config: more are seldom determined by a few tables."""
+MOST_LISTED = 60
+WIDTH = 10.0
+"""Guessed bounds are the start over and times this."""
+
+_CONSTANTS = {"g", "pi", "e", "R_gas", "gravity", "c_light", "k_B", "sigma_SB", "T_ref", "p_ref"}
+_SETTINGS = re.compile(
+    r"(?i)(^|[._])(eps\w*|tol\w*|\w*_small|\w*_nominal|\w*_init(ial)?|\w*_start|x0|v0|"
+    r"sample\w*|n_\w+|use_\w+|delay_buffer)$"
+)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A parameter that could be estimated.
+
+    Attributes
+    ----------
+    bounds
+        Lower and upper; None where nothing is known and nothing can be guessed.
+    origin
+        Where the bounds are from, for a comment.
+    why_not
+        Why it is not estimated at first; "" if it is.
+    """
+
+    variable: Variable
+    start: float
+    bounds: tuple[float, float] | None
+    origin: str
+    why_not: str = ""
+
+
+def candidates(description: Description) -> list[Candidate]:
+    """Every real parameter with a start value, in the FMU's order; the likely ones active."""
+    found = []
+    active = 0
+    for variable in description.variables.values():
+        if not _can_be_estimated(variable) or variable.start is None:
+            continue
+        bounds, origin = _bounds(variable, variable.start)
+        why_not = _why_not(variable, variable.start)
+        if not why_not and active == MOST_ACTIVE:
+            why_not = f"{MOST_ACTIVE} are enough to begin with; check says which ones matter"
+        active += not why_not
+        found.append(Candidate(variable, variable.start, bounds, origin, why_not))
+    return found
+
+
+def initial_states(description: Description) -> list[Variable]:
+    """States whose start can be set."""
+    states = (description.variables[name] for name in description.states)
+    return [v for v in states if v.settable and v.kind == "real"]
+
+
+def _can_be_estimated(variable: Variable) -> bool:
+    own = variable.alias_of is None and variable.kind == "real"
+    return own and variable.causality == "parameter" and variable.settable
+
+
+def _why_not(variable: Variable, start: float) -> str:
+    """Why a parameter is none of the likely ones; "" if it is one."""
+    if variable.size > 1:
+        return "one element of an array"
+    if variable.name in _CONSTANTS:
+        return "named like a constant of nature"
+    if _SETTINGS.search(variable.name):
+        return "named like a setting, not like a property"
+    if start == 0.0:
+        return "its start is 0, which says nothing of its size; give a start and bounds"
+    return ""
+
+
+def _bounds(variable: Variable, start: float) -> tuple[tuple[float, float] | None, str]:
+    low, high = variable.low, variable.high
+    inside = (low is None or low <= start) and (high is None or start <= high)
+    if not inside:
+        low = high = None
+    guess = (min(start / WIDTH, start * WIDTH), max(start / WIDTH, start * WIDTH))
+    if low is not None and high is not None and low < high:
+        return (low, high), "bounds: the FMU's min and max"
+    if start == 0.0:
+        return None, "no bounds: nothing says how large it is"
+    if low is not None:
+        return (low, max(guess[1], low + abs(start))), "bounds: the FMU's min, and a guess"
+    if high is not None:
+        return (min(guess[0], high - abs(start)), high), "bounds: a guess, and the FMU's max"
+    said = "" if inside else "; the FMU's own min and max exclude its start"
+    return guess, f"bounds: a guess, a tenth and ten times the start{said}"

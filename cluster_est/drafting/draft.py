@@ -1,0 +1,140 @@
+"""What a first config says, before it is text."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cluster_est.drafting.candidates import Candidate, candidates, initial_states
+from cluster_est.drafting.columns import Columns, read_columns
+from cluster_est.drafting.matching import Match, match, same
+from cluster_est.errors import DataError, ModelError
+from workers.description import Description, describe
+from workers.messages import Role
+from workers.variables import Variable
+
+
+@dataclass(frozen=True)
+class Run:
+    """One measured table as an experiment.
+
+    Attributes
+    ----------
+    id, columns, role
+        Of the experiment.
+    inputs, outputs
+        What the FMU offers, and the columns found for it.
+    further
+        Other variables of the FMU that have a column of their name.
+    """
+
+    id: str
+    columns: Columns
+    role: Role
+    inputs: tuple[Match, ...]
+    outputs: tuple[Match, ...]
+    further: tuple[Match, ...]
+
+    @property
+    def unfed(self) -> tuple[str, ...]:
+        """Inputs that no column is like."""
+        return tuple(m.variable.name for m in self.inputs if m.column is None and not m.similar)
+
+
+@dataclass(frozen=True)
+class Draft:
+    """All that a first config is written from."""
+
+    fmu: Path
+    description: Description
+    parameters: tuple[Candidate, ...]
+    states: tuple[Variable, ...]
+    runs: tuple[Run, ...]
+
+
+def draft(fmu: Path, data: Sequence[Path]) -> Draft:
+    """Look at an FMU and at measured tables.
+
+    Parameters
+    ----------
+    fmu
+        The model.
+    data
+        One table for each experiment; the last of several is held out.
+
+    Raises
+    ------
+    ModelError, DataError
+        If one of them cannot be read, or is named twice.
+    """
+    _check_once(data)
+    if not fmu.is_file():
+        raise ModelError(f"init: there is no FMU {fmu}; check the path")
+    try:
+        archive = fmu.read_bytes()
+    except OSError as error:
+        raise ModelError(f"init: {fmu} cannot be read ({error.strerror}); check it") from error
+    description = describe(fmu.name, archive)
+    tables = [read_columns(path) for path in data]
+    roles: list[Role] = ["train"] * len(tables)
+    if len(tables) > 1:
+        roles[-1] = "test"
+    runs = [
+        _run(name, columns, role, description)
+        for name, columns, role in zip(_ids(data), tables, roles, strict=True)
+    ]
+    return Draft(
+        fmu,
+        description,
+        tuple(candidates(description)),
+        tuple(initial_states(description)),
+        tuple(runs),
+    )
+
+
+def _run(name: str, columns: Columns, role: Role, description: Description) -> Run:
+    inputs = [v for v in description.inputs() if v.kind in ("real", "integer", "boolean")]
+    outputs = [description.variables[n] for n in description.outputs]
+    numbers = [v for v in outputs if v.kind in ("real", "integer", "boolean")]
+    together = match([*inputs, *numbers], columns.signals)
+    given = {each.column for each in together} | {each.similar for each in together}
+    left = [column for column in columns.signals if column not in given]
+    own = {v.name for v in (*inputs, *numbers)}
+    others = [v for v in description.variables.values() if _computed(v) and v.name not in own]
+    further = [Match(description.variables[n], column) for n, column in same(others, left).items()]
+    return Run(
+        name,
+        columns,
+        role,
+        tuple(together[: len(inputs)]),
+        tuple(together[len(inputs) :]),
+        tuple(further),
+    )
+
+
+def _computed(variable: Variable) -> bool:
+    return variable.causality == "local" and variable.kind == "real" and variable.alias_of is None
+
+
+def _check_once(data: Sequence[Path]) -> None:
+    counts = Counter(path.resolve() for path in data)
+    repeated = [path for path in data if counts[path.resolve()] > 1]
+    if repeated:
+        raise DataError(
+            f"init: {repeated[0]} must be named once but is named {counts[repeated[0].resolve()]} "
+            "times; remove one, because the same measurements would count twice"
+        )
+
+
+def _ids(data: Sequence[Path]) -> list[str]:
+    """Names of the files, with a number where several are called the same."""
+    stems = [path.stem for path in data]
+    found: list[str] = []
+    for stem in stems:
+        name, number = stem, 2
+        while name in found or (name != stem and name in stems):
+            name, number = f"{stem}_{number}", number + 1
+        found.append(name)
+    return found

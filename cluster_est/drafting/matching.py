@@ -1,0 +1,102 @@
+"""Which column belongs to which variable of the FMU."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from cluster_est.drafting.columns import Column, fold
+from workers.variables import Variable
+
+SIMILAR = 0.6
+"""Ratio of `difflib` from which two names look alike."""
+
+_PARTS = re.compile(r"[A-Z]?[a-z0-9]+|[A-Z0-9]+")
+"""Of a column's name: "u" and "Est" of "uEst"."""
+
+
+@dataclass(frozen=True)
+class Match:
+    """A variable and what the table has for it.
+
+    Attributes
+    ----------
+    column
+        The column that it is, by its name; None if none is for certain.
+    similar
+        One that it may be; None if there is none, or `column` is known.
+    """
+
+    variable: Variable
+    column: Column | None = None
+    similar: Column | None = None
+
+
+def match(variables: Sequence[Variable], columns: Sequence[Column]) -> list[Match]:
+    """Give each variable its column: the same name, then the same but for case, blanks,
+    underscores and brackets. Where neither decides, a similar column is a suggestion, or the only
+    one that is left.
+
+    No column is given twice.
+    """
+    sure = same(variables, columns)
+    left = [c for c in columns if c not in sure.values()]
+    found = []
+    for variable in variables:
+        column = sure.get(variable.name)
+        similar = None if column is not None else _most_similar(variable, left)
+        if similar is not None:
+            left.remove(similar)
+        found.append(Match(variable, column, similar))
+    return _last_one(found, left)
+
+
+def same(variables: Sequence[Variable], columns: Sequence[Column]) -> dict[str, Column]:
+    """The columns that are certain, by the variable's name."""
+    sure = _same([(v, v.name) for v in variables], [(c, c.name) for c in columns])
+    sure |= _same([(v, v.name) for v in variables], [(c, c.plain) for c in columns], sure)
+    folded = [(v, fold(v.name)) for v in variables]
+    return sure | _same(folded, [(c, c.folded) for c in columns], sure)
+
+
+def _last_one(found: list[Match], left: list[Column]) -> list[Match]:
+    """Where one variable and one column are left over, the column is a suggestion for it."""
+    open_ = [i for i, m in enumerate(found) if m.column is None and m.similar is None]
+    if len(open_) == len(left) == 1:
+        found[open_[0]] = replace(found[open_[0]], similar=left[0])
+    return found
+
+
+def _same(
+    variables: list[tuple[Variable, str]],
+    columns: list[tuple[Column, str]],
+    taken: dict[str, Column] | None = None,
+) -> dict[str, Column]:
+    """Columns by variable where a key is the same, and on each side there once."""
+    taken = taken or {}
+    free = [(c, key) for c, key in columns if c not in taken.values()]
+    open_ = [(v, key) for v, key in variables if v.name not in taken]
+    counts = Counter(key for _, key in free)
+    wanted = Counter(key for _, key in open_)
+    known = {key: c for c, key in free if key and counts[key] == 1}
+    return {v.name: known[key] for v, key in open_ if key in known and wanted[key] == 1}
+
+
+def _most_similar(variable: Variable, columns: list[Column]) -> Column | None:
+    """The column that looks most like the variable's name, its last part or its description."""
+    scores = [(_score(variable, column), -i) for i, column in enumerate(columns)]
+    score, place = max(scores, default=(0.0, 0))
+    return columns[-place] if score >= SIMILAR else None
+
+
+def _score(variable: Variable, column: Column) -> float:
+    names = [fold(variable.name), fold(variable.name.split(".")[-1])]
+    ratios = [difflib.SequenceMatcher(None, name, column.folded).ratio() for name in names]
+    parts = {fold(part) for part in _PARTS.findall(column.plain)}
+    described = {fold(word) for word in re.findall(r"\w+", variable.description)}
+    if parts & set(names) or (len(column.folded) > 1 and column.folded in described):
+        ratios.append(SIMILAR)
+    return max(ratios)

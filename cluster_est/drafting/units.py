@@ -1,0 +1,92 @@
+"""Units by their usual spellings: whether two are the same, and what to multiply by if not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
+PREFIXED = ("m", "s", "N", "Pa", "V", "A", "W", "J", "Ohm", "F", "H", "Hz", "K", "N.m", "bar")
+SPELLINGS = {
+    "°C": "degC", "celsius": "degC", "°": "deg", "Ω": "Ohm", "ohm": "Ohm", "µ": "u", "μ": "u",
+    "·": ".", "*": ".", "^": "", "**": "", "²": "2", "³": "3", "sec": "s", "Nm": "N.m",
+    "s^-1": "1/s", "s-1": "1/s",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """`factor` times the number, plus `offset`, is the number in the other unit."""
+
+    factor: float
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Unit:
+    """A number in the base unit is `factor` times the number, plus `offset`."""
+
+    base: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+_KNOWN = {
+    "cm": _Unit("m", 1e-2),
+    "min": _Unit("s", 60.0),
+    "h": _Unit("s", 3600.0),
+    "kg": _Unit("kg"),
+    "g": _Unit("kg", 1e-3),
+    "t": _Unit("kg", 1e3),
+    "hPa": _Unit("Pa", 1e2),
+    "Wh": _Unit("J", 3600.0),
+    "kWh": _Unit("J", 3.6e6),
+    "degC": _Unit("K", 1.0, 273.15),
+    "rad": _Unit("rad"),
+    "deg": _Unit("rad", math.pi / 180.0),
+    "rad/s": _Unit("rad/s"),
+    "deg/s": _Unit("rad/s", math.pi / 180.0),
+    "rpm": _Unit("rad/s", math.pi / 30.0),
+    "m/s": _Unit("m/s"),
+    "mm/s": _Unit("m/s", 1e-3),
+    "km/h": _Unit("m/s", 1.0 / 3.6),
+    "m3/s": _Unit("m3/s"),
+    "m3/h": _Unit("m3/s", 1.0 / 3600.0),
+    "l/s": _Unit("m3/s", 1e-3),
+    "l/min": _Unit("m3/s", 1e-3 / 60.0),
+    "kg/s": _Unit("kg/s"),
+    "kg/h": _Unit("kg/s", 1.0 / 3600.0),
+    "1": _Unit("1"),
+    "%": _Unit("1", 1e-2),
+} | {
+    prefix + base: _Unit("Pa", factor * 1e5) if base == "bar" else _Unit(base, factor)
+    for base in PREFIXED
+    for prefix, factor in PREFIXES.items()
+}
+
+
+def spelled(unit: str) -> str:
+    """A unit in one spelling."""
+    text = unit.strip()
+    for other, usual in SPELLINGS.items():
+        if text == other or len(other) == 1:
+            text = text.replace(other, usual)
+    return text
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Whether two spellings mean the same unit."""
+    return spelled(one) == spelled(other)
+
+
+def conversion(given: str, wanted: str) -> Conversion | None:
+    """How numbers in one unit become numbers in another; None if that is not known."""
+    a, b = _KNOWN.get(spelled(given)), _KNOWN.get(spelled(wanted))
+    if a is None or b is None or a.base != b.base:
+        return None
+    return Conversion(_tidy(a.factor / b.factor), _tidy((a.offset - b.offset) / b.factor))
+
+
+def _tidy(number: float) -> float:
+    """Without the last digit's rounding, where that is all there is."""
+    return float(f"{number:.12g}")

@@ -1,0 +1,249 @@
+"""The text of a first config, with a comment for everything that was chosen or guessed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from cluster_est.drafting.candidates import MOST_LISTED, Candidate
+from cluster_est.drafting.columns import Column
+from cluster_est.drafting.draft import Draft, Run
+from cluster_est.drafting.matching import Match
+from cluster_est.drafting.units import conversion, same_unit
+from cluster_est.toml import dotted, inline
+from workers.description import Description
+from workers.variables import Variable
+
+FILL_IN = "FILL IN"
+"""Begins a value that only the user knows; `check` refuses it and says where it stands."""
+
+
+@dataclass(frozen=True)
+class Text:
+    """A first config as text.
+
+    Attributes
+    ----------
+    toml
+        The text.
+    """
+
+    toml: str
+
+    @property
+    def open(self) -> tuple[tuple[int, str], ...]:
+        """Lines, from 1, that must be filled in, with what they say."""
+        lines = enumerate(self.toml.split("\n"), 1)
+        return tuple((i, line) for i, line in lines if FILL_IN in line and line[0] != "#")
+
+
+def write(draft: Draft, folder: Path) -> Text:
+    """Write a draft for a config that will stand in a folder; its paths start from there."""
+    lines = [
+        f"# A first config for {draft.fmu.name}, made by cluster-est init. Names on the left are",
+        "# the FMU's, names on the right are columns of the tables. Next: cluster-est check",
+        "",
+        *_model(draft, folder),
+        "",
+        *_parameters(draft),
+    ]
+    for run in draft.runs:
+        lines += ["", *_experiment(run, folder)]
+    return Text("\n".join(_clean(line) for line in lines) + "\n")
+
+
+def _model(draft: Draft, folder: Path) -> Iterator[str]:
+    description = draft.description
+    yield "[model]"
+    yield f"fmu = {inline(_relative(draft.fmu, folder))}"
+    exchange = "model_exchange" in description.interfaces
+    chosen = "model_exchange" if exchange else description.interfaces[0]
+    yield f'interface = "{chosen}"  # {_why(description, chosen)}'
+    if exchange:
+        yield (
+            'solver = "dormand_prince"  # adaptive; if check says that the model is stiff: "cvode"'
+        )
+        return
+    yield "# its own solver; choose a step at which the result no longer depends on it"
+    step = description.fixed_internal_step or description.default_step
+    said = "seconds between communication points; default: from one time in the data to the next"
+    yield f"# step = {inline(step or 0.01)}  # {said}"
+
+
+def _why(description: Description, chosen: str) -> str:
+    if len(description.interfaces) == 1:
+        return "the only one that the FMU offers"
+    return f"of {' and '.join(description.interfaces)}: every effect can be tried in it"
+
+
+def _parameters(draft: Draft) -> Iterator[str]:
+    yield "# What is estimated, from all experiments together. Remove the # of what you doubt, and"
+    yield "# put one before what you know; its value is then the FMU's own."
+    yield "[parameters]"
+    if not draft.parameters:
+        yield f"# {draft.fmu.name} declares no real parameter with a start value, so there is"
+        yield "# nothing to estimate but the initial states; export it with tunable parameters."
+    for candidate in draft.parameters[:MOST_LISTED]:
+        yield _parameter(candidate)
+    more = len(draft.parameters) - MOST_LISTED
+    if more > 0:
+        yield f"# and {more} more, which the FMU's description names"
+    if draft.states:
+        yield "# Initial states, where they are not known: one for each experiment."
+    for state in draft.states[:MOST_LISTED]:
+        value = inline({"start": state.start or 0.0, "per": "experiment"})
+        yield f"# {dotted(state.name)} = {value}{_said(state)}"
+
+
+def _parameter(candidate: Candidate) -> str:
+    variable = candidate.variable
+    value = {"start": candidate.start, "bounds": candidate.bounds}
+    line = f"{dotted(variable.name)} = {inline(value)}{_said(variable, candidate.origin)}"
+    return f"# {line}; not estimated: {candidate.why_not}" if candidate.why_not else line
+
+
+def _said(variable: Variable, more: str = "") -> str:
+    """A comment: unit and description of a variable."""
+    unit = f"[{variable.unit}]" if variable.unit else ""
+    parts = [" ".join(part for part in (unit, variable.description) if part), more]
+    text = "; ".join(part for part in parts if part)
+    return f"  # {text}" if text else ""
+
+
+def _experiment(run: Run, folder: Path) -> Iterator[str]:
+    columns = run.columns
+    yield "[[experiments]]"
+    yield f"id = {inline(run.id)}"
+    yield f"data = {inline(_relative(columns.path, folder))}"
+    yield from _time(run)
+    for match in run.inputs:
+        yield from _input(match, columns.signals)
+    yield from _outputs(run)
+    yield from _conversions(run)
+    yield from _sigmas(run)
+    if run.role == "test":
+        yield 'role = "test"  # held out: reported, never fitted'
+    matches = (*run.inputs, *run.outputs, *run.further)
+    used = {m.column for m in matches} | {m.similar for m in matches}
+    idle = [c.name for c in columns.signals if c not in used]
+    if idle:
+        yield f"# columns without a variable of the FMU: {', '.join(idle)}"
+    if columns.unusable:
+        yield f"# columns that hold no numbers: {', '.join(columns.unusable)}"
+
+
+def _time(run: Run) -> Iterator[str]:
+    time = run.columns.time
+    if time is not None:
+        yield f"time = {inline(time.name)}"
+        return
+    yield f'sample_time = "{FILL_IN}: seconds between rows"  # no column is called time'
+    for name in run.columns.increasing[:3]:
+        yield f"# time = {inline(name)}  # instead, if that is it: it increases from row to row"
+
+
+def _input(match: Match, columns: tuple[Column, ...]) -> Iterator[str]:
+    variable = match.variable
+    key = dotted("inputs", variable.name)
+    if match.column is not None:
+        yield f"{key} = {inline(match.column.name)}{_said(variable)}"
+    elif match.similar is not None:
+        yield f"{key} = {_guess(match.similar)}{_said(variable, _choices(columns))}"
+    else:
+        start = variable.start or 0.0
+        kept = f"no column is like it, so it keeps its start value {start:g}"
+        yield f'# {key} = "COLUMN"{_said(variable, kept)}'
+
+
+def _outputs(run: Run) -> Iterator[str]:
+    known = [m for m in (*run.outputs, *run.further) if m.column is not None]
+    for match in run.outputs:
+        variable = match.variable
+        key = dotted("outputs", variable.name)
+        if match.column is not None:
+            yield f"{key} = {inline(match.column.name)}{_said(variable)}"
+        elif known and match.similar is not None:
+            value = inline(match.similar.name)
+            yield f"# {key} = {value}{_said(variable, 'only similar: uncomment if it is')}"
+        elif not known and (match.similar is not None or match is run.outputs[0]):
+            value = f'"{FILL_IN}: a column"' if match.similar is None else _guess(match.similar)
+            yield f"{key} = {value}{_said(variable, _choices(run.columns.signals))}"
+    for match in run.further:
+        if match.column is not None:
+            key = dotted("outputs", match.variable.name)
+            yield f"{key} = {inline(match.column.name)}{_said(match.variable, 'no output')}"
+    if not known and not run.outputs:
+        yield "# The FMU has no output: name a variable that it computes, as it is called there."
+        yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
+
+
+def _compared(run: Run) -> list[tuple[Variable, Column]]:
+    """Outputs that are written with a column, those among them that must be confirmed."""
+    known = [(m.variable, m.column) for m in (*run.outputs, *run.further) if m.column is not None]
+    return known or [(m.variable, m.similar) for m in run.outputs if m.similar is not None]
+
+
+def _sigmas(run: Run) -> Iterator[str]:
+    """The noise of each output, as its samples suggest it: what several outputs are weighted by."""
+    compared = _compared(run)
+    guesses = [_in_unit(column.noise, column, variable) for variable, column in compared]
+    several = len(compared) > 1 and all(guesses)
+    if several:
+        yield "# What the outputs are weighted by: a guess of their noise, from the samples alone."
+    for (variable, _), guess in zip(compared, guesses, strict=True):
+        line = f"{dotted('sigma', variable.name)} = {inline(guess or 0.01)}"
+        yield line if several else f"# {line}  # standard deviation of its noise, a guess"
+
+
+def _in_unit(noise: float, column: Column, variable: Variable) -> float:
+    """A column's noise in the unit of its variable, to two digits."""
+    known = conversion(column.unit, variable.unit)
+    return float(f"{noise * (1.0 if known is None else known.factor):.2g}")
+
+
+def _conversions(run: Run) -> Iterator[str]:
+    """Lines for columns whose unit is not that of their variable."""
+    if run.columns.time is not None and run.columns.time.unit:
+        yield from _conversion(run.columns.time, "s", "times are in seconds")
+    fed = [(m.variable, m.column or m.similar) for m in run.inputs]
+    for variable, column in (*fed, *_compared(run)):
+        if column is not None and column.unit and variable.unit:
+            yield from _conversion(column, variable.unit, f"{variable.name} is in {variable.unit}")
+
+
+def _conversion(column: Column, wanted: str, why: str) -> Iterator[str]:
+    if same_unit(column.unit, wanted):
+        return
+    known = conversion(column.unit, wanted)
+    if known is None:
+        yield f"# {column.name} is in {column.unit} but {why}; if they differ, say how:"
+        example = inline({"factor": 1.0})
+        yield f"# {dotted('columns', column.name)} = {example}"
+        return
+    value = {"factor": known.factor} | ({"offset": known.offset} if known.offset else {})
+    line = f"{dotted('columns', column.name)} = {inline(value)}"
+    yield f"{line}  # from {column.unit}: {why}"
+
+
+def _guess(column: Column) -> str:
+    return inline(f"{FILL_IN}: {column.name}?")
+
+
+def _choices(columns: tuple[Column, ...]) -> str:
+    return "columns: " + ", ".join(column.name for column in columns[:12])
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """A path from a folder, with slashes; as it is where there is no way between them."""
+    try:
+        found = os.path.relpath(path.resolve(), folder.resolve())
+    except ValueError:  # on another drive
+        found = str(path.resolve())
+    return found.replace(os.sep, "/")
+
+
+def _clean(line: str) -> str:
+    """Without control characters, which TOML allows in no comment."""
+    return "".join(c if c >= " " and c != "\x7f" else " " for c in line)

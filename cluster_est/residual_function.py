@@ -1,0 +1,197 @@
+"""The residuals of a problem as a function, for whoever minimises them elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import TracebackType
+from typing import ClassVar, Self
+
+import numpy as np
+
+from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import Ending, Method, Points, Search, Solution
+from cluster_est.methods.differences import Scheme, jacobian
+from cluster_est.problem import Problem
+from cluster_est.resources import Resources, open_executor
+from cluster_est.runner import Runner, SearchRequest
+from cluster_est.space import Space, make_space
+from workers.messages import FloatArray
+
+
+def residuals(
+    problem: Problem, resources: Resources | None = None, *, differences: Scheme = "forward"
+) -> Residuals:
+    """The residuals of the training experiments as a function of the unknowns.
+
+    ::
+
+        with ce.residuals(problem) as f:
+            found = scipy.optimize.least_squares(f, f.x0, jac=f.jac, bounds=f.bounds)
+            print(f.physical(found.x))
+
+    For optimisers and analyses that are not among the methods. `fit` does more with fewer
+    simulations in a row, and gives intervals.
+
+    Parameters
+    ----------
+    problem
+        Its cost must be the sum of squares, without constraints, which a residual cannot say.
+    resources
+        Where simulations run.
+    differences
+        "forward" or "central", of `Residuals.jac`.
+
+    Raises
+    ------
+    ModelError, ProblemError, ExecutorError
+        If the problem cannot be said in residuals, or the FMU cannot be run.
+    """
+    problem.describe()
+    space = make_space(problem, problem.indices("train"))
+    _check(space)
+    return Residuals(space, resources or Resources(), differences)
+
+
+class Residuals:
+    """A function f(x) of the unknowns, whose workers stay until it is closed.
+
+    x holds physical values, or their natural logarithms where a parameter's scale is "log".
+    A point at which a simulation fails gives NaN for every residual: the methods "trf" and "dogbox"
+    of `scipy.optimize.least_squares` then shorten their step, and refuse a start that fails.
+    `reason` says why.
+
+    Attributes
+    ----------
+    names
+        Labels of the unknowns: "k", or "x0[exp5]".
+    x0 : (unknowns,)
+        Their starts.
+    bounds : two arrays (unknowns,)
+        The lower and the upper ones.
+    x_scale : (unknowns,)
+        The size of a noticeable change, for `least_squares(..., x_scale=f.x_scale)`.
+    reason
+        Why the last point that failed did; "" if none has.
+    """
+
+    def __init__(self, space: Space, resources: Resources, differences: Scheme) -> None:
+        self._space, self._differences = space, differences
+        self._executor = open_executor(space.problem, resources)
+        self._runner = Runner(self._executor, resources.budget, whole=True)
+        self._size = space.rows[-1].stop if len(space.outputs) else 0
+        self._open = True
+        self.reason = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(unknown.label for unknown in self._space.unknowns)
+
+    @property
+    def x0(self) -> FloatArray:
+        return self._space.start.copy()
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        return self._space.lower.copy(), self._space.upper.copy()
+
+    @property
+    def x_scale(self) -> FloatArray:
+        return self._space.typical.copy()
+
+    def physical(self, x: FloatArray) -> dict[str, float]:
+        """Physical values at x by label."""
+        return self._space.estimates(self._checked(x))
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """(residuals,): (measured - simulated) / sigma, experiment after experiment."""
+        at = self._run(_At(self._checked(x))).at
+        if at is None or not at.ok:
+            self.reason = "" if at is None else at.reason
+            return np.full(self._size, np.nan)
+        self._size = len(at.residuals)
+        return at.residuals
+
+    def jac(self, x: FloatArray) -> FloatArray:
+        """(residuals, unknowns): derivatives, all differences simulated at once.
+
+        The column of an unknown whose difference fails is 0, so that a method leaves it where
+        it is; where x itself fails everything is NaN.
+        """
+        found = self._run(_At(self._checked(x), self._differences))
+        if found.jacobian is not None:
+            return found.jacobian
+        self.reason = "" if found.at is None else found.at.reason
+        return np.full((self._size, self._space.size), np.nan)
+
+    def close(self) -> None:
+        """Stop the workers."""
+        self._open = False
+        self._executor.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _run(self, question: _At) -> Solution:
+        if not self._open:
+            raise ProblemError(
+                "residuals: must be open to be called but is closed; make it again with "
+                "residuals(problem)"
+            )
+        (solution,) = self._runner.run([SearchRequest("residuals", question, self._space)])
+        return solution
+
+    def _checked(self, x: FloatArray) -> FloatArray:
+        point = np.array(x, np.float64)
+        if point.shape != (self._space.size,):
+            raise ProblemError(
+                f"residuals: x must have {self._space.size} numbers ({', '.join(self.names)}) but "
+                f"has shape {point.shape}; begin with x0"
+            )
+        return point
+
+
+@dataclass(frozen=True, eq=False)
+class _At(Method):
+    """A search that looks at one point, and at its derivatives if it is told how."""
+
+    name: ClassVar[str] = "residuals"
+    needs_residuals: ClassVar[bool] = True
+
+    x: FloatArray
+    differences: Scheme | None = None
+
+    def search(self, space: Space, generator: np.random.Generator) -> Search:
+        (at,) = yield Points(self.x[None, :], "point")
+        if self.differences is None or not at.ok:
+            return Solution(self.x, at.cost, Ending.CONVERGED, at=at)
+        found = yield from jacobian(space, self.x, at, self.differences, 0.0, None)
+        return Solution(self.x, at.cost, Ending.CONVERGED, jacobian=found.matrix, at=at)
+
+
+def _check(space: Space) -> None:
+    """Refuse what residuals cannot say."""
+    problem = space.problem
+    if space.size == 0:
+        raise ProblemError(
+            "parameters: at least one must be free to be estimated from the training experiments, "
+            "but all are fixed or known; to simulate only, use simulate(problem)"
+        )
+    if not isinstance(problem.cost, SumSquared):
+        raise ProblemError(
+            f'cost.name: must be "sse" for residuals, whose squares are summed, but is '
+            f"{problem.cost.name!r}; choose that, or use fit"
+        )
+    if space.constraint_names:
+        raise ProblemError(
+            "constraints: must be none for residuals, which cannot say them, but there is "
+            f"{space.constraint_names[0]!r}; remove them, or use fit"
+        )

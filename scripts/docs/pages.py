@@ -1,0 +1,183 @@
+"""The pages of the reference as Markdown: keys, tables, commands and Python, from the code."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import types
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+import cluster_est as ce
+from cluster_est.cli import _parser
+from cluster_est.config import Config
+from cluster_est.sweep_sections import SweepSections
+from cluster_est.table_columns import BEFORE, TABLES, Column
+from cluster_est.toml import inline
+
+REFERENCE = Path(__file__).parents[2] / "configs" / "reference.toml"
+KINDS = {float: "number", int: "whole number", str: "text", bool: "true or false", Any: "value"}
+
+
+def keys_page() -> str:
+    """Every key of a config and of a sweep: its type, default and meaning."""
+    parts = [
+        "# Keys of a config",
+        "Made from the code that reads a config. Paths start from the config's folder. `KEY=VALUE` "
+        "on the command line overrides a key, with dots between its parts. Where the default is "
+        "empty, a key that is left out says nothing.",
+        *_section("", Config, "##", "At the top"),
+        "## Every key in one file",
+        f"```toml\n{REFERENCE.read_text(encoding='utf-8').strip()}\n```",
+        "## Keys of a sweep",
+        *_section("", SweepSections, "###", "At the top of a sweep"),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def tables_page() -> str:
+    """Every table of a run with its columns."""
+    parts = [
+        "# Tables of a run",
+        "A run folder holds `NAME.parquet` for each of these; in Python, `result.table(NAME)` "
+        "gives those of a fit. NaN means that there is no such number.",
+    ]
+    for table in TABLES:
+        parts += [f"## {table.name}", f"One row for each {table.row}; {table.there}."]
+        parts.append(_columns(table.columns))
+        if table.name == "parameters":
+            parts += ["In runs of `close-loop` also:", _columns(BEFORE)]
+    return "\n\n".join(parts) + "\n"
+
+
+def commands_page() -> str:
+    """Every command with its arguments, as argparse knows them."""
+    parts = [
+        "# Command line",
+        "Exit codes: 0 done; 1 ran, but reached no solution; 2 bad input, with a sentence; 130 "
+        "interrupted.",
+    ]
+    for name, parser in _commands().items():
+        usage = re.sub(r"\s+", " ", parser.format_usage().removeprefix("usage: ").strip())
+        parts += [f"## {name}", f"{parser.description}.", f"```text\n{usage}\n```"]
+        parts.append(_table(("argument", "meaning"), _arguments(parser)))
+    return "\n\n".join(parts) + "\n"
+
+
+def python_page() -> str:
+    """What `import cluster_est as ce` offers, in the words of its docstrings."""
+    parts = [
+        "# Python",
+        "`import cluster_est as ce` offers these names. What else there is, such as further "
+        "methods in `cluster_est.methods`, is imported from its own module.",
+    ]
+    for name in sorted(ce.__all__, key=str.casefold):
+        found = getattr(ce, name)
+        parts.append(f"::: {found.__module__}.{found.__qualname__}")
+    return "\n\n".join(parts) + "\n"
+
+
+def _section(path: str, section: type[BaseModel], level: str, title: str = "") -> Iterator[str]:
+    """A table of a section's own keys, then the sections inside it."""
+    yield f"{level} {title or path}"
+    rows, inside = [], []
+    for name, field in section.model_fields.items():
+        key = f"{path}.{name}" if path else name
+        nested, many, named = _nested(field.annotation)
+        if nested is not None:
+            below = f"{key}.NAME" if named else key
+            inside.append((below, nested))
+            kind = f"[section](#{_anchor(below)}){', several' if many else ''}"
+        else:
+            kind = _kind(field.annotation)
+        rows.append((f"`{name}`", kind, _default(field), field.description or ""))
+    yield _table(("key", "type", "default", "meaning"), rows)
+    for below, nested in inside:
+        yield from _section(below, nested, level)
+
+
+def _nested(annotation: Any) -> tuple[type[BaseModel] | None, bool, bool]:
+    """The section inside an annotation, if there is one; in a list; under names."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation, False, False
+    origin = get_origin(annotation)
+    for inner in get_args(annotation):
+        found, _, _ = _nested(inner)
+        if found is not None:
+            return found, origin is list, origin is dict
+    return None, False, False
+
+
+def _kind(annotation: Any) -> str:
+    """A type in words."""
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if annotation in KINDS:
+        return KINDS[annotation]
+    if set(inner) == {float, int, bool, str}:
+        return "number, true, false or text"
+    if origin is Literal:
+        return " or ".join(f"`{inline(choice)}`" for choice in inner)
+    if origin in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(_kind(a) for a in inner if a is not type(None)))
+    if origin is list:
+        return f"list of: {_kind(inner[0])}" if inner else "list"
+    if origin is tuple:
+        return f"[{', '.join(_kind(each) for each in inner)}]"
+    if origin is dict:
+        return f"name = {_kind(inner[1])}"
+    return _kind(inner[0]) if inner else str(getattr(annotation, "__name__", annotation))
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "needed"
+    default = field.get_default(call_default_factory=True)
+    if default is None or default is PydanticUndefined or isinstance(default, BaseModel):
+        return ""
+    return f"`{inline(default)}`" if default not in ({}, [], ()) else ""
+
+
+def _columns(columns: Sequence[Column]) -> str:
+    rows = [(f"`{c.name}`", c.type, c.unit, c.meaning) for c in columns]
+    return _table(("column", "type", "unit", "meaning"), rows)
+
+
+def _commands() -> dict[str, argparse.ArgumentParser]:
+    """The parser of each command by its name."""
+    for action in _parser()._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            return dict(action.choices)
+    return {}
+
+
+def _arguments(parser: argparse.ArgumentParser) -> list[tuple[str, str]]:
+    rows = []
+    for action in parser._actions:
+        names = ", ".join(action.option_strings) or str(action.metavar)
+        value = f" {action.metavar or action.dest.upper()}" if _takes_value(action) else ""
+        rows.append((f"`{names}{value}`", str(action.help)))
+    return rows
+
+
+def _takes_value(action: argparse.Action) -> bool:
+    return bool(action.option_strings) and action.nargs != 0
+
+
+def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join(f"| {' | '.join(cell(c) for c in line)} |" for line in lines)
+
+
+def cell(text: str) -> str:
+    """A text that is safe inside a table."""
+    return text.replace("|", "\\|").replace("<", "&lt;") if "`" not in text else text
+
+
+def _anchor(title: str) -> str:
+    """As the toc extension makes it of a heading."""
+    return re.sub(r"[^\w\s-]", "", title).strip().lower().replace(" ", "-")

@@ -1,0 +1,9 @@
+#include <signal.h>
+
+#include "decay.h"
+
+void model_start(Model *m)
+{
+    (void)m;
+    raise(SIGSEGV);
+}
