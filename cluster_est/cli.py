@@ -1,4 +1,4 @@
-"""The command line: init, check, fit, close-loop, replay, report, show, simulate, sweep, watch.
+"""The command line: one function a command, which reads its arguments.
 
 Exit codes: 0 done; 1 ran, but did not reach a solution; 2 bad input, with a sentence; 130
 interrupted.
@@ -114,6 +114,7 @@ def _parser() -> argparse.ArgumentParser:
     simulate.set_defaults(run=_simulate)
     _add_sweep(commands)
     _add_replay(commands)
+    _add_export(commands)
 
     show = commands.add_parser("show", help="print a run's parameters and errors")
     show.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
@@ -193,6 +194,30 @@ def _add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     _add_allow_code(replay)
     replay.set_defaults(run=_replay)
+
+
+def _add_export(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "write what a run has found: a repaired FMU, a parameter set, equations"
+    export = commands.add_parser(
+        "export", help=summary, description=summary[0].upper() + summary[1:]
+    )
+    export.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    export.add_argument(
+        "--fmu", type=Path, help="write the FMU with the estimates and effects in it (.fmu)"
+    )
+    export.add_argument("--ssv", type=Path, help="write the values as an SSP parameter set (.ssv)")
+    export.add_argument(
+        "--modelica", action="store_true", help="print the effects as equations of Modelica"
+    )
+    export.add_argument("--text", action="store_true", help="print values and effects as text")
+    export.add_argument(
+        "--experiment", metavar="ID", help="whose values, where parameters have one for each"
+    )
+    export.add_argument(
+        "--config", type=Path, help="the config that the run was made from, if it has moved"
+    )
+    _add_allow_code(export)
+    export.set_defaults(run=_export)
 
 
 def _command(
@@ -307,6 +332,21 @@ def _watch(options: argparse.Namespace) -> int:
     from cluster_est.commands import watch
 
     return watch(options.run_folder, options.every, html=options.html)
+
+
+def _export(options: argparse.Namespace) -> int:
+    from cluster_est.commands import export
+
+    return export(
+        options.run_folder,
+        options.config,
+        options.experiment,
+        fmu=options.fmu,
+        ssv=options.ssv,
+        modelica=options.modelica,
+        text=options.text,
+        allow_code=options.allow_code,
+    )
 
 
 def _show(options: argparse.Namespace) -> int:

@@ -352,6 +352,32 @@ def sweep(path: Path, out: Path, *, retry_failed: bool, allow_code: bool) -> int
     return DONE if swept.success else NO_SOLUTION
 
 
+def export(
+    run_folder: Path,
+    config: Path | None,
+    experiment: str | None,
+    *,
+    fmu: Path | None,
+    ssv: Path | None,
+    modelica: bool,
+    text: bool,
+    allow_code: bool,
+) -> int:
+    """Write what a run has found, in the forms that are asked for."""
+    from cluster_est.export.write import Wanted
+    from cluster_est.export.write import export as run_export  # SymPy takes long to import
+
+    wanted = Wanted(fmu, ssv, modelica, text)
+    written = run_export(run_folder, config, experiment, wanted, allow_code=allow_code)
+    for printed in written.printed:
+        say(Console(), printed)
+    for note in written.notes:
+        say(Console(stderr=True), f"cluster-est: {note}")
+    for path in written.files:
+        say(Console(stderr=True), f"{path}")
+    return DONE
+
+
 def read_estimates(run_folder: Path) -> dict[str, float]:
     """Physical values by label from a run's parameters.parquet."""
     path = run_folder / "parameters.parquet"

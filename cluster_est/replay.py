@@ -167,7 +167,7 @@ def prepare(run_folder: Path, logged: Logged, config: Path | None, *, allow_code
         If something is missing, or the row was simulated with what no config names.
     """
     resolved = read_config(run_folder / "config.toml")
-    base = _base(run_folder, config)
+    base = config_base(run_folder, config)
     problem = build_problem(resolved, base, allow_code=allow_code)
     where = f"{run_folder}, evaluation {logged.number}"
     ids = [experiment.id for experiment in problem.experiments]
@@ -195,7 +195,7 @@ def prepare(run_folder: Path, logged: Logged, config: Path | None, *, allow_code
     return Question(problem, build_resources(resolved).limits, task, key == logged.key)
 
 
-def _base(run_folder: Path, config: Path | None) -> Path:
+def config_base(run_folder: Path, config: Path | None) -> Path:
     """Where the paths of the run's config start from."""
     if config is not None:
         if not config.is_file():

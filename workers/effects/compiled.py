@@ -41,6 +41,27 @@ class Inner:
     inside: Any
 
 
+@dataclass(frozen=True)
+class Equations:
+    """What `Inner` is compiled from: also what an exported FMU prints as C.
+
+    Attributes
+    ----------
+    parameters
+        As in `Inner`.
+    places
+        Where each symbol stands: (array, index).
+    begin, before, inside
+        What each function assigns.
+    """
+
+    parameters: tuple[str, ...]
+    places: Places
+    begin: tuple[Assignment, ...]
+    before: tuple[Assignment, ...]
+    inside: tuple[Assignment, ...]
+
+
 @lru_cache(maxsize=512)
 def compile_inner(
     definitions: tuple[Definition, ...],
@@ -48,7 +69,24 @@ def compile_inner(
     states: tuple[str, ...],
     inputs: tuple[str, ...],
 ) -> Inner:
-    """Compile the effects at derivatives, inputs and parameters.
+    """Compile the effects at derivatives, inputs and parameters; arguments as of `equations`."""
+    made = equations(definitions, positions, states, inputs)
+    return Inner(
+        parameters=made.parameters,
+        own_states=len(made.begin),
+        begin=_compile(READ, made.places, made.begin),
+        before=_compile((*READ, "edited", "varied"), made.places, made.before),
+        inside=_compile((*READ, "slopes"), made.places, made.inside),
+    )
+
+
+def equations(
+    definitions: tuple[Definition, ...],
+    positions: tuple[int, ...],
+    states: tuple[str, ...],
+    inputs: tuple[str, ...],
+) -> Equations:
+    """Lay the equations of effects at derivatives, inputs and parameters on arrays.
 
     Parameters
     ----------
@@ -85,20 +123,14 @@ def compile_inner(
     before += [Assignment("varied", i, chain.parameters[n]) for i, n in enumerate(parameters)]
     if all(d.site.at_rates for d in definitions):
         before = []
-    return Inner(
-        parameters=parameters,
-        own_states=len(begin),
-        begin=_compile(READ, places, begin),
-        before=_compile((*READ, "edited", "varied"), places, before),
-        inside=_compile((*READ, "slopes"), places, inside),
-    )
+    return Equations(parameters, places, tuple(begin), tuple(before), tuple(inside))
 
 
 READ = ("states", "raw", "coefficients", "base")
 """Arrays that every function reads: states, inputs as measured, coefficients, parameters."""
 
 
-def _compile(arrays: tuple[str, ...], places: Places, assignments: list[Assignment]) -> Any:
+def _compile(arrays: tuple[str, ...], places: Places, assignments: Sequence[Assignment]) -> Any:
     return compile_function(arrays, places, assignments, TIME) if assignments else None
 
 

@@ -83,11 +83,17 @@ class Definition:
 def _rates(definition: Definition, names: tuple[str, ...]) -> Callable[..., list[FloatArray]]:
     """The rates of the own states, as a function of the coefficients and of variables by name."""
     symbols = (*definition.coefficients, *(variable_symbol(name) for name in names))
-    pairs = zip(definition.derivatives, definition.states, strict=True)
-    rates = [sp.diff(slope, state) for slope, state in pairs]
-    known = [rate for rate in rates if rate.free_symbols <= set(symbols)]
+    known = known_rates(definition, names)
     function: Callable[..., list[FloatArray]] = sp.lambdify(symbols, known, "numpy")
     return function
+
+
+def known_rates(definition: Definition, names: tuple[str, ...]) -> list[sp.Expr]:
+    """The rates of those own states that depend on nothing but coefficients and these variables."""
+    symbols = {*definition.coefficients, *(variable_symbol(name) for name in names)}
+    pairs = zip(definition.derivatives, definition.states, strict=True)
+    rates = [sp.diff(slope, state) for slope, state in pairs]
+    return [rate for rate in rates if rate.free_symbols <= symbols]
 
 
 def define(

@@ -1,0 +1,196 @@
+/* Delays and backlashes: what a signal gives depends on what it was before. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "wrapper.h"
+
+/* What counts as no time at all: a kink that is nearer than this is here. */
+static double instant(double time) { return 1e-12 * (fabs(time) + 1e-3); }
+
+void history_clear(History *history) {
+    free(history->segments);
+    memset(history, 0, sizeof *history);
+}
+
+int history_copy(History *to, const History *from) {
+    Segment *segments = NULL;
+    if (from->count > 0) {
+        segments = malloc(from->count * sizeof *segments);
+        if (segments == NULL) return -1;
+        memcpy(segments, from->segments, from->count * sizeof *segments);
+    }
+    free(to->segments);
+    to->segments = segments;
+    to->count = to->capacity = from->count;
+    return 0;
+}
+
+/* From a time on the signal is this; what was said of that time before no longer counts. */
+int history_note(History *history, double time, double value, double slope) {
+    while (history->count > 0 && history->segments[history->count - 1].since >= time)
+        history->count--;
+    if (history->count == history->capacity) {
+        size_t capacity = history->capacity == 0 ? 64 : 2 * history->capacity;
+        Segment *segments = realloc(history->segments, capacity * sizeof *segments);
+        if (segments == NULL) return -1;
+        history->segments = segments;
+        history->capacity = capacity;
+    }
+    history->segments[history->count].since = time;
+    history->segments[history->count].value = value;
+    history->segments[history->count++].slope = slope;
+    return 0;
+}
+
+/* The number of segments that begin at a time or before. */
+static size_t begun(const History *history, double time) {
+    size_t low = 0, high = history->count;
+    while (low < high) {
+        size_t middle = low + (high - low) / 2;
+        if (history->segments[middle].since <= time)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+/* A sampled signal, linear from each sample to the next, and from the last to the value now. */
+double history_at(const History *history, double at, double now, double value) {
+    size_t n = begun(history, at);
+    double since, from, until = now, to = value;
+    if (history->count == 0) return value;
+    if (n == 0) return history->segments[0].value;
+    since = history->segments[n - 1].since;
+    from = history->segments[n - 1].value;
+    if (n < history->count) {
+        until = history->segments[n].since;
+        to = history->segments[n].value;
+    }
+    return until > since ? from + (fmin(at, until) - since) / (until - since) * (to - from) : to;
+}
+
+#if N_INPUT_MEMORIES > 0
+static const struct { int backlash, column, coefficient; } memories[] = INPUT_MEMORIES;
+
+/* Whether a signal goes on as it did, so that nothing need be noted. */
+static int goes_on(const History *history, Segment given) {
+    const Segment *last = history->segments + history->count - 1;
+    double line;
+    if (history->count == 0 || last->slope != given.slope || last->since >= given.since) return 0;
+    line = last->value + last->slope * (given.since - last->since);
+    return fabs(line - given.value) <= 1e-12 * (fabs(line) + fabs(given.value));
+}
+
+/* The delayed signal, and when its slope changes next. */
+static Segment delayed(History *history, Segment given, double delay, double *next) {
+    size_t n;
+    Segment found = given;
+    if (!goes_on(history, given))
+        history_note(history, given.since, given.value, given.slope);
+    n = begun(history, given.since - delay + instant(given.since));
+    if (n < history->count) *next = fmin(*next, history->segments[n].since + delay);
+    if (n == 0) {
+        found.value = history->segments[0].value;
+        found.slope = 0.0;
+        return found;
+    }
+    found = history->segments[n - 1];
+    found.value += found.slope * fmax(given.since - delay - found.since, 0.0);
+    found.since = given.since;
+    return found;
+}
+
+/* The signal behind a play, which moves once the play is crossed. */
+static Segment played(double *out, Segment given, double half_width, double *next) {
+    Segment found = given;
+    double way, left;
+    *out = fmin(fmax(*out, given.value - half_width), given.value + half_width);
+    found.value = *out;
+    if (given.slope == 0.0) return found;
+    way = given.slope > 0.0 ? 1.0 : -1.0;
+    left = way * (*out + way * half_width - given.value);
+    if (left > instant(given.since) * fabs(given.slope)) {
+        found.slope = 0.0;
+        *next = fmin(*next, given.since + left / fabs(given.slope));
+    }
+    return found;
+}
+#endif
+
+/* In co-simulation: the inputs from a time on, with their slopes, as the effects see them. Returns
+ * until when this holds, at most `end`. */
+double see_inputs(Instance *c, double time, double end) {
+    double next = end;
+    int j;
+    for (j = 0; j < N_RAW; j++) {
+        c->now.seen[j].since = time;
+        c->now.seen[j].value = c->now.raw[j];
+        c->now.seen[j].slope = c->now.slopes[j];
+    }
+#if N_INPUT_MEMORIES > 0
+    for (j = 0; j < N_INPUT_MEMORIES; j++) {
+        Segment *seen = &c->now.seen[memories[j].column];
+        double size = c->now.coefficients[memories[j].coefficient];
+        *seen = memories[j].backlash ? played(&c->now.play[j], *seen, size, &next)
+                                     : delayed(&c->histories[j], *seen, size, &next);
+        c->now.moves[j] = seen->slope;
+    }
+#endif
+    return next < end - instant(end) ? next : end;
+}
+
+/* The inputs go along their lines from one time to another. */
+void pass_inputs(Instance *c, double begin, double end) {
+    int j;
+    for (j = 0; j < N_RAW; j++) c->now.raw[j] += c->now.slopes[j] * (end - begin);
+    take_inputs(c, end, c->now.was);
+#if N_INPUT_MEMORIES > 0
+    for (j = 0; j < N_INPUT_MEMORIES; j++)
+        if (memories[j].backlash) c->now.play[j] += c->now.moves[j] * (end - begin);
+#endif
+}
+
+/* In model exchange: the inputs at this time, of which nothing is known but samples. */
+void sample_inputs(Instance *c) {
+    int j;
+    for (j = 0; j < N_RAW; j++) {
+        c->now.seen[j].since = c->now.time;
+        c->now.seen[j].value = c->now.raw[j];
+        c->now.seen[j].slope = 0.0;
+    }
+#if N_INPUT_MEMORIES > 0
+    for (j = 0; j < N_INPUT_MEMORIES; j++) {
+        double *value = &c->now.seen[memories[j].column].value;
+        double size = c->now.coefficients[memories[j].coefficient];
+        if (memories[j].backlash)
+            *value = c->now.begun ? fmin(fmax(c->now.play[j], *value - size), *value + size)
+                                  : *value;
+        else
+            *value = history_at(&c->histories[j], c->now.time - size, c->now.time, *value);
+    }
+#endif
+}
+
+/* In model exchange: keep the inputs at a completed step. */
+void note_inputs(Instance *c) {
+#if N_INPUT_MEMORIES > 0
+    double value[ROOM(N_RAW)];
+    int j;
+    memcpy(value, c->now.raw, sizeof value);
+    for (j = 0; j < N_INPUT_MEMORIES; j++) {
+        double *here = &value[memories[j].column];
+        double size = c->now.coefficients[memories[j].coefficient], given = *here;
+        if (memories[j].backlash) {
+            if (c->now.begun) *here = fmin(fmax(c->now.play[j], given - size), given + size);
+            c->now.play[j] = *here;
+        } else {
+            *here = history_at(&c->histories[j], c->now.time - size, c->now.time, given);
+            history_note(&c->histories[j], c->now.time, given, 0.0);
+        }
+    }
+#else
+    (void)c;
+#endif
+}

@@ -1,0 +1,158 @@
+"""Effects as C: the same equations that a run compiles, printed by SymPy."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import sympy as sp
+from sympy.printing.c import C99CodePrinter
+
+from cluster_est.export.layout import Layout
+from workers.effects.definition import SIGNAL, TIME, Definition, known_rates, variable_symbol
+from workers.effects.source import Assignment
+
+Places = Mapping[sp.Symbol, tuple[str, int]]
+
+
+class _Printer(C99CodePrinter):  # type: ignore[misc]
+    """C99; small powers are products, as compilers make them of what a run compiles."""
+
+    def _print_Pow(self, expr: sp.Expr) -> str:  # noqa: N802 - SymPy's name
+        base, exponent = expr.args
+        if exponent in (2, 3, 4):
+            return "(" + "*".join([f"({self._print(base)})"] * int(exponent)) + ")"
+        return str(super()._print_Pow(expr))
+
+    def _print_sign(self, expr: sp.Expr) -> str:
+        value = self._print(expr.args[0])
+        return f"((double)(({value} > 0.0) - ({value} < 0.0)))"
+
+
+def effects_source(layout: Layout) -> str:
+    """The file effects.c."""
+    made = layout.equations
+    begin = "void effects_begin(double t, double *states, const double *raw, "
+    begin += "const double *coefficients, const double *base)"
+    read = "double t, const double *states, const double *raw, const double *coefficients, "
+    read += "const double *base"
+    parts = [
+        "/* Printed from the effects of the run; see documentation/README.md. */",
+        '#include "effects.h"\n\n#include <math.h>',
+        _function(begin, made.places, made.begin),
+        _function(
+            f"void effects_before({read}, double *edited, double *varied)",
+            made.places,
+            made.before,
+        ),
+        _function(f"void effects_inside({read}, double *slopes)", made.places, made.inside),
+        _inside_rate(layout),
+        *_outputs(layout),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _function(header: str, places: Places, assignments: Sequence[Assignment]) -> str:
+    return f"{header} {{\n{_unused(header)}{_body(places, assignments)}}}"
+
+
+def _unused(header: str) -> str:
+    """Not every equation uses every argument; compilers are told so."""
+    return "".join(f"    (void){name};\n" for name in re.findall(r"(\w+)[,)]", header))
+
+
+def _body(places: Places, assignments: Sequence[Assignment], indent: str = "    ") -> str:
+    """Statements: the symbols that are used, common parts, and what is assigned in the end."""
+    used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
+    meaning: dict[sp.Symbol, sp.Symbol] = {TIME: sp.Symbol("t", real=True)}
+    lines = []
+    for number, symbol in enumerate(sorted(used - {TIME}, key=str)):
+        array, index = places[symbol]
+        meaning[symbol] = sp.Symbol(f"s{number}", real=True)
+        lines.append(f"const double s{number} = {array}[{index}]; /* {_comment(symbol)} */")
+    values = [a.value.xreplace(meaning) for a in assignments]
+    common, reduced = sp.cse(values, symbols=sp.numbered_symbols("c"))
+    lines += [f"const {_type(v)} {symbol} = {_inline(v)};" for symbol, v in common]
+    lines += [f"const double r{i} = {_inline(value)};" for i, value in enumerate(reduced)]
+    for i, a in enumerate(assignments):
+        target = f"{a.target}[{a.index}]" if a.index >= 0 else a.target
+        lines.append(f"{target} {'+=' if a.add else '='} r{i};")
+    return "".join(f"{indent}{line}\n" for line in lines)
+
+
+def _type(value: sp.Basic) -> str:
+    return "int" if isinstance(value, sp.logic.boolalg.Boolean) else "double"
+
+
+def _comment(symbol: sp.Symbol) -> str:
+    name = str(symbol).removeprefix("fmu:").removeprefix("base:")
+    return re.sub(r"[/*\\\n]+", " ", name)
+
+
+def _inline(value: sp.Expr) -> str:
+    return " ".join(_Printer().doprint(value).split())
+
+
+def _inside_rate(layout: Layout) -> str:
+    """The fastest rate of own states, as far as it depends on coefficients alone."""
+    rates = [abs(rate) for i in layout.inside for rate in known_rates(layout.effect(i), ())]
+    fastest = Assignment("fastest", -1, sp.Max(sp.Integer(0), *rates))
+    head = "double effects_rate(const double *coefficients)"
+    body = _body(layout.equations.places, [fastest])
+    return f"{head} {{\n    double fastest;\n{_unused(head)}{body}    return fastest;\n}}"
+
+
+def _outputs(layout: Layout) -> list[str]:
+    """A function that chooses one of the effects at outputs, for each thing to be known of them."""
+    row = "const double *row, const double *raw, const double *coefficients"
+    heads = {
+        "begin": f"void output_begin(int e, double t, double *states, {row})",
+        "inside": f"void output_inside(int e, double t, const double *states, {row}, "
+        "double *slopes)",
+        "after": f"double output_after(int e, double t, const double *states, {row})",
+        "rate": f"double output_rate(int e, {row})",
+    }
+    made = []
+    for what, head in heads.items():
+        arms = ""
+        for number, i in enumerate(layout.outputs):
+            places, assignments = _output(layout, i, what)
+            body = _body(places, assignments, " " * 12)
+            arms += f"        case {number}: {{\n{body}            break;\n        }}\n"
+        gives = what in ("after", "rate")
+        first = "    double result = 0.0;\n" if gives else ""
+        last = "    return result;\n" if gives else ""
+        choice = f"    switch (e) {{\n{arms}        default:\n            break;\n    }}\n"
+        made.append(f"{head} {{\n{first}{_unused(head)}{choice}{last}}}")
+    return made
+
+
+def _output(
+    layout: Layout, index: int, what: str
+) -> tuple[dict[sp.Symbol, tuple[str, int]], list[Assignment]]:
+    definition = layout.effect(index)
+    places = _output_places(layout, definition, layout.repair.positions[index])
+    first = layout.first_output_state(index)
+    places |= {s: ("states", first + i) for i, s in enumerate(definition.states)}
+    if what == "begin":
+        return places, [Assignment("states", first + i, e) for i, e in enumerate(definition.starts)]
+    if what == "inside":
+        return places, [
+            Assignment("slopes", first + i, e) for i, e in enumerate(definition.derivatives)
+        ]
+    if what == "after":
+        return places, [Assignment("result", -1, definition.parts[0][1])]
+    rates = [abs(rate) for rate in known_rates(definition, definition.uses)]
+    return places, [Assignment("result", -1, sp.Max(sp.Integer(0), *rates))]
+
+
+def _output_places(
+    layout: Layout, definition: Definition, position: int
+) -> dict[sp.Symbol, tuple[str, int]]:
+    places: dict[sp.Symbol, tuple[str, int]] = {
+        variable_symbol(name): ("raw", i) for i, name in enumerate(layout.columns)
+    }
+    places |= {variable_symbol(name): ("row", i) for i, name in enumerate(layout.row)}
+    places[SIGNAL] = ("row", layout.row.index(definition.site.target))
+    places |= {s: ("coefficients", position + i) for i, s in enumerate(definition.coefficients)}
+    return places

@@ -1,0 +1,138 @@
+"""model.h: what the wrapper must know of one model, as constants and tables of C."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from cluster_est.export.layout import Layout
+from workers.loop import DEFAULT_RTOL
+
+
+def header(layout: Layout, guid: str) -> str:
+    """The text of model.h."""
+    lines = ["/* Written for one run; see documentation/README.md. */", "#ifndef MODEL_H"]
+    lines += ["#define MODEL_H", "", "#include <math.h>", ""]
+    found = {**_identity(layout, guid), **_counts(layout), **_solver(layout), **_tables(layout)}
+    lines += [f"#define {name} {value}" for name, value in found.items()]
+    return "\n".join([*lines, "", "#endif", ""])
+
+
+def _identity(layout: Layout, guid: str) -> dict[str, object]:
+    model, description = layout.repair.problem.model, layout.repair.description
+    return {
+        "MODEL_GUID": _text(guid),
+        "ORIGINAL_GUID": _text(description.guid),
+        "ORIGINAL_IDENTIFIER": _text(description.offer(model.interface).identifier),
+        "ORIGINAL_EXCHANGE": int(layout.exchange),
+    }
+
+
+def _counts(layout: Layout) -> dict[str, object]:
+    repair, made = layout.repair, layout.equations
+    description = repair.description
+    return {
+        "N_STATES": len(layout.states),
+        "N_OWN": len(made.begin),
+        "N_OUTPUT_OWN": sum(len(layout.effect(i).states) for i in layout.outputs),
+        "N_INDICATORS": description.event_indicators if layout.exchange else 0,
+        "N_INPUTS": len(layout.inputs),
+        "N_MOVING": layout.moving,
+        "N_SIGNALS": len(layout.signals),
+        "N_COEFFICIENTS": sum(map(len, repair.coefficients)),
+        "N_BASE": len(made.parameters),
+        "N_STARTS": len(layout.starts),
+        "N_ROW": len(layout.row),
+        "N_INPUT_MEMORIES": len(layout.memories),
+        "N_OUTPUT_EFFECTS": len(layout.outputs),
+        "N_SPECIALS": len(layout.specials),
+        "N_TOUCHED": len(layout.touched),
+        "HAS_BEFORE": int(bool(made.before)),
+        "TOUCHES_EXCHANGE": int(bool(repair.effects)),
+    }
+
+
+def _solver(layout: Layout) -> dict[str, object]:
+    model, description = layout.repair.problem.model, layout.repair.description
+    solver = model.solver
+    rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
+    if solver.name == "cvode":
+        rtol = min(rtol, DEFAULT_RTOL)
+    eventful = description.event_indicators > 0 or any(
+        v.variability == "discrete" for v in description.variables.values()
+    )
+    return {
+        "FIXED_STEPS": int(solver.name == "rk4"),
+        "SOLVER_STEP": _number(solver.step or 0.0),
+        "SOLVER_RTOL": _number(rtol),
+        "SOLVER_ATOL": _number(rtol if solver.atol is None else solver.atol),
+        "MOST_STEPS": f"{solver.max_steps}L",
+        "ORIGINAL_TOLERANCE": _number(solver.rtol or 0.0),
+        "COMPLETES_STEPS": int(layout.exchange and description.completes_steps),
+        "INTERPOLATES": int(description.interpolates_inputs),
+        "EVENTFUL": int(eventful),
+    }
+
+
+def _tables(layout: Layout) -> dict[str, object]:
+    repair, variables = layout.repair, layout.repair.description.variables
+    nominals = [variables[name].nominal for name in layout.states]
+    nominals += [1.0] * len(layout.equations.begin)
+    found = {f.name: f.value for f in (*repair.parameters,)} | {
+        name: float(value) for name, value in repair.known if isinstance(value, float | int)
+    }
+    bases = [found.get(n, variables[n].start or 0.0) for n in layout.equations.parameters]
+    raw = [found.get(v.name, v.start or 0.0) for v in layout.inputs] + [0.0] * len(layout.signals)
+    references = {
+        "INPUT": [v.reference for v in layout.inputs],
+        "BASE": [layout.reference(n) for n in layout.equations.parameters],
+        "START": [layout.reference(f.name) for f in layout.starts],
+        "ROW": [layout.reference(n) for n in layout.row],
+        "TOUCHED": layout.touched,
+        "RAW": [
+            *(v.reference for v in layout.inputs),
+            *(own.reference for own in layout.own if own.kind == "SIGNAL"),
+        ],
+    }
+    tables: dict[str, object] = {
+        f"{name}_REFERENCES": _list(map(str, each)) for name, each in references.items()
+    }
+    return tables | {
+        "COEFFICIENTS": _list(_number(f.value) for own in repair.coefficients for f in own),
+        "STARTS": _list(_number(f.value) for f in layout.starts),
+        "BASES": _list(map(_number, bases)),
+        "RAW_STARTS": _list(map(_number, raw)),
+        "NOMINALS": _list(map(_number, nominals)),
+        "INPUT_MEMORIES": _list(_memory(layout, i) for i in layout.memories),
+        "OUTPUT_EFFECTS": _list(_output(layout, i) for i in layout.outputs),
+        "SPECIALS": _list(f"{{{s.reference}, {s.kind}, {s.index}}}" for s in layout.specials),
+    }
+
+
+def _memory(layout: Layout, index: int) -> str:
+    effect = layout.effect(index)
+    column = layout.columns.index(effect.site.target)
+    backlash = int(effect.form.memory == "backlash")
+    return f"{{{backlash}, {column}, {layout.repair.positions[index]}}}"
+
+
+def _output(layout: Layout, index: int) -> str:
+    effect = layout.effect(index)
+    column = layout.row.index(effect.site.target)
+    delay = layout.repair.positions[index] if effect.form.memory else -1
+    first = layout.first_output_state(index)
+    return f"{{{column}, {delay}, {first}, {len(effect.states)}}}"
+
+
+def _number(value: float) -> str:
+    if value in (float("inf"), float("-inf")):
+        return "HUGE_VAL" if value > 0.0 else "-HUGE_VAL"
+    return repr(float(value))
+
+
+def _list(items: Iterable[str]) -> str:
+    """An initialiser, which C wants to have an element at least."""
+    return "{" + (", ".join(items) or "0") + "}"
+
+
+def _text(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

@@ -1,0 +1,253 @@
+"""Where each variable of the exported FMU stands: in the original, or in arrays of the wrapper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from cluster_est.errors import ModelError
+from cluster_est.export.repair import Found, Repair
+from workers.description import Description
+from workers.effects.compiled import Equations, equations
+from workers.effects.definition import Definition
+from workers.variables import Variable
+
+Kind = Literal["INPUT", "SIGNAL", "COEFFICIENT", "BASE", "START", "RATE", "OUTPUT", "STATE"]
+
+
+@dataclass(frozen=True)
+class Own:
+    """A variable that the original does not have.
+
+    Attributes
+    ----------
+    kind
+        "SIGNAL" (an input), "COEFFICIENT" (a tunable parameter), "STATE" or "RATE" (its
+        derivative).
+    index
+        In the wrapper's array of that kind.
+    state
+        For a derivative, the name of its state.
+    """
+
+    name: str
+    reference: int
+    kind: Kind
+    index: int
+    description: str
+    value: Found | None = None
+    state: str = ""
+
+
+@dataclass(frozen=True)
+class Special:
+    """A reference of a real variable that the wrapper answers for."""
+
+    reference: int
+    kind: Kind
+    index: int
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where everything stands.
+
+    Attributes
+    ----------
+    repair
+        What is laid out.
+    exchange
+        Whether the original is integrated from outside (model exchange).
+    inputs
+        The original's real inputs, those that may move between events first.
+    moving
+        How many of them these are.
+    signals
+        Measured signals that effects need: further inputs.
+    memories, inside, outputs
+        Indices of the effects that change an input as a whole, that act while the simulation runs,
+        and that act at outputs.
+    equations
+        Of those inside.
+    row
+        Variables that effects at outputs need.
+    starts
+        Values of the original's variables that the exported FMU begins with.
+    own
+        Variables that the original does not have.
+    specials
+        In the order of their references.
+    touched
+        References of what effects depend on or change.
+    """
+
+    repair: Repair
+    exchange: bool
+    inputs: tuple[Variable, ...]
+    moving: int
+    signals: tuple[str, ...]
+    memories: tuple[int, ...]
+    inside: tuple[int, ...]
+    outputs: tuple[int, ...]
+    equations: Equations
+    row: tuple[str, ...]
+    starts: tuple[Found, ...]
+    own: tuple[Own, ...]
+    specials: tuple[Special, ...]
+    touched: tuple[int, ...]
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The original's states, which stand first among all."""
+        return self.repair.description.states if self.exchange else ()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Inputs, then signals."""
+        return (*(v.name for v in self.inputs), *self.signals)
+
+    def effect(self, index: int) -> Definition:
+        return self.repair.effects[index]
+
+    def reference(self, name: str) -> int:
+        return self.repair.description.variables[name].reference
+
+    def first_output_state(self, index: int) -> int:
+        """Where the own states of an effect at an output begin."""
+        before = (*self.inside, *self.outputs[: self.outputs.index(index)])
+        return len(self.states) + sum(len(self.effect(i).states) for i in before)
+
+
+def lay_out(repair: Repair) -> Layout:
+    """Lay out the exported FMU.
+
+    Raises
+    ------
+    ModelError
+        If the original is of FMI 3.0, or an effect is at an input that is not real.
+    """
+    description, exchange = repair.description, repair.problem.model.interface == "model_exchange"
+    if description.version != "2.0":
+        raise ModelError(
+            f"--fmu: the original must be of FMI 2.0 to be wrapped but {description.file} is of "
+            f"{description.version}; export it as 2.0 and fit that, or use --modelica or --text"
+        )
+    effects = repair.effects
+    memories = [i for i, e in enumerate(effects) if e.form.memory and e.site.kind == "input"]
+    outputs = [i for i, e in enumerate(effects) if e.site.kind == "output"]
+    inside = [i for i in range(len(effects)) if i not in (*memories, *outputs)]
+    inputs = _inputs(description)
+    signals = tuple(
+        dict.fromkeys(n for e in effects for n in e.uses if n not in description.variables)
+    )
+    columns = (*(v.name for v in inputs), *signals)
+    _check_inputs(effects, description, columns)
+    needed = [n for i in outputs for n in (*effects[i].uses, effects[i].site.target)]
+    made = equations(
+        tuple(effects[i] for i in inside),
+        tuple(repair.positions[i] for i in inside),
+        description.states if exchange else (),
+        columns,
+    )
+    known = [f for f in _starts(repair) if f.name not in made.parameters]
+    order = sorted(inside, key=lambda i: effects[i].site.at_rates)
+    own = _own(repair, signals, [*order, *outputs], exchange=exchange)
+    row = tuple(dict.fromkeys(n for n in needed if n not in columns))
+    layout = Layout(
+        repair, exchange, inputs, sum(v.moves for v in inputs), signals, tuple(memories),
+        tuple(inside), tuple(outputs), made, row, tuple(known), own, (), (),
+    )  # fmt: skip
+    specials, touched = _specials(layout)
+    return Layout(**{**vars(layout), "specials": specials, "touched": touched})
+
+
+def _inputs(description: Description) -> tuple[Variable, ...]:
+    real = {v.reference: v for v in reversed(description.inputs()) if v.kind == "real"}
+    chosen = [v for v in description.inputs() if real.get(v.reference) is v]
+    return tuple(sorted(chosen, key=lambda v: not v.moves))
+
+
+def _check_inputs(
+    effects: tuple[Definition, ...], description: Description, columns: tuple[str, ...]
+) -> None:
+    for effect in effects:
+        named = (*effect.uses, *((effect.site.target,) if effect.site.kind == "input" else ()))
+        for name in named:
+            variable = description.variables.get(name)
+            if variable is not None and variable.causality == "input" and name not in columns:
+                raise ModelError(
+                    f"--fmu: effect {effect.effect.name!r}: the input {name!r} must be a real "
+                    f"variable of its own to be exported but is of type {variable.kind}"
+                )
+
+
+def _starts(repair: Repair) -> list[Found]:
+    """Real values that the original begins with."""
+    description = repair.description
+    found = list(repair.parameters)
+    for name, value in repair.known:
+        if description.variables[name].kind == "real":
+            found.append(Found(name, description.variables[name].unit, float(value)))
+    return found
+
+
+def _own(
+    repair: Repair, signals: tuple[str, ...], stateful: list[int], *, exchange: bool
+) -> tuple[Own, ...]:
+    """The new variables, their references behind those of the original's real ones."""
+    variables = repair.description.variables.values()
+    reference = 1 + max((v.reference for v in variables if v.kind == "real"), default=0)
+    inputs = sum(v.kind == "real" for v in _inputs(repair.description))
+    made: list[tuple[str, Kind, int, str, Found | None, str]] = [
+        (name, "SIGNAL", inputs + i, "a measured signal that an effect depends on", None, "")
+        for i, name in enumerate(signals)
+    ]
+    for effect, values, at in zip(
+        repair.effects, repair.coefficients, repair.positions, strict=True
+    ):
+        what = f"of effect {effect.form.name} at {effect.site}"
+        for i, value in enumerate(values):
+            text = f"{what}; {value.interval}" if value.interval else what
+            made.append((value.name, "COEFFICIENT", at + i, text, value, ""))
+    at = len(repair.description.states) if exchange else 0
+    for i in stateful:
+        effect = repair.effects[i]
+        for own in effect.form.states:
+            name, text = f"{effect.effect.name}.{own.name}", f"state of effect {effect.form.name}"
+            made.append((name, "STATE", at, text, None, ""))
+            if exchange:
+                made.append((f"der({name})", "RATE", at, f"derivative of {name}", None, name))
+            at += 1
+    return tuple(
+        Own(name, reference + i, kind, index, text, value, state)
+        for i, (name, kind, index, text, value, state) in enumerate(made)
+    )
+
+
+def _specials(layout: Layout) -> tuple[tuple[Special, ...], tuple[int, ...]]:
+    description = layout.repair.description
+    found = {own.reference: Special(own.reference, own.kind, own.index) for own in layout.own}
+
+    def add(reference: int, kind: Kind, index: int) -> None:
+        found.setdefault(reference, Special(reference, kind, index))
+
+    for i, variable in enumerate(layout.inputs):
+        add(variable.reference, "INPUT", i)
+    for i, name in enumerate(layout.equations.parameters):
+        add(layout.reference(name), "BASE", i)
+    for i, start in enumerate(layout.starts):
+        add(layout.reference(start.name), "START", i)
+    for i in layout.outputs:
+        target = layout.effect(i).site.target
+        add(layout.reference(target), "OUTPUT", layout.row.index(target))
+    rates = [t for i in layout.inside if layout.effect(i).site.at_rates
+             for t in layout.effect(i).site.targets]  # fmt: skip
+    for variable in description.variables.values():
+        if variable.derivative_of in rates:
+            add(variable.reference, "RATE", layout.states.index(variable.derivative_of))
+    named = [n for e in layout.repair.effects for n in e.uses]
+    named += [e.site.target for e in layout.repair.effects if not e.site.at_rates]
+    touched = {s.reference for s in found.values() if s.kind not in ("INPUT", "START")}
+    touched |= {layout.reference(name) for name in named if name in description.variables}
+    order = sorted(found.values(), key=lambda special: special.reference)
+    return tuple(order), tuple(sorted(touched))

@@ -1,0 +1,90 @@
+"""The recipe of an export: gather, then write each form that is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from cluster_est.errors import ConfigError, RunFolderError
+from cluster_est.export.fmu import write_fmu
+from cluster_est.export.modelica import modelica
+from cluster_est.export.repair import gather
+from cluster_est.export.ssv import parameter_set
+from cluster_est.export.text import describe_repair
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which forms are asked for: files to write, and what to print."""
+
+    fmu: Path | None = None
+    ssv: Path | None = None
+    modelica: bool = False
+    text: bool = False
+
+
+@dataclass(frozen=True)
+class Written:
+    """What was made: files, texts to print, and sentences on what a user should know."""
+
+    files: tuple[Path, ...]
+    printed: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def export(
+    run_folder: Path,
+    config: Path | None,
+    experiment: str | None,
+    wanted: Wanted,
+    *,
+    allow_code: bool = False,
+) -> Written:
+    """Write what a run has found.
+
+    Parameters
+    ----------
+    run_folder, config, experiment, allow_code
+        See `cluster_est.export.repair.gather`.
+    wanted
+        At least one form.
+
+    Raises
+    ------
+    ClusterEstError
+        If nothing is asked for, the run cannot be read, or a file cannot be written.
+    """
+    if wanted == Wanted():
+        raise ConfigError(
+            "export: must be told what to write; add --fmu, --ssv, --modelica or --text"
+        )
+    _check_name(wanted.fmu, "--fmu", ".fmu")
+    _check_name(wanted.ssv, "--ssv", ".ssv")
+    repair = gather(run_folder, config, experiment, allow_code=allow_code)
+    notes, files, printed = list(repair.notes), [], []
+    if wanted.fmu is not None:
+        notes += write_fmu(repair, wanted.fmu)
+        files.append(wanted.fmu)
+    if wanted.ssv is not None:
+        try:
+            wanted.ssv.parent.mkdir(parents=True, exist_ok=True)
+            wanted.ssv.write_bytes(parameter_set(repair))
+        except OSError as error:
+            raise RunFolderError(
+                f"--ssv: {wanted.ssv} cannot be written ({error}); choose another"
+            ) from error
+        files.append(wanted.ssv)
+    if wanted.modelica:
+        printed.append(modelica(repair))
+    if wanted.text:
+        printed.append(describe_repair(repair))
+    return Written(tuple(files), tuple(printed), tuple(notes))
+
+
+def _check_name(path: Path | None, option: str, suffix: str) -> None:
+    if path is None:
+        return
+    if path.suffix.lower() != suffix:
+        raise ConfigError(f"{option}: must end in {suffix} but is {path.name!r}; rename it")
+    if path.is_dir():
+        raise ConfigError(f"{option}: {path} must be a file but is a folder; choose another")

@@ -1,0 +1,89 @@
+"""Every form of the catalogue as C in an exported FMU, against the simulation of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from exported import Exported, co_simulated, needs_compiler, repair_of, unpacked
+from problems import FMU
+from springs_with_effects import FORCE, START, TIMES, C, K, M
+
+from workers.effects.forms import FORMS
+from workers.evaluate import Evaluator
+from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
+from workers.wire import Batch
+
+SOLVERS = {
+    "dormand_prince": Solver("dormand_prince"),
+    "rk4": Solver("rk4", step=0.005),
+    "fmu": Solver("fmu", step=0.005),
+}
+SITES = {
+    "derivative": "der(v)",
+    "pair": "pair x,v",
+    "input": "input F",
+    "output": "output y",
+    "parameter": "parameter c",
+}
+LAGGARDS = ("lag", "delay")
+CASES = [
+    (kind, late, solver)
+    for kind in SITES
+    for late in ((False, True) if kind == "input" else (False,))
+    for solver in SOLVERS
+    if (solver == "dormand_prince")
+    or (solver == "rk4" and kind in ("derivative", "input"))
+    or (solver == "fmu" and kind not in ("derivative", "pair"))
+]
+
+
+def model(solver):
+    interface = "co_simulation" if solver.name == "fmu" else "model_exchange"
+    return Model(FMU.name, FMU.read_bytes(), interface, solver, ("m", "k", "c"))
+
+
+def experiment():
+    output = Output("y", TIMES, np.zeros(len(TIMES)))
+    inputs = (Input("F", TIMES, FORCE),)
+    return Experiment("e", 0.0, float(TIMES[-1]), inputs, (output,), (("x", START[0]),))
+
+
+def effects_of(kind, late=False):
+    """An effect of each form of a kind, and the values of their coefficients.
+
+    At inputs those that come late are apart: the others would enlarge how they are rounded.
+    """
+    limit = 2.0 if kind == "input" else 0.05
+    known = {"low": -0.5, "limit": limit, "tau": 0.03, "width": 0.05, "high": 0.5}
+    forms = [f for k, f in FORMS if k == kind and (k != "input" or (f in LAGGARDS) is late)]
+    effects, values = [], []
+    for number, name in enumerate(forms):
+        form = FORMS[kind, name]
+        variables = ("v", "x") if kind == "derivative" else ("F", "F")
+        effects.append(Effect(f"e{number}", SITES[kind], name, variables[: form.variables]))
+        shape = 2.0 if name == "hysteresis" else 0.04  # slow: its steps follow the whole record
+        values += [known.get(c.name, 0.3 if c.neutral == 0.0 else shape) for c in form.coefficients]
+    return effects, values
+
+
+def simulated(solver, effects, values):
+    evaluator = Evaluator(model(solver), (experiment(),), "w")
+    task = Task(0, 0, np.array([M, K, C, *values]), "trajectory", tuple(effects))
+    (outcome,) = evaluator.evaluate(Batch.of([task]))
+    evaluator.close()
+    assert outcome.ok, outcome.message
+    return outcome.trajectory.values[:, 0]
+
+
+@needs_compiler
+@pytest.mark.parametrize(("kind", "late", "name"), CASES)
+def test_every_form_is_the_same_in_c(kind, late, name, tmp_path):
+    """All forms of a kind at one site, one after the other."""
+    solver = SOLVERS[name]
+    effects, values = effects_of(kind, late)
+    repair = repair_of(model(solver), experiment(), (M, K, C), effects, values)
+    exported = Exported(unpacked(repair, tmp_path))
+    exported.begin({"F": FORCE[0]})
+    found = co_simulated(exported, TIMES, {"F": FORCE}, "y")
+    exported.close()
+    np.testing.assert_allclose(found, simulated(solver, effects, values), rtol=0.0, atol=1e-6)

@@ -1,0 +1,148 @@
+"""Exported FMUs as another tool sees them: through fmpy, call by call."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from ctypes import CFUNCTYPE, c_char_p, c_int, c_void_p, cast
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fmpy import calloc, free, read_model_description
+from fmpy.fmi2 import (
+    FMU2Slave,
+    fmi2CallbackAllocateMemoryTYPE,
+    fmi2CallbackFreeMemoryTYPE,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+)
+
+from cluster_est.export.fmu import archive_files
+from cluster_est.export.layout import lay_out
+from cluster_est.export.repair import Found, Repair
+from cluster_est.problem import Parameter, Problem
+from workers.description import describe_model
+from workers.effects.definition import define
+from workers.messages import Effect, Experiment, FloatArray, Model
+
+COMPILER = ("cc", "-Werror")
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no compiler cc")
+
+
+def repair_of(
+    model: Model,
+    experiment: Experiment,
+    values: Sequence[float],
+    effects: Sequence[Effect],
+    coefficients: Sequence[float],
+) -> Repair:
+    """What a run with these values would give."""
+    description = describe_model(model)
+    signals = tuple(given.variable for given in experiment.signals)
+    made = [define(effect, description, model.interface, signals) for effect in effects]
+    left, found, parameters = list(coefficients), [], []
+    for definition in made:
+        names = [f"{definition.effect.name}.{c.name}" for c in definition.form.coefficients]
+        own = tuple(Found(name, "", left.pop(0)) for name in names)
+        found.append(own)
+        parameters += [Parameter(f.name, f.value) for f in own]
+    own_parameters = [Parameter(n, v) for n, v in zip(model.parameters, values, strict=True)]
+    problem = Problem(model, (*own_parameters, *parameters), (experiment,), effects=tuple(effects))
+    known = tuple(Found(n, "", v) for n, v in zip(model.parameters, values, strict=True))
+    return Repair(
+        "test", problem, description, tuple(made), tuple(found), known, experiment.values, ()
+    )
+
+
+def unpacked(repair: Repair, folder: Path) -> Path:
+    """The exported FMU as a folder."""
+    for name, content in archive_files(lay_out(repair), COMPILER).items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return folder
+
+
+_LOGGER = CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_char_p)
+"""The wrapper's messages are one text behind "%s"."""
+
+
+def _callbacks(said: list[str]) -> fmi2CallbackFunctions:
+    """What an instance is told to call; its messages go into a list.
+
+    Not through fmpy's proxy, of which there is one for all FMUs of a process.
+    """
+    callbacks = fmi2CallbackFunctions()
+    logger = _LOGGER(lambda *arguments: said.append(arguments[-1].decode()))
+    callbacks.logger = cast(logger, fmi2CallbackLoggerTYPE)
+    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
+    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
+    callbacks.kept = logger
+    return callbacks
+
+
+class Exported:
+    """An instance of an unpacked exported FMU."""
+
+    def __init__(
+        self, folder: Path, kind: type[Any] = FMU2Slave, said: list[str] | None = None
+    ) -> None:
+        described = read_model_description(str(folder))
+        self.references = {v.name: v.valueReference for v in described.modelVariables}
+        interface = described.coSimulation if kind is FMU2Slave else described.modelExchange
+        self.fmu = kind(
+            guid=described.guid,
+            unzipDirectory=str(folder),
+            modelIdentifier=interface.modelIdentifier,
+            instanceName="one",
+        )
+        self._callbacks = _callbacks([] if said is None else said)
+        self.fmu.instantiate(callbacks=self._callbacks)
+
+    def set(self, name: str, value: float) -> None:
+        self.fmu.setReal([self.references[name]], [value])
+
+    def get(self, name: str) -> float:
+        return float(self.fmu.getReal([self.references[name]])[0])
+
+    def begin(self, given: dict[str, float], start: float = 0.0) -> None:
+        """Initialise with start values or inputs."""
+        self.fmu.setupExperiment(startTime=start)
+        self.fmu.enterInitializationMode()
+        for name, value in given.items():
+            self.set(name, value)
+        self.fmu.exitInitializationMode()
+
+    def drive(self, name: str, value: float, slope: float) -> None:
+        reference = self.references[name]
+        self.fmu.setReal([reference], [value])
+        self.fmu.setRealInputDerivatives([reference], [1], [slope])
+
+    def close(self) -> None:
+        self.fmu.terminate()
+        self.fmu.freeInstance()
+
+
+def co_simulated(
+    exported: Exported,
+    times: FloatArray,
+    inputs: dict[str, FloatArray],
+    output: str,
+    *,
+    hold: bool = False,
+    first: int = 0,
+) -> FloatArray:
+    """The output at the times, the inputs linear between them, or held."""
+    found = []
+    for i in range(first, len(times)):
+        last = i + 1 == len(times)
+        for name, values in inputs.items():
+            step = 1.0 if last else times[i + 1] - times[i]
+            rise = 0.0 if last or hold else (values[i + 1] - values[i]) / step
+            exported.drive(name, float(values[i]), float(rise))
+        found.append(exported.get(output))
+        if not last:
+            exported.fmu.doStep(float(times[i]), float(times[i + 1] - times[i]))
+    return np.array(found)
