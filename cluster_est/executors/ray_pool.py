@@ -65,7 +65,7 @@ class RayPool(WorkerPool):
         self._fixed = workers
         self._owns_ray = owns_ray
         self._installation = ray.put(model), ray.put(experiments), limits
-        self._backlog = Backlog(shares=2 * IN_FLIGHT * self.workers)
+        self._backlog = Backlog(shares=IN_FLIGHT * self.workers)
         self._starting: dict[Any, tuple[str, Any]] = {}
         self._actors: dict[str, Any] = {}
         self._flying: dict[Any, _Flight] = {}
