@@ -7,6 +7,7 @@ below are turned into SymPy; anything else is refused with a sentence.
 from __future__ import annotations
 
 import ast
+import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -48,6 +49,8 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.GtE: lambda a, b: a >= b,
 }
 MAX_LENGTH = 2000
+_PARSING = threading.Lock()
+"""Up to 3.12, CPython counts the depth of a tree for all threads together (its issue 106905)."""
 
 
 def parse(text: str, symbols: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
@@ -70,7 +73,8 @@ def parse(text: str, symbols: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
     if len(text) > MAX_LENGTH:
         raise EffectError(f"{where}: must be at most {MAX_LENGTH} characters but is {len(text)}")
     try:
-        tree = ast.parse(text.replace("^", "**").strip(), mode="eval")
+        with _PARSING:
+            tree = ast.parse(text.replace("^", "**").strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         said = getattr(error, "msg", error)
         raise EffectError(f"{where}: must be an equation but {text!r} is not ({said})") from None
