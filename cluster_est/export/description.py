@@ -5,6 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from xml.etree.ElementTree import Element, SubElement
 
+from cluster_est.export.fmi3_document import as_fmi_2
 from cluster_est.export.layout import Layout, Own
 from workers.archive import open_archive
 from workers.description_xml import XML, Notes, parse
@@ -39,6 +40,8 @@ def model_description(layout: Layout, guid: str, sources: tuple[str, ...], tool:
     model = layout.repair.problem.model
     with open_archive(model.name, model.archive) as opened:
         root = parse(model.name, opened.read(XML), Notes(model.name))
+    if layout.repair.description.version == "3.0":
+        root = as_fmi_2(root, layout.repair.description)
     old = {tag: root.find(tag) for tag in ("ModelExchange", "CoSimulation")}
     chosen = old["ModelExchange" if layout.exchange else "CoSimulation"]
     assert chosen is not None  # the run has used it

@@ -124,6 +124,11 @@ def _notes(layout: Layout) -> tuple[str, ...]:
             f"{', '.join(layout.signals)} {'is an input' if one else 'are inputs'} of the exported "
             "FMU, because effects depend on what was measured there"
         )
+    if layout.left_out:
+        notes.append(
+            f"the exported FMU is without {', '.join(layout.left_out)}, which FMI 2.0 cannot say; "
+            "they keep the values that the original has"
+        )
     return tuple(notes)
 
 

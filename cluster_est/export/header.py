@@ -13,6 +13,7 @@ def header(layout: Layout, guid: str) -> str:
     lines = ["/* Written for one run; see documentation/README.md. */", "#ifndef MODEL_H"]
     lines += ["#define MODEL_H", "", "#include <math.h>", ""]
     found = {**_identity(layout, guid), **_counts(layout), **_solver(layout), **_tables(layout)}
+    found |= _places(layout)
     lines += [f"#define {name} {value}" for name, value in found.items()]
     return "\n".join([*lines, "", "#endif", ""])
 
@@ -23,6 +24,7 @@ def _identity(layout: Layout, guid: str) -> dict[str, object]:
         "MODEL_GUID": _text(guid),
         "ORIGINAL_GUID": _text(description.guid),
         "ORIGINAL_IDENTIFIER": _text(description.offer(model.interface).identifier),
+        "ORIGINAL_FMI": int(description.version == "3.0") + 2,
         "ORIGINAL_EXCHANGE": int(layout.exchange),
     }
 
@@ -105,6 +107,27 @@ def _tables(layout: Layout) -> dict[str, object]:
         "INPUT_MEMORIES": _list(_memory(layout, i) for i in layout.memories),
         "OUTPUT_EFFECTS": _list(_output(layout, i) for i in layout.outputs),
         "SPECIALS": _list(f"{{{s.reference}, {s.kind}, {s.index}}}" for s in layout.specials),
+    }
+
+
+def _places(layout: Layout) -> dict[str, object]:
+    """What an original of FMI 3.0 has that FMI 2.0 has not; nothing for one of FMI 2.0."""
+    variables = layout.repair.description.variables
+    rows, elements = [], list[float]()
+    for place in layout.places:
+        kept = len(elements) if place.starts else -1
+        called = "Int64" if place.type == "Enumeration" else place.type
+        rows.append(f"{{{place.first}, {place.size}, {called}, {place.reference}, {kept}}}")
+        elements += place.starts
+    sizes = layout.repair.problem.model.structure
+    return {
+        "N_PLACES": len(rows),
+        "N_ELEMENTS": len(elements),
+        "N_STRUCTURE": len(sizes),
+        "LARGEST": max((place.size for place in layout.places), default=1),
+        "PLACES": _list(rows or ["{0}"]),
+        "ELEMENTS": _list(map(_number, elements)),
+        "STRUCTURE": _list([f"{{{variables[n].reference}, {v}}}" for n, v in sizes] or ["{0}"]),
     }
 
 

@@ -50,6 +50,7 @@ typedef struct {
     int begun;                           /* the own states have been started */
     int in_event;                        /* in co-simulation: something discrete was set */
     int ended;                           /* the original has ended the simulation */
+    Kept kept;
 } Moving;
 
 typedef struct {
