@@ -9,6 +9,7 @@ from cluster_est.export.fmi3_document import as_fmi_2
 from cluster_est.export.layout import Layout, Own
 from workers.archive import open_archive
 from workers.description_xml import XML, Notes, parse
+from workers.messages import Value
 
 _FLAGS = (
     "needsExecutionTool",
@@ -126,8 +127,14 @@ def _set_starts(root: Element, layout: Layout) -> None:
         if value.tag == "Real" and reference in found:
             value.set("start", repr(float(found[reference])))
         elif name in known:
-            given = known[name]
-            value.set("start", str(given).lower() if isinstance(given, bool) else str(given))
+            value.set("start", _text(value.tag, known[name]))
+
+
+def _text(tag: str, given: Value) -> str:
+    """A value as XML schema types have it."""
+    if tag == "Boolean":
+        return str(bool(given)).lower()
+    return str(int(given)) if tag in ("Integer", "Enumeration") else str(given)
 
 
 def _add_variables(root: Element, layout: Layout) -> dict[str, int]:

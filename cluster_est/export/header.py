@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from cluster_est.export.layout import Layout
 from workers.loop import DEFAULT_RTOL
+from workers.messages import Value
 
 
 def header(layout: Layout, guid: str) -> str:
@@ -13,7 +14,7 @@ def header(layout: Layout, guid: str) -> str:
     lines = ["/* Written for one run; see documentation/README.md. */", "#ifndef MODEL_H"]
     lines += ["#define MODEL_H", "", "#include <math.h>", ""]
     found = {**_identity(layout, guid), **_counts(layout), **_solver(layout), **_tables(layout)}
-    found |= _places(layout)
+    found |= _others(layout) | _places(layout)
     lines += [f"#define {name} {value}" for name, value in found.items()]
     return "\n".join([*lines, "", "#endif", ""])
 
@@ -110,6 +111,20 @@ def _tables(layout: Layout) -> dict[str, object]:
     }
 
 
+def _others(layout: Layout) -> dict[str, object]:
+    """Values of the run that are no reals, but structural parameters, which come first."""
+    variables = layout.repair.description.variables
+    found: dict[str, object] = {}
+    for kind, written in _WRITTEN.items():
+        known = [(variables[name], value) for name, value in layout.repair.known]
+        known = [(v, value) for v, value in known if v.kind == kind]
+        known = [(v, value) for v, value in known if v.causality != "structuralParameter"]
+        found[f"N_{kind.upper()}S"] = len(known)
+        found[f"{kind.upper()}_REFERENCES"] = _list(str(v.reference) for v, _ in known)
+        found[f"{kind.upper()}S"] = _list(written(value) for _, value in known)
+    return found
+
+
 def _places(layout: Layout) -> dict[str, object]:
     """What an original of FMI 3.0 has that FMI 2.0 has not; nothing for one of FMI 2.0."""
     variables = layout.repair.description.variables
@@ -158,4 +173,13 @@ def _list(items: Iterable[str]) -> str:
 
 
 def _text(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'
+
+
+_WRITTEN: dict[str, Callable[[Value], str]] = {
+    "integer": lambda value: str(int(value)),
+    "boolean": lambda value: str(int(bool(value))),
+    "string": lambda value: _text(str(value)),
+}
+"""Values of each kind in C."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from cluster_est.errors import ModelError
-from cluster_est.export.fmi3_variables import Place, flatten
+from cluster_est.export.fmi3_variables import Place, fits, flatten
 from cluster_est.export.repair import Found, Repair
 from workers.description import Description
 from workers.effects.compiled import Equations, equations
@@ -175,6 +175,9 @@ def _check_needed(repair: Repair, left_out: tuple[str, ...]) -> None:
         named += [*effect.uses, *effect.site.targets]
     for experiment in problem.experiments:
         named += [given.variable for given in experiment.inputs] + list(experiment.recorded)
+    for name, value in repair.known:
+        if repair.description.variables[name].kind == "integer" and not fits(float(value)):
+            left_out = (*left_out, name)
     for name in named:
         if name in left_out:
             kind = repair.description.variables[name].type

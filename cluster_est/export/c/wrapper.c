@@ -80,7 +80,9 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid,
         original_load(&c->original, &c->now.kept, resources, c->name, &c->inner, visible, logging,
                       why, sizeof why);
     begin_again(c);
-    if (why[0] == '\0' && !AT_LEAST_DISCARD(write_starts(c))) return c;
+    if (why[0] == '\0' && !AT_LEAST_DISCARD(write_starts(c))
+        && !AT_LEAST_DISCARD(write_other_starts(c)))
+        return c;
     if (why[0] != '\0') say(c, fmi2Error, "logStatusError", why);
     fmi2FreeInstance(c);
     return NULL;
@@ -172,7 +174,8 @@ fmi2Status fmi2Reset(fmi2Component component) {
     Instance *c = component;
     fmi2Status status = c->original.Reset(c->original.handle);
     begin_again(c);
-    return AT_LEAST_DISCARD(status) ? status : write_starts(c);
+    if (!AT_LEAST_DISCARD(status)) status = write_starts(c);
+    return AT_LEAST_DISCARD(status) ? status : write_other_starts(c);
 }
 
 #if ORIGINAL_EXCHANGE

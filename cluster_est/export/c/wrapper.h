@@ -67,6 +67,7 @@ fmi2Status complain(Instance *c, fmi2Status status, const char *text);
 
 /* values.c: the values of this FMU's own variables */
 fmi2Status write_starts(Instance *c);
+fmi2Status write_other_starts(Instance *c);
 
 /* memory.c: delays and backlashes */
 void history_clear(History *history);
