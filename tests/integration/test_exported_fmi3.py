@@ -112,6 +112,10 @@ def test_values_of_every_type(exported):
 
 
 def test_integers_that_are_too_large_are_an_error(exported):
+    """For the original, and for FMI 2.0."""
+    with pytest.raises(FMICallException):
+        exported.fmu.setInteger(reference(exported, "uint8"), [256])
+    assert any("out of the range of its type in FMI 3.0" in text for text in exported.said)
     exported.fmu.setInteger(reference(exported, "int64"), [2_000_000_000])
     exported.begin({})
     exported.fmu.setInteger(reference(exported, "u_int64"), [2_000_000_000])

@@ -1,4 +1,4 @@
-/* The declarations of FMI 3.0.2 that callers of such an original need (https://fmi-standard.org). */
+/* The declarations of FMI 3.0.2 that callers of an original need (https://fmi-standard.org). */
 #ifndef FMI3_H
 #define FMI3_H
 

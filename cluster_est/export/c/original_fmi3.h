@@ -5,15 +5,13 @@
 #include "fmi3.h"
 #include "original.h"
 
-
-
 /* An instance, and the functions of its library. */
 typedef struct {
     fmi3Instance instance;
     const fmi2CallbackFunctions *callbacks;
     Kept *kept;
     double numbers[LARGEST]; /* the elements of a variable */
-    void *cells;                           /* the same in its own type */
+    void *cells;             /* the same in its own type */
     fmi3InstantiateModelExchangeTYPE *InstantiateModelExchange;
     fmi3InstantiateCoSimulationTYPE *InstantiateCoSimulation;
     fmi3FreeInstanceTYPE *FreeInstance;
@@ -27,7 +25,8 @@ typedef struct {
 #undef FIELD
 } Inner;
 
-static inline fmi2Status as_2(fmi3Status status) { return (fmi2Status)status; } /* the same numbers */
+/* They are the same numbers. */
+static inline fmi2Status as_2(fmi3Status status) { return (fmi2Status)status; }
 
 /* values_fmi3.c: what FMI 2.0 calls fmi2GetReal is GetReal_2, and so on. */
 fmi2Status set_size(Inner *o, fmi2ValueReference reference, double value);

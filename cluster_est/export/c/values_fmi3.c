@@ -3,7 +3,7 @@
  * Here each element is a variable of its own; the original is given and asked for whole arrays. */
 #include "model.h"
 
-#include <stdlib.h>
+#include <math.h>
 #include <string.h>
 
 #if ORIGINAL_FMI == 3
@@ -14,6 +14,13 @@ typedef enum {
     FMI3_NUMBERS(NAME)
 #undef NAME
 } Type;
+
+/* What each type can hold, where integers of FMI 2.0 reach beyond it. */
+static const struct { double low, high; } ranges[] = {
+    [Float64] = {-HUGE_VAL, HUGE_VAL}, [Float32] = {-HUGE_VAL, HUGE_VAL}, [Int8] = {-128, 127},
+    [UInt8] = {0, 255}, [Int16] = {-32768, 32767}, [UInt16] = {0, 65535},
+    [Int32] = {-HUGE_VAL, HUGE_VAL}, [UInt32] = {0, HUGE_VAL}, [Int64] = {-HUGE_VAL, HUGE_VAL},
+    [UInt64] = {0, HUGE_VAL}, [Boolean] = {-HUGE_VAL, HUGE_VAL}};
 
 /* A variable whose elements have the references from `first` on, in FMI 2.0. Those of an array
  * that can be set are kept from `kept` on; else that is -1. */
@@ -87,6 +94,9 @@ static fmi2Status read_numbers(Inner *o, const Place *place) {
 static fmi2Status write_numbers(Inner *o, const Place *place) {
     fmi3Status status = fmi3Error;
     int i;
+    for (i = 0; i < place->size; i++)
+        if (o->numbers[i] < ranges[place->type].low || o->numbers[i] > ranges[place->type].high)
+            return complain_of(o, "an integer is out of the range of its type in FMI 3.0");
     switch (place->type) {
 #define WRITE(name, ctype)                                                                        \
     case name: {                                                                                  \
