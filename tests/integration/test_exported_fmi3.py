@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from ctypes import byref, c_double, c_int
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from described import packed
 from exported import Exported, co_simulated, needs_compiler, repair_of, unpacked
 from fmpy import read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
 from cluster_est.errors import ModelError
+from cluster_est.export.fmi3_document import as_fmi_2
+from cluster_est.export.fmi3_variables import flatten
 from cluster_est.export.fmu import write_fmu
 from cluster_est.export.layout import lay_out
+from workers.description import describe
 from workers.messages import Effect, Experiment, Model, Output, Solver
 
 pytestmark = needs_compiler
+DISCARD, LAST_SUCCESSFUL_TIME, TERMINATED = 2, 2, 3
 TIMES = np.linspace(0.0, 1.0, 11)
 RATES = (1.0, 2.0, 3.0, 4.0)
 KNOWN = (
@@ -148,3 +155,77 @@ def test_what_the_run_needs_and_fmi_2_has_not_is_refused(repair, name, value):
     needed = replace(repair, known=(*repair.known, (name, value)))
     with pytest.raises(ModelError, match=f"'{name}' is .* of FMI 3.0 that has no like there"):
         lay_out(needed)
+
+
+def test_an_original_that_ends_the_simulation_says_so(own_fmu, tmp_path):
+    """The stair ends at 10 s; FMI 2.0 says it by a discarded step."""
+    archive = own_fmu("stair", 3)
+    output = Output("y", np.array([0.0, 8.0]), np.zeros(2))
+    model = Model(archive.name, archive.read_bytes(), "co_simulation", Solver("fmu"), ())
+    repair = repair_of(model, Experiment("e", 0.0, 8.0, (), (output,)), (), (), ())
+    exported = Exported(unpacked(repair, tmp_path))
+    exported.begin({})
+    ended = c_int(0)
+    exported.fmu.fmi2DoStep(exported.fmu.component, 0.0, 8.0, 1)
+    exported.fmu.fmi2GetBooleanStatus(exported.fmu.component, TERMINATED, byref(ended))
+    assert ended.value == 0
+    with pytest.raises(FMICallException) as raised:
+        exported.fmu.fmi2DoStep(exported.fmu.component, 8.0, 8.0, 1)
+    exported.fmu.fmi2GetBooleanStatus(exported.fmu.component, TERMINATED, byref(ended))
+    time = c_double(0.0)
+    exported.fmu.fmi2GetRealStatus(exported.fmu.component, LAST_SUCCESSFUL_TIME, byref(time))
+    assert (raised.value.status, ended.value, time.value) == (DISCARD, 1, pytest.approx(9.0))
+    exported.fmu.freeInstance()
+
+
+RICH = """<fmiModelDescription fmiVersion="3.0" modelName="rich" instantiationToken="t">
+<ModelExchange modelIdentifier="rich" providesDirectionalDerivatives="true"/>
+<UnitDefinitions><Unit name="K"><BaseUnit K="1"/><DisplayUnit name="degC" offset="-273.15"/>
+<DisplayUnit name="1/K" inverse="true"/></Unit></UnitDefinitions>
+<TypeDefinitions><Float32Type name="Hot" unit="K" displayUnit="degC" min="0"/>
+<Int64Type name="Count" min="0" max="9000000000"/><BinaryType name="Bytes"/>
+<EnumerationType name="Far"><Item name="one" value="9000000000"/></EnumerationType>
+</TypeDefinitions>
+<LogCategories><Category name="events"/></LogCategories>
+<ModelVariables>
+<Float64 name="t" valueReference="0" causality="independent"/>
+<Float32 name="T" valueReference="1" causality="output" declaredType="Hot" unit="K"
+ displayUnit="1/K"><Alias name="same"/></Float32>
+<Int64 name="n" valueReference="2" causality="parameter" variability="fixed" start="3"
+ declaredType="Count"/>
+<Enumeration name="far" valueReference="3" declaredType="Far" causality="input" start="7"/>
+<UInt64 name="vast" valueReference="4" causality="parameter" variability="fixed"
+ start="9000000000"/>
+<String name="texts" valueReference="5" causality="parameter" variability="fixed">
+<Dimension start="2"/><Start value="a"/><Start value="b"/></String>
+<Clock name="clock" valueReference="6" causality="input" intervalVariability="triggered"/>
+<Float64 name="v" valueReference="7" initial="exact" start="1 2"><Dimension start="2"/></Float64>
+</ModelVariables>
+<ModelStructure><Output valueReference="1" dependencies="7 6"
+ dependenciesKind="dependent dependent"/>
+<InitialUnknown valueReference="1"/></ModelStructure>
+</fmiModelDescription>"""
+
+
+def test_units_and_types_are_kept_and_the_rest_is_left_out(tmp_path):
+    flat = flatten(describe("rich.fmu", packed(RICH)), {})
+    assert flat.left_out == ("vast", "texts[1]", "texts[2]", "clock")
+    root = as_fmi_2(ElementTree.fromstring(RICH), flat.description)
+    root.set("guid", "g")
+    (tmp_path / "modelDescription.xml").write_bytes(ElementTree.tostring(root))
+    assert validate_fmu(str(tmp_path)) == []
+    variables = {v.name: v for v in read_model_description(str(tmp_path)).modelVariables}
+    hot, far = variables["T"], variables["far"]
+    assert (hot.type, hot.declaredType.name, hot.unit, hot.displayUnit) == (
+        "Real",
+        "Hot",
+        "K",
+        None,
+    )
+    assert variables["same"].valueReference == hot.valueReference
+    assert (variables["n"].declaredType.name, variables["n"].declaredType.max) == ("Count", None)
+    assert (far.type, far.start) == ("Integer", "7")
+    assert [variables[f"v[{k}]"].start for k in (1, 2)] == ["1", "2"]
+    assert root.find("ModelExchange").get("providesDirectionalDerivative") is None
+    (unknown,) = root.findall("ModelStructure/Outputs/Unknown")
+    assert unknown.get("dependencies") == "6 7"
