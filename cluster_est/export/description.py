@@ -5,9 +5,11 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from xml.etree.ElementTree import Element, SubElement
 
+from cluster_est.export.fmi3_document import as_fmi_2
 from cluster_est.export.layout import Layout, Own
 from workers.archive import open_archive
 from workers.description_xml import XML, Notes, parse
+from workers.messages import Value
 
 _FLAGS = (
     "needsExecutionTool",
@@ -39,6 +41,8 @@ def model_description(layout: Layout, guid: str, sources: tuple[str, ...], tool:
     model = layout.repair.problem.model
     with open_archive(model.name, model.archive) as opened:
         root = parse(model.name, opened.read(XML), Notes(model.name))
+    if layout.repair.description.version == "3.0":
+        root = as_fmi_2(root, layout.repair.description)
     old = {tag: root.find(tag) for tag in ("ModelExchange", "CoSimulation")}
     chosen = old["ModelExchange" if layout.exchange else "CoSimulation"]
     assert chosen is not None  # the run has used it
@@ -123,8 +127,14 @@ def _set_starts(root: Element, layout: Layout) -> None:
         if value.tag == "Real" and reference in found:
             value.set("start", repr(float(found[reference])))
         elif name in known:
-            given = known[name]
-            value.set("start", str(given).lower() if isinstance(given, bool) else str(given))
+            value.set("start", _text(value.tag, known[name]))
+
+
+def _text(tag: str, given: Value) -> str:
+    """A value as XML schema types have it."""
+    if tag == "Boolean":
+        return str(bool(given)).lower()
+    return str(int(given)) if tag in ("Integer", "Enumeration") else str(given)
 
 
 def _add_variables(root: Element, layout: Layout) -> dict[str, int]:

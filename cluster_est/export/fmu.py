@@ -38,6 +38,8 @@ exchange delays and backlashes are sampled at completed integrator steps."""
 _SIMULATION = """The original is for co-simulation, so this FMU is too; it makes the steps of the
 run."""
 
+_MOST_NAMED = 8
+
 
 def write_fmu(repair: Repair, path: Path) -> tuple[str, ...]:
     """Write the repaired FMU and return sentences on what a user should know of it.
@@ -123,6 +125,13 @@ def _notes(layout: Layout) -> tuple[str, ...]:
         notes.append(
             f"{', '.join(layout.signals)} {'is an input' if one else 'are inputs'} of the exported "
             "FMU, because effects depend on what was measured there"
+        )
+    if layout.left_out:
+        more = len(layout.left_out) - _MOST_NAMED
+        notes.append(
+            f"the exported FMU is without {', '.join(layout.left_out[:_MOST_NAMED])}"
+            f"{f' and {more} more' if more > 0 else ''}, which FMI 2.0 cannot say; they keep the "
+            "values that the original has"
         )
     return tuple(notes)
 

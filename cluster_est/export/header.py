@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from cluster_est.export.layout import Layout
 from workers.loop import DEFAULT_RTOL
+from workers.messages import Value
 
 
 def header(layout: Layout, guid: str) -> str:
@@ -13,6 +14,7 @@ def header(layout: Layout, guid: str) -> str:
     lines = ["/* Written for one run; see documentation/README.md. */", "#ifndef MODEL_H"]
     lines += ["#define MODEL_H", "", "#include <math.h>", ""]
     found = {**_identity(layout, guid), **_counts(layout), **_solver(layout), **_tables(layout)}
+    found |= _others(layout) | _places(layout)
     lines += [f"#define {name} {value}" for name, value in found.items()]
     return "\n".join([*lines, "", "#endif", ""])
 
@@ -23,6 +25,7 @@ def _identity(layout: Layout, guid: str) -> dict[str, object]:
         "MODEL_GUID": _text(guid),
         "ORIGINAL_GUID": _text(description.guid),
         "ORIGINAL_IDENTIFIER": _text(description.offer(model.interface).identifier),
+        "ORIGINAL_FMI": int(description.version == "3.0") + 2,
         "ORIGINAL_EXCHANGE": int(layout.exchange),
     }
 
@@ -108,6 +111,41 @@ def _tables(layout: Layout) -> dict[str, object]:
     }
 
 
+def _others(layout: Layout) -> dict[str, object]:
+    """Values of the run that are no reals, but structural parameters, which come first."""
+    variables = layout.repair.description.variables
+    found: dict[str, object] = {}
+    for kind, written in _WRITTEN.items():
+        known = [(variables[name], value) for name, value in layout.repair.known]
+        known = [(v, value) for v, value in known if v.kind == kind]
+        known = [(v, value) for v, value in known if v.causality != "structuralParameter"]
+        found[f"N_{kind.upper()}S"] = len(known)
+        found[f"{kind.upper()}_REFERENCES"] = _list(str(v.reference) for v, _ in known)
+        found[f"{kind.upper()}S"] = _list(written(value) for _, value in known)
+    return found
+
+
+def _places(layout: Layout) -> dict[str, object]:
+    """What an original of FMI 3.0 has that FMI 2.0 has not; nothing for one of FMI 2.0."""
+    variables = layout.repair.description.variables
+    rows, elements = [], list[float]()
+    for place in layout.places:
+        kept = len(elements) if place.starts else -1
+        called = "Int64" if place.type == "Enumeration" else place.type
+        rows.append(f"{{{place.first}, {place.size}, {called}, {place.reference}, {kept}}}")
+        elements += place.starts
+    sizes = layout.repair.problem.model.structure
+    return {
+        "N_PLACES": len(rows),
+        "N_ELEMENTS": len(elements),
+        "N_STRUCTURE": len(sizes),
+        "LARGEST": max((place.size for place in layout.places), default=1),
+        "PLACES": _list(rows or ["{0}"]),
+        "ELEMENTS": _list(map(_number, elements)),
+        "STRUCTURE": _list([f"{{{variables[n].reference}, {v}}}" for n, v in sizes] or ["{0}"]),
+    }
+
+
 def _memory(layout: Layout, index: int) -> str:
     effect = layout.effect(index)
     column = layout.columns.index(effect.site.target)
@@ -135,4 +173,13 @@ def _list(items: Iterable[str]) -> str:
 
 
 def _text(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'
+
+
+_WRITTEN: dict[str, Callable[[Value], str]] = {
+    "integer": lambda value: str(int(value)),
+    "boolean": lambda value: str(int(bool(value))),
+    "string": lambda value: _text(str(value)),
+}
+"""Values of each kind in C."""

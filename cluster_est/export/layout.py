@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from cluster_est.errors import ModelError
+from cluster_est.export.fmi3_variables import Place, fits, flatten
 from cluster_est.export.repair import Found, Repair
 from workers.description import Description
 from workers.effects.compiled import Equations, equations
@@ -55,7 +56,7 @@ class Layout:
     Attributes
     ----------
     repair
-        What is laid out.
+        What is laid out; its description has the references of the exported FMU.
     exchange
         Whether the original is integrated from outside (model exchange).
     inputs
@@ -79,6 +80,8 @@ class Layout:
         In the order of their references.
     touched
         References of what effects depend on or change.
+    places, left_out
+        What FMI 2.0 knows otherwise than an original of FMI 3.0, and what it cannot say.
     """
 
     repair: Repair
@@ -95,6 +98,8 @@ class Layout:
     own: tuple[Own, ...]
     specials: tuple[Special, ...]
     touched: tuple[int, ...]
+    places: tuple[Place, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -124,14 +129,13 @@ def lay_out(repair: Repair) -> Layout:
     Raises
     ------
     ModelError
-        If the original is of FMI 3.0, or an effect is at an input that is not real.
+        If an effect is at an input that is not real, or the run needs a variable that FMI 2.0
+        cannot say.
     """
+    flat = flatten(repair.description, dict(repair.problem.model.structure))
+    _check_needed(repair, flat.left_out)
+    repair = replace(repair, description=flat.description)
     description, exchange = repair.description, repair.problem.model.interface == "model_exchange"
-    if description.version != "2.0":
-        raise ModelError(
-            f"--fmu: the original must be of FMI 2.0 to be wrapped but {description.file} is of "
-            f"{description.version}; export it as 2.0 and fit that, or use --modelica or --text"
-        )
     effects = repair.effects
     memories = [i for i, e in enumerate(effects) if e.form.memory and e.site.kind == "input"]
     outputs = [i for i, e in enumerate(effects) if e.site.kind == "output"]
@@ -158,7 +162,30 @@ def lay_out(repair: Repair) -> Layout:
         tuple(inside), tuple(outputs), made, row, tuple(known), own, (), (),
     )  # fmt: skip
     specials, touched = _specials(layout)
-    return Layout(**{**vars(layout), "specials": specials, "touched": touched})
+    return replace(
+        layout, specials=specials, touched=touched, places=flat.places, left_out=flat.left_out
+    )
+
+
+def _check_needed(repair: Repair, left_out: tuple[str, ...]) -> None:
+    """Refuse what could not be told of this run in FMI 2.0, which the wrapper is of."""
+    problem = repair.problem
+    named = [found.name for found in repair.parameters] + [name for name, _ in repair.known]
+    for effect in repair.effects:
+        named += [*effect.uses, *effect.site.targets]
+    for experiment in problem.experiments:
+        named += [given.variable for given in experiment.inputs] + list(experiment.recorded)
+    for name, value in repair.known:
+        if repair.description.variables[name].kind == "integer" and not fits(float(value)):
+            left_out = (*left_out, name)
+    for name in named:
+        if name in left_out:
+            kind = repair.description.variables[name].type
+            raise ModelError(
+                f"--fmu: what the run uses must be a variable of FMI 2.0 to be exported but "
+                f"{name!r} is a {kind} of FMI 3.0 that has no like there; use --ssv, --modelica or "
+                "--text"
+            )
 
 
 def _inputs(description: Description) -> tuple[Variable, ...]:

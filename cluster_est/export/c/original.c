@@ -28,14 +28,21 @@ static const char *why_not(void) { return dlerror(); }
 #endif
 
 #if defined(_WIN32)
-#define PLATFORM "win"
+#define SYSTEM (ORIGINAL_FMI == 2 ? "win" : "windows")
 #define SUFFIX ".dll"
 #elif defined(__APPLE__)
-#define PLATFORM "darwin"
+#define SYSTEM "darwin"
 #define SUFFIX ".dylib"
 #else
-#define PLATFORM "linux"
+#define SYSTEM "linux"
 #define SUFFIX ".so"
+#endif
+#if defined(__aarch64__) || defined(_M_ARM64)
+#define MACHINE "aarch64"
+#elif defined(__x86_64__) || defined(_M_X64)
+#define MACHINE "x86_64"
+#else
+#define MACHINE "x86"
 #endif
 
 static int hexadecimal(char digit) {
@@ -69,39 +76,14 @@ static char *path_of(const char *uri) {
     return path;
 }
 
-/* Fill in the functions. A function that the original lacks stays NULL. */
-static void find_functions(Original *original) {
-    void *found;
-#define FIND(name, arguments)                           \
-    found = look_up(original->library, "fmi2" #name);   \
-    memcpy(&original->name, &found, sizeof found);
-    FIND(Instantiate, )
-    FIND(FreeInstance, )
-    FMI2_FUNCTIONS(FIND)
-#undef FIND
-}
-
-/* The first function that every wrapper calls and the original lacks, or NULL. */
-static const char *missing(const Original *original) {
-    if (original->Instantiate == NULL || original->FreeInstance == NULL) return "fmi2Instantiate";
-    if (original->GetReal == NULL || original->SetReal == NULL) return "fmi2SetReal";
-    if (original->Reset == NULL) return "fmi2Reset";
-#if ORIGINAL_EXCHANGE
-    if (original->GetDerivatives == NULL && N_STATES > 0) return "fmi2GetDerivatives";
-    if (original->NewDiscreteStates == NULL) return "fmi2NewDiscreteStates";
-#else
-    if (original->DoStep == NULL) return "fmi2DoStep";
-#endif
-    return NULL;
-}
-
-int original_load(Original *original, const char *resources, const char *name,
+int original_load(Original *original, Kept *kept, const char *resources, const char *name,
                   const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging,
                   char *why, size_t length) {
-    const char *inside = "/original/binaries/" PLATFORM, *absent;
+    const char *inside = "/original/binaries/", *absent;
     char *folder = path_of(resources == NULL ? "" : resources), *path;
     size_t size = strlen(resources == NULL ? "" : resources) + 512;
     memset(original, 0, sizeof *original);
+    original->kept = kept;
     path = malloc(size);
     if (folder == NULL || path == NULL) {
         snprintf(why, length, "there is no memory left");
@@ -109,8 +91,12 @@ int original_load(Original *original, const char *resources, const char *name,
         free(path);
         return -1;
     }
-    snprintf(path, size, "%s%s%d/%s%s", folder, inside, (int)(8 * sizeof(void *)),
-             ORIGINAL_IDENTIFIER, SUFFIX);
+    if (ORIGINAL_FMI == 2)
+        snprintf(path, size, "%s%s%s%d/%s%s", folder, inside, SYSTEM, (int)(8 * sizeof(void *)),
+                 ORIGINAL_IDENTIFIER, SUFFIX);
+    else
+        snprintf(path, size, "%s%s" MACHINE "-%s/%s%s", folder, inside, SYSTEM,
+                 ORIGINAL_IDENTIFIER, SUFFIX);
     original->library = open_library(path);
     if (original->library == NULL) {
         snprintf(why, length, "the original FMU's library %s cannot be loaded: %s", path,
@@ -119,17 +105,17 @@ int original_load(Original *original, const char *resources, const char *name,
         free(path);
         return -1;
     }
-    free(folder);
-    find_functions(original);
-    absent = missing(original);
-    if (absent == NULL) {
-        snprintf(path, size, "%s/original/resources", resources);
-        original->handle = original->Instantiate(
-            name, ORIGINAL_EXCHANGE ? fmi2ModelExchange : fmi2CoSimulation, ORIGINAL_GUID, path,
-            callbacks, visible, logging);
+    absent = original_bind(original, look_up);
+    if (absent == NULL) { /* FMI 2.0 wants a URI, and 3.0 a path */
+        if (ORIGINAL_FMI == 2)
+            snprintf(path, size, "%s/original/resources", resources);
+        else
+            snprintf(path, size, "%s/original/resources/", folder);
+        original_instantiate(original, name, path, callbacks, visible, logging);
     }
+    free(folder);
     free(path);
-    if (original->handle != NULL) return 0;
+    if (absent == NULL && original->handle != NULL) return 0;
     if (absent != NULL)
         snprintf(why, length, "the original FMU must have the function %s but has not", absent);
     else

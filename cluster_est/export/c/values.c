@@ -44,6 +44,22 @@ fmi2Status write_starts(Instance *c) {
     return status;
 }
 
+/* Those that are no reals. Not after set-up: an importer may have set others before it. */
+fmi2Status write_other_starts(Instance *c) {
+    fmi2Status status = fmi2OK;
+#define WRITE(type, count, given_references, given)                                              \
+    if (count != 0 && !AT_LEAST_DISCARD(status)) {                                               \
+        static const fmi2ValueReference references[] = given_references;                         \
+        static const fmi2##type values[] = given;                                                \
+        status = c->original.Set##type(c->original.handle, references, count, values);           \
+    }
+    WRITE(Integer, N_INTEGERS, INTEGER_REFERENCES, INTEGERS)
+    WRITE(Boolean, N_BOOLEANS, BOOLEAN_REFERENCES, BOOLEANS)
+    WRITE(String, N_STRINGS, STRING_REFERENCES, STRINGS)
+#undef WRITE
+    return status;
+}
+
 /* In co-simulation, what is no input that moves may be set in event mode alone. */
 static fmi2Status open_for_discrete(Instance *c) {
 #if ORIGINAL_EXCHANGE

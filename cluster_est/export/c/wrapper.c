@@ -51,6 +51,7 @@ static void begin_again(Instance *c) {
     memcpy(c->now.base, bases, N_BASE * sizeof(double));
     memcpy(c->now.raw, raw_starts, N_RAW * sizeof(double));
     for (j = 0; j < N_INNER; j++) c->now.atols[j] = fmax(SOLVER_ATOL * nominals[j], DBL_MIN);
+    original_forget(&c->now.kept);
     c->now.next_event = HUGE_VAL;
     c->now.dirty = HAS_BEFORE || N_INPUT_MEMORIES > 0;
 }
@@ -76,10 +77,12 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid,
     else if (!c->simulates && !ORIGINAL_EXCHANGE)
         snprintf(why, sizeof why, "this FMU is for co-simulation alone, as its original");
     else
-        original_load(&c->original, resources, c->name, &c->inner, visible, logging, why,
-                      sizeof why);
+        original_load(&c->original, &c->now.kept, resources, c->name, &c->inner, visible, logging,
+                      why, sizeof why);
     begin_again(c);
-    if (why[0] == '\0' && !AT_LEAST_DISCARD(write_starts(c))) return c;
+    if (why[0] == '\0' && !AT_LEAST_DISCARD(write_starts(c))
+        && !AT_LEAST_DISCARD(write_other_starts(c)))
+        return c;
     if (why[0] != '\0') say(c, fmi2Error, "logStatusError", why);
     fmi2FreeInstance(c);
     return NULL;
@@ -171,7 +174,8 @@ fmi2Status fmi2Reset(fmi2Component component) {
     Instance *c = component;
     fmi2Status status = c->original.Reset(c->original.handle);
     begin_again(c);
-    return AT_LEAST_DISCARD(status) ? status : write_starts(c);
+    if (!AT_LEAST_DISCARD(status)) status = write_starts(c);
+    return AT_LEAST_DISCARD(status) ? status : write_other_starts(c);
 }
 
 #if ORIGINAL_EXCHANGE

@@ -50,6 +50,7 @@ typedef struct {
     int begun;                           /* the own states have been started */
     int in_event;                        /* in co-simulation: something discrete was set */
     int ended;                           /* the original has ended the simulation */
+    Kept kept;
 } Moving;
 
 typedef struct {
@@ -66,6 +67,7 @@ fmi2Status complain(Instance *c, fmi2Status status, const char *text);
 
 /* values.c: the values of this FMU's own variables */
 fmi2Status write_starts(Instance *c);
+fmi2Status write_other_starts(Instance *c);
 
 /* memory.c: delays and backlashes */
 void history_clear(History *history);
