@@ -264,8 +264,7 @@ def _notes(result: Result) -> list[str]:
     """What to know about the simulations and the uncertainty, in sentences."""
     notes = list(result.problem.notes())
     if result.uncertainty is not None:
-        notes += [direction.sentence for direction in result.uncertainty.directions]
-        notes += result.uncertainty.notes
+        notes += result.uncertainty.sentences
     for profile in result.profiles:
         notes += profile.sentences
     return notes
