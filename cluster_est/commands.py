@@ -37,6 +37,7 @@ from cluster_est.printing import (
     read_run_table,
     say,
 )
+from cluster_est.problem import Problem
 from cluster_est.progress import ProgressLine
 from cluster_est.replay import prepare, read_logged
 from cluster_est.replay import replay as run_replay
@@ -230,7 +231,7 @@ def simulate(
     if out.is_dir():
         raise RunFolderError(f"--out: {out} must be a file but is a folder; choose another")
     problem = build_problem(config, path.parent, allow_code=allow_code)
-    values = read_estimates(run_folder) if run_folder is not None else {}
+    values = {} if run_folder is None else read_estimates(run_folder, problem)
     simulations = run_simulate(problem, build_resources(config), values)
     for simulation in simulations:
         if not simulation.outcome.ok:
@@ -340,16 +341,27 @@ def export(
     return DONE
 
 
-def read_estimates(run_folder: Path) -> dict[str, float]:
-    """Physical values by label from a run's parameters.parquet."""
+def read_estimates(run_folder: Path, problem: Problem) -> dict[str, float]:
+    """Physical values by label from a run's parameters.parquet.
+
+    Raises
+    ------
+    RunFolderError
+        If the run is not finished, or has estimated what the problem does not have: without an
+        effect that the run has added, its other values mean little.
+    """
     path = run_folder / "parameters.parquet"
     if not path.is_file():
         raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
-    return {
-        row["label"]: row["value"]
-        for row in read_run_table(path)
-        if row["estimated_on"] in ("train", "test")
-    }
+    rows = [r for r in read_run_table(path) if r["estimated_on"] in ("train", "test")]
+    known = {parameter.name for parameter in problem.parameters}
+    strange = list(dict.fromkeys(r["label"] for r in rows if r["parameter"] not in known))
+    if strange:
+        raise RunFolderError(
+            f"--run: {run_folder} must have estimated what the config declares but has "
+            f"{', '.join(strange)} besides; add the run's [[effects]] and parameters to the config"
+        )
+    return {row["label"]: row["value"] for row in rows}
 
 
 def _table_writer(out: Path):  # type: ignore[no-untyped-def]
