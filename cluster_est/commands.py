@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -18,16 +19,16 @@ from cluster_est.build import (
     build_settings,
     build_uncertainty,
 )
-from cluster_est.config import read_config
+from cluster_est.config import Config, read_config
 from cluster_est.curves import residual_table, trajectory_table
-from cluster_est.drafting import draft, write
+from cluster_est.drafting import draft, unit_mismatches, write
 from cluster_est.errors import BudgetError, ConfigError, ModelError, ProblemError, RunFolderError
 from cluster_est.fit import check_search
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
 from cluster_est.interrupts import stopped_by
 from cluster_est.loop_printing import print_any_run
-from cluster_est.preflight import SECONDS, Page, bare_problem, examine
+from cluster_est.preflight import SECONDS, Finding, Page, bare_problem, examine
 from cluster_est.preflight_printing import print_page
 from cluster_est.printing import (
     print_check,
@@ -70,13 +71,10 @@ def init(fmu: Path, data: list[Path], out: Path | None, *, overwrite: bool) -> i
         raise ConfigError(f"--out: {out} cannot be written ({error}); choose another") from error
     console = Console()
     for number, line in text.open:
-        say(console, f"{out}, line {number}: fill in {line}")
-    for run in found.runs:
-        for name in run.unfed:
-            say(
-                console,
-                f"{out}: no column of {run.id!r} is like input {name!r}; it stays as it starts",
-            )
+        say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
+    for name in dict.fromkeys(name for run in found.runs for name in run.unfed):
+        where = ", ".join(repr(run.id) for run in found.runs if name in run.unfed)
+        say(console, f"{out}: no column of {where} is like input {name!r}; it stays as it starts")
     say(console, f"{out} is written; look through it, then: cluster-est check {out}")
     return DONE
 
@@ -96,11 +94,26 @@ def check(path: Path, overrides: list[str], *, allow_code: bool, seconds: float 
     check_search(problem, method, build_uncertainty(config), build_multistart(config))
     make_space(problem, problem.indices("test"))
     page = examine(problem, build_resources(config), seconds)
+    page = replace(page, findings=(*page.findings, *_units(config, problem)))
     print_model(console, problem, f"method {method.name}")
     if page.simulations:
         print_check(console, problem, page.simulations)
     print_page(console, page)
     return _verdict(page)
+
+
+def _units(config: Config, problem: Problem) -> list[Finding]:
+    """A line for each column whose name says another unit than its variable has."""
+    return [
+        Finding(
+            "problem",
+            "units",
+            f"column '{m.column}' is given to {m.variable}, which is in {m.wanted}, as it is",
+            f'columns."{m.column}" = {{ factor = {m.change.factor:.12g}, '
+            f"offset = {m.change.offset:.12g} }}; with factor = 1 alone if the name is wrong",
+        )
+        for m in unit_mismatches(config, problem.describe())
+    ]
 
 
 def _verdict(page: Page) -> int:
