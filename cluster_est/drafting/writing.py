@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cluster_est.drafting.candidates import MOST_LISTED, Candidate
-from cluster_est.drafting.columns import Column
+from cluster_est.drafting.columns import TIMES, Column, fold, split_unit
 from cluster_est.drafting.draft import Draft, Run
 from cluster_est.drafting.matching import Match
 from cluster_est.drafting.units import conversion, same_unit
@@ -144,7 +144,11 @@ def _time(run: Run) -> Iterator[str]:
     if time is not None:
         yield f"time = {inline(time.name)}"
         return
-    yield f'sample_time = "{FILL_IN}: seconds between rows"  # no column is called time'
+    why = "no column is called time"
+    for name in run.columns.unusable:
+        if fold(split_unit(name)[0]) in TIMES:
+            why = f"column {name!r} holds no numbers: dates, or a row of units that must go?"
+    yield f'sample_time = "{FILL_IN}: seconds between rows"  # {why}'
     for name in run.columns.increasing[:3]:
         yield f"# time = {inline(name)}  # instead, if that is it: it increases from row to row"
 

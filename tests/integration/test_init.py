@@ -217,6 +217,12 @@ class TestWhereSomethingIsOpen:
         assert 'columns."y [mm]" = { factor = 0.001, offset = 0 }' in said
         assert "F [N]" not in said
 
+    def test_a_time_that_is_text_is_named(self, tmp_path):
+        path = tmp_path / "a.csv"
+        path.write_text("time,F,y\n12:00,1,2\n12:01,1,2\n", encoding="utf-8")
+        text = write(draft(FMU, [path]), tmp_path).toml
+        assert "# column 'time' holds no numbers: dates, or a row of units" in text
+
     def test_an_input_without_any_column_keeps_its_start(self, written, tmp_path):
         path = table(tmp_path / "a.csv", time=TIMES, y=FORCE, Zzz=FORCE, Www=FORCE)
         text, tree, said = written(path)
