@@ -77,7 +77,8 @@ def _parser() -> argparse.ArgumentParser:
     check = _command(
         commands,
         "check",
-        "read config, data and FMU, and say what is wrong with them; or FMU alone",
+        "say what is wrong with a config, its data and its FMU, or with an FMU alone",
+        config="the TOML file, or an FMU",
     )
     check.add_argument(
         "--seconds",
@@ -104,7 +105,11 @@ def _parser() -> argparse.ArgumentParser:
         )
         command.add_argument("--no-report", action="store_true", help="write no report.html")
 
-    simulate = _command(commands, "simulate", "simulate every experiment at the start values")
+    simulate = _command(
+        commands,
+        "simulate",
+        "simulate every experiment, at the start values or as a run has found them",
+    )
     simulate.add_argument(
         "--out", type=Path, required=True, help="table to write: .parquet, .feather or .csv"
     )
@@ -112,9 +117,6 @@ def _parser() -> argparse.ArgumentParser:
         "--run", dest="run_folder", type=Path, help="take the values from this run's estimates"
     )
     simulate.set_defaults(run=_simulate)
-    _add_sweep(commands)
-    _add_replay(commands)
-    _add_export(commands)
 
     show = commands.add_parser("show", help="print a run's parameters and errors")
     show.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
@@ -124,6 +126,9 @@ def _parser() -> argparse.ArgumentParser:
     show.set_defaults(run=_show)
     _add_report(commands)
     _add_watch(commands)
+    _add_export(commands)
+    _add_sweep(commands)
+    _add_replay(commands)
     return parser
 
 
@@ -221,11 +226,16 @@ def _add_export(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, summary: str
+    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    summary: str,
+    config: str = "the TOML file",
 ) -> argparse.ArgumentParser:
     command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:])
-    command.add_argument("config", metavar="CONFIG", type=Path, help="the TOML file")
-    command.add_argument("overrides", metavar="KEY=VALUE", nargs="*", help="overrides of keys")
+    command.add_argument("config", metavar="CONFIG", type=Path, help=config)
+    command.add_argument(
+        "overrides", metavar="KEY=VALUE", nargs="*", help="overrides of keys of the config"
+    )
     _add_allow_code(command)
     return command
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -18,16 +19,16 @@ from cluster_est.build import (
     build_settings,
     build_uncertainty,
 )
-from cluster_est.config import read_config
+from cluster_est.config import Config, read_config
 from cluster_est.curves import residual_table, trajectory_table
-from cluster_est.drafting import draft, write
+from cluster_est.drafting import draft, unit_mismatches, write
 from cluster_est.errors import BudgetError, ConfigError, ModelError, ProblemError, RunFolderError
 from cluster_est.fit import check_search
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
 from cluster_est.interrupts import stopped_by
 from cluster_est.loop_printing import print_any_run
-from cluster_est.preflight import SECONDS, Page, bare_problem, examine
+from cluster_est.preflight import SECONDS, Finding, Page, bare_problem, examine
 from cluster_est.preflight_printing import print_page
 from cluster_est.printing import (
     print_check,
@@ -37,6 +38,7 @@ from cluster_est.printing import (
     read_run_table,
     say,
 )
+from cluster_est.problem import Problem
 from cluster_est.progress import ProgressLine
 from cluster_est.replay import prepare, read_logged
 from cluster_est.replay import replay as run_replay
@@ -69,13 +71,10 @@ def init(fmu: Path, data: list[Path], out: Path | None, *, overwrite: bool) -> i
         raise ConfigError(f"--out: {out} cannot be written ({error}); choose another") from error
     console = Console()
     for number, line in text.open:
-        say(console, f"{out}, line {number}: fill in {line}")
-    for run in found.runs:
-        for name in run.unfed:
-            say(
-                console,
-                f"{out}: no column of {run.id!r} is like input {name!r}; it stays as it starts",
-            )
+        say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
+    for name in dict.fromkeys(name for run in found.runs for name in run.unfed):
+        where = ", ".join(repr(run.id) for run in found.runs if name in run.unfed)
+        say(console, f"{out}: no column of {where} is like input {name!r}; it stays as it starts")
     say(console, f"{out} is written; look through it, then: cluster-est check {out}")
     return DONE
 
@@ -95,11 +94,26 @@ def check(path: Path, overrides: list[str], *, allow_code: bool, seconds: float 
     check_search(problem, method, build_uncertainty(config), build_multistart(config))
     make_space(problem, problem.indices("test"))
     page = examine(problem, build_resources(config), seconds)
+    page = replace(page, findings=(*page.findings, *_units(config, problem)))
     print_model(console, problem, f"method {method.name}")
     if page.simulations:
         print_check(console, problem, page.simulations)
     print_page(console, page)
     return _verdict(page)
+
+
+def _units(config: Config, problem: Problem) -> list[Finding]:
+    """A line for each column whose name says another unit than its variable has."""
+    return [
+        Finding(
+            "problem",
+            "units",
+            f"column '{m.column}' is given to {m.variable}, which is in {m.wanted}, as it is",
+            f'columns."{m.column}" = {{ factor = {m.change.factor:.12g}, '
+            f"offset = {m.change.offset:.12g} }}; with factor = 1 alone if the name is wrong",
+        )
+        for m in unit_mismatches(config, problem.describe())
+    ]
 
 
 def _verdict(page: Page) -> int:
@@ -230,7 +244,7 @@ def simulate(
     if out.is_dir():
         raise RunFolderError(f"--out: {out} must be a file but is a folder; choose another")
     problem = build_problem(config, path.parent, allow_code=allow_code)
-    values = read_estimates(run_folder) if run_folder is not None else {}
+    values = {} if run_folder is None else read_estimates(run_folder, problem)
     simulations = run_simulate(problem, build_resources(config), values)
     for simulation in simulations:
         if not simulation.outcome.ok:
@@ -340,16 +354,27 @@ def export(
     return DONE
 
 
-def read_estimates(run_folder: Path) -> dict[str, float]:
-    """Physical values by label from a run's parameters.parquet."""
+def read_estimates(run_folder: Path, problem: Problem) -> dict[str, float]:
+    """Physical values by label from a run's parameters.parquet.
+
+    Raises
+    ------
+    RunFolderError
+        If the run is not finished, or has estimated what the problem does not have: without an
+        effect that the run has added, its other values mean little.
+    """
     path = run_folder / "parameters.parquet"
     if not path.is_file():
         raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
-    return {
-        row["label"]: row["value"]
-        for row in read_run_table(path)
-        if row["estimated_on"] in ("train", "test")
-    }
+    rows = [r for r in read_run_table(path) if r["estimated_on"] in ("train", "test")]
+    known = {parameter.name for parameter in problem.parameters}
+    strange = list(dict.fromkeys(r["label"] for r in rows if r["parameter"] not in known))
+    if strange:
+        raise RunFolderError(
+            f"--run: {run_folder} must have estimated what the config declares but has "
+            f"{', '.join(strange)} besides; add the run's [[effects]] and parameters to the config"
+        )
+    return {row["label"]: row["value"] for row in rows}
 
 
 def _table_writer(out: Path):  # type: ignore[no-untyped-def]

@@ -95,6 +95,10 @@ def read_config(path: Path, overrides: list[str] | None = None) -> Config:
     except FileNotFoundError:
         raise ConfigError(f"there is no config file {path}; check the path") from None
     except UnicodeDecodeError as error:
+        if path.suffix.lower() == ".fmu":
+            raise ConfigError(
+                f"{path}: must be a config but is an FMU; write one with cluster-est init"
+            ) from None
         raise ConfigError(
             f"{path}: must be text in UTF-8 but is not ({error.reason} at byte {error.start}); "
             "save it as UTF-8"

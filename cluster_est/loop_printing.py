@@ -66,7 +66,7 @@ def _print_effect(console: Console, effect: Facts) -> None:
     say(console, f"  {effect['equation']}")
     for name, row in effect["parameters"].items():
         held = " (held)" if row["fixed"] else f"   95 %: {_range(row)}"
-        unit = f" {row['unit']}" if row["unit"] else ""
+        unit = f" {row['unit']}" if row["unit"] not in ("", "1") else ""
         say(console, f"  {name} = {number(row['value'])}{unit}{held}")
     for sentence in effect["evidence"]:
         say(console, f"  {sentence}")

@@ -1,4 +1,4 @@
-"""What notebooks show of problems and results: plain tables, in the notebook's own colours."""
+"""What notebooks and `print` show of problems and results: plain tables."""
 
 from __future__ import annotations
 
@@ -29,6 +29,26 @@ def section(title: str, *tables: Table) -> str:
     """
     parts = "".join(_table(table) for table in tables if table.rows)
     return f"<div><p><strong>{html.escape(title)}</strong></p>{parts}</div>"
+
+
+def plain(title: str, *tables: Table) -> str:
+    """The same as text, for `print`."""
+    lines = [title]
+    for table in tables:
+        if table.rows:
+            lines += ["", table.title, *_aligned(table)]
+    return "\n".join(lines)
+
+
+def _aligned(table: Table) -> list[str]:
+    shown, more = table.rows[:MOST_ROWS], len(table.rows) - MOST_ROWS
+    cells = [table.head, *([_text(cell) for cell in row] for row in shown)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = [
+        "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in cells
+    ]
+    return [*lines, f"and {more} more"] if more > 0 else lines
 
 
 def _table(table: Table) -> str:

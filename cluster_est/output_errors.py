@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -118,3 +119,18 @@ def _rms(residuals: FloatArray | None) -> float:
     if residuals is None or not len(residuals):
         return np.nan
     return float(np.sqrt(np.mean(residuals**2)))
+
+
+def worse_than_constants(errors: Sequence[OutputError]) -> list[str]:
+    """A sentence for each fitted output whose error exceeds its own spread: often a wrong unit."""
+    worst: dict[str, OutputError] = {}
+    for each in errors:
+        if each.role == "train" and 1.0 < each.relative_after < np.inf:
+            known = worst.setdefault(each.output, each)
+            worst[each.output] = max(known, each, key=lambda e: e.relative_after)
+    return [
+        f"a constant would follow {name} better than the fitted model does: its error in "
+        f"{each.experiment} is {each.relative_after:.3g} times the measured standard deviation; "
+        "check columns and units"
+        for name, each in worst.items()
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from types import TracebackType
 from typing import Self
@@ -13,6 +14,7 @@ from rich.text import Text
 from cluster_est.runner import Budget, Snapshot
 
 SECONDS_BETWEEN = 0.1
+STARTING = "starting; the first use of a solver compiles it, for up to half a minute"
 
 
 class ProgressLine:
@@ -35,6 +37,7 @@ class ProgressLine:
     def __enter__(self) -> Self:
         if self._enabled:
             self._live.start()
+            self._put(STARTING)
         return self
 
     def __exit__(
@@ -51,7 +54,10 @@ class ProgressLine:
         now = time.monotonic()
         if self._enabled and now - self._shown > SECONDS_BETWEEN:
             self._shown = now
-            self._live.update(Text(line(snapshot, self._budget)), refresh=True)
+            self._put(line(snapshot, self._budget))
+
+    def _put(self, text: str) -> None:
+        self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
 
 
 def line(snapshot: Snapshot, budget: Budget) -> str:
@@ -60,7 +66,7 @@ def line(snapshot: Snapshot, budget: Budget) -> str:
     rate = snapshot.evaluations / max(snapshot.seconds, 1e-9)
     parts = [
         f"{snapshot.search}: iteration {progress.iteration}",
-        f"cost {progress.cost:.6g}",
+        "" if math.isnan(progress.cost) else f"cost {progress.cost:.6g}",
         f"{snapshot.evaluations} evaluations ({rate:.3g}/s)",
         f"{snapshot.busy}/{snapshot.workers} workers busy",
         f"{snapshot.seconds:.0f} s",

@@ -289,10 +289,17 @@ class Result:
         squares = samples * np.array([e.normalised_after for e in rows]) ** 2
         return float(np.sqrt(squares.sum() / samples.sum())) if rows else np.nan
 
+    def __str__(self) -> str:
+        """What `print` shows."""
+        return notebook.plain(self._title, *fit_tables(self.estimates, self.errors))
+
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        title = f"Result: {self.message}; cost {self.cost_before:.6g} before, {self.cost:.6g} after"
-        return notebook.section(title, *fit_tables(self.estimates, self.errors))
+        return notebook.section(self._title, *fit_tables(self.estimates, self.errors))
+
+    @property
+    def _title(self) -> str:
+        return f"Result: {self.message}; cost {self.cost_before:.6g} before, {self.cost:.6g} after"
 
 
 def fit_tables(

@@ -22,6 +22,7 @@ from cluster_est.closed_loop.result import LoopResult
 from cluster_est.errors import RunFolderError
 from cluster_est.evaluation_log import EvaluationLog, LogSettings
 from cluster_est.logged import LoggedOutcomes
+from cluster_est.output_errors import worse_than_constants
 from cluster_est.problem import Problem
 from cluster_est.progress_file import PROGRESS, ProgressFile
 from cluster_est.renewal import Chosen
@@ -264,11 +265,10 @@ def _notes(result: Result) -> list[str]:
     """What to know about the simulations and the uncertainty, in sentences."""
     notes = list(result.problem.notes())
     if result.uncertainty is not None:
-        notes += [direction.sentence for direction in result.uncertainty.directions]
-        notes += result.uncertainty.notes
+        notes += result.uncertainty.sentences
     for profile in result.profiles:
         notes += profile.sentences
-    return notes
+    return [*notes, *worse_than_constants(result.errors)]
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -26,6 +26,7 @@ from cluster_est.problem import Problem
 from cluster_est.resources import Resources
 from cluster_est.result import Result
 from cluster_est.runner import Note, Record, SearchRequest, Show
+from cluster_est.uncertainty import examine
 
 FINAL = LeastSquares(trials=4, max_iterations=50)
 
@@ -104,6 +105,8 @@ def _report(bench: Workbench, found: Search, judgement: Judgement, begin: float)
     if judgement.verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         notes = (*notes, where_left(bench, found.current if keep else found.base))
     after = grown if keep else before
+    if after.uncertainty is not None:
+        notes = (*notes, *after.uncertainty.sentences)
     drawn = draw_effects(bench, found.current, grown) if keep else ()
     return LoopResult(
         verdict=judgement.verdict,
@@ -132,4 +135,5 @@ def _final(bench: Workbench, fitted: Fitted, begin: float) -> Result:
     (solution,) = bench.runner.run([SearchRequest("final", FINAL, space, bench.seed)])
     units = {n: v.unit for n, v in bench.description.variables.items()}
     start = simulate_all(bench.runner, fitted.problem, {})
-    return complete(bench.runner, space, solution, FINAL, start, units, bench.seed, begin)
+    known = examine(bench.runner, space, solution)
+    return complete(bench.runner, space, solution, FINAL, start, units, bench.seed, begin, known)

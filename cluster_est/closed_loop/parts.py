@@ -63,7 +63,7 @@ class Detection:
     @property
     def sentence(self) -> str:
         if self.missing:
-            return f"something is missing (p = {self.p:.2g} among {self.candidates} candidates)"
+            return f"something is missing ({_p(self.p)} among {self.candidates} candidates)"
         if self.p <= self.significance:
             return f"the residual is autocorrelated, tied to no candidate (p = {self.p_white:.2g})"
         if self.p_structure <= self.significance:
@@ -244,3 +244,8 @@ def _sized(
 def _own(site: Site, chosen: Form) -> tuple[str, ...]:
     """What a form at a derivative is a function of by itself."""
     return (" - ".join(site.targets),) if chosen.variables == 1 and site.at_rates else ()
+
+
+def _p(p: float) -> str:
+    """Not 0, which only says that the number is too small for a double."""
+    return f"p = {p:.2g}" if p > 0.0 else "p < 1e-300"

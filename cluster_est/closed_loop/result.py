@@ -301,11 +301,22 @@ class LoopResult:
         """The table of that name, with the effects."""
         return self.final.trajectories
 
+    def __str__(self) -> str:
+        """What `print` shows."""
+        return notebook.plain(self._title, *self._tables)
+
     def _repr_html_(self) -> str:
         """What a notebook shows."""
+        return notebook.section(self._title, *self._tables)
+
+    @property
+    def _title(self) -> str:
+        return f"Closed loop: {self.verdict}. {self.summary}"
+
+    @property
+    def _tables(self) -> tuple[notebook.Table, ...]:
         effects = [(e.name, e.family, e.equation) for e in self.effects]
-        return notebook.section(
-            f"Closed loop: {self.verdict}. {self.summary}",
+        return (
             notebook.Table("Effects", ("name", "family", "equation"), effects),
             *fit_tables(self.after.estimates, self.errors),
         )

@@ -34,9 +34,12 @@ def judge(bench: Workbench, found: Search) -> Judgement:
     lack, excess = _lack(bench, found)
     if not found.current.added:
         return _nothing_added(found, lack, bench.settings.significance)
-    closed = _closed(bench, found)
+    training, predicted = _closed(bench, found)
+    closed = min(training, predicted)
     tables = any(c.form.family == "table" for c in found.current.added)
-    share = f"the effects close {closed:.0%} of the gap between error and noise"
+    share = f"the effects close {training:.0%} of the gap between error and noise"
+    if predicted < training:
+        share += f", and {max(predicted, 0.0):.0%} in records that were left out to be predicted"
     if not lack or closed > NEARLY_ALL:
         if tables:
             return Judgement(Verdict.PARTIAL, f"{share}, but by a free table only", closed)
@@ -103,11 +106,11 @@ def _lack(bench: Workbench, found: Search) -> tuple[bool, float]:
     return significant and excess > EXCESS, excess
 
 
-def _closed(bench: Workbench, found: Search) -> float:
-    """Share of the gap to the noise that is closed, in training and in prediction."""
+def _closed(bench: Workbench, found: Search) -> tuple[float, float]:
+    """Shares of the gap to the noise that are closed, in training and in prediction."""
     floor = bench.noise_floor(found.noise)
     base, now = found.base.sse, found.current.sse
     training = (base - now) / max(base - min(floor, now), 1e-12)
     before, after = found.base_prediction.total, found.prediction.total
     predicted = (before - after) / max(before - floor, 0.02 * floor)
-    return float(min(training, predicted))
+    return float(training), float(predicted)

@@ -16,9 +16,11 @@ WIDTH = 10.0
 
 _CONSTANTS = {"g", "pi", "e", "R_gas", "gravity", "c_light", "k_B", "sigma_SB", "T_ref", "p_ref"}
 _SETTINGS = re.compile(
-    r"(?i)(^|[._])(eps\w*|tol\w*|\w*_small|\w*_nominal|\w*_init(ial)?|\w*_start|x0|v0|"
-    r"sample\w*|n_\w+|use_\w+|delay_buffer)$"
+    r"(?i)(^|[._])(eps\w*|tol\w*|\w*_small|\w*_nominal|sample\w*|n_\w+|use_\w+|delay_buffer)$"
 )
+_INITIAL = re.compile(r"(?i)(^|[._])(\w*_init(ial)?|\w*_start|x0|v0)$")
+_KELVINS = 50.0
+"""To both sides of a temperature: a tenth and ten times of it would be no temperatures."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class Candidate:
         Where the bounds are from, for a comment.
     why_not
         Why it is not estimated at first; "" if it is.
+    per
+        "experiment" if each is likely to have a value of its own; else "".
     """
 
     variable: Variable
@@ -40,6 +44,7 @@ class Candidate:
     bounds: tuple[float, float] | None
     origin: str
     why_not: str = ""
+    per: str = ""
 
 
 def candidates(description: Description) -> list[Candidate]:
@@ -54,7 +59,8 @@ def candidates(description: Description) -> list[Candidate]:
         if not why_not and active == MOST_ACTIVE:
             why_not = f"{MOST_ACTIVE} are enough to begin with; check says which ones matter"
         active += not why_not
-        found.append(Candidate(variable, variable.start, bounds, origin, why_not))
+        per = "experiment" if _INITIAL.search(variable.name) else ""
+        found.append(Candidate(variable, variable.start, bounds, origin, why_not, per))
     return found
 
 
@@ -75,6 +81,8 @@ def _why_not(variable: Variable, start: float) -> str:
         return "one element of an array"
     if variable.name in _CONSTANTS:
         return "named like a constant of nature"
+    if _INITIAL.search(variable.name):
+        return "named like an initial value; estimate it where the experiments begin differently"
     if _SETTINGS.search(variable.name):
         return "named like a setting, not like a property"
     if start == 0.0:
@@ -87,7 +95,7 @@ def _bounds(variable: Variable, start: float) -> tuple[tuple[float, float] | Non
     inside = (low is None or low <= start) and (high is None or start <= high)
     if not inside:
         low = high = None
-    guess = (min(start / WIDTH, start * WIDTH), max(start / WIDTH, start * WIDTH))
+    guess, how = _guess(variable, start)
     if low is not None and high is not None and low < high:
         return (low, high), "bounds: the FMU's min and max"
     if start == 0.0:
@@ -97,4 +105,13 @@ def _bounds(variable: Variable, start: float) -> tuple[tuple[float, float] | Non
     if high is not None:
         return (min(guess[0], high - abs(start)), high), "bounds: a guess, and the FMU's max"
     said = "" if inside else "; the FMU's own min and max exclude its start"
-    return guess, f"bounds: a guess, a tenth and ten times the start{said}"
+    return guess, f"bounds: a guess, {how}{said}"
+
+
+def _guess(variable: Variable, start: float) -> tuple[tuple[float, float], str]:
+    if variable.unit in ("K", "degC"):
+        ends, how = (start - _KELVINS, start + _KELVINS), f"{_KELVINS:g} K around the start"
+    else:
+        ends, how = (start / WIDTH, start * WIDTH), "a tenth and ten times the start"
+    low, high = sorted(float(f"{end:.12g}") for end in ends)
+    return (low, high), how

@@ -95,7 +95,7 @@ def read_columns(path: Path) -> Columns:
             f"init: {path} must have columns of numbers but has none; check what separates its "
             "columns, and that its first row holds their names"
         )
-    columns = [_column(name, _noise(values)) for name, values in numbers.items()]
+    columns = [Column(name, *split_unit(name), _noise(v)) for name, v in numbers.items()]
     time = next((c for c in columns if _is_time(c)), None)
     rows = Counter(len(values) for values in numbers.values()).most_common(1)[0][0]
     if time is not None:
@@ -121,11 +121,12 @@ def _numbers(table: Table) -> tuple[dict[str, FloatArray], list[str]]:
     return found, others
 
 
-def _column(name: str, noise: float) -> Column:
+def split_unit(name: str) -> tuple[str, str]:
+    """ "force" and "N" of "force [N]"; the unit is "" where there is none."""
     known = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
     if known is None or not known.group(1).strip():
-        return Column(name, name, "", noise)
-    return Column(name, known.group(1).strip(), known.group(2).strip(), noise)
+        return name, ""
+    return known.group(1).strip(), known.group(2).strip()
 
 
 def _noise(values: FloatArray) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cluster_est.drafting.candidates import MOST_LISTED, Candidate
-from cluster_est.drafting.columns import Column
+from cluster_est.drafting.columns import TIMES, Column, fold, split_unit
 from cluster_est.drafting.draft import Draft, Run
 from cluster_est.drafting.matching import Match
 from cluster_est.drafting.units import conversion, same_unit
@@ -16,6 +16,8 @@ from cluster_est.toml import dotted, inline
 from workers.description import Description
 from workers.variables import Variable
 
+MOST_OPEN = 20
+"""Outputs that are looked at for a comment where no column is like them."""
 FILL_IN = "FILL IN"
 """Begins a value that only the user knows; `check` refuses it and says where it stands."""
 
@@ -99,7 +101,8 @@ def _parameters(draft: Draft) -> Iterator[str]:
 
 def _parameter(candidate: Candidate) -> str:
     variable = candidate.variable
-    value = {"start": candidate.start, "bounds": candidate.bounds}
+    per = {"per": candidate.per} if candidate.per else {}
+    value = {"start": candidate.start, "bounds": candidate.bounds, **per}
     line = f"{dotted(variable.name)} = {inline(value)}{_said(variable, candidate.origin)}"
     return f"# {line}; not estimated: {candidate.why_not}" if candidate.why_not else line
 
@@ -127,9 +130,11 @@ def _experiment(run: Run, folder: Path) -> Iterator[str]:
         yield 'role = "test"  # held out: reported, never fitted'
     matches = (*run.inputs, *run.outputs, *run.further)
     used = {m.column for m in matches} | {m.similar for m in matches}
-    idle = [c.name for c in columns.signals if c not in used]
+    idle = [c for c in columns.signals if c not in used]
     if idle:
-        yield f"# columns without a variable of the FMU: {', '.join(idle)}"
+        yield f"# columns without a variable of the FMU: {', '.join(c.name for c in idle)}"
+        yield from _open_outputs(run)
+        yield from _open_conversions(run, idle)
     if columns.unusable:
         yield f"# columns that hold no numbers: {', '.join(columns.unusable)}"
 
@@ -139,7 +144,11 @@ def _time(run: Run) -> Iterator[str]:
     if time is not None:
         yield f"time = {inline(time.name)}"
         return
-    yield f'sample_time = "{FILL_IN}: seconds between rows"  # no column is called time'
+    why = "no column is called time"
+    for name in run.columns.unusable:
+        if fold(split_unit(name)[0]) in TIMES:
+            why = f"column {name!r} holds no numbers: dates, or a row of units that must go?"
+    yield f'sample_time = "{FILL_IN}: seconds between rows"  # {why}'
     for name in run.columns.increasing[:3]:
         yield f"# time = {inline(name)}  # instead, if that is it: it increases from row to row"
 
@@ -177,6 +186,29 @@ def _outputs(run: Run) -> Iterator[str]:
     if not known and not run.outputs:
         yield "# The FMU has no output: name a variable that it computes, as it is called there."
         yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
+
+
+def _open_outputs(run: Run) -> Iterator[str]:
+    """Outputs that one of the columns that are left may be, though its name does not say so."""
+    known = any(m.column is not None for m in (*run.outputs, *run.further))
+    first = run.outputs[:1]
+    for match in run.outputs[:MOST_OPEN]:
+        asked = not known and match in first
+        if match.column is None and match.similar is None and not asked:
+            variable = match.variable
+            said = _said(variable, "no column is like it")
+            yield f'# {dotted("outputs", variable.name)} = "COLUMN"{said}'
+
+
+def _open_conversions(run: Run, idle: list[Column]) -> Iterator[str]:
+    """How the columns that are left are converted, if one of the open variables is theirs."""
+    open_ = [m.variable.unit for m in (*run.inputs, *run.outputs) if m.column is None]
+    for column in idle:
+        for unit in dict.fromkeys(open_):
+            known = conversion(column.unit, unit) if column.unit and unit else None
+            if known is not None and not same_unit(column.unit, unit):
+                why = f"if its variable is in {unit}"
+                yield from (f"# {line}" for line in _conversion(column, unit, why))
 
 
 def _compared(run: Run) -> list[tuple[Variable, Column]]:

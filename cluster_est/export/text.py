@@ -37,6 +37,6 @@ def effect_equation(effect: Definition) -> str:
 
 
 def _line(found: Found, prefix: str = "") -> str:
-    unit = f" {found.unit}" if found.unit else ""
+    unit = f" {found.unit}" if found.unit not in ("", "1") else ""
     interval = f"  ({found.interval})" if found.interval else ""
     return f"  {found.name.removeprefix(prefix)} = {found.value:.6g}{unit}{interval}"

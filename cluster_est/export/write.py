@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,6 +62,7 @@ def export(
     _check_name(wanted.fmu, "--fmu", ".fmu")
     _check_name(wanted.ssv, "--ssv", ".ssv")
     repair = gather(run_folder, config, experiment, allow_code=allow_code)
+    _check_not_original(wanted.fmu, repair.problem.model.archive_hash)
     notes, files, printed = list(repair.notes), [], []
     if wanted.fmu is not None:
         notes += write_fmu(repair, wanted.fmu)
@@ -79,6 +81,16 @@ def export(
     if wanted.text:
         printed.append(describe_repair(repair))
     return Written(tuple(files), tuple(printed), tuple(notes))
+
+
+def _check_not_original(path: Path | None, original: str) -> None:
+    """The original is inside nothing else, and the run cannot be exported again without it."""
+    if path is None or not path.is_file():
+        return
+    if hashlib.sha256(path.read_bytes()).hexdigest() == original:
+        raise ConfigError(
+            f"--fmu: must be another file than the original FMU but is {path}; choose another name"
+        )
 
 
 def _check_name(path: Path | None, option: str, suffix: str) -> None:

@@ -25,7 +25,7 @@ from cluster_est.space import Space
 from cluster_est.uncertainty.layout import HELD, Layout, bound_sides, lay_out
 from cluster_est.uncertainty.result import DerivedInterval, Interval, Uncertainty
 from cluster_est.uncertainty.slopes import has_slopes
-from cluster_est.uncertainty.system import System, build, directions
+from cluster_est.uncertainty.system import WEAK, System, build, directions
 from workers.messages import FloatArray
 
 
@@ -51,14 +51,16 @@ def assess(space: Space, solution: Solution, reach: float = 0.0) -> Uncertainty:
     return _report(space, solution.x, system)
 
 
-def prepare(space: Space, solution: Solution, reach: float = 0.0) -> System | None:
+def prepare(
+    space: Space, solution: Solution, reach: float = 0.0, weak: float = WEAK
+) -> System | None:
     """The factored Jacobian of a solution; None if the solution lacks what that takes."""
     known = solution.at is not None or isinstance(space.problem.cost, SumSquared)
     if not has_slopes(solution) or not known or not np.isfinite(solution.cost):
         return None
     constraints = np.zeros(0) if solution.at is None else solution.at.constraints
     layouts = [lay_out(space, solution.x, constraints, held=held) for held in (True, False)]
-    return build(space, solution, layouts[0], layouts[1], reach)
+    return build(space, solution, layouts[0], layouts[1], reach, weak)
 
 
 def _nothing(space: Space, solution: Solution) -> Uncertainty:

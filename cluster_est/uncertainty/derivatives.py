@@ -22,6 +22,14 @@ from cluster_est.uncertainty.system import System, vectors
 from workers.messages import FloatArray
 
 LEAST_REACH, LARGEST_REACH = 1e-3, 3e-2
+SUSPECT = 1e-2
+"""Directions up to this ratio are measured again. A kink in an equation, such as a dead zone's,
+makes an adaptive solver's result jump by more than its tolerance; over the step of a difference
+that looks as if the data determined, badly, what they do not determine at all.
+"""
+ROUNDS = 3
+FALLEN = 0.1
+"""Part of its ratio, below which a direction has turned so far that it is measured once more."""
 
 
 def examine(runner: Runner, space: Space, solution: Solution) -> Uncertainty:
@@ -85,9 +93,27 @@ def sharpen(runner: Runner, space: Space, solution: Solution) -> tuple[Solution,
     reach
         The relative step that was used; 0 if there was nothing to measure or it failed.
     """
-    system, matrix = prepare(space, solution), slopes_of(space, solution)
-    if system is None or not system.bad or matrix is None:
-        return solution, 0.0
+    system, reach = prepare(space, solution, weak=SUSPECT), 0.0
+    for _ in range(ROUNDS):
+        if system is None or not system.bad:
+            break
+        found = _measured(runner, space, solution, system)
+        if found is None:
+            break
+        solution, reach = found
+        least = min(direction.ratio for direction in system.bad)
+        system = prepare(space, solution, reach, SUSPECT)
+        if system is None or not any(not c.lost and c.ratio < FALLEN * least for c in system.bad):
+            break
+    return solution, reach
+
+
+def _measured(
+    runner: Runner, space: Space, solution: Solution, system: System
+) -> tuple[Solution, float] | None:
+    """The solution with measured slopes along bad directions, and the step; None if it fails."""
+    matrix = slopes_of(space, solution)
+    assert matrix is not None
     found = vectors(space, system.unheld, system.bad)
     scaled = np.asarray(np.linalg.qr(found.T)[0])
     moves = scaled.T / system.scale
@@ -100,12 +126,12 @@ def sharpen(runner: Runner, space: Space, solution: Solution) -> tuple[Solution,
         )
     )
     if reach <= own:
-        return solution, 0.0
+        return None
     asked = _Measure(moves * lengths[:, None])
     here = moved(space, solution.x)
     (measured,) = runner.run([SearchRequest("directions", asked, here)])
     if measured.jacobian is None or solution.at is None:
-        return solution, 0.0
+        return None
     slopes = measured.jacobian / lengths
     return with_slopes(solution, _corrected(matrix, system, scaled, slopes)), reach
 

@@ -66,3 +66,8 @@ class Uncertainty:
     variance: float
     degrees: int
     notes: tuple[str, ...]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the data do not determine, and what was left out."""
+        return (*(direction.sentence for direction in self.directions), *self.notes)

@@ -67,10 +67,18 @@ class System:
     part: float
 
 
-def build(space: Space, solution: Solution, layout: Layout, unheld: Layout, reach: float) -> System:
+def build(
+    space: Space,
+    solution: Solution,
+    layout: Layout,
+    unheld: Layout,
+    reach: float,
+    weak: float = WEAK,
+) -> System:
     """Weight, scale and factor the Jacobian of a solution.
 
     `reach` is the relative step with which its bad directions were measured; 0 if they were not.
+    Up to the ratio `weak` a direction is bad.
     """
     slopes = slopes_of(space, solution)
     assert slopes is not None
@@ -82,11 +90,11 @@ def build(space: Space, solution: Solution, layout: Layout, unheld: Layout, reac
     noise = limits >= 1.0  # such columns would mix with others that are determined
     matrix, limits[noise] = matrix.over(np.where(noise, np.inf, scale)), accuracy.ROUNDING
     coordinates = free_coordinates(layout.slopes / scale[layout.shared])
-    factors = _factorise(matrix, layout, coordinates, limits)
+    factors = _factorise(matrix, layout, coordinates, limits, weak)
     bad = factors.combinations
     if any(layout.sides):
         moves = free_coordinates(unheld.slopes / scale[unheld.shared])
-        bad = _factorise(matrix, unheld, moves, limits).combinations
+        bad = _factorise(matrix, unheld, moves, limits, weak).combinations
     scatter = weighting.scatter(factors.rank)
     spread = None if scatter.spread is None else [scatter.spread[row] for row in rows]
     chosen = [c for c in bad if c.lost]
@@ -107,11 +115,11 @@ def build(space: Space, solution: Solution, layout: Layout, unheld: Layout, reac
 
 
 def _factorise(
-    matrix: BlockMatrix, layout: Layout, coordinates: FloatArray, limits: FloatArray
+    matrix: BlockMatrix, layout: Layout, coordinates: FloatArray, limits: FloatArray, weak: float
 ) -> Factors:
     parts = blocks(matrix, layout, coordinates)
     local = tuple(limits[each] for each in layout.local)
-    return factorise(parts, Limits(limits[layout.shared], local, coordinates), WEAK)
+    return factorise(parts, Limits(limits[layout.shared], local, coordinates), weak)
 
 
 def directions(space: Space, x: FloatArray, system: System) -> tuple[Direction, ...]:

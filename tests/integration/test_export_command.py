@@ -123,6 +123,23 @@ def test_what_cannot_be_is_said_in_a_sentence(run, capsys, arguments, sentence):
     assert sentence in " ".join(capsys.readouterr().err.split())
 
 
+def test_the_original_is_never_written_over(run, capsys):
+    original = run.parent / "models" / "mass_spring_damper.fmu"
+    before = original.read_bytes()
+    assert main(["export", str(run), "--fmu", str(original)]) == BAD_INPUT
+    assert "must be another file than the original FMU" in capsys.readouterr().err
+    assert original.read_bytes() == before
+
+
+def test_values_of_a_run_with_an_effect_are_not_simulated_without_it(run, tmp_path, capsys):
+    config, out = run.parent / "plain.toml", tmp_path / "curves.csv"
+    text = (run.parent / "config.toml").read_text(encoding="utf-8")
+    config.write_text(text.replace(EFFECT, ""), encoding="utf-8")
+    assert main(["simulate", str(config), "--out", str(out), "--run", str(run)]) == BAD_INPUT
+    assert "has harder.k besides; add the run's [[effects]]" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_shared_values_alone_are_said_to_be_so(run, capsys):
     assert main(["export", str(run), "--text"]) == DONE
     said = " ".join(capsys.readouterr().err.split())

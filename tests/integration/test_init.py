@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from problems import FMU, ROOT
 import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.drafting import draft, write
+from cluster_est.drafting.candidates import candidates
 from cluster_est.drafting.columns import Column, read_columns
 from cluster_est.drafting.matching import match
 from cluster_est.drafting.units import conversion, same_unit
@@ -191,6 +193,36 @@ class TestWhereSomethingIsOpen:
         Path("first.toml").write_text(text.replace('"FILL IN: seconds between rows"', "0.02"))
         assert main(["check", "first.toml", "--seconds", "0"]) == 0
 
+    def test_what_no_column_is_like_stands_there_as_a_comment(self, tmp_path):
+        path = tmp_path / "a.parquet"
+        columns = {"time": TIMES, "F": FORCE, "v": FORCE, "Www [mm]": FORCE, "Zzz [Pa]": FORCE}
+        pq.write_table(pa.table(columns), path)
+        text = write(draft(FMU, [path]), tmp_path).toml
+        assert '# outputs.y = "COLUMN"  # [m]' in text
+        assert '# columns."Www [mm]" = { factor = 0.001 }  # from mm' in text
+        assert '"Zzz [Pa]"' not in text
+
+    def test_a_column_that_says_another_unit_is_a_problem(self, written, tmp_path, capsys):
+        path = tmp_path / "a.parquet"
+        pq.write_table(pa.table({"time [ms]": TIMES, "F [N]": FORCE, "y [mm]": FORCE}), path)
+        text, _, _ = written(path)
+        check = ["check", "first.toml", "--seconds", "0"]
+        assert main(check) == 0
+        kept = [line for line in text.split("\n") if not line.startswith("columns.")]
+        Path("first.toml").write_text("\n".join(kept), encoding="utf-8")
+        capsys.readouterr()
+        assert main(check) == 1
+        said = " ".join(capsys.readouterr().out.split())
+        assert "column 'time [ms]' is given to time, which is in s, as it is" in said
+        assert 'columns."y [mm]" = { factor = 0.001, offset = 0 }' in said
+        assert "F [N]" not in said
+
+    def test_a_time_that_is_text_is_named(self, tmp_path):
+        path = tmp_path / "a.csv"
+        path.write_text("time,F,y\n12:00,1,2\n12:01,1,2\n", encoding="utf-8")
+        text = write(draft(FMU, [path]), tmp_path).toml
+        assert "# column 'time' holds no numbers: dates, or a row of units" in text
+
     def test_an_input_without_any_column_keeps_its_start(self, written, tmp_path):
         path = table(tmp_path / "a.csv", time=TIMES, y=FORCE, Zzz=FORCE, Www=FORCE)
         text, tree, said = written(path)
@@ -252,6 +284,20 @@ def test_few_parameters_are_active_and_the_others_say_why():
     assert len(found.parameters) > len(active)
     text = write(found, TANK.parent).toml
     assert all(f"not estimated: {c.why_not}" in text for c in found.parameters if c.why_not)
+
+
+def test_guesses_suit_temperatures_and_initial_values():
+    described = describe(FMU.name, FMU.read_bytes())
+    names = ("room.T_start", "T_wall", "L")
+    units = ("K", "K", "m")
+    variables = {
+        name: Variable(name, i, "real", "parameter", True, unit=unit, start=293.15)
+        for i, (name, unit) in enumerate(zip(names, units, strict=True))
+    }
+    found = candidates(replace(described, variables=variables))
+    assert [c.per for c in found] == ["experiment", "", ""]
+    assert [not c.why_not for c in found] == [False, True, True]
+    assert [c.bounds for c in found] == [(243.15, 343.15)] * 2 + [(29.315, 2931.5)]
 
 
 def test_an_fmu_without_parameters_says_so(own_fmu, tmp_path):

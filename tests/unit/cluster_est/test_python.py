@@ -115,6 +115,7 @@ class TestLoopResult:
     def test_a_notebook_shows_the_verdict(self, found):
         result, _ = found
         assert f"Closed loop: {result.verdict}." in result._repr_html_()
+        assert str(result).startswith(f"Closed loop: {result.verdict}.")
 
 
 class TestNotebook:
@@ -132,6 +133,14 @@ class TestNotebook:
         for shown in (truth.problem._repr_html_(), result._repr_html_()):
             assert "nan" not in shown
             assert not re.search(r"color|background", shown)  # light and dark notebooks alike
+
+    def test_print_shows_aligned_tables(self, result):
+        lines = str(result).split("\n")
+        assert lines[0].startswith("Result: ")
+        head = lines.index("Parameters") + 1
+        (row,) = (line for line in lines if line.startswith("m "))
+        at = lines[head].index("value")
+        assert row[at:].split()[0] == f"{result.x['m']:.6g}"
 
     def test_long_tables_are_cut_and_say_so(self, truth):
         many = tuple(replace(truth.problem.experiments[0], id=f"r{i}") for i in range(60))

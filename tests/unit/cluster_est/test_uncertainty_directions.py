@@ -235,6 +235,20 @@ def test_measured_derivatives_tell_what_forward_ones_cannot():
     assert singular[1] == pytest.approx(singular[0], rel=0.02)
 
 
+def test_noise_of_the_simulation_does_not_make_a_lost_direction_look_determined():
+    """As of a solver whose number of steps changes: along the direction itself there is none."""
+
+    def noisy(times, values, experiment):
+        a, b, c, _ = values
+        noise = 1e-8 * (np.sin(1e8 * a / b) + np.sin(1e8 * c / b))
+        return ratio(times, values, experiment) + noise * np.cos(7.0 * times)
+
+    runner, space, solution = at_truth(noisy, (0.5, 2.0, 6.0, 1.0))
+    assert assess(space, solution).directions == ()  # from the differences alone
+    (found,) = examine(runner, space, solution).directions
+    assert found.sentence == CASES["by the same factor"][2][0]
+
+
 def test_a_determined_problem_has_none():
     def decay(times, values, experiment):
         a, b, c = values

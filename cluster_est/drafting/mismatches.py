@@ -1,0 +1,65 @@
+"""Columns whose name says another unit than that of the variable that they are given to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from cluster_est.config import Config
+from cluster_est.drafting.columns import split_unit
+from cluster_est.drafting.units import Conversion, conversion, same_unit
+from workers.description import Description
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """A column that a config takes as it is, though it seems to be in another unit.
+
+    Attributes
+    ----------
+    column, unit
+        Its name, and the unit in it.
+    variable, wanted
+        What it is given to, and the unit of that.
+    change
+        From the one to the other.
+    """
+
+    column: str
+    unit: str
+    variable: str
+    wanted: str
+    change: Conversion
+
+
+def unit_mismatches(config: Config, description: Description) -> list[Mismatch]:
+    """Each such column once, whatever the number of experiments that have it.
+
+    A column that the config has an entry for under `columns` is not looked at, nor one whose unit
+    is not known.
+    """
+    pairs = (
+        pair
+        for experiment in config.experiments
+        for pair in [
+            ("time", experiment.time),
+            *((name, each.column) for name, each in experiment.inputs.items()),
+            *((name, each.column) for name, each in experiment.outputs.items()),
+        ]
+        if pair[1] not in experiment.columns
+    )
+    return list(_mismatches(dict.fromkeys(pairs), description))
+
+
+def _mismatches(
+    pairs: dict[tuple[str, str | None], None], description: Description
+) -> Iterator[Mismatch]:
+    for variable, column in pairs:
+        known = description.variables.get(variable)
+        wanted = "s" if known is None else known.unit
+        unit = split_unit(column or "")[1]
+        if not unit or not wanted or same_unit(unit, wanted):
+            continue
+        change = conversion(unit, wanted)
+        if change is not None and change != Conversion(1.0):
+            yield Mismatch(column or "", unit, variable, wanted, change)
