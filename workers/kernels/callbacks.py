@@ -7,6 +7,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
+from numba.core.compiler import Flags
 from numba.core.types import intp
 from numba.extending import intrinsic
 
@@ -110,7 +111,9 @@ def _callback(
     inner = ir.IRBuilder(function.append_basic_block())
     given = inner.load(inner.inttoptr(function.args[1 + words], data.type))
     asked = types.int32(types.float64, *[types.intp] * words, *shared)
-    compiled = context.compile_subroutine(inner, body, asked)
+    flags = Flags()
+    flags.forceinline = True  # to hand over the many fields of what is shared takes microseconds
+    compiled = context.compile_subroutine(inner, body, asked, flags=flags)
     _, answer = context.call_internal_no_propagate(
         inner,
         compiled.fndesc,
