@@ -38,7 +38,7 @@ def judge(bench: Workbench, found: Search) -> Judgement:
     closed = min(training, predicted)
     tables = any(c.form.family == "table" for c in found.current.added)
     share = f"the effects close {training:.0%} of the gap between error and noise"
-    if predicted < training:
+    if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
         share += f", and {max(predicted, 0.0):.0%} in records that were left out to be predicted"
     if not lack or closed > NEARLY_ALL:
         if tables:
