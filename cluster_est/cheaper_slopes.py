@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeGuard
 
 from cluster_est.executors import WorkerPool
 from cluster_est.methods.base import Method
@@ -80,15 +80,19 @@ def cheaper_slopes(executor: WorkerPool, space: Space, method: Method) -> Carrie
 
 def with_slopes(method: Method, found: Carried) -> Method:
     """The method, told to take sensitivities if they are cheaper."""
-    if found.carry and isinstance(method, LeastSquares | Sqp) and method.differences == "auto":
+    if found.carry and _has_choice(method):
         return replace(method, differences="sensitivities")
     return method
 
 
+def _has_choice(method: Method) -> TypeGuard[LeastSquares | Sqp]:
+    """Whether a method can take derivatives from either, and the config leaves it open."""
+    return isinstance(method, LeastSquares | Sqp) and method.differences == "auto"
+
+
 def _is_open(problem: Problem, method: Method) -> bool:
     """Whether both are possible, as far as can be told without a simulation."""
-    left_open = isinstance(method, LeastSquares | Sqp) and method.differences == "auto"
-    if not left_open or problem.effects or problem.model.interface != "model_exchange":
+    if not _has_choice(method) or problem.effects or problem.model.interface != "model_exchange":
         return False
     return problem.describe().offer("model_exchange").provides_directional_derivatives
 

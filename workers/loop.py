@@ -188,7 +188,7 @@ class Loop:
             found = compare(self.instance.fmu, self._description.version, jacobian)
         except ModelError:
             return
-        if found.error <= AGREES and not found.zero:
+        if found.error <= AGREES:  # zeros in the place of slopes are an error of 1
             self.batch.jacobian = jacobian
 
     @property
