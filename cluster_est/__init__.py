@@ -9,25 +9,25 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from cluster_est.build import build_problem, read_problem
-from cluster_est.config import read_config
-from cluster_est.data import read_table
+from cluster_est.config.build import build_problem, read_problem
+from cluster_est.config.reader import read_config
 from cluster_est.errors import ClusterEstError
 from cluster_est.fit import fit, simulate
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.multistart import Multistart
-from cluster_est.problem import Parameter, Problem
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.data import read_table
+from cluster_est.problem.problem import Parameter, Problem
 from cluster_est.residual_function import residuals
-from cluster_est.resources import Resources
-from cluster_est.result import Estimate, Result
-from cluster_est.runner import Budget
+from cluster_est.results.result import Estimate, Result
+from cluster_est.running.multistart import Multistart
+from cluster_est.running.resources import Resources
+from cluster_est.running.runner import Budget
 from cluster_est.uncertainty import UncertaintySettings
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 
 if TYPE_CHECKING:
+    from cluster_est.closed_loop.diagnostics import add_effect, detect, locate
+    from cluster_est.closed_loop.findings.result import LoopResult
     from cluster_est.closed_loop.loop import close_loop
-    from cluster_est.closed_loop.parts import add_effect, detect, locate
-    from cluster_est.closed_loop.result import LoopResult
     from cluster_est.closed_loop.settings import LoopSettings
 
 __all__ = [
@@ -63,12 +63,12 @@ __all__ = [
 ]
 
 _LATE = {
-    "LoopResult": "result",
+    "LoopResult": "findings.result",
     "LoopSettings": "settings",
-    "add_effect": "parts",
+    "add_effect": "diagnostics",
     "close_loop": "loop",
-    "detect": "parts",
-    "locate": "parts",
+    "detect": "diagnostics",
+    "locate": "diagnostics",
 }
 """What is imported when it is first used: a fit has no need of SymPy."""
 

@@ -7,19 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est import rows
-from cluster_est.active import suited
 from cluster_est.errors import ProblemError
-from cluster_est.judging import judge
 from cluster_est.methods.base import Method, Solution
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.multistart import Multistart, check_starts, search_from_starts
-from cluster_est.output_errors import Simulation, output_errors
-from cluster_est.problem import Problem
-from cluster_est.resources import Resources, one_blas_thread, open_executor, suit_method
-from cluster_est.result import Result
-from cluster_est.runner import Note, Record, Runner, SearchRequest, Show
-from cluster_est.space import Space, make_space
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import Space, make_space
+from cluster_est.results import rows
+from cluster_est.results.output_errors import Simulation, output_errors
+from cluster_est.results.result import Result
+from cluster_est.running.evaluation import judge
+from cluster_est.running.multistart import Multistart, check_starts, search_from_starts
+from cluster_est.running.resources import Resources, one_blas_thread, open_executor, suit_method
+from cluster_est.running.runner import Note, Record, Runner, SearchRequest, Show
+from cluster_est.running.search_state import suited
 from cluster_est.uncertainty import (
     Uncertainty,
     UncertaintySettings,

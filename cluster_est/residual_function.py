@@ -11,11 +11,11 @@ import numpy as np
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
-from cluster_est.methods.differences import Scheme, jacobian
-from cluster_est.problem import Problem
-from cluster_est.resources import Resources, open_executor
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import Space, make_space
+from cluster_est.methods.derivatives.differences import Scheme, jacobian
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import Space, make_space
+from cluster_est.running.resources import Resources, open_executor
+from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import FloatArray
 
 

@@ -24,8 +24,8 @@ from scipy.signal import lsim
 from cluster_est import Experiment, Input, LeastSquares, Model, Output, Parameter, Problem, Solver
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.methods.base import Solution
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import Space, make_space
+from cluster_est.problem.space import Space, make_space
+from cluster_est.running.runner import Runner, SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap, profiles
 
 FMU = Path(__file__).parent.parent / "configs" / "models" / "mass_spring_damper.fmu"

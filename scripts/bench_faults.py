@@ -24,7 +24,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from chaos import command, make_problem
 
-from cluster_est.evaluation_log import read_log
+from cluster_est.run_folder.evaluation_log import read_log
 
 TROUBLES = {
     "undisturbed": "",

@@ -24,10 +24,10 @@ import numpy as np
 from fmpy.fmi2 import FMU2Model, FMU2Slave
 
 from cluster_est.executors import Executor, executor_class
-from workers.archive import unpack
-from workers.description import describe
+from workers.fmu.archive import unpack
+from workers.fmu.description import describe
 from workers.messages import Experiment, Input, Model, Output, Solver, Task
-from workers.simulate import Simulator
+from workers.simulation.simulator import Simulator
 
 HERE = Path(__file__).parent
 sys.path.append(str(HERE.parent / "tests"))

@@ -22,11 +22,11 @@ from closed_loop_benchmark.scenarios import all_scenarios
 
 import cluster_est as ce
 from cluster_est.fit import fit
-from cluster_est.multistart import Multistart, make_starts, search_from_starts
-from cluster_est.resources import Resources, one_blas_thread, open_executor
-from cluster_est.run_folder import RunFolder
-from cluster_est.runner import Runner
-from cluster_est.space import make_space
+from cluster_est.problem.space import make_space
+from cluster_est.run_folder.folder import RunFolder
+from cluster_est.running.multistart import Multistart, make_starts, search_from_starts
+from cluster_est.running.resources import Resources, one_blas_thread, open_executor
+from cluster_est.running.runner import Runner
 
 SYSTEM, PARAMETERS, EXPERIMENTS = "two_mass_drive", 6, 4
 WIDER = 100.0

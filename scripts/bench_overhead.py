@@ -22,7 +22,7 @@ from build_fmus import build
 
 from cluster_est.executors import executor_class
 from cluster_est.executors.base import Executor
-from cluster_est.resources import one_blas_thread
+from cluster_est.running.resources import one_blas_thread
 from workers.messages import Experiment, Model, Output, Solver, Task
 
 MODEL = Path(__file__).resolve().parent.parent / "tests" / "models" / "misbehaves"

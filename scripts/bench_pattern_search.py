@@ -24,12 +24,12 @@ from closed_loop_benchmark.scenarios import all_scenarios
 
 import cluster_est as ce
 from cluster_est.executors.virtual import VirtualExecutor
-from cluster_est.methods.asynchronous_pattern_search import AsynchronousPatternSearch
 from cluster_est.methods.base import Method
-from cluster_est.methods.pattern_search import PatternSearch
-from cluster_est.resources import Resources, one_blas_thread, open_executor
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import make_space
+from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
+from cluster_est.methods.pattern_search.method import PatternSearch
+from cluster_est.problem.space import make_space
+from cluster_est.running.resources import Resources, one_blas_thread, open_executor
+from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import Outcome, Task
 
 SYSTEM, PARAMETERS = "dc_motor_belt", 8

@@ -27,12 +27,12 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Problem, Solver
-from cluster_est.evaluation_log import EvaluationLog
 from cluster_est.executors.virtual import VirtualExecutor
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
-from cluster_est.resources import one_blas_thread
-from cluster_est.runner import Iteration, Runner, SearchRequest
-from cluster_est.space import Space, make_space
+from cluster_est.problem.space import Space, make_space
+from cluster_est.run_folder.evaluation_log import EvaluationLog
+from cluster_est.running.resources import one_blas_thread
+from cluster_est.running.runner import Iteration, Runner, SearchRequest
 from cluster_est.uncertainty import assess
 from workers.messages import FloatArray, Task
 

@@ -23,9 +23,9 @@ from fmus import build
 
 import cluster_est as ce
 from cluster_est.fit import fit
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.resources import Resources
-from cluster_est.result import Result
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.results.result import Result
+from cluster_est.running.resources import Resources
 from workers.evaluate import Evaluator
 from workers.messages import Model, Task
 from workers.wire import Batch

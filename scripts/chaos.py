@@ -195,7 +195,7 @@ def workers_of(process: int) -> list[tuple[int, str]]:
     return [
         (pid, "worker" if name.startswith("ray::Worker") else "simulation")
         for pid, name in names.items()
-        if (name.startswith("ray::Worker") or "workers.zygote" in name)
+        if (name.startswith("ray::Worker") or "workers.process.fork_server" in name)
         and descends(pid, process, parents)
     ]
 

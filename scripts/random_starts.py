@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from cluster_est.build import build_method, build_problem, build_resources
-from cluster_est.config import read_config
-from cluster_est.problem import Problem
-from cluster_est.resources import open_executor
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import Space, make_space
+from cluster_est.config.build import build_method, build_problem, build_resources
+from cluster_est.config.reader import read_config
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import Space, make_space
+from cluster_est.running.resources import open_executor
+from cluster_est.running.runner import Runner, SearchRequest
 
 
 def main() -> None:

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from workers.description import describe
+from workers.fmu.description import describe
 from workers.messages import Experiment, Model, Output, Solver
-from workers.simulate import Simulator
+from workers.simulation.simulator import Simulator
 
 sys.path.append(str(Path(__file__).resolve().parent.parent / "tests"))
 

@@ -30,11 +30,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.description import Description, describe
 from workers.errors import ModelError
-from workers.guard import Guard
+from workers.fmu.description import Description, describe
+from workers.fmu.variable import Variable
 from workers.messages import Experiment, Interface, Limits, Model, Outcome, Output, Solver, Task
-from workers.variables import Variable
+from workers.process.supervisor import Guard
 from workers.wire import Batch
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from build_fmus import build
 from fmus import build as own
 from hypothesis import settings
 
-from cluster_est.resources import one_blas_thread
+from cluster_est.running.resources import one_blas_thread
 
 settings.register_profile("project", deadline=None, derandomize=True)
 settings.load_profile("project")
@@ -87,10 +87,10 @@ def fmpy_prints() -> Iterator[None]:
     import fmpy.fmi2
     from fmpy.logging import addLoggerProxy
 
-    import workers.fmu
+    import workers.fmu.instance
 
     theirs = fmpy.fmi2.fmi2CallbackFunctions()
     theirs.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(fmpy.fmi2.printLogMessage)
     addLoggerProxy(byref(theirs))
     yield
-    workers.fmu._callbacks = workers.fmu._make_callbacks()
+    workers.fmu.instance._callbacks = workers.fmu.instance._make_callbacks()

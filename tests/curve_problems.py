@@ -11,11 +11,11 @@ from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Prob
 from cluster_est.costs.base import Cost
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.executors import Executor
-from cluster_est.formulas import parse_constraint
 from cluster_est.methods import Method
 from cluster_est.methods.base import Solution
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import Space, make_space
+from cluster_est.problem.formulas import parse_constraint
+from cluster_est.problem.space import Space, make_space
+from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import REDUCTIONS, Outcome, Status
 from workers.residuals.reduce import reduce_residuals
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from cluster_est.evaluation_log import read_log
+from cluster_est.run_folder.evaluation_log import read_log
 
 
 def cut(folder: Path, rows: int, torn: int = 0) -> None:

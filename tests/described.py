@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 
-from workers.description import Description, describe
+from workers.fmu.description import Description, describe
 
 HEAD_2 = (
     '<fmiModelDescription fmiVersion="2.0" guid="{g}" modelName="m" numberOfEventIndicators="0">'

@@ -22,9 +22,9 @@ from fmpy.fmi2 import (
 from cluster_est.export.fmu import archive_files
 from cluster_est.export.layout import lay_out
 from cluster_est.export.repair import Found, Repair
-from cluster_est.problem import Parameter, Problem
-from workers.description import describe_model
+from cluster_est.problem.problem import Parameter, Problem
 from workers.effects.definition import define
+from workers.fmu.description import describe_model
 from workers.messages import Effect, Experiment, FloatArray, Model
 
 COMPILER = ("cc", "-Werror")

@@ -13,8 +13,8 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.executors import Executor
 from cluster_est.methods import Method
 from cluster_est.methods.base import Solution
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import make_space
+from cluster_est.problem.space import make_space
+from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import REDUCTIONS, Function, Outcome, Status
 from workers.residuals.reduce import reduce_residuals
 

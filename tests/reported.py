@@ -10,7 +10,7 @@ from pathlib import Path
 from problems import spring_problem
 
 from cluster_est.fit import fit
-from cluster_est.run_folder import RunFolder
+from cluster_est.run_folder.folder import RunFolder
 
 HOSTILE = '</script><img src=x onerror="alert(1)"><b>&amp;'
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.formulas import parse_constraint
-from cluster_est.problem import Parameter, Problem
+from cluster_est.problem.formulas import parse_constraint
+from cluster_est.problem.problem import Parameter, Problem
 from workers.messages import Experiment, Model, Output, Solver
 
 

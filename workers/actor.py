@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ray
 
-from workers.guard import Guard
 from workers.messages import Experiment, Limits, Model
+from workers.process.supervisor import Guard
 from workers.wire import Answers, Batch
 
 

@@ -8,10 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from workers.description import describe_model
-from workers.install import Installed
-from workers.kernels import failure
-from workers.loop import Record
+from workers.fmu.description import describe_model
+from workers.kernels.fmi import failure
 from workers.messages import (
     REDUCTIONS,
     Experiment,
@@ -27,7 +25,9 @@ from workers.messages import (
 from workers.residuals.base import Simulated
 from workers.residuals.experiment import ExperimentComparison, Judged
 from workers.residuals.reduce import reduce_residuals
-from workers.simulate import Simulator
+from workers.simulation.bind_experiment import Installed
+from workers.simulation.integrator import Record
+from workers.simulation.simulator import Simulator
 from workers.wire import Batch
 
 MAX_VALUES = 4_000_000

@@ -12,20 +12,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.drawn import draw_effects
-from cluster_est.closed_loop.naming import describe_effects, error_changes, where_left
+from cluster_est.closed_loop.findings.effect_curves import draw_effects
+from cluster_est.closed_loop.findings.result import LoopResult, Verdict
+from cluster_est.closed_loop.findings.verdict import Judgement, judge
+from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.prepare import open_bench
-from cluster_est.closed_loop.result import LoopResult, Verdict
-from cluster_est.closed_loop.search import Search, search
+from cluster_est.closed_loop.selection.forward_selection import Search, search
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.verdict import Judgement, judge
 from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
 from cluster_est.fit import complete, simulate_all
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.problem import Problem
-from cluster_est.resources import Resources
-from cluster_est.result import Result
-from cluster_est.runner import Note, Record, SearchRequest, Show
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.problem import Problem
+from cluster_est.results.result import Result
+from cluster_est.running.resources import Resources
+from cluster_est.running.runner import Note, Record, SearchRequest, Show
 from cluster_est.uncertainty import examine
 
 FINAL = LeastSquares(trials=4, max_iterations=50)

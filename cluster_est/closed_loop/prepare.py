@@ -8,22 +8,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.closed_loop.base_fit import BRIEF
-from cluster_est.closed_loop.noise import estimate_noise
-from cluster_est.closed_loop.records import make_records
-from cluster_est.closed_loop.rehearsal import enlarged, shortened
+from cluster_est.closed_loop.selection.declared_model import BRIEF
+from cluster_est.closed_loop.selection.synthetic_experiments import enlarged, shortened
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.statistics.noise import estimate_noise
+from cluster_est.closed_loop.statistics.records import make_records
 from cluster_est.closed_loop.workbench import ENLARGED, HORIZONS, Meter, Start, Workbench
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
-from cluster_est.problem import Problem
-from cluster_est.resources import Resources, one_blas_thread, open_executor
-from cluster_est.runner import Note, Origin, Record, Runner, Show
-from cluster_est.space import make_space
-from workers.description import Description, nearest
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import make_space
+from cluster_est.running.resources import Resources, one_blas_thread, open_executor
+from cluster_est.running.runner import Note, Origin, Record, Runner, Show
 from workers.effects.forms import FORMS
 from workers.effects.site import Site, open_pairs, open_sites, parse_site
+from workers.fmu.description import Description, nearest
 from workers.messages import Experiment, Outcome
 
 LEAST_SAMPLES_PER_UNKNOWN = 4

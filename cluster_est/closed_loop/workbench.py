@@ -7,17 +7,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates import Candidate
-from cluster_est.closed_loop.course import Course, make_course
-from cluster_est.closed_loop.records import Records
+from cluster_est.closed_loop.candidates.make import Candidate
+from cluster_est.closed_loop.candidates.trajectory import Course, make_course
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.statistics.records import Records
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation, Method
-from cluster_est.methods.look import Look
-from cluster_est.problem import Problem
-from cluster_est.runner import Origin, Record, Runner, SearchRequest
-from cluster_est.space import Space, make_space
-from workers.description import Description
+from cluster_est.methods.given_points import Look
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import Space, make_space
+from cluster_est.running.runner import Origin, Record, Runner, SearchRequest
+from workers.fmu.description import Description
 from workers.messages import Experiment, FloatArray, Outcome
 
 HORIZONS = (0.15, 0.4)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from workers.description import Description
-from workers.variables import Variable
+from workers.fmu.description import Description
+from workers.fmu.variable import Variable
 
 MOST_ACTIVE = 6
 """Parameters estimated at once in a first config: more are seldom determined by a few tables."""

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cluster_est.data import Table, read_table
 from cluster_est.drafting.units import conversion
 from cluster_est.errors import DataError
+from cluster_est.problem.data import Table, read_table
 from workers.messages import FloatArray
 
 TIMES = ("time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp")

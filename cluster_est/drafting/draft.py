@@ -11,9 +11,9 @@ from cluster_est.drafting.candidates import Candidate, candidates, initial_state
 from cluster_est.drafting.columns import Columns, read_columns
 from cluster_est.drafting.matching import Match, match, same
 from cluster_est.errors import DataError, ModelError
-from workers.description import Description, describe
+from workers.fmu.description import Description, describe
+from workers.fmu.variable import Variable
 from workers.messages import Role
-from workers.variables import Variable
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from cluster_est.drafting.columns import Column, fold
-from workers.variables import Variable
+from workers.fmu.variable import Variable
 
 SIMILAR = 0.6
 """Ratio of `difflib` from which two names look alike."""

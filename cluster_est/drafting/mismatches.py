@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from cluster_est.config import Config
+from cluster_est.config.reader import Config
 from cluster_est.drafting.columns import split_unit
 from cluster_est.drafting.units import Conversion, conversion, same_unit
-from workers.description import Description
+from workers.fmu.description import Description
 
 
 @dataclass(frozen=True)

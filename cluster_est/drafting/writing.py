@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from cluster_est.config.toml import dotted, inline
 from cluster_est.drafting.candidates import MOST_LISTED, Candidate
 from cluster_est.drafting.columns import TIMES, Column, fold, split_unit
 from cluster_est.drafting.draft import Draft, Run
 from cluster_est.drafting.matching import Match
 from cluster_est.drafting.units import conversion, same_unit
-from cluster_est.toml import dotted, inline
-from workers.description import Description
-from workers.variables import Variable
+from workers.fmu.description import Description
+from workers.fmu.variable import Variable
 
 MOST_OPEN = 20
 """Outputs that are looked at for a comment where no column is like them."""

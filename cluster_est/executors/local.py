@@ -10,8 +10,8 @@ from typing import ClassVar, Protocol, Self
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import Backlog
 from cluster_est.executors.base import WorkerPool
-from workers.description import describe_model
 from workers.evaluate import Evaluator
+from workers.fmu.description import describe_model
 from workers.messages import Experiment, Limits, Model, Outcome, Task
 from workers.wire import Batch
 

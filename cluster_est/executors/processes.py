@@ -8,8 +8,8 @@ from typing import ClassVar, Self
 
 from cluster_est.executors.base import WorkerPool
 from cluster_est.executors.local import LocalExecutor
-from workers.guard import Guard
 from workers.messages import Experiment, Limits, Model, Outcome, Task
+from workers.process.supervisor import Guard
 
 
 class ProcessExecutor(WorkerPool):

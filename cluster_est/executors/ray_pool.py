@@ -3,7 +3,8 @@
 Two batches are in flight for each actor, so that it never waits for the coordinator. Actors may
 come and go: what a lost one had is asked again elsewhere, what takes much longer than usual is
 asked twice where a worker is idle, and the first answer counts. An FMU that crashes or hangs takes
-no actor with it (see `workers.guard`), so a task is given up only after many lost workers.
+no actor with it (see `workers.process.supervisor`), so a task is given up only after many lost
+workers.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ from xml.etree.ElementTree import Element, SubElement
 
 from cluster_est.export.fmi3_document import as_fmi_2
 from cluster_est.export.layout import Layout, Own
-from workers.archive import open_archive
-from workers.description_xml import XML, Notes, parse
+from workers.fmu.archive import open_archive
+from workers.fmu.xml import XML, Notes, parse
 from workers.messages import Value
 
 _FLAGS = (

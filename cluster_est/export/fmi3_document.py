@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement
 
 from cluster_est.export.fmi3_variables import fits
-from workers.description import Description
-from workers.description_xml import flag, whole
-from workers.variables import Variable
+from workers.fmu.description import Description
+from workers.fmu.variable import Variable
+from workers.fmu.xml import flag, whole
 
 _ROOT = (
     "modelName", "description", "author", "version", "copyright", "license", "generationTool",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from workers.description import Description
-from workers.variables import Type, Variable
+from workers.fmu.description import Description
+from workers.fmu.variable import Type, Variable
 
 _SAME: tuple[Type, ...] = ("Float64", "Int32", "Boolean", "String")
 """Types that FMI 2.0 has under another name."""

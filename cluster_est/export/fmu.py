@@ -17,9 +17,9 @@ from cluster_est.export.header import header
 from cluster_est.export.layout import Layout, lay_out
 from cluster_est.export.repair import Repair
 from cluster_est.export.text import describe_effects
-from cluster_est.run_identity import versions
-from workers.archive import open_archive
-from workers.platforms import binary_path
+from cluster_est.run_folder.run_identity import versions
+from workers.fmu.archive import open_archive
+from workers.fmu.platforms import binary_path
 
 _README = """# {name}
 

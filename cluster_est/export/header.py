@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from cluster_est.export.layout import Layout
-from workers.loop import DEFAULT_RTOL
 from workers.messages import Value
+from workers.simulation.integrator import DEFAULT_RTOL
 
 
 def header(layout: Layout, guid: str) -> str:

@@ -8,10 +8,10 @@ from typing import Literal
 from cluster_est.errors import ModelError
 from cluster_est.export.fmi3_variables import Place, fits, flatten
 from cluster_est.export.repair import Found, Repair
-from workers.description import Description
 from workers.effects.compiled import Equations, equations
 from workers.effects.definition import Definition
-from workers.variables import Variable
+from workers.fmu.description import Description
+from workers.fmu.variable import Variable
 
 Kind = Literal["INPUT", "SIGNAL", "COEFFICIENT", "BASE", "START", "RATE", "OUTPUT", "STATE"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cluster_est.closed_loop.equation import equation_text
+from cluster_est.closed_loop.candidates.equation import equation_text
 from cluster_est.export.repair import Found, Repair
 from workers.effects.definition import Definition
 

@@ -27,7 +27,7 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.space import Space
+from cluster_est.problem.space import Space
 from workers.messages import FloatArray, Outcome
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from cluster_est.errors import ModelError
-from cluster_est.problem import Parameter, Problem
-from workers.description import Description, describe
+from cluster_est.problem.problem import Parameter, Problem
+from workers.fmu.description import Description, describe
+from workers.fmu.variable import Variable
 from workers.messages import Experiment, Interface, Model, Output, Solver
-from workers.variables import Variable
 
 MOST_PARAMETERS, MOST_OUTPUTS = 12, 50
 TIMES = 101

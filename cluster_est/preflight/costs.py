@@ -7,8 +7,8 @@ import os
 from cluster_est.executors.backlog import BATCH_SECONDS
 from cluster_est.preflight.findings import Finding
 from cluster_est.preflight.subject import Subject, unanswered
-from workers.bench import Stopped
-from workers.probes import Cost, Costs
+from workers.probes.probes import Cost, Costs
+from workers.process.trial import Stopped
 
 SECONDS = 1.0
 """How long it is measured."""

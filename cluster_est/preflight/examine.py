@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.output_errors import Simulation
 from cluster_est.preflight.costs import costs
 from cluster_est.preflight.findings import Finding, Page
 from cluster_est.preflight.parameters import bounds, corners, effects
 from cluster_est.preflight.repeating import instances, repeating
 from cluster_est.preflight.solving import accuracy, derivatives, stiffness
 from cluster_est.preflight.subject import Clock, Subject
-from cluster_est.problem import Problem
-from cluster_est.resources import Resources
-from workers.bench import Bench, Stopped
+from cluster_est.problem.problem import Problem
+from cluster_est.results.output_errors import Simulation
+from cluster_est.running.resources import Resources
 from workers.messages import Outcome, Status, Task
-from workers.probes import Compiled, Simulated
+from workers.probes.probes import Compiled, Simulated
+from workers.process.trial import Bench, Stopped
 
 SECONDS = 4.0
 """What all checks may take, once there is a process to take them to."""

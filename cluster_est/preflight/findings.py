@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from cluster_est.output_errors import Simulation
+from cluster_est.results.output_errors import Simulation
 
 Verdict = Literal["ok", "note", "problem", "not done"]
 

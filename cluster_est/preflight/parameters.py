@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.methods.differences import relative_noise
+from cluster_est.methods.derivatives.differences import relative_noise
 from cluster_est.preflight.findings import Finding
 from cluster_est.preflight.subject import Subject, unanswered
-from cluster_est.problem import Parameter
-from cluster_est.space import Unknown
-from workers.bench import Stopped
+from cluster_est.problem.problem import Parameter
+from cluster_est.problem.space import Unknown
 from workers.messages import FloatArray
-from workers.probes import Moves
+from workers.probes.probes import Moves
+from workers.process.trial import Stopped
 
 MOVE = 0.01
 """Of the size of a noticeable change."""

@@ -6,9 +6,9 @@ import numpy as np
 
 from cluster_est.preflight.findings import Finding, Verdict
 from cluster_est.preflight.subject import Subject, unanswered
-from workers.bench import Stopped
 from workers.messages import Renewal
-from workers.probes import Instances, Leftovers, Repeats, Repetition, difference
+from workers.probes.probes import Instances, Leftovers, Repeats, Repetition, difference
+from workers.process.trial import Stopped
 
 MOVED = 1.37
 """What every value is multiplied with, to see whether it stays behind: no round number."""

@@ -8,12 +8,12 @@ import numpy as np
 
 from cluster_est.preflight.findings import Finding
 from cluster_est.preflight.subject import Subject, unanswered
-from workers.bench import Stopped
-from workers.directional import Directional
-from workers.jacobian import AGREES
-from workers.loop import DEFAULT_RTOL
 from workers.messages import Solver
-from workers.probes import Solves, Stiff
+from workers.probes.directional import Directional
+from workers.probes.probes import Solves, Stiff
+from workers.process.trial import Stopped
+from workers.simulation.integrator import DEFAULT_RTOL
+from workers.simulation.jacobian import AGREES
 
 TIGHTER = 100.0
 LEAST_RTOL = 1e-13

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from cluster_est.preflight.findings import Finding
-from cluster_est.problem import Problem
-from cluster_est.space import Space, make_space
-from workers.bench import Bench, Stopped
-from workers.child import Probe
-from workers.description import Description
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import Space, make_space
+from workers.fmu.description import Description
 from workers.messages import FloatArray, Renewal
+from workers.process.child import Probe
+from workers.process.trial import Bench, Stopped
 
 LEAST_SECONDS = 0.2
 """With less left nothing more is asked."""

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from cluster_est.log_tail import LogTail
+from cluster_est.run_folder.log_tail import LogTail
 from workers.messages import FloatArray, IntArray, Status
 
 KINDS_OF_FAILURE = 200

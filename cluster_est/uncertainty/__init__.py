@@ -13,12 +13,12 @@ from cluster_est.uncertainty.bootstrap import (
     bootstrap,
     check_bootstrap,
 )
-from cluster_est.uncertainty.covariance import assess, intervals
-from cluster_est.uncertainty.derivatives import examine, linearise, sharpen
-from cluster_est.uncertainty.directions import Direction
-from cluster_est.uncertainty.profile import check_profiles, profiles, select
-from cluster_est.uncertainty.profile_result import ProfilePoint, ProfileResult
-from cluster_est.uncertainty.result import DerivedInterval, Interval, Uncertainty
+from cluster_est.uncertainty.covariance.covariance import assess, intervals
+from cluster_est.uncertainty.covariance.derivatives import examine, linearise, sharpen
+from cluster_est.uncertainty.covariance.directions import Direction
+from cluster_est.uncertainty.covariance.result import DerivedInterval, Interval, Uncertainty
+from cluster_est.uncertainty.profiles.profile import check_profiles, profiles, select
+from cluster_est.uncertainty.profiles.result import ProfilePoint, ProfileResult
 from cluster_est.uncertainty.settings import UncertaintySettings
 
 __all__ = [

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cluster_est.uncertainty.bootstrap import BootstrapResult
-from cluster_est.uncertainty.profile_result import ProfileResult
-from cluster_est.uncertainty.result import Uncertainty
+from cluster_est.uncertainty.covariance.result import Uncertainty
+from cluster_est.uncertainty.profiles.result import ProfileResult
 
 
 @dataclass(frozen=True)

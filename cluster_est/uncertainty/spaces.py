@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.space import Space, Unknown
+from cluster_est.problem.space import Space, Unknown
 from workers.messages import FloatArray
 
 

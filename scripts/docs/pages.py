@@ -14,11 +14,11 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 import cluster_est as ce
-from cluster_est.cli import _parser
-from cluster_est.config import Config
-from cluster_est.sweep_sections import SweepSections
-from cluster_est.table_columns import BEFORE, TABLES, Column
-from cluster_est.toml import inline
+from cluster_est.cli.entry_point import _parser
+from cluster_est.config.reader import Config
+from cluster_est.config.sections.sweep import SweepSections
+from cluster_est.config.toml import inline
+from cluster_est.results.table_columns import BEFORE, TABLES, Column
 
 REFERENCE = Path(__file__).parents[2] / "configs" / "reference.toml"
 KINDS = {float: "number", int: "whole number", str: "text", bool: "true or false", Any: "value"}

@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 
 import cluster_est as ce
-from cluster_est.build import build_problem
-from cluster_est.config import read_config
+from cluster_est.config.build import build_problem
+from cluster_est.config.reader import read_config
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 CONFIG = CONFIGS / "mass_spring_damper.toml"

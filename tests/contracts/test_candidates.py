@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from systems_with_missing_effects import SYSTEMS, missing_effect_problem, opened, unfitted
 
-from cluster_est.closed_loop.candidates import Candidate, make_candidates
-from cluster_est.closed_loop.course import Course
-from cluster_est.closed_loop.directions import Trial, directions
+from cluster_est.closed_loop.candidates.make import Candidate, make_candidates
+from cluster_est.closed_loop.candidates.trajectory import Course
+from cluster_est.closed_loop.screening.directions import Trial, directions
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import Fitted, Workbench
 from workers.effects.definition import define

@@ -15,9 +15,9 @@ from nist import MODELS, read
 
 from cluster_est.methods import METHODS
 from cluster_est.methods.base import Ending, Points, Solution
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.methods.scipy_least_squares import ScipyLeastSquares
-from cluster_est.space import make_space
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.least_squares.scipy_least_squares import ScipyLeastSquares
+from cluster_est.problem.space import make_space
 
 PRODUCT = [
     pytest.param(entry, case, id=f"{entry}-{case}")

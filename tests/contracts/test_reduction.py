@@ -16,17 +16,17 @@ from method_entries import ENTRIES
 from problems import spring_problem
 
 from cluster_est import Budget, Experiment, LeastSquares, Output, Parameter, Resources, fit
-from cluster_est.active import suited
 from cluster_est.costs import COSTS
 from cluster_est.methods import METHODS
-from cluster_est.methods.differential_evolution import DifferentialEvolution
-from cluster_est.methods.look import Look
-from cluster_est.methods.nsga2 import Nsga2
-from cluster_est.methods.pattern_search import PatternSearch
-from cluster_est.multistart import Multistart, search_from_starts
-from cluster_est.reduction import LEAST_RESIDUALS, want_of
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import make_space
+from cluster_est.methods.given_points import Look
+from cluster_est.methods.pattern_search.method import PatternSearch
+from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
+from cluster_est.methods.populations.nsga2 import Nsga2
+from cluster_est.problem.reduction import LEAST_RESIDUALS, want_of
+from cluster_est.problem.space import make_space
+from cluster_est.running.multistart import Multistart, search_from_starts
+from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.search_state import suited
 from workers.evaluate import Evaluator
 from workers.messages import REDUCTIONS, Curve, Function, Outcome, SignalBound, Status, Task
 from workers.residuals.reduce import reduce_residuals

@@ -31,9 +31,9 @@ from spoiled import (
 )
 
 from cluster_est import build_problem
-from cluster_est.build import build_method
 from cluster_est.cli import main
-from cluster_est.config import parse_config
+from cluster_est.config.build import build_method
+from cluster_est.config.reader import parse_config
 from cluster_est.errors import ClusterEstError
 
 A = "experiments.0"

@@ -17,13 +17,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from cluster_est import Experiment, Output, Parameter, Problem, Solver, cheaper_slopes
+from cluster_est import Experiment, Output, Parameter, Problem, Solver
 from cluster_est.cli import main
-from cluster_est.evaluation_log import read_log
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.methods.pattern_search import PatternSearch
-from cluster_est.methods.sqp import Sqp
-from cluster_est.space import make_space
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.pattern_search.method import PatternSearch
+from cluster_est.methods.sqp.method import Sqp
+from cluster_est.problem.space import make_space
+from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.running import sensitivity_policy as cheaper_slopes
 from workers.messages import Model, Outcome, Status, Task
 
 Give = Callable[[str, int], Path]

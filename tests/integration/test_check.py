@@ -12,8 +12,8 @@ import pytest
 from cluster_est import Problem
 from cluster_est.cli import main
 from cluster_est.preflight import Finding, Page, bare_problem, examine
-from cluster_est.problem import Parameter
-from cluster_est.resources import Resources
+from cluster_est.problem.problem import Parameter
+from cluster_est.running.resources import Resources
 from workers.messages import Solver
 
 Give = Callable[[str, int], Path]

@@ -16,8 +16,8 @@ import pytest
 from springs_with_friction import FRICTION, TIMES, write_config
 
 from cluster_est.cli import main
-from cluster_est.evaluation_log import read_log
-from cluster_est.output_errors import OutputError
+from cluster_est.results.output_errors import OutputError
+from cluster_est.run_folder.evaluation_log import read_log
 
 
 @pytest.fixture(scope="module")

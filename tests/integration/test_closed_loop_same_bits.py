@@ -12,7 +12,7 @@ import pytest
 from springs_with_friction import write_config
 
 from cluster_est.cli import main
-from cluster_est.evaluation_log import read_log
+from cluster_est.run_folder.evaluation_log import read_log
 
 TABLES = ("parameters", "errors", "effects", "findings", "residuals", "trajectories")
 WHOLE_LIBRARY = ["closed_loop.effects=[]", "closed_loop.sites=[]"]

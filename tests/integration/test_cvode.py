@@ -16,12 +16,12 @@ from references import robertson
 from stiff_models import fed, oscillation, reaction, van_der_pol
 
 from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
-from workers.description import describe
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
-from workers.kernels import sundials
+from workers.fmu.description import describe
+from workers.kernels.solvers import sundials
 from workers.messages import Effect, Model, Status, Task
-from workers.simulate import Simulator
+from workers.simulation.simulator import Simulator
 from workers.wire import Batch
 
 TOLERANCES = (1e-5, 1e-7, 1e-9)

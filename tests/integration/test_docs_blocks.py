@@ -16,12 +16,12 @@ from docs_blocks import BLOCKS, COMMANDS, Block, complete
 from problems import ROOT
 
 import cluster_est as ce
-from cluster_est import cli
-from cluster_est.build import build_method
-from cluster_est.config import parse_config
+from cluster_est.cli import main as cli
+from cluster_est.config.build import build_method
+from cluster_est.config.reader import parse_config
+from cluster_est.config.sections.sweep import SweepSections
 from cluster_est.costs import COSTS
 from cluster_est.methods import METHODS
-from cluster_est.sweep_sections import SweepSections
 from workers.effects import forms
 
 EXAMPLE = ROOT / "configs" / "data" / "mass_spring_damper"

@@ -296,7 +296,7 @@ def test_a_declared_effect_is_fitted_together_with_the_parameters():
     ],
 )
 def test_an_effect_that_cannot_be_is_refused_with_a_sentence(effect, phrases):
-    from workers.description import describe
+    from workers.fmu.description import describe
 
     with pytest.raises(EffectError) as refused:
         define(effect, describe(FMU.name, FMU.read_bytes()), "model_exchange")
@@ -305,7 +305,7 @@ def test_an_effect_that_cannot_be_is_refused_with_a_sentence(effect, phrases):
 
 
 def test_co_simulation_closes_the_sites_at_derivatives():
-    from workers.description import describe
+    from workers.fmu.description import describe
 
     description = describe(FMU.name, FMU.read_bytes())
     kinds = {site.kind for site in open_sites(description, "co_simulation")}

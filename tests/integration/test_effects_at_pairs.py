@@ -7,11 +7,11 @@ import pytest
 from problems import ROOT
 from scipy.integrate import solve_ivp
 
-from workers.description import describe
 from workers.effects.definition import define
 from workers.effects.site import open_pairs, parse_site
 from workers.effects.units import coefficient_units
 from workers.evaluate import Evaluator
+from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
 from workers.wire import Batch
 

@@ -15,7 +15,7 @@ from fmpy import extract, read_model_description
 from fmpy.validation import validate_fmu
 from lxml import etree
 
-from cluster_est.cli import BAD_INPUT, DONE, main
+from cluster_est.cli.entry_point import BAD_INPUT, DONE, main
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 EFFECT = """

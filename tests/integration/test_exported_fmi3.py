@@ -19,7 +19,7 @@ from cluster_est.export.fmi3_document import as_fmi_2
 from cluster_est.export.fmi3_variables import flatten
 from cluster_est.export.fmu import write_fmu
 from cluster_est.export.layout import lay_out
-from workers.description import describe
+from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Model, Output, Solver
 
 pytestmark = needs_compiler

@@ -15,8 +15,8 @@ from problems import FMU
 from springs_with_effects import FORCE, START, TIMES, C, K, M, plain, pushed, solve
 
 from cluster_est.export.fmu import write_fmu
-from workers.description import describe
 from workers.evaluate import Evaluator
+from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
 from workers.wire import Batch
 

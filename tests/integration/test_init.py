@@ -20,9 +20,9 @@ from cluster_est.drafting.candidates import candidates
 from cluster_est.drafting.columns import Column, read_columns
 from cluster_est.drafting.matching import match
 from cluster_est.drafting.units import conversion, same_unit
-from cluster_est.space import make_space
-from workers.description import describe
-from workers.variables import Variable
+from cluster_est.problem.space import make_space
+from workers.fmu.description import describe
+from workers.fmu.variable import Variable
 
 TIMES = np.arange(50) * 0.02
 FORCE = np.where(TIMES > 0.1, 1.0, 0.0)

@@ -9,9 +9,9 @@ import pytest
 from problems import FMU, ROOT
 from springs_with_effects import FORCE, START, TIMES, C, K, M, plain, solve
 
-from cluster_est.evaluation_log import EvaluationLog, read_log
 from cluster_est.executors.local import LocalExecutor
-from cluster_est.runner import Runner
+from cluster_est.run_folder.evaluation_log import EvaluationLog, read_log
+from cluster_est.running.runner import Runner
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Status, Task

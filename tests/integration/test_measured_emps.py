@@ -11,7 +11,7 @@ from problems import ROOT
 from scipy.io import loadmat
 
 from cluster_est import build_problem, fit
-from cluster_est.config import parse_config
+from cluster_est.config.reader import parse_config
 
 FILES = {"no pulses": "emps/DATA_EMPS.mat", "pulses": "emps/DATA_EMPS_PULSES.mat"}
 COULOMB = {

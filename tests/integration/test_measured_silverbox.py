@@ -9,7 +9,7 @@ from measured import measured
 from problems import ROOT
 
 from cluster_est import build_problem, fit
-from cluster_est.config import parse_config
+from cluster_est.config.reader import parse_config
 
 CUBIC = {
     "name": "cubic",

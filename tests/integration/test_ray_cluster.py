@@ -14,9 +14,9 @@ from ray.cluster_utils import Cluster
 
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.executors.ray_pool import RayPool
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import make_space
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.space import make_space
+from cluster_est.running.runner import Runner, SearchRequest
 
 
 @pytest.fixture

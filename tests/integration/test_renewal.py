@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from cluster_est import renewal
 from cluster_est.cli import main
+from cluster_est.running import reset_policy as renewal
 
 Give = Callable[[str, int], Path]
 Fit = Callable[..., int]

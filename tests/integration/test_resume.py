@@ -18,10 +18,10 @@ from cut_logs import cut
 from problems import ROOT
 
 from cluster_est.cli import main
-from cluster_est.evaluation_log import read_log
+from cluster_est.config.toml import to_toml
 from cluster_est.executors.local import LocalExecutor
-from cluster_est.run_lock import locked
-from cluster_est.toml import to_toml
+from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.run_folder.lock import locked
 from workers.messages import Outcome
 
 CONFIG = str(ROOT / "configs" / "mass_spring_damper.toml")
@@ -157,7 +157,7 @@ def test_a_run_of_threads_can_be_resumed_by_one(tmp_path: Path, simulated: list[
 def test_a_log_that_was_shrunk_is_enough(
     tmp_path: Path, simulated: list[Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cluster_est.evaluation_log.ROWS_PER_WRITE", 20)
+    monkeypatch.setattr("cluster_est.run_folder.evaluation_log.ROWS_PER_WRITE", 20)
     run, limit = tmp_path / "run", "log.max_megabytes=0.3"
     assert fit(run, limit) == 0
     tables, log = contents(run), read_log(run / "evaluations")

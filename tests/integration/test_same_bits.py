@@ -7,7 +7,7 @@ import pytest
 from problems import ROOT
 
 from cluster_est.cli import main
-from cluster_est.evaluation_log import read_log
+from cluster_est.run_folder.evaluation_log import read_log
 
 EXECUTORS = {
     "local-1": ["executor.name=local"],

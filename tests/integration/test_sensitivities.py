@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.methods.sqp import Sqp
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.sqp.method import Sqp
 from workers.evaluate import Evaluator
 from workers.messages import Curve, FloatArray, Model, Outcome, SignalBound, Task
 from workers.wire import Answers, Batch

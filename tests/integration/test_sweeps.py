@@ -13,13 +13,13 @@ import pytest
 import ray
 from problems import ROOT
 
-from cluster_est import sweep_run
 from cluster_est.cli import main
+from cluster_est.config.toml import to_toml
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.local import LocalExecutor
-from cluster_est.run_folder import RunFolder
-from cluster_est.sweep_lock import locked
-from cluster_est.toml import to_toml
+from cluster_est.run_folder.folder import RunFolder
+from cluster_est.sweep import run as sweep_run
+from cluster_est.sweep.lock import locked
 
 STARTS = {"name": "start", "key": "parameters.m.start", "values": [1.0, 3.0]}
 DATA = {

@@ -11,10 +11,10 @@ from scipy.integrate import solve_ivp
 from third_party import third_party_fmus
 from try_fmus import attempt, trial
 
-from workers.description import describe
 from workers.evaluate import Evaluator
-from workers.guard import Guard
+from workers.fmu.description import describe
 from workers.messages import Experiment, Input, Limits, Model, Output, Solver, Task
+from workers.process.supervisor import Guard
 from workers.wire import Batch
 
 SPRINGS = ("MassSpringSubSystem1", "MassSpringSubSystem2", "MassSpringSystem")

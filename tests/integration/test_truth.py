@@ -9,7 +9,7 @@ from problems import spring_problem
 from scipy.optimize import least_squares
 
 from cluster_est import LeastSquares, Solver, fit
-from cluster_est.methods.scipy_least_squares import ScipyLeastSquares
+from cluster_est.methods.least_squares.scipy_least_squares import ScipyLeastSquares
 
 METHODS = [
     LeastSquares(),

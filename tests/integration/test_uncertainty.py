@@ -20,9 +20,9 @@ from cluster_est import (
     Resources,
     Solver,
 )
-from cluster_est.resources import open_executor
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import make_space
+from cluster_est.problem.space import make_space
+from cluster_est.running.resources import open_executor
+from cluster_est.running.runner import Runner, SearchRequest
 from cluster_est.uncertainty import (
     UncertaintySettings,
     assess,

@@ -20,8 +20,8 @@ from cluster_est.methods.base import Progress
 from cluster_est.report import watch as watching
 from cluster_est.report.watch import Follower, View, follow
 from cluster_est.report.watch_printing import WatchTable, rendered
-from cluster_est.run_folder import RunFolder
-from cluster_est.run_records import Iteration, Origin, Snapshot
+from cluster_est.run_folder.folder import RunFolder
+from cluster_est.running.records import Iteration, Origin, Snapshot
 from workers.messages import Outcome, Status
 
 

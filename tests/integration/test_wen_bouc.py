@@ -19,9 +19,9 @@ from scipy.integrate import solve_ivp
 from cluster_est import Result, build_problem, fit, read_config
 from cluster_est.cli import main
 from cluster_est.methods import Method
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.methods.sqp import Sqp
-from cluster_est.runner import Iteration
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.sqp.method import Sqp
+from cluster_est.running.runner import Iteration
 
 CONFIGS = ROOT / "configs"
 FREE, TOLERANCES = (CONFIGS / f"wen_bouc_spring{end}.toml" for end in ("", "_tolerances"))

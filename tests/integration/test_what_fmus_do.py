@@ -14,8 +14,8 @@ import pytest
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
-from workers.guard import Guard
 from workers.messages import Experiment, Limits, Model, Output, Solver, Task
+from workers.process.supervisor import Guard
 from workers.wire import Batch
 
 Give = Callable[[str, int], Path]

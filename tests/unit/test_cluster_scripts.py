@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from cluster_est.cli import _parse
+from cluster_est.cli.entry_point import _parse
 
 FOLDER = Path(__file__).parents[2] / "scripts" / "cluster"
 SHELL = sorted(FOLDER.glob("*.sh"))

@@ -10,11 +10,11 @@ from functools import lru_cache
 import numpy as np
 import sympy as sp
 
-from workers.description import Description
 from workers.effects.expression import parse
 from workers.effects.forms import Coefficient, Form, form, positive
 from workers.effects.site import Site, check_site, parse_site
 from workers.errors import EffectError
+from workers.fmu.description import Description
 from workers.messages import Effect, FloatArray, Interface
 
 TIME, SIGNAL = sp.Symbol("t", real=True), sp.Symbol("s", real=True)

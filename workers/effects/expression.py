@@ -13,8 +13,8 @@ from typing import Any
 
 import sympy as sp
 
-from workers.description import nearest
 from workers.errors import EffectError
+from workers.fmu.description import nearest
 
 FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
     "abs": sp.Abs,

@@ -11,9 +11,9 @@ A form of your own is one entry here, or an expression in a config.
 
 from __future__ import annotations
 
-from workers.description import nearest
 from workers.effects.kinds import Coefficient, Form, OwnState, SiteKind, positive
 from workers.errors import EffectError
+from workers.fmu.description import nearest
 
 __all__ = ["FORMS", "Coefficient", "Form", "OwnState", "SiteKind", "form", "positive"]
 

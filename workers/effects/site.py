@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 from itertools import combinations
 
-from workers.description import Description, nearest
 from workers.effects.kinds import SiteKind
 from workers.errors import EffectError
+from workers.fmu.description import Description, nearest
 from workers.messages import Interface
 
 _PATTERNS: dict[SiteKind, str] = {

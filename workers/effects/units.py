@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from workers.description import Description
 from workers.effects.definition import Definition, split_variable
+from workers.fmu.description import Description
 
 UNKNOWN = "?"
 _WORD = re.compile(r"(site|other|travel|second|v|w|s)(\^[\d.]+)?")

@@ -11,21 +11,21 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from workers.kernels.calling import inlined, kernel
-from workers.kernels.dormand_prince import adaptive_steps
-from workers.kernels.failure import EVENT, FINISHED, OUTPUT, failed
-from workers.kernels.hooks import take_point
-from workers.kernels.model_exchange import arrive, start
-from workers.kernels.moving import go_to, record_outputs, slopes_here
-from workers.kernels.rk4 import equal_steps
-from workers.kernels.values import DISCARD, get_values, set_reals
+from workers.kernels.fmi.calling import inlined, kernel
+from workers.kernels.fmi.failure import EVENT, FINISHED, OUTPUT, failed
+from workers.kernels.fmi.hooks import take_point
+from workers.kernels.fmi.values import DISCARD, get_values, set_reals
+from workers.kernels.model_exchange.moving import go_to, record_outputs, slopes_here
+from workers.kernels.model_exchange.solver_steps import arrive, start
+from workers.kernels.solvers.dormand_prince import adaptive_steps
+from workers.kernels.solvers.rk4 import equal_steps
 from workers.messages import FloatArray, IntArray
 
 ADAPTIVE, FIXED, GIVEN = range(3)
 """Ways to go from each time of the grid to the next."""
 
 LINEARISATION = 9
-"""A code beside those of `workers.kernels.failure`."""
+"""A code beside those of `workers.kernels.fmi.failure`."""
 
 SENTENCES = {LINEARISATION: "the FMU could not answer close to its trajectory"}
 

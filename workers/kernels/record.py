@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from numba.core.types import float64, int32, intp
 
-from workers.kernels.calling import address_of, c_function, inlined, kernel
+from workers.kernels.fmi.calling import address_of, c_function, inlined, kernel
 from workers.messages import FloatArray
 
 

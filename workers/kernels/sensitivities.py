@@ -1,16 +1,16 @@
-"""One simulation with the sensitivities of its outputs; see `workers.kernels.forward`."""
+"""One simulation with the sensitivities of its outputs, carried along by the solver's own steps."""
 
 from __future__ import annotations
 
-from workers.kernels.calling import kernel
-from workers.kernels.dormand_prince import adaptive_steps
-from workers.kernels.failure import FINISHED, HAS_EVENTS, OUTPUT, SENSITIVITIES, failed
-from workers.kernels.fmi import get_directional_derivative
-from workers.kernels.forward import instance_of, record_sensitivities
-from workers.kernels.model_exchange import start
-from workers.kernels.moving import record_outputs
-from workers.kernels.rk4 import equal_steps
-from workers.kernels.values import DISCARD
+from workers.kernels.fmi.calling import kernel
+from workers.kernels.fmi.failure import FINISHED, HAS_EVENTS, OUTPUT, SENSITIVITIES, failed
+from workers.kernels.fmi.functions import get_directional_derivative
+from workers.kernels.fmi.values import DISCARD
+from workers.kernels.model_exchange.forward_sensitivities import instance_of, record_sensitivities
+from workers.kernels.model_exchange.moving import record_outputs
+from workers.kernels.model_exchange.solver_steps import start
+from workers.kernels.solvers.dormand_prince import adaptive_steps
+from workers.kernels.solvers.rk4 import equal_steps
 
 
 @kernel

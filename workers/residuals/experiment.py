@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.grid import Grid
 from workers.messages import Experiment, FloatArray
 from workers.residuals.base import Comparison, Simulated
 from workers.residuals.bounds import SignalBounds
@@ -14,6 +13,7 @@ from workers.residuals.curve import CurveDistances, CurveTolerances
 from workers.residuals.functions import UserFunction
 from workers.residuals.measured_times import MeasuredTimes
 from workers.residuals.slopes import comparison_slopes
+from workers.simulation.grid import Grid
 
 
 class Judged(NamedTuple):

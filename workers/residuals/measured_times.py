@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from workers.grid import Grid
 from workers.messages import FloatArray
 from workers.residuals.base import Compared, Comparison, Simulated
+from workers.simulation.grid import Grid
 
 
 class MeasuredTimes(Comparison):

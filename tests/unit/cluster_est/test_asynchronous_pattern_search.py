@@ -10,11 +10,11 @@ from moody_executor import MoodyExecutor
 from rough_problems import ROUGH
 
 from cluster_est.executors.virtual import VirtualExecutor
-from cluster_est.methods.asynchronous_pattern_search import AsynchronousPatternSearch
 from cluster_est.methods.base import Ending, Method, Solution
-from cluster_est.methods.pattern_search import PatternSearch
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import make_space
+from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
+from cluster_est.methods.pattern_search.method import PatternSearch
+from cluster_est.problem.space import make_space
+from cluster_est.running.runner import Runner, SearchRequest
 
 METHOD = AsynchronousPatternSearch()
 OTHER_MINIMA = {"freudenstein roth": 48.98425, "hs15": 360.379767}

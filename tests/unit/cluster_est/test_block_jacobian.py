@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.methods.active_set import within_bounds
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.block_step import BlockStepSolver
+from cluster_est.methods.least_squares.active_set import within_bounds
+from cluster_est.methods.least_squares.block_step import BlockStepSolver
 
 DAMPINGS = (1e-14, 1e-6, 1e-3, 1.0, 1e6)
 

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from cluster_est.code import Code
+from cluster_est.config.user_code import Code
 from cluster_est.errors import ClusterEstError, ConfigError, ModelError
 from workers.residuals.functions import load
 

@@ -16,8 +16,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from cluster_est.data import read_table
 from cluster_est.errors import DataError
+from cluster_est.problem.data import read_table
 
 TIMES = [0.0, 0.5, 1.0]
 COLUMNS = {"t": TIMES, "y": [1.0, 2.0, 4.0]}

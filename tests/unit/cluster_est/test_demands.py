@@ -10,9 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from spoiled import valid_tree
 
-from cluster_est.code import Code
-from cluster_est.config import Config, parse_config
-from cluster_est.demands import constraint_functions, parameter_constraints, signal_bounds
+from cluster_est.config.constraints import (
+    constraint_functions,
+    parameter_constraints,
+    signal_bounds,
+)
+from cluster_est.config.reader import Config, parse_config
+from cluster_est.config.user_code import Code
 from cluster_est.errors import ClusterEstError, ConfigError
 from workers.messages import Output, SignalBound
 from workers.residuals.base import Simulated

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from unloaded_problems import unloaded_problem
 
 from cluster_est.errors import ProblemError
-from cluster_est.problem import Parameter
-from cluster_est.space import make_space
+from cluster_est.problem.problem import Parameter
+from cluster_est.problem.space import make_space
 
 
 def derived(name: str, expression: str, **more: object) -> Parameter:

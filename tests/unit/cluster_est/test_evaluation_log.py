@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from cluster_est import evaluation_log
 from cluster_est.errors import RunFolderError
-from cluster_est.evaluation_log import SCHEMA, EvaluationLog, LogSettings, read_log
-from cluster_est.log_format import END_OF_STREAM, mend
-from cluster_est.logged import LoggedOutcomes
-from cluster_est.runner import Origin
+from cluster_est.run_folder import evaluation_log
+from cluster_est.run_folder.evaluation_log import SCHEMA, EvaluationLog, LogSettings, read_log
+from cluster_est.run_folder.log_format import END_OF_STREAM, mend
+from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.running.runner import Origin
 from workers.messages import Effect, Outcome, Status, Trajectory
 
 EXPERIMENTS = [("first", "key1"), ("second", "key2")]

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cluster_est.errors import ClusterEstError, ProblemError
-from cluster_est.formulas import Formula, parse_constraint
+from cluster_est.problem.formulas import Formula, parse_constraint
 
 NAMES = ("a", "b", "motor.k")
 COLUMNS = {

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from function_problems import PROBLEMS, FunctionExecutor
 
-from cluster_est.interrupts import Interrupts, later, stopped_by, terminations
 from cluster_est.methods.base import Ending
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import make_space
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.space import make_space
+from cluster_est.running.interrupts import Interrupts, later, stopped_by, terminations
+from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import Status
 
 

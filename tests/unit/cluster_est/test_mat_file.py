@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat, whosmat
 
-from cluster_est.data import read_table
 from cluster_est.errors import DataError
-from cluster_est.mat_file import contents
+from cluster_est.problem.data import read_table
+from cluster_est.problem.mat_file import contents
 
 VARIABLES = {
     "t": np.linspace(0.0, 1.0, 5),

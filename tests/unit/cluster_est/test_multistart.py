@@ -15,9 +15,10 @@ from moody_executor import MoodyExecutor
 
 from cluster_est import Budget, LeastSquares
 from cluster_est.errors import ProblemError
-from cluster_est.formulas import parse_constraint
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
-from cluster_est.multistart import (
+from cluster_est.problem.formulas import parse_constraint
+from cluster_est.problem.space import Space, make_space
+from cluster_est.running.multistart import (
     Found,
     Multistart,
     cluster,
@@ -25,8 +26,7 @@ from cluster_est.multistart import (
     sample,
     search_from_starts,
 )
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import Space, make_space
+from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import Outcome, Status, Task
 
 MINIMA = np.array(

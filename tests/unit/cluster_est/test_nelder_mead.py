@@ -12,10 +12,10 @@ from scipy.optimize import minimize
 
 from cluster_est.costs.total import Total
 from cluster_est.errors import ProblemError
-from cluster_est.judging import judge
 from cluster_est.methods.base import Ending, Solution
-from cluster_est.methods.nelder_mead import NelderMead
-from cluster_est.space import make_space
+from cluster_est.methods.simplex.nelder_mead import NelderMead
+from cluster_est.problem.space import make_space
+from cluster_est.running.evaluation import judge
 
 TIGHT = NelderMead(bounds="enforce", xtol=1e-8, ftol=1e-12)
 HALVES = replace(TIGHT, parallel=2)

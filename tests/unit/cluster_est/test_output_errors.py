@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cluster_est.output_errors import OutputError, worse_than_constants
+from cluster_est.results.output_errors import OutputError, worse_than_constants
 
 
 def error(experiment: str, output: str, relative: float, role: str = "train") -> OutputError:

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from unloaded_problems import unloaded_problem
 
 from cluster_est.errors import ProblemError
-from cluster_est.judging import judge, violation
 from cluster_est.methods.base import Evaluation
-from cluster_est.problem import Parameter
-from cluster_est.space import make_space
+from cluster_est.problem.problem import Parameter
+from cluster_est.problem.space import make_space
+from cluster_est.running.evaluation import judge, violation
 from workers.messages import Function, Outcome, SignalBound, Status
 
 PER = [None, "experiment", "group:rig", "group:day"]

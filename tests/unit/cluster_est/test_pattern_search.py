@@ -14,10 +14,10 @@ from unloaded_problems import unloaded_problem
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Evaluation, Points
-from cluster_est.methods.pattern_search import PatternSearch
-from cluster_est.problem import Parameter
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import make_space
+from cluster_est.methods.pattern_search.method import PatternSearch
+from cluster_est.problem.problem import Parameter
+from cluster_est.problem.space import make_space
+from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import Outcome, Status
 
 EIGHT = FunctionProblem("eight", lambda x: x - np.arange(8.0), (5.0,) * 8, 0.0)

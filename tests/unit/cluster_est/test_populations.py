@@ -25,16 +25,16 @@ from cluster_est.costs.sum_absolute import SumAbsolute
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.costs.total import Total
 from cluster_est.errors import ProblemError
-from cluster_est.judging import judge
 from cluster_est.methods.base import Ending
-from cluster_est.methods.cmaes import Cmaes
-from cluster_est.methods.differential_evolution import DifferentialEvolution
-from cluster_est.methods.genetic import Genetic
-from cluster_est.methods.isres import Isres
-from cluster_est.methods.nsga2 import Nsga2
-from cluster_est.methods.particle_swarm import ParticleSwarm
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import make_space
+from cluster_est.methods.populations.cmaes import Cmaes
+from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
+from cluster_est.methods.populations.genetic import Genetic
+from cluster_est.methods.populations.isres import Isres
+from cluster_est.methods.populations.nsga2 import Nsga2
+from cluster_est.methods.populations.particle_swarm import ParticleSwarm
+from cluster_est.problem.space import make_space
+from cluster_est.running.evaluation import judge
+from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import Function, Outcome, Status
 
 SHIFT = np.array([0.3, -0.7, 0.11])

@@ -7,10 +7,10 @@ import math
 
 from rich.console import Console
 
+from cluster_est.cli.progress import STARTING, ProgressLine, line
 from cluster_est.methods.base import Progress
-from cluster_est.progress import STARTING, ProgressLine, line
-from cluster_est.run_records import Snapshot
-from cluster_est.runner import Budget
+from cluster_est.running.records import Snapshot
+from cluster_est.running.runner import Budget
 
 
 def snapshot(cost: float, failures: int = 0) -> Snapshot:

@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from cluster_est import progress_file
 from cluster_est.methods.base import Progress
-from cluster_est.progress_file import ProgressFile, ProgressTail
-from cluster_est.run_records import Iteration, Snapshot
+from cluster_est.run_folder import progress_file
+from cluster_est.run_folder.progress_file import ProgressFile, ProgressTail
+from cluster_est.running.records import Iteration, Snapshot
 
 
 def line(search: str, number: int, cost: float, ending: str = "") -> Iteration:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, minimize
 
-from cluster_est.methods.quadratic_program import Model, penalised_step
+from cluster_est.methods.sqp.quadratic_program import Model, penalised_step
 
 SEEDS = range(20)
 

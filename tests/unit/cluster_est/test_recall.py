@@ -11,14 +11,14 @@ from cut_logs import cut
 from function_problems import FunctionProblem
 from moody_executor import MoodyExecutor
 
-from cluster_est.evaluation_log import EvaluationLog, LogSettings, read_log
-from cluster_est.executors.recall import Recall
-from cluster_est.logged import LoggedOutcomes
-from cluster_est.methods.asynchronous_pattern_search import AsynchronousPatternSearch
+from cluster_est.executors.log_replay import Recall
 from cluster_est.methods.base import Solution
-from cluster_est.run_records import Origin
-from cluster_est.runner import Runner, SearchRequest
-from cluster_est.space import make_space
+from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
+from cluster_est.problem.space import make_space
+from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings, read_log
+from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.running.records import Origin
+from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import Outcome, Status, Task, Trajectory
 
 PROBLEM = FunctionProblem(

@@ -10,15 +10,10 @@ import pytest
 from problems import ROOT
 from pydantic import BaseModel
 
-from cluster_est import (
-    LeastSquares,
-    LoopSettings,
-    build_problem,
-    config,
-    read_config,
-)
-from cluster_est.build import build_settings
-from cluster_est.config import parse_config
+from cluster_est import LeastSquares, LoopSettings, build_problem, read_config
+from cluster_est.config import reader as config
+from cluster_est.config.build import build_settings
+from cluster_est.config.reader import parse_config
 
 REFERENCE = ROOT / "configs" / "reference.toml"
 SECTIONS = {

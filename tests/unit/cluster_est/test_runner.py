@@ -22,10 +22,10 @@ from cluster_est.methods.base import (
     Search,
     Solution,
 )
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.problem import Parameter, Problem
-from cluster_est.runner import Budget, Origin, Runner, SearchRequest, Snapshot
-from cluster_est.space import Space, make_space
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.space import Space, make_space
+from cluster_est.running.runner import Budget, Origin, Runner, SearchRequest, Snapshot
 from workers.messages import Experiment, FloatArray, Model, Outcome, Output, Solver, Status, Task
 
 TIMES = np.linspace(0.0, 2.0, 15)

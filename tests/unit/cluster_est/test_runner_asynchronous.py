@@ -22,10 +22,10 @@ from cluster_est.methods.base import (
     Search,
     Solution,
 )
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.problem import Parameter
-from cluster_est.runner import Budget, Iteration, Runner, SearchRequest
-from cluster_est.space import Space, make_space
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.problem import Parameter
+from cluster_est.problem.space import Space, make_space
+from cluster_est.running.runner import Budget, Iteration, Runner, SearchRequest
 from workers.messages import Outcome, Status, Task
 
 SEEDS = st.integers(0, 2**32 - 1)

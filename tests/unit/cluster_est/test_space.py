@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cluster_est.errors import ProblemError
-from cluster_est.problem import Parameter, Problem
-from cluster_est.space import Space, make_space
+from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.space import Space, make_space
 from workers.messages import Experiment, Model, Output, Solver
 
 PER = [None, "experiment", "group:rig", "group:day"]

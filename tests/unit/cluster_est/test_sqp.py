@@ -12,9 +12,9 @@ from scipy.optimize import minimize, minimize_scalar
 
 from cluster_est.costs.robust import Cauchy, Huber
 from cluster_est.methods.base import Ending, Points
-from cluster_est.methods.sequential import Settings, sequential_search
-from cluster_est.methods.sqp import Sqp
-from cluster_est.space import make_space
+from cluster_est.methods.sqp.method import Sqp
+from cluster_est.methods.sqp.trust_region import Settings, sequential_search
+from cluster_est.problem.space import make_space
 
 METHODS = [
     Sqp(),

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cluster_est.time_base import compared_at, counted, snapped, weighted
+from cluster_est.config.time_base import compared_at, counted, snapped, weighted
 from workers.messages import Output
 
 FAST = Output("x", np.array([0.0, 1.0, 2.0, 3.0, 4.0]), np.array([0.0, 10.0, 20.0, 10.0, 0.0]))

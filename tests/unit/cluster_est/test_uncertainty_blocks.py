@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, null_space
 
-from cluster_est.uncertainty.blocks import Block, Limits, covariance, factorise
+from cluster_est.uncertainty.covariance.blocks import Block, Limits, covariance, factorise
 
 
 def random_blocks(seed, shared=3, sizes=((20, 2), (15, 0), (30, 4), (6, 6))):

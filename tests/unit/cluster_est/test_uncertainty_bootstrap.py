@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from cluster_est import LeastSquares, Parameter
 from cluster_est.errors import ProblemError
-from cluster_est.runner import Budget, Runner, SearchRequest
+from cluster_est.running.runner import Budget, Runner, SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap, check_bootstrap
 from cluster_est.uncertainty.bootstrap import percentile_interval
 from cluster_est.uncertainty.rows import bootstrap_rows, interval_rows

@@ -15,10 +15,10 @@ from cluster_est.costs.likelihood import GaussianLikelihood
 from cluster_est.costs.sum_absolute import SumAbsolute
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Points, Solution
-from cluster_est.runner import Budget, Runner, SearchRequest
+from cluster_est.running.runner import Budget, Runner, SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, check_profiles, profiles, select
+from cluster_est.uncertainty.profiles.walk import Walk
 from cluster_est.uncertainty.rows import interval_rows, profile_rows
-from cluster_est.uncertainty.walk import Walk
 
 TIMES = np.linspace(0.0, 3.0, 20)
 METHOD = LeastSquares()

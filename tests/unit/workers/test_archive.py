@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from spoiled import LIBRARY, spoiled_fmu
 
-from workers import archive
-from workers.archive import open_archive, unpack
 from workers.errors import ModelError
+from workers.fmu import archive
+from workers.fmu.archive import open_archive, unpack
 
 FMU = spoiled_fmu()
 CHANCE = random.Random(1)

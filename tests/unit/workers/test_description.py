@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from spoiled import GUID, LIBRARY, XML, rename, spoiled_fmu
 
-from workers.description import describe, nearest
 from workers.errors import ModelError
+from workers.fmu.description import describe, nearest
 
 
 def replaced(content: bytes) -> bytes:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from described import END, HEAD_3, fmi3, read
 
-from workers import description_arrays
-from workers.description_structure import Dependency
 from workers.errors import ModelError
+from workers.fmu import arrays as description_arrays
+from workers.fmu.structure import Dependency
 
 TIME = '<Float64 name="time" valueReference="0" causality="independent"/>'
 SPRING = (

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from spoiled import spoiled_fmu
 
-from workers.description import describe
 from workers.errors import ModelError
+from workers.fmu.description import describe
 
 
 def real(name: str, reference: str | int, attributes: str = "", value: str = "") -> str:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from problems import FMU
 
-from workers.communication import communication_notes
-from workers.description import describe
 from workers.errors import ModelError
-from workers.install import install
+from workers.fmu.description import describe
 from workers.messages import Experiment, Input, Model, Output, Solver
+from workers.simulation.bind_experiment import install
+from workers.simulation.fixed_step import communication_notes
 
 DESCRIPTION = replace(
     describe(FMU.name, FMU.read_bytes()), variable_steps=False, fixed_internal_step=None

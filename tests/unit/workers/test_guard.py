@@ -14,7 +14,6 @@ import pytest
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
-from workers.guard import Guard
 from workers.messages import (
     USUAL,
     Experiment,
@@ -27,6 +26,7 @@ from workers.messages import (
     Status,
     Task,
 )
+from workers.process.supervisor import Guard
 from workers.wire import Batch
 
 CRASHES, ABORTS, EXITS, HANGS, EATS_MEMORY = 1.0, 2.0, 3.0, 4.0, 5.0
@@ -197,7 +197,7 @@ def test_even_without_the_process_that_forks_it_goes_on(open_guard):
 
 
 def test_after_a_while_without_failures_tasks_travel_in_batches_again(open_guard, monkeypatch):
-    monkeypatch.setattr("workers.guard.CAREFUL", 20)
+    monkeypatch.setattr("workers.process.supervisor.CAREFUL", 20)
     guard = open_guard(QUICK)
     in_batches(guard, tasks(RATES))
     os.kill(guard._child[0], signal.SIGKILL)

@@ -12,18 +12,18 @@ from ctypes import c_double, c_int32, c_size_t, c_void_p
 import numpy as np
 import pytest
 
-from workers.grid import Grid, build_grid
-from workers.kernels import failure
-from workers.kernels.asked import Asked
-from workers.kernels.component import Component, References, Starts, nothing_loaded, workspace
-from workers.kernels.cvode import CvodeBatch
-from workers.kernels.hooks import no_hooks
-from workers.kernels.initialise import Settings
-from workers.kernels.sundials import Jacobian
-from workers.kernels.values import Access
-from workers.loop import BATCHES as LOOPS
-from workers.loop import Batch
+from workers.kernels.fmi import failure
+from workers.kernels.fmi.arguments import Asked
+from workers.kernels.fmi.component import Component, References, Starts, nothing_loaded, workspace
+from workers.kernels.fmi.hooks import no_hooks
+from workers.kernels.fmi.initialise import Settings
+from workers.kernels.fmi.values import Access
+from workers.kernels.solvers.cvode import CvodeBatch
+from workers.kernels.solvers.sundials import Jacobian
 from workers.messages import Experiment, FloatArray, Output
+from workers.simulation.grid import Grid, build_grid
+from workers.simulation.integrator import BATCHES as LOOPS
+from workers.simulation.integrator import Batch
 
 OK, DISCARD, ERROR, FATAL = 0, 2, 3, 4
 TIMES = np.linspace(0.0, 2.0, 5)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from spoiled import FMU, LIBRARY
 
-from workers.libraries import about_licence, missing_libraries, why_not_loaded
+from workers.fmu.binary_dependencies import about_licence, missing_libraries, why_not_loaded
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ELF is Linux's")
 

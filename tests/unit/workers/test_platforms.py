@@ -6,7 +6,7 @@ import pytest
 from described import fmi2
 
 from workers.errors import ModelError
-from workers.platforms import PLATFORM, PLATFORM_TUPLE, binary_path, platform_for
+from workers.fmu.platforms import PLATFORM, PLATFORM_TUPLE, binary_path, platform_for
 
 HERE = binary_path("2.0", "m")
 

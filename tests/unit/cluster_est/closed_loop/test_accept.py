@@ -14,15 +14,15 @@ from systems_with_missing_effects import (
     unfitted,
 )
 
-from cluster_est.closed_loop.accept import _left_out, predict, stays_bounded
-from cluster_est.closed_loop.base_fit import THOROUGH
-from cluster_est.closed_loop.candidates import make_candidates
+from cluster_est.closed_loop.candidates.make import make_candidates
+from cluster_est.closed_loop.selection.accept import _left_out, predict, stays_bounded
+from cluster_est.closed_loop.selection.declared_model import THOROUGH
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import Start
-from cluster_est.methods.least_squares import LeastSquares
-from cluster_est.methods.look import Look
-from cluster_est.runner import SearchRequest
-from cluster_est.space import make_space
+from cluster_est.methods.given_points import Look
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.space import make_space
+from cluster_est.running.runner import SearchRequest
 
 NAME = "mass_spring_damper"
 

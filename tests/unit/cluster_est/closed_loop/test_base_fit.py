@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from systems_with_missing_effects import measured, missing_effect_problem, opened, started
 
-from cluster_est.closed_loop.base_fit import THOROUGH, at_noise, fit_declared
+from cluster_est.closed_loop.selection.declared_model import THOROUGH, at_noise, fit_declared
 from cluster_est.closed_loop.workbench import Start
 from cluster_est.errors import ProblemError
 

@@ -9,8 +9,8 @@ import pytest
 from systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
 from cluster_est import Parameter
-from cluster_est.closed_loop.candidates import kinematic_states, make_candidates
-from cluster_est.closed_loop.equation import equation_text
+from cluster_est.closed_loop.candidates.equation import equation_text
+from cluster_est.closed_loop.candidates.make import kinematic_states, make_candidates
 from cluster_est.closed_loop.settings import LoopSettings
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site

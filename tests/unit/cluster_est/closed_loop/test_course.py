@@ -9,7 +9,7 @@ import pytest
 from systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
 from cluster_est import Parameter
-from cluster_est.closed_loop.course import pooled
+from cluster_est.closed_loop.candidates.trajectory import pooled
 from workers.messages import Effect, Input, Output
 
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
-from cluster_est.closed_loop import directions as module
-from cluster_est.closed_loop.candidates import make_candidates
-from cluster_est.closed_loop.directions import Trial, directions, discretise, propagate
+from cluster_est.closed_loop.candidates.make import make_candidates
+from cluster_est.closed_loop.screening import directions as module
+from cluster_est.closed_loop.screening.directions import Trial, directions, discretise, propagate
 from cluster_est.closed_loop.settings import LoopSettings
 from workers.messages import Linearisation
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.closed_loop.candidates import Candidate
-from cluster_est.closed_loop.drawn import _function, _spread, _variable
+from cluster_est.closed_loop.candidates.make import Candidate
+from cluster_est.closed_loop.findings.effect_curves import _function, _spread, _variable
 from workers.effects.forms import FORMS
 from workers.effects.site import Site
 from workers.messages import Effect

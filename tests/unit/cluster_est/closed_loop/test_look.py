@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cluster_est.methods.base import Ending, Evaluation
-from cluster_est.methods.look import Look
+from cluster_est.methods.given_points import Look
 from workers.messages import Outcome, Status
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from stacked_noise import stack
 
-from cluster_est.closed_loop.naming import _largest_difference, error_changes, where_left
+from cluster_est.closed_loop.findings.wording import _largest_difference, error_changes, where_left
 
 
 def errors(rmse, normalised):

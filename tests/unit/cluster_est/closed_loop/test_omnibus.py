@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import kstest
 from stacked_noise import stack
 
-from cluster_est.closed_loop import omnibus as module
-from cluster_est.closed_loop.omnibus import omnibus
-from cluster_est.closed_loop.projection import Projection
-from cluster_est.closed_loop.records import Records
+from cluster_est.closed_loop.statistics import omnibus as module
+from cluster_est.closed_loop.statistics.omnibus import omnibus
+from cluster_est.closed_loop.statistics.projection import Projection
+from cluster_est.closed_loop.statistics.records import Records
 
 RECORDS = stack(150, 100, 3, 1)
 TREND = np.concatenate([item.times for item in RECORDS.items])

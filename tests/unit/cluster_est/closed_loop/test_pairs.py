@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cluster_est.closed_loop.pairs import best_pairs
-from cluster_est.closed_loop.projection import Projection
-from cluster_est.closed_loop.score import score
+from cluster_est.closed_loop.selection.pairs import best_pairs
+from cluster_est.closed_loop.statistics.projection import Projection
+from cluster_est.closed_loop.statistics.score import score
 
 GENERATOR = np.random.default_rng(5)
 N, COUNT = 400, 60

@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from systems_with_missing_effects import SYSTEMS, missing_effect_problem, opened, unfitted
 
-from cluster_est.closed_loop.candidates import make_candidates
-from cluster_est.closed_loop.directions import Trial
-from cluster_est.closed_loop.probe import probe
+from cluster_est.closed_loop.candidates.make import make_candidates
+from cluster_est.closed_loop.screening.directions import Trial
+from cluster_est.closed_loop.screening.probe import probe
 from cluster_est.closed_loop.settings import LoopSettings
 
 FORMS = ("bias", "square", "saturation", "linear", "drift")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.closed_loop.projection import Projection
+from cluster_est.closed_loop.statistics.projection import Projection
 
 GENERATOR = np.random.default_rng(4)
 MATRIX = GENERATOR.standard_normal((60, 4))

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.closed_loop.rehearsal import LEAST_SAMPLES, enlarged, shortened
+from cluster_est.closed_loop.selection.synthetic_experiments import (
+    LEAST_SAMPLES,
+    enlarged,
+    shortened,
+)
 from workers.messages import Experiment, Input, Output
 
 T = np.linspace(10.0, 20.0, 101)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.closed_loop.course import Course
-from cluster_est.closed_loop.scales import Scales, oscillates
+from cluster_est.closed_loop.candidates.scales import Scales, oscillates
+from cluster_est.closed_loop.candidates.trajectory import Course
 from workers.effects.forms import FORMS, Coefficient
 from workers.effects.site import Site
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cluster_est.closed_loop.shapes import Signals, shape_of
+from cluster_est.closed_loop.candidates.shapes import Signals, shape_of
 from workers.effects.forms import FORMS
 
 T = np.linspace(0.0, 4.0, 401)

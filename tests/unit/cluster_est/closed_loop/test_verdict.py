@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from stacked_noise import stack
 
-from cluster_est.closed_loop.omnibus import Omnibus
-from cluster_est.closed_loop.result import Verdict
+from cluster_est.closed_loop.findings.result import Verdict
+from cluster_est.closed_loop.findings.verdict import judge
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.verdict import judge
+from cluster_est.closed_loop.statistics.omnibus import Omnibus
 
 RECORDS = stack(100, 100, 100, 100)
 FLOOR = 400.0

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import toeplitz
 from stacked_noise import autoregressive, stack
 
-from cluster_est.closed_loop.whitening import fit_autoregression, whiten
+from cluster_est.closed_loop.statistics.whitening import fit_autoregression, whiten
 
 TRUE = np.array([[1.2, -0.5], [0.8, 0.0]])
 

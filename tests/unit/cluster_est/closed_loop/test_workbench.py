@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from systems_with_missing_effects import measured, missing_effect_problem, opened, unfitted
 
-from cluster_est.closed_loop.base_fit import BRIEF
-from cluster_est.closed_loop.candidates import make_candidates
+from cluster_est.closed_loop.candidates.make import make_candidates
+from cluster_est.closed_loop.selection.declared_model import BRIEF
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import Meter, Start
-from cluster_est.runner import Origin
+from cluster_est.running.runner import Origin
 from workers.messages import Outcome, Status
 
 NAME = "mass_spring_damper"

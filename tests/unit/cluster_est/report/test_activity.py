@@ -6,8 +6,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from cluster_est.evaluation_log import SCHEMA
-from cluster_est.log_format import slim
 from cluster_est.report.activity import (
     Activity,
     ActivityTail,
@@ -15,6 +13,8 @@ from cluster_est.report.activity import (
     read_activity,
     without_breaks,
 )
+from cluster_est.run_folder.evaluation_log import SCHEMA
+from cluster_est.run_folder.log_format import slim
 
 
 def batch(rows: list[dict]) -> pa.RecordBatch:

@@ -1,0 +1,166 @@
+"""What a closed loop found, for a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from cluster_est.cli.printing import (
+    interval,
+    number,
+    print_run,
+    print_table,
+    read_facts,
+    read_run_table,
+    say,
+)
+
+Facts = Mapping[str, Any]
+
+
+def print_any_run(console: Console, run_folder: Path) -> None:
+    """A run of either kind.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no run.
+    """
+    facts = read_facts(run_folder)
+    if facts.get("verdict"):
+        print_loop(console, run_folder, facts)
+    else:
+        print_run(console, run_folder)
+
+
+def print_loop(console: Console, run_folder: Path, facts: Facts) -> None:
+    """Verdict, effects, parameters, errors before and after, and what to know."""
+    say(console, f"verdict: {facts['verdict']}: {facts['summary']}")
+    say(
+        console,
+        f"run {run_folder}: {facts['simulations']} simulations ({facts['failures']} failed), "
+        f"{facts['seconds']:.1f} s",
+    )
+    for effect in facts["effects"]:
+        _print_effect(console, effect)
+    _print_parameters(console, read_run_table(run_folder / "parameters.parquet"))
+    _print_errors(console, read_run_table(run_folder / "errors.parquet"), facts)
+    for note in facts["notes"]:
+        say(console, f"note: {note}")
+    _print_rest(console, facts)
+    if facts["effects"]:
+        say(console, "")
+        say(console, "to name what was found in the config, so that cluster-est fit estimates it:")
+        say(console, "")
+        say(console, "\n".join(effect["config"] for effect in facts["effects"]))
+    say(console, f"tables: {run_folder}/*.parquet")
+
+
+def _print_effect(console: Console, effect: Facts) -> None:
+    say(console, "")
+    say(console, f"effect {effect['name']} ({effect['family']}) at {effect['site']}")
+    say(console, f"  {effect['equation']}")
+    for name, row in effect["parameters"].items():
+        held = " (held)" if row["fixed"] else f"   95 %: {_range(row)}"
+        unit = f" {row['unit']}" if row["unit"] not in ("", "1") else ""
+        say(console, f"  {name} = {number(row['value'])}{unit}{held}")
+    for sentence in effect["evidence"]:
+        say(console, f"  {sentence}")
+    for other in effect["alternatives"]:
+        say(console, f"  cannot be told apart from: {_alternative(other)}")
+    if effect["alternatives"]:
+        say(console, "  (an experiment that dwells where they differ most would tell)")
+    else:
+        say(console, "  nothing else that was tried explains the data as well")
+
+
+def _range(row: Facts) -> str:
+    low, high = row["lower95"], row["upper95"]
+    if low is None or high is None:
+        return "not determined"
+    return f"{low:.5g} .. {high:.5g}"
+
+
+def _alternative(other: Facts) -> str:
+    """A rival, and where the data or another experiment would tell."""
+    text = f"{other['form']} at {other['site']}: {other['equation']}"
+    if other["criterion"] is not None:
+        text += f" (criterion {other['criterion']:+.1f})"
+    if other["experiment"] and other["time"] is not None and other["difference"] is not None:
+        text += (
+            f"; they differ most in {other['experiment']} at {other['time']:.4g} s, "
+            f"{other['output']} by {other['difference']:.2g} times the noise"
+        )
+    return text
+
+
+def _print_parameters(console: Console, rows: list[dict[str, Any]]) -> None:
+    header = ["parameter", "before", "95 % interval", "after", "95 % interval", "unit", "on", ""]
+    print_table(
+        console,
+        header,
+        [
+            (
+                row["label"],
+                _or_blank(row["value_before"]),
+                _before(row),
+                number(row["value"]),
+                interval(row),
+                row["unit"],
+                row["estimated_on"],
+                f"at its {row['at_bound']} bound" if row["at_bound"] else "",
+            )
+            for row in rows
+        ],
+    )
+
+
+def _or_blank(value: float) -> str:
+    return "" if math.isnan(value) else number(value)
+
+
+def _before(row: dict[str, Any]) -> str:
+    low, high = row["lower95_before"], row["upper95_before"]
+    return "" if math.isnan(low) or math.isnan(high) else f"{low:.5g} .. {high:.5g}"
+
+
+def _print_errors(console: Console, rows: list[dict[str, Any]], facts: Facts) -> None:
+    over = facts["errors_over"]
+    lines = [
+        (
+            row["experiment"],
+            row["role"],
+            row["output"],
+            str(row["samples"]),
+            number(row["rmse_before"]),
+            number(row["rmse_after"]),
+            row["unit"],
+            number(row["normalised_before"]),
+            number(row["normalised_after"]),
+        )
+        for row in rows
+    ]
+    for role, total in facts["errors"].items():
+        if any(row["role"] == role for row in rows):
+            pair = number(total["before"]), number(total["after"])
+            lines.append(("all", role, "", "", "", "", "", *pair))
+    header = ["experiment", "role", "output", "samples", "RMSE before", "after", "unit"]
+    print_table(console, [*header, f"over {over} before", "after"], lines)
+    say(console, "")
+
+
+def _print_rest(console: Console, facts: Facts) -> None:
+    """What was not explained, and where could be looked."""
+    for effect in facts["rejected"]:
+        say(
+            console,
+            f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; it shows "
+            "where to look, not what is missing",
+        )
+    noise = ", ".join(f"{name} {number(value)}" for name, value in facts["noise"].items())
+    say(console, f"noise estimated from the residuals: {noise}")
+    say(console, f"open sites: {', '.join(facts['sites'])}")

@@ -1,0 +1,30 @@
+"""The page that `cluster-est check` prints."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from cluster_est.cli.printing import say
+from cluster_est.preflight import Page
+
+
+def print_page(console: Console, page: Page) -> None:
+    """A line for each check, and below it what can be done."""
+    if not page.findings:
+        return
+    say(console, "")
+    verdicts = max(len(each.verdict) for each in page.findings)
+    names = max(len(each.check) for each in page.findings)
+    for each in page.findings:
+        say(console, f"{each.verdict:{verdicts}}  {each.check:{names}}  {each.found}")
+        if each.do:
+            say(console, f"{'':{verdicts}}  {'':{names}}  -> {each.do}")
+    say(console, "")
+    problems = sum(each.verdict == "problem" for each in page.findings)
+    left = sum(each.verdict == "not done" for each in page.findings)
+    said = _counted(problems, "problem") if problems else "no problem was found"
+    say(console, said + (f"; {_counted(left, 'check')} not done" if left else ""))
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"

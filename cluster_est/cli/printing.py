@@ -1,0 +1,311 @@
+"""Tables for a terminal."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rich.console import Console
+
+from cluster_est.errors import RunFolderError
+from cluster_est.methods.base import TOLERANCE
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import make_space
+from cluster_est.results.output_errors import Simulation
+from cluster_est.results.rows import constraints_at_start
+from workers.fmu.description import nearest
+
+
+def print_run(console: Console, run_folder: Path) -> None:
+    """A run's outcome, parameters and errors.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no run.
+    """
+    facts = read_facts(run_folder)
+    say(console, f"run {run_folder}: {facts['status']}")
+    if facts.get("message"):
+        say(console, f"  {facts['message']}")
+    if {"cost_before", "cost", "iterations", "evaluations", "simulations"} <= facts.keys():
+        say(
+            console,
+            f"  cost {number(facts['cost_before'])} -> {number(facts['cost'])} in "
+            f"{facts['iterations']} iterations, {facts['evaluations']} evaluations, "
+            f"{facts['simulations']} simulations ({facts['failures']} failed), "
+            f"{facts['seconds']:.1f} s",
+        )
+    tables = [run_folder / f"{name}.parquet" for name in ("parameters", "errors")]
+    if all(path.is_file() for path in tables):
+        _print_parameters(console, read_run_table(tables[0]))
+        _print_errors(console, read_run_table(tables[1]))
+        _print_constraints(console, _rows(run_folder, "constraints"))
+        _print_intervals(console, _rows(run_folder, "intervals"))
+        _print_front(console, _rows(run_folder, "front"))
+        _print_minima(console, _rows(run_folder, "starts"), _rows(run_folder, "minima"))
+        for note in facts.get("notes") or []:
+            say(console, f"note: {note}")
+        say(console, f"tables: {run_folder}/*.parquet")
+
+
+def print_iterations(console: Console, run_folder: Path, search: str | None = None) -> None:
+    """The iteration table of one search, of the best start if none is named.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no such search.
+    """
+    rows = _rows(run_folder, "searches")
+    names = list(dict.fromkeys(row["search"] for row in rows))
+    if search is None:
+        ended = [row for row in rows if row["ending"] and row["cost"] is not None]
+        fits = [row for row in ended if row["search"] not in ("screen", "test")]
+        search = min(fits, key=_final_rank)["search"] if fits else "train"
+    if search not in names:
+        raise RunFolderError(f"{run_folder}: has no search {search!r}{nearest(search, names)}")
+    chosen = [row for row in rows if row["search"] == search]
+    header = ["iteration", "F-count", "f(x)", "max constraint", "step", "optimality"]
+    print_table(
+        console,
+        header,
+        [
+            (
+                str(row["iteration"]) if not row["ending"] else row["ending"],
+                str(row["evaluations"]),
+                *(_blank(row[key]) for key in ("cost", "violation", "step", "optimality")),
+            )
+            for row in chosen
+        ],
+    )
+
+
+def _final_rank(row: dict[str, Any]) -> tuple[float, float]:
+    violation = row["violation"]
+    violation = 0.0 if violation is None or math.isnan(violation) else violation
+    return (violation if violation > TOLERANCE else 0.0, row["cost"])
+
+
+def _blank(value: float | None) -> str:
+    return "" if value is None or math.isnan(value) else f"{value:.6g}"
+
+
+def _rows(run_folder: Path, name: str) -> list[dict[str, Any]]:
+    """A table that not every run has."""
+    path = run_folder / f"{name}.parquet"
+    return read_run_table(path) if path.is_file() else []
+
+
+def read_run_table(path: Path) -> list[dict[str, Any]]:
+    """The rows of one of a run's tables.
+
+    Raises
+    ------
+    RunFolderError
+        If it is damaged.
+    """
+    try:
+        rows: list[dict[str, Any]] = pq.read_table(path).to_pylist()
+    except (pa.ArrowException, OSError) as error:
+        raise RunFolderError(f"{path}: is damaged ({error}); run again") from error
+    return rows
+
+
+def print_model(console: Console, problem: Problem, more: str) -> None:
+    """What is simulated, and what was read around in its description."""
+    model = problem.model
+    say(
+        console,
+        f"{model.name}: {model.interface.replace('_', ' ')}, solver {model.solver.name}; {more}",
+    )
+    for warning in (*problem.describe().warnings, *problem.notes()):
+        say(console, warning)
+
+
+def print_check(console: Console, problem: Problem, simulations: Sequence[Simulation]) -> None:
+    """Unknowns, experiments and one simulation of each."""
+    train = make_space(problem, problem.indices("train"))
+    say(
+        console,
+        f"{train.size} unknowns; a forward Jacobian costs {len(train.colours)} points x "
+        f"{len(train.experiments)} experiments",
+    )
+    rows = []
+    for simulation in simulations:
+        experiment, outcome = problem.experiments[simulation.experiment], simulation.outcome
+        rows.append(
+            (
+                experiment.id,
+                experiment.role,
+                f"{experiment.start:g} .. {experiment.stop:g}",
+                str(experiment.size),
+                number(outcome.seconds * 1e3),
+                outcome.message or str(outcome.status),
+            )
+        )
+    print_table(console, ["experiment", "role", "seconds", "samples", "ms", "simulated"], rows)
+    if train.constraint_names:
+        kinds = ["= 0" if equal else "<= 0" for equal in train.equality]
+        values = [number(value) for value in constraints_at_start(train, list(simulations))]
+        named = zip(train.constraint_names, kinds, values, strict=True)
+        print_table(console, ["constraint", "must be", "at the start"], named)
+
+
+def read_facts(run_folder: Path) -> dict[str, Any]:
+    """What run.json says.
+
+    Raises
+    ------
+    RunFolderError
+        If there is none, or it is damaged.
+    """
+    path = run_folder / "run.json"
+    if not path.is_file():
+        raise RunFolderError(f"{run_folder}: must be the folder of a run but has no run.json")
+    try:
+        facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        facts["status"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise RunFolderError(f"{path}: is damaged ({error}); run again") from error
+    return facts
+
+
+def _print_parameters(console: Console, rows: list[dict[str, Any]]) -> None:
+    header = ["parameter", "value", "95 % interval", "unit", "start", "on", ""]
+    print_table(
+        console,
+        header,
+        [
+            (
+                row["label"],
+                number(row["value"]),
+                interval(row),
+                row["unit"],
+                number(row["start"]),
+                row["estimated_on"],
+                f"at its {row['at_bound']} bound" if row["at_bound"] else "",
+            )
+            for row in rows
+        ],
+    )
+
+
+def _print_errors(console: Console, rows: list[dict[str, Any]]) -> None:
+    header = ["experiment", "role", "output", "samples", "RMSE before", "after", "unit", "relative"]
+    print_table(
+        console,
+        header,
+        [
+            (
+                row["experiment"],
+                row["role"],
+                row["output"],
+                str(row["samples"]),
+                number(row["rmse_before"]),
+                number(row["rmse_after"]),
+                row["unit"],
+                f"{100 * row['relative_after']:.3g} %",
+            )
+            for row in rows
+        ],
+    )
+
+
+def _print_constraints(console: Console, rows: list[dict[str, Any]]) -> None:
+    if rows:
+        header = ["constraint", "must be", "before", "after", ""]
+        print_table(
+            console,
+            header,
+            [
+                (
+                    row["constraint"],
+                    row["kind"],
+                    number(row["before"]),
+                    number(row["after"]),
+                    "" if row["satisfied"] else "violated",
+                )
+                for row in rows
+            ],
+        )
+
+
+def _print_intervals(console: Console, rows: list[dict[str, Any]]) -> None:
+    """Intervals that took refits."""
+    if rows:
+        header = ["parameter", "from", "confidence", "lower", "upper"]
+        print_table(
+            console,
+            header,
+            [
+                (
+                    row["label"],
+                    row["source"],
+                    f"{100 * row['confidence']:.4g} %",
+                    row["open_lower"] or _blank(row["lower"]),
+                    row["open_upper"] or _blank(row["upper"]),
+                )
+                for row in rows
+            ],
+        )
+
+
+def _print_front(console: Console, rows: list[dict[str, Any]]) -> None:
+    """The ends of a front of several objectives, and how many points lie between."""
+    objectives = {row["point"]: row["objectives"] for row in rows}
+    if objectives:
+        columns = list(zip(*objectives.values(), strict=True))
+        spans = ", ".join(f"{min(c):.5g} .. {max(c):.5g}" for c in columns)
+        say(console, "")
+        say(console, f"front of {len(objectives)} points, objectives {spans}: front.parquet")
+
+
+def _print_minima(
+    console: Console, starts: list[dict[str, Any]], minima: list[dict[str, Any]]
+) -> None:
+    """How many starts reached which minimum."""
+    if not starts:
+        return
+    costs = {row["point"]: row["cost"] for row in minima}
+    counts = Counter(row["minimum"] for row in starts)
+    rows = [(str(point), number(cost), str(counts[point])) for point, cost in costs.items()]
+    if counts[-1]:
+        rows.append(("none", "", str(counts[-1])))
+    print_table(console, ["minimum", "cost", f"starts of {len(starts)}"], rows)
+
+
+def print_table(console: Console, header: list[str], rows: Iterable[Iterable[str]]) -> None:
+    """A table without lines; no cell is cut, however narrow the terminal."""
+    lines = [header, *([*row] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    say(console, "")
+    for line in lines:
+        cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        say(console, "  ".join(cells).rstrip())
+
+
+def say(console: Console, text: str) -> None:
+    """One line, however narrow the terminal."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def number(value: float | None) -> str:
+    """Six digits."""
+    return "failed" if value is None or math.isnan(value) else f"{value:.6g}"
+
+
+def interval(row: dict[str, Any]) -> str:
+    """The 95 % interval of a row of parameters.parquet."""
+    low, high = row["lower95"], row["upper95"]
+    if row["estimated_on"] in ("known", "derived") and math.isnan(low):
+        return ""
+    if row["at_bound"]:
+        return ""
+    return "not determined" if math.isnan(low) else f"{low:.5g} .. {high:.5g}"

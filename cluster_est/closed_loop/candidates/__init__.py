@@ -1,0 +1,1 @@
+"""Every effect that could be missing on this data: forms, sites, arguments, scales."""

@@ -1,0 +1,110 @@
+"""What a simulated experiment did: its signals and, in model exchange, its linearisation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from workers.messages import Experiment, FloatArray, Input, IntArray, Linearisation, Outcome
+from workers.simulation.grid import build_grid
+
+
+@dataclass(frozen=True)
+class Course:
+    """One experiment along the current fit.
+
+    Attributes
+    ----------
+    times : (n,)
+    signals
+        Everything that an effect may be a function of, by its FMU name, each (n,): states (model
+        exchange), inputs as they reach the FMU, measured signals, outputs.
+    outputs : (n, y)
+        In model exchange before effects at outputs, in co-simulation behind them.
+    names
+        Of the outputs.
+    linear
+        The linear time-varying system along it; None in co-simulation.
+    rows, columns : (k,)
+        Where each residual stands in `outputs`.
+    sigmas : (k,)
+        What each residual was divided by.
+    """
+
+    times: FloatArray = field(repr=False)
+    signals: Mapping[str, FloatArray] = field(repr=False)
+    outputs: FloatArray = field(repr=False)
+    names: tuple[str, ...]
+    linear: Linearisation | None = field(repr=False)
+    rows: IntArray = field(repr=False)
+    columns: IntArray = field(repr=False)
+    sigmas: FloatArray = field(repr=False)
+
+    def residual_change(self, change: FloatArray) -> FloatArray:
+        """(n, y, m) changes of the outputs to (k, m) changes of the residuals."""
+        return np.asarray(-change[self.rows, self.columns] / self.sigmas[:, None])
+
+    def has(self, name: str) -> bool:
+        """Whether there is such a signal, or both of a difference."""
+        return all(one in self.signals for one in self._parts(name))
+
+    def signal(self, name: str) -> FloatArray:
+        """A signal, or the difference of two ("a - b")."""
+        first, *second = (self.signals[one] for one in self._parts(name))
+        return first - second[0] if second else first
+
+    def _parts(self, name: str) -> tuple[str, ...]:
+        if name in self.signals or " - " not in name:
+            return (name,)
+        first, _, second = name.partition(" - ")
+        return first, second
+
+
+def make_course(experiment: Experiment, outcome: Outcome, states: Sequence[str]) -> Course:
+    """From the answer to "linearisation", or to "trajectory" in co-simulation.
+
+    `states` are the FMU's: those that effects bring along are nothing to depend on.
+    """
+    linear, trajectory = outcome.linearisation, outcome.trajectory
+    if linear is not None:
+        times, names = linear.times, linear.output_names
+        plain, shown = linear.plain_outputs, linear.outputs
+        signals = dict(zip(linear.state_names, linear.states.T, strict=True))
+        signals = {name: signals[name] for name in states}
+        signals |= dict(zip(linear.input_names, linear.edited.T, strict=True))
+    elif trajectory is not None:
+        times, names = trajectory.times, trajectory.variables
+        plain = shown = trajectory.values
+        signals = {}
+    else:
+        raise ValueError("the outcome must carry a linearisation or a trajectory")
+    for given in (*experiment.inputs, *experiment.signals):
+        signals.setdefault(given.variable, _sampled(given, times))
+    own = {n: shown[:, i] for i, n in enumerate(names) if n not in signals}
+    grid = build_grid(experiment)
+    width = len(experiment.outputs)
+    at = np.searchsorted(times, grid.times[grid.gather // width])
+    return Course(
+        times=times,
+        signals=signals | own,
+        outputs=plain,
+        names=tuple(names),
+        linear=linear,
+        rows=np.minimum(at, len(times) - 1),
+        columns=grid.gather % width,
+        sigmas=grid.sigmas,
+    )
+
+
+def pooled(courses: Sequence[Course], name: str) -> FloatArray:
+    """A signal of all experiments that have it, one behind the other."""
+    return np.concatenate([course.signal(name) for course in courses if course.has(name)])
+
+
+def _sampled(given: Input, at: FloatArray) -> FloatArray:
+    if given.interpolation == "linear":
+        return np.asarray(np.interp(at, given.times, given.values))
+    latest = np.searchsorted(given.times, at, side="right") - 1
+    return np.asarray(given.values[np.maximum(latest, 0)])

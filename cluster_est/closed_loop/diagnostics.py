@@ -1,0 +1,251 @@
+"""The parts of a closed loop, for those who want to look on their own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates.scales import Scales
+from cluster_est.closed_loop.findings.result import Finding
+from cluster_est.closed_loop.prepare import open_bench
+from cluster_est.closed_loop.screening.screen import Screening, findings, screen
+from cluster_est.closed_loop.selection.declared_model import fit_declared
+from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.statistics.noise import estimate_noise
+from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
+from cluster_est.config.effects import build_effects
+from cluster_est.config.reader import CoefficientSection, EffectSection
+from cluster_est.problem.problem import Problem
+from cluster_est.running.resources import Resources
+from workers.effects.forms import Coefficient, Form
+from workers.effects.forms import form as find_form
+from workers.effects.site import Site, check_site, parse_site
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Whether something is missing from a fitted model.
+
+    Attributes
+    ----------
+    p
+        Probability that noise alone makes some candidate look as good as the best one does.
+    p_white
+        The same after residual and candidates were whitened: small only if it is not just that
+        the noise is autocorrelated.
+    p_structure
+        The same for any smooth structure, whatever its shape: it needs no candidates.
+    candidates
+        How many effects were compared that the parameters do not imitate.
+    noise, rms
+        Estimated standard deviation of each output's noise, and root mean square of its residual,
+        in the output's unit.
+    significance
+        What the p-values were compared with.
+    """
+
+    p: float
+    p_white: float
+    p_structure: float
+    candidates: int
+    noise: Mapping[str, float]
+    rms: Mapping[str, float]
+    significance: float
+
+    @property
+    def missing(self) -> bool:
+        """Whether some candidate explains more than noise, white or coloured, would let it."""
+        return max(self.p, self.p_white) <= self.significance
+
+    @property
+    def sentence(self) -> str:
+        if self.missing:
+            return f"something is missing ({_p(self.p)} among {self.candidates} candidates)"
+        if self.p <= self.significance:
+            return f"the residual is autocorrelated, tied to no candidate (p = {self.p_white:.2g})"
+        if self.p_structure <= self.significance:
+            return (
+                f"no candidate is significant (p = {self.p:.2g}), but the residual has smooth "
+                f"structure (p = {self.p_structure:.2g})"
+            )
+        return f"nothing is missing that could be seen (p = {self.p:.2g})"
+
+
+def detect(
+    problem: Problem,
+    resources: Resources | None = None,
+    settings: LoopSettings | None = None,
+    seed: int = 0,
+) -> Detection:
+    """Fit a problem and ask whether its residual is more than noise.
+
+    Parameters
+    ----------
+    problem
+        The declared model; an effect that it has already is part of it.
+    resources, settings, seed
+        As for `close_loop`.
+
+    Raises
+    ------
+    ClusterEstError
+        As `close_loop`.
+    """
+    with _screened(problem, resources, settings, seed) as (bench, fitted, screening):
+        records = bench.records
+        parts = [fitted.residuals[records.of_output(o)] for o in range(len(records.outputs))]
+        rms = np.array([np.sqrt(np.mean(part**2)) if len(part) else np.nan for part in parts])
+        return Detection(
+            p=screening.p,
+            p_white=screening.p_white,
+            p_structure=screening.omnibus.p,
+            candidates=screening.count,
+            noise=bench.noise_in_units(estimate_noise(fitted.residuals, records)),
+            rms=bench.noise_in_units(rms),
+            significance=bench.settings.significance,
+        )
+
+
+def locate(
+    problem: Problem,
+    resources: Resources | None = None,
+    settings: LoopSettings | None = None,
+    seed: int = 0,
+) -> tuple[Finding, ...]:
+    """Fit a problem and rank what could be missing, and where, by a first small step.
+
+    The ranking is a hint, not a decision: a large effect changes what its own first step looks
+    like. `close_loop` simulates and refits the leaders. Candidates that the declared parameters
+    imitate come last.
+
+    Parameters
+    ----------
+    problem, resources, settings, seed
+        As for `detect`.
+
+    Raises
+    ------
+    ClusterEstError
+        As `close_loop`.
+    """
+    with _screened(problem, resources, settings, seed) as (_, fitted, screening):
+        found = findings(screening, fitted, 1).values()
+        return tuple(sorted(found, key=lambda f: (f.stage == "set aside", f.log_p)))
+
+
+def add_effect(
+    problem: Problem,
+    site: str,
+    form: str = "",
+    equation: str = "",
+    variables: Sequence[str] = (),
+    name: str = "",
+    start: Mapping[str, float] | None = None,
+) -> Problem:
+    """Add an effect to a problem, with its coefficients as parameters.
+
+    Strengths start at the value that does nothing. What has no such value, like a width, starts
+    from the size of the signals, which takes a simulation of each training experiment at the
+    problem's start values. What a search would hold, like the width of a switch, is fixed.
+
+    Parameters
+    ----------
+    problem
+        What it is added to.
+    site
+        "der(v)", "pair v,w", "input F", "output y" or "parameter k".
+    form, equation
+        A form of the library, or an equation in the FMU's names; one of the two.
+    variables
+        What a form is a function of; empty for the state of der(STATE).
+    name
+        Of the effect; the form if empty.
+    start
+        Values of coefficients to start from, by name; every one of an equation of your own.
+
+    Raises
+    ------
+    ClusterEstError
+        If the site is closed, form or equation are wrong, or a coefficient has no start.
+    """
+    starts = dict(start or {})
+    held: tuple[str, ...] = ()
+    if form and not equation:
+        missing = _unstarted(problem, site, form, name or form, starts)
+        held = tuple(c.name for c in missing if c.held)
+        if missing:
+            starts |= _sized(problem, site, form, tuple(variables), missing)
+    section = EffectSection(
+        name=name,
+        site=site,
+        form=form,
+        equation=equation,
+        variables=list(variables),
+        parameters={
+            key: CoefficientSection(start=float(value), fixed=key in held)
+            for key, value in starts.items()
+        },
+    )
+    effects, parameters = build_effects((section,))
+    grown = replace(
+        problem,
+        effects=(*problem.effects, *effects),
+        parameters=(*problem.parameters, *parameters),
+    )
+    grown.describe()
+    return grown
+
+
+@contextmanager
+def _screened(
+    problem: Problem, resources: Resources | None, settings: LoopSettings | None, seed: int
+) -> Iterator[tuple[Workbench, Fitted, Screening]]:
+    """The declared model fitted, and every candidate against its residual."""
+    given = settings or LoopSettings()
+    with open_bench(problem, resources or Resources(), given, seed, None, None) as bench:
+        fitted = fit_declared(bench, Start(bench.problem, {}))
+        yield bench, fitted, screen(bench, fitted, 1)
+
+
+def _unstarted(
+    problem: Problem, site: str, name: str, effect: str, starts: Mapping[str, float]
+) -> list[Coefficient]:
+    """Coefficients of a form without a start, given or by nature."""
+    where = f"effect {effect!r}"
+    place = parse_site(site, f"{where}: site")
+    check_site(place, problem.describe(), problem.model.interface, f"{where}: site")
+    chosen = find_form(place.kind, name, where)
+    return [c for c in chosen.coefficients if c.neutral is None and c.name not in starts]
+
+
+def _sized(
+    problem: Problem,
+    site: str,
+    name: str,
+    variables: tuple[str, ...],
+    missing: Sequence[Coefficient],
+) -> dict[str, float]:
+    """Starts from the middle of the grids that a search would look at, where there are any."""
+    place = parse_site(site, "site")
+    chosen = find_form(place.kind, name, "form")
+    about = variables or _own(place, chosen)
+    with open_bench(problem, Resources(), LoopSettings(), 0, None, None) as bench:
+        space = bench.space(Start(bench.problem, {}))
+        nothing = np.zeros(0)
+        courses = bench.courses(Fitted(space, space.start, nothing, nothing))
+        scales = Scales(courses, ())
+        grids = {c.name: scales.grid(c, place, about) for c in missing}
+    return {name: grid[len(grid) // 2] for name, grid in grids.items() if grid}
+
+
+def _own(site: Site, chosen: Form) -> tuple[str, ...]:
+    """What a form at a derivative is a function of by itself."""
+    return (" - ".join(site.targets),) if chosen.variables == 1 and site.at_rates else ()
+
+
+def _p(p: float) -> str:
+    """Not 0, which only says that the number is too small for a double."""
+    return f"p = {p:.2g}" if p > 0.0 else "p < 1e-300"

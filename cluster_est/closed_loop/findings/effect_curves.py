@@ -1,0 +1,233 @@
+"""The shapes of the effects that were found, over the range that the data visited."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import sympy as sp
+
+from cluster_est.closed_loop.candidates.make import Candidate
+from cluster_est.closed_loop.candidates.trajectory import Course, pooled
+from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.errors import ClusterEstError
+from cluster_est.results.result import Estimate, Result
+from workers.effects.expression import parse
+from workers.messages import FloatArray
+
+POINTS, BINS = 201, 48
+Shape = Callable[[FloatArray, FloatArray], FloatArray]
+"""What an effect adds, over its variable and its coefficients."""
+NORMAL95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class DrawnEffect:
+    """What an effect adds, as a function of the one thing that it depends on.
+
+    Attributes
+    ----------
+    effect, part
+        Its name, and where it acts: "der(v)". A pair has two of them.
+    variable, variable_unit, unit
+        What it is a function of, and both units; "" where the FMU names none.
+    x, y, lower, upper : (n,)
+        The shape and its 95 % band, to first order in the coefficients; NaN where the data do not
+        determine one of them.
+    edges : (bins + 1,)
+    counts : (bins,)
+        How many samples of the training experiments lie where.
+    why_not
+        Why it has no shape, in a sentence; the arrays are empty then.
+    """
+
+    effect: str
+    part: str
+    variable: str = ""
+    variable_unit: str = ""
+    unit: str = ""
+    x: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    y: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    lower: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    upper: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    edges: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    counts: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    why_not: str = ""
+
+
+def draw_effects(bench: Workbench, fitted: Fitted, result: Result) -> tuple[DrawnEffect, ...]:
+    """The shapes of all effects that the loop has added.
+
+    Parameters
+    ----------
+    bench, fitted
+        The model with the effects, where the search ended: its experiments are simulated once more,
+        to see where they went.
+    result
+        Of its last fit: values of the coefficients, and their covariance.
+    """
+    if not fitted.added:
+        return ()
+    try:
+        courses = bench.courses(fitted)
+    except ClusterEstError as error:
+        return tuple(
+            _none(c, f"its experiments cannot be simulated ({error})") for c in fitted.added
+        )
+    return tuple(each for c in fitted.added for each in _draw(bench, c, courses, result))
+
+
+def _none(candidate: Candidate, why: str) -> DrawnEffect:
+    return DrawnEffect(candidate.effect.name, str(candidate.site), why_not=why)
+
+
+def _draw(
+    bench: Workbench, candidate: Candidate, courses: Sequence[Course], result: Result
+) -> list[DrawnEffect]:
+    form, site = candidate.form, candidate.site
+    if form.memory or form.states:
+        return [_none(candidate, "it depends on the past, so no curve over one variable shows it")]
+    texts = [form.equation, *([form.reaction] if form.reaction else [])]
+    over = _variable(candidate, texts[0])
+    if over is None:
+        return [_none(candidate, "it is no function of one variable alone")]
+    symbol, name = over
+    seen = _visited(candidate, courses, symbol, name)
+    seen = seen[np.isfinite(seen)]
+    if not len(seen):
+        return [_none(candidate, f"nothing is known of {name}")]
+    units = {n: v.unit for n, v in bench.description.variables.items()}
+    own = units.get(name.partition(" - ")[0], "")
+    counts, edges = np.histogram(seen, BINS)
+    rows = {e.label: e for e in result.estimates}
+    fixed = rows.get(site.target)
+    signal = fixed.value if fixed is not None and site.kind == "parameter" else 1.0
+    known = DrawnEffect(
+        effect=candidate.effect.name,
+        part=str(site),
+        variable=name,
+        variable_unit="s" if symbol == "t" else own,
+        x=np.linspace(float(seen.min()), float(seen.max()), POINTS),
+        edges=edges,
+        counts=counts.astype(np.float64),
+    )
+    return [
+        _curve(known, candidate, _function(candidate, text, symbol, signal), target, units, result)
+        for text, target in zip(texts, site.targets, strict=False)
+    ]
+
+
+def _curve(
+    known: DrawnEffect,
+    candidate: Candidate,
+    shape: Shape,
+    target: str,
+    units: Mapping[str, str],
+    result: Result,
+) -> DrawnEffect:
+    """One part of an effect with its band."""
+    rows = {e.label: e for e in result.estimates}
+    own = [rows[f"{known.effect}.{c.name}"] for c in candidate.form.coefficients]
+    values = np.array([e.value for e in own])
+    y = shape(known.x, values)
+    if not np.isfinite(y).any():
+        return _none(candidate, "it is not finite where the data were")
+    spread = NORMAL95 * _spread(shape, known.x, values, _covariance(result, own))
+    unit, at_rates = units.get(target, ""), candidate.site.at_rates
+    return replace(
+        known,
+        part=f"der({target})" if at_rates else known.part,
+        unit=f"{unit}/s" if unit and at_rates else unit,
+        y=y,
+        lower=y - spread,
+        upper=y + spread,
+    )
+
+
+def _visited(candidate: Candidate, courses: Sequence[Course], symbol: str, name: str) -> FloatArray:
+    """Where the training experiments were; of an output, before effects act on it."""
+    if symbol == "t":
+        return np.concatenate([course.times for course in courses])
+    if symbol == "s" and candidate.site.kind == "output":
+        having = [c for c in courses if name in c.names]
+        return np.concatenate([c.outputs[:, c.names.index(name)] for c in having])
+    return pooled(courses, name)
+
+
+def _variable(candidate: Candidate, text: str) -> tuple[str, str] | None:
+    """The only thing that an equation depends on: its symbol there, and its name."""
+    site = candidate.site
+    equation = _parsed(candidate, text)
+    used = _used(equation) - ({"s"} if site.kind == "parameter" else set())
+    if len(used) > 1 and not site.at_rates:  # what is added to the signal may be simpler
+        used = _used(sp.expand(equation - sp.Symbol("s", real=True)))
+    if used == {"t"}:
+        return "t", "time"
+    if used == {"s"}:
+        return "s", site.target
+    if used == {"v"} and candidate.effect.variables:
+        return "v", candidate.effect.variables[0]
+    return None
+
+
+def _used(equation: sp.Expr) -> set[str]:
+    return {str(symbol) for symbol in equation.free_symbols} & set("tsvw")
+
+
+def _parsed(candidate: Candidate, text: str) -> sp.Expr:
+    names = [*"tsvw", *(c.name for c in candidate.form.coefficients)]
+    symbols = {name: sp.Symbol(name, real=True) for name in names}
+    return parse(text, symbols, f"form {candidate.form.name}")
+
+
+def _function(candidate: Candidate, text: str, over: str, signal: float) -> Shape:
+    """What the effect adds, or makes of its signal, over x and the coefficients."""
+    equation = _parsed(candidate, text)
+    s = sp.Symbol("s", real=True)
+    if candidate.site.kind == "parameter":
+        equation = equation.subs(s, signal)
+    elif over != "s":
+        equation = sp.expand(equation - (0 if candidate.site.at_rates else s))
+    names = [over, *(c.name for c in candidate.form.coefficients)]
+    compiled = sp.lambdify([sp.Symbol(n, real=True) for n in names], equation, "numpy")
+
+    def shape(x: FloatArray, values: FloatArray) -> FloatArray:
+        with np.errstate(all="ignore"):
+            found = np.asarray(compiled(x, *values), np.float64)
+        return np.array(np.broadcast_to(found, x.shape))
+
+    return shape
+
+
+def _covariance(result: Result, coefficients: Sequence[Estimate]) -> FloatArray:
+    """Of the coefficients; those that are held do not vary."""
+    labels = [e.label for e in coefficients]
+    known = result.uncertainty
+    shared = () if known is None else known.shared
+    errors = np.array([0.0 if e.estimated_on == "known" else e.std_error for e in coefficients])
+    correlations = np.eye(len(labels))
+    for i, one in enumerate(labels):
+        for j, other in enumerate(labels[:i]):
+            if known is not None and one in shared and other in shared:
+                found = known.correlations[shared.index(one), shared.index(other)]
+                correlations[i, j] = correlations[j, i] = found
+    return np.asarray(correlations * errors * errors[:, None])
+
+
+def _spread(
+    shape: Shape,
+    x: FloatArray,
+    values: FloatArray,
+    covariance: FloatArray,
+) -> FloatArray:
+    """The standard deviation of a shape, to first order, by central differences."""
+    if not np.isfinite(covariance).all():
+        return np.full(len(x), np.nan)
+    slopes = np.zeros((len(x), len(values)))
+    for i, step in enumerate(1e-3 * np.sqrt(np.diag(covariance))):
+        if step > 0.0:
+            moved = np.eye(len(values))[i] * step
+            slopes[:, i] = (shape(x, values + moved) - shape(x, values - moved)) / (2.0 * step)
+    variance = np.einsum("ni,ij,nj->n", slopes, covariance, slopes)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

@@ -1,0 +1,146 @@
+"""What was found, in the words and numbers of a report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates.make import Candidate
+from cluster_est.closed_loop.findings.result import Alternative, ErrorChange, NamedEffect
+from cluster_est.closed_loop.selection.forward_selection import Search
+from cluster_est.closed_loop.selection.refine import Contender
+from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.results.result import Estimate, Result
+from workers.messages import FloatArray
+
+WINDOWS = 20
+"""Into how many parts a record is cut to say when most of its residual lives."""
+
+
+def describe_effects(bench: Workbench, found: Search, result: Result) -> tuple[NamedEffect, ...]:
+    """The effects of the final model, with what each cannot be told apart from."""
+    return tuple(_describe(bench, found, candidate, result) for candidate in found.current.added)
+
+
+def error_changes(
+    bench: Workbench, found: Search, before: Result, after: Result
+) -> tuple[ErrorChange, ...]:
+    """The errors of the declared and of the final model, side by side."""
+    noise = bench.noise_in_units(found.noise)
+    given = any(output.sigma != 1.0 for e in bench.problem.experiments for output in e.outputs)
+    rows = []
+    for old, new in zip(before.errors, after.errors, strict=True):
+        sigma = old.rmse_after / old.normalised_after if old.normalised_after else np.nan
+        if not given:
+            sigma = noise.get(old.output, np.nan)
+        rows.append(
+            ErrorChange(
+                experiment=old.experiment,
+                role=old.role,
+                output=old.output,
+                unit=old.unit,
+                samples=old.samples,
+                rmse_before=old.rmse_after,
+                rmse_after=new.rmse_after,
+                normalised_before=_over(old.rmse_after, sigma),
+                normalised_after=_over(new.rmse_after, sigma),
+            )
+        )
+    return tuple(rows)
+
+
+def _over(error: float, sigma: float) -> float:
+    """NaN where the noise is unknown, or none."""
+    return error / sigma if sigma > 0.0 else np.nan
+
+
+def where_left(bench: Workbench, fitted: Fitted) -> str:
+    """Where and when most of a residual lives, in a sentence."""
+    total = max(fitted.sse, 1e-300)
+    best: tuple[float, str] = (0.0, "")
+    for record in bench.records.items:
+        squares = fitted.residuals[record.rows] ** 2
+        edges = np.linspace(record.times[0], record.times[-1], WINDOWS + 1)
+        window = np.clip(np.searchsorted(edges, record.times, side="right") - 1, 0, WINDOWS - 1)
+        sums = np.bincount(window, weights=squares, minlength=WINDOWS)
+        k = int(np.argmax(sums))
+        if sums[k] > best[0]:
+            run = bench.problem.experiments[bench.train[record.experiment]]
+            best = (
+                float(sums[k]),
+                f"output {bench.records.outputs[record.output]} of experiment {run.id!r} between "
+                f"t = {edges[k]:.4g} and {edges[k + 1]:.4g} s",
+            )
+    return f"of what is left, the largest part ({best[0] / total:.0%}) is in {best[1]}"
+
+
+def _describe(bench: Workbench, found: Search, candidate: Candidate, result: Result) -> NamedEffect:
+    name = candidate.effect.name
+    won, rivals = found.rivals.get(name, (None, []))
+    return NamedEffect(
+        effect=candidate.effect,
+        family=candidate.form.family,
+        equation=candidate.equation,
+        coefficients=_coefficients(name, result),
+        alternatives=tuple(
+            _alternative(bench, won, rival, found.noise) for rival in rivals if won is not None
+        ),
+        evidence=_evidence(found, candidate),
+    )
+
+
+def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
+    return tuple(e for e in result.estimates if e.parameter.startswith(f"{name}."))
+
+
+def _alternative(
+    bench: Workbench, won: Contender, rival: Contender, noise: FloatArray
+) -> Alternative:
+    """A rival, and where an experiment would tell it from the winner best."""
+    candidate = rival.candidate
+    where, when, output, size = _largest_difference(bench, won.fitted, rival.fitted, noise)
+    return Alternative(
+        site=str(candidate.site),
+        form=candidate.form.name,
+        family=candidate.form.family,
+        variables=candidate.effect.variables,
+        equation=candidate.equation,
+        criterion=float(rival.criterion - won.criterion),
+        experiment=where,
+        output=output,
+        time=when,
+        difference=size,
+    )
+
+
+def _largest_difference(
+    bench: Workbench, one: Fitted, other: Fitted, noise: FloatArray
+) -> tuple[str, float, str, float]:
+    """Experiment, time, output and size of the largest difference of two models' predictions.
+
+    The size is over the noise of that output.
+    """
+    gap = np.abs(one.residuals - other.residuals)
+    for record in bench.records.items:
+        gap[record.rows] /= max(float(noise[record.output]), 1e-300)
+    row = int(np.argmax(gap))
+    for record in bench.records.items:
+        if record.rows.start <= row < record.rows.stop:
+            experiment = bench.problem.experiments[bench.train[record.experiment]]
+            time = float(record.times[row - record.rows.start])
+            return experiment.id, time, bench.records.outputs[record.output], float(gap[row])
+    return "", np.nan, "", float(gap[row])
+
+
+def _evidence(found: Search, candidate: Candidate) -> tuple[str, ...]:
+    """Why it was added, in sentences."""
+    sentences = []
+    for finding in found.findings:
+        own = (finding.site, finding.form, finding.variables)
+        if own != (str(candidate.site), candidate.form.name, candidate.effect.variables):
+            continue
+        if finding.stage == "accepted":
+            sentences.append(
+                f"step {finding.step}: carries {finding.explained:.0%} of the residual, criterion "
+                f"falls by {-finding.criterion:.0f}"
+            )
+    return tuple(sentences)

@@ -1,0 +1,203 @@
+"""In which direction each candidate would move the residuals, were it switched on a little.
+
+In model exchange one linear time-varying system along each experiment answers for all candidates:
+
+    d(dx)/dt = A dx + B du + P dp + f,    dy = C dx + D du + Q dp
+
+with what a candidate adds as f (state derivative), du (input) or dp (parameter). An effect at an
+output adds to y and needs nothing else. The system is integrated exactly for forcing that is linear
+between the times of the grid and A constant in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+
+from cluster_est.closed_loop.candidates.make import Candidate
+from cluster_est.closed_loop.candidates.shapes import Signals, shape_of
+from cluster_est.closed_loop.candidates.trajectory import Course
+from cluster_est.closed_loop.screening.linear_kernel import run_linear
+from workers.messages import FloatArray, Linearisation
+
+BLOCK_VALUES = 2_000_000
+"""Forcing that is kept at once: 16 MB."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate at one point of its grid."""
+
+    candidate: Candidate
+    values: tuple[float, ...]
+
+    @property
+    def width(self) -> int:
+        """How many columns its direction has: one for each strength, or one finite change."""
+        return max(1, len(self.candidate.strengths))
+
+
+def directions(
+    courses: Sequence[Course], trials: Sequence[Trial], known: Sequence[FloatArray]
+) -> list[FloatArray]:
+    """The directions of trials, each (residuals, width), from the courses alone.
+
+    Parameters
+    ----------
+    courses
+        Of the training experiments, in their order.
+    trials
+        At any sites in model exchange, at outputs in co-simulation.
+    known : (parameters,) for each course
+        Values of the model's parameters there.
+    """
+    if not trials:
+        return []
+    parts = [
+        _of_course(course, trials, values) for course, values in zip(courses, known, strict=True)
+    ]
+    joined = np.concatenate(parts)
+    ends = np.cumsum([0, *(trial.width for trial in trials)])
+    return [joined[:, a:b] for a, b in pairwise(ends)]
+
+
+def _of_course(course: Course, trials: Sequence[Trial], known: FloatArray) -> FloatArray:
+    """(residuals of one experiment, columns of all trials)."""
+    steps = discretise(course.linear) if course.linear is not None else None
+    width = len(course.times) * max(course.outputs.shape[1], _order(course))
+    most = max(1, BLOCK_VALUES // max(1, width))
+    found: list[FloatArray] = []
+    block: list[Trial] = []
+    columns = 0
+    for trial in trials:
+        if block and columns + trial.width > most:
+            found.append(_of_block(course, steps, block, known))
+            block, columns = [], 0
+        block.append(trial)
+        columns += trial.width
+    if block:
+        found.append(_of_block(course, steps, block, known))
+    return np.hstack(found)
+
+
+def _order(course: Course) -> int:
+    return course.linear.A.shape[1] if course.linear is not None else 0
+
+
+def _of_block(
+    course: Course, steps: Steps | None, trials: Sequence[Trial], known: FloatArray
+) -> FloatArray:
+    count = sum(trial.width for trial in trials)
+    n, outputs = course.outputs.shape
+    forcing = np.zeros((n, _order(course), count))
+    change = np.zeros((n, outputs, count))
+    first = 0
+    for trial in trials:
+        part = slice(first, first + trial.width)
+        first = part.stop
+        site = trial.candidate.site
+        if site.kind == "output" and site.target not in course.names:
+            continue  # not measured in this experiment
+        added = added_at(course, trial, known)
+        _place(course, trial, added, forcing[:, :, part], change[:, :, part])
+    if course.linear is not None and steps is not None and forcing.any():
+        change += np.matmul(course.linear.C, propagate(steps, forcing))
+    return course.residual_change(change)
+
+
+def added_at(course: Course, trial: Trial, known: FloatArray) -> FloatArray:
+    """(n, width): what the effect adds at its site; relative at a parameter in co-simulation."""
+    candidate = trial.candidate
+    site, zero = candidate.site, np.zeros(len(course.times))
+    v, w = [*(course.signal(name) for name in candidate.effect.variables), zero, zero][:2]
+    s = zero
+    if site.kind in ("input", "output"):
+        s = course.signal(site.target)
+    elif site.kind == "parameter":
+        names = course.linear.parameter_names if course.linear is not None else ()
+        s = zero + (known[names.index(site.target)] if site.target in names else 1.0)
+    values = {
+        c.name: value for c, value in zip(candidate.form.coefficients, trial.values, strict=True)
+    }
+    return shape_of(candidate.form).directions(Signals(course.times, s, v, w), values)
+
+
+def _place(
+    course: Course, trial: Trial, added: FloatArray, forcing: FloatArray, change: FloatArray
+) -> None:
+    """Let what is added act on the linear system: on its states, its outputs, or both."""
+    site, linear = trial.candidate.site, course.linear
+    if site.kind == "output":
+        change[:, course.names.index(site.target)] += added
+        return
+    if linear is None:
+        raise ValueError(f"{site} has no direction without a linearisation")
+    if site.kind in ("derivative", "pair"):
+        for i, target in enumerate(site.targets):
+            which = slice(None) if site.kind == "derivative" else slice(i, i + 1)
+            forcing[:, linear.state_names.index(target), which] += added[:, which]
+        return
+    if site.kind == "input":
+        j = linear.input_names.index(site.target)
+        into, through = linear.B[:, :, j], linear.D[:, :, j]
+    else:
+        j = linear.parameter_names.index(site.target)
+        into, through = linear.P[:, :, j], linear.Q[:, :, j]
+    forcing += into[:, :, None] * added[:, None, :]
+    change += through[:, :, None] * added[:, None, :]
+
+
+@dataclass(frozen=True)
+class Steps:
+    """A linear time-varying system in discrete time, for forcing that is linear within each step.
+
+    x' = keep x + from_first f + from_last f', each (n - 1, x, x).
+    """
+
+    keep: FloatArray
+    from_first: FloatArray
+    from_last: FloatArray
+
+
+def discretise(linear: Linearisation) -> Steps:
+    """Step matrices, exact where A is constant within each step.
+
+    C. F. Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404, doi:10.1109/TAC.1978.1101743.
+    """
+    h = np.diff(linear.times)
+    x = linear.A.shape[1]
+    mean = 0.5 * (linear.A[1:] + linear.A[:-1])
+    joined = np.zeros((len(h), 3 * x, 3 * x))
+    eye: npt.NDArray[np.float64] = np.eye(x)
+    joined[:, :x, :x] = mean * h[:, None, None]
+    joined[:, :x, x : 2 * x] = eye * h[:, None, None]
+    joined[:, x : 2 * x, 2 * x :] = eye
+    powers = expm(joined)
+    last = powers[:, :x, 2 * x :]
+    parts = powers[:, :x, :x], powers[:, :x, x : 2 * x] - last, last
+    return Steps(*(np.ascontiguousarray(part) for part in parts))
+
+
+def propagate(steps: Steps, forcing: FloatArray) -> FloatArray:
+    """Integrate d(dx)/dt = A dx + f from dx = 0.
+
+    Parameters
+    ----------
+    steps
+        The system.
+    forcing : (n, x, m)
+        m right-hand sides at every time of the grid, linear in between. The states take their
+        place.
+
+    Returns
+    -------
+    (n, x, m)
+    """
+    now, after = np.zeros_like(forcing[0]), np.zeros_like(forcing[0])
+    run_linear(steps.keep, steps.from_first, steps.from_last, forcing, now, after)
+    return forcing

@@ -1,0 +1,50 @@
+"""The compiled loop behind `directions.propagate`: many forcings of one linear system at once."""
+
+from __future__ import annotations
+
+from workers.kernels.fmi.calling import inlined, kernel
+
+
+@kernel
+def run_linear(keep, from_first, from_last, forcing, now, after):  # type: ignore[no-untyped-def]
+    """x' = keep x + from_first f + from_last f', from x = 0; the states take the forcing's place.
+
+    Parameters
+    ----------
+    keep, from_first, from_last : (n - 1, x, x)
+        Of the step that begins at each time.
+    forcing : (n, x, m)
+        m right-hand sides; overwritten by the states.
+    now, after : (x, m)
+        Scratch.
+    """
+    _fill(now)
+    for k in range(len(keep)):
+        _fill(after)
+        _add_step(keep[k], from_first[k], from_last[k], forcing[k], forcing[k + 1], now, after)
+        _copy(now, forcing[k])
+        _copy(after, now)
+    _copy(now, forcing[len(keep)])
+
+
+@inlined
+def _fill(matrix):  # type: ignore[no-untyped-def]
+    for i in range(matrix.shape[0]):
+        for m in range(matrix.shape[1]):
+            matrix[i, m] = 0.0
+
+
+@inlined
+def _copy(source, target):  # type: ignore[no-untyped-def]
+    for i in range(source.shape[0]):
+        for m in range(source.shape[1]):
+            target[i, m] = source[i, m]
+
+
+@inlined
+def _add_step(keep, from_first, from_last, first, last, now, after):  # type: ignore[no-untyped-def]
+    for i in range(len(now)):
+        for j in range(len(now)):
+            a, b, c = keep[i, j], from_first[i, j], from_last[i, j]
+            for m in range(now.shape[1]):
+                after[i, m] += a * now[j, m] + b * first[j, m] + c * last[j, m]

@@ -1,0 +1,200 @@
+"""Where and what is missing: every candidate's direction against the residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates.make import make_candidates
+from cluster_est.closed_loop.candidates.trajectory import Course
+from cluster_est.closed_loop.findings.result import Finding
+from cluster_est.closed_loop.screening.directions import Trial, directions
+from cluster_est.closed_loop.screening.probe import probe
+from cluster_est.closed_loop.statistics.omnibus import Omnibus, omnibus
+from cluster_est.closed_loop.statistics.projection import Projection
+from cluster_est.closed_loop.statistics.records import Records, thinned
+from cluster_est.closed_loop.statistics.score import Scores, family_wise, score
+from cluster_est.closed_loop.statistics.whitening import fit_autoregression, whiten
+from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.errors import DataError
+from workers.messages import FloatArray, IntArray
+
+MOST_ROWS = 20_000
+"""Residuals that are screened; longer records are thinned."""
+PEAKS = 2
+COLUMN_PENALTY = 8.0
+"""What each further column of a candidate must add to its statistic to be ranked as high."""
+
+
+@dataclass(frozen=True)
+class Screening:
+    """All candidates against the residual of a fit.
+
+    Attributes
+    ----------
+    trials
+        Candidates at the points of their grids.
+    columns
+        The direction of each trial, (kept residuals, width).
+    rows
+        Which residuals were kept.
+    plain, white
+        Scores against the residual as it is, and after both were whitened by an autoregression.
+    omnibus, omnibus_white
+        Whether there is any smooth structure, before and after whitening.
+    p, p_white
+        Family-wise p-values.
+    """
+
+    trials: tuple[Trial, ...]
+    columns: tuple[FloatArray, ...] = field(repr=False)
+    rows: IntArray = field(repr=False)
+    plain: Scores = field(repr=False)
+    white: Scores = field(repr=False)
+    omnibus: Omnibus
+    omnibus_white: Omnibus
+    p: float
+    p_white: float
+
+    @property
+    def count(self) -> int:
+        """Different candidates that the parameters do not imitate."""
+        kept = {t.candidate.effect for t, df in zip(self.trials, self.plain.df, strict=True) if df}
+        return max(1, len(kept))
+
+    @property
+    def explained(self) -> float:
+        """Share of the residual that the best candidate carries."""
+        return float(self.plain.explained.max(initial=0.0))
+
+    def leaders(self, scores: Scores, most: int, *, tables: bool = True) -> list[int]:
+        """The best trial of each candidate, best candidate first."""
+        rank = scores.statistics - COLUMN_PENALTY * np.maximum(scores.df - 1, 0)
+        best: dict[str, int] = {}
+        for i in np.argsort(-rank, kind="stable").tolist():
+            trial = self.trials[i]
+            if scores.df[i] and (tables or trial.candidate.form.family != "table"):
+                best.setdefault(trial.candidate.effect.name, i)
+        return list(best.values())[:most]
+
+
+def screen(bench: Workbench, fitted: Fitted, step: int) -> Screening:
+    """Rank every candidate at a fit."""
+    courses = bench.courses(fitted)
+    frequencies = _peaks(bench.records, fitted.residuals)
+    candidates = make_candidates(
+        fitted.problem, bench.description, courses, frequencies, bench.settings
+    )
+    if len(candidates) > bench.size:
+        raise DataError(
+            f"closed loop: the training experiments must have at least as many measured values as "
+            f"there are candidates, but have {bench.size} for {len(candidates)}; add data, or "
+            "name fewer in closed_loop.effects or closed_loop.sites"
+        )
+    trials = tuple(Trial(c, values) for c in candidates for values in c.grid)
+    records, rows = thinned(bench.records, MOST_ROWS)
+    columns = tuple(column[rows] for column in _columns(bench, fitted, courses, trials))
+    matrix, residuals = fitted.jacobian[rows], fitted.residuals[rows]
+    projection = Projection(matrix)
+    plain = score(projection, residuals, columns)
+    coefficients = fit_autoregression(projection.remove(residuals), records)
+    white_columns = [whiten(column, records, coefficients) for column in columns]
+    white_projection = Projection(whiten(matrix, records, coefficients))
+    white_residuals = whiten(residuals, records, coefficients)
+    white = score(white_projection, white_residuals, white_columns)
+    draws = bench.settings.draws
+    return Screening(
+        trials=trials,
+        columns=columns,
+        rows=rows,
+        plain=plain,
+        white=white,
+        omnibus=omnibus(projection, residuals, records, bench.generator(10 * step + 2)),
+        omnibus_white=omnibus(
+            white_projection, white_residuals, records, bench.generator(10 * step + 5)
+        ),
+        p=family_wise(plain, bench.generator(10 * step + 3), draws).p,
+        p_white=family_wise(white, bench.generator(10 * step + 4), draws).p,
+    )
+
+
+def findings(screening: Screening, fitted: Fitted, step: int) -> dict[str, Finding]:
+    """The best trial of each candidate as a finding, by the effect's name."""
+    found: dict[str, Finding] = {}
+    scores = screening.plain
+    matrix = fitted.jacobian[screening.rows]
+    for i in np.argsort(-scores.statistics, kind="stable").tolist():
+        candidate = screening.trials[i].candidate
+        if candidate.effect.name in found:
+            continue
+        aside = scores.df[i] == 0
+        found[candidate.effect.name] = Finding(
+            step=step,
+            site=str(candidate.site),
+            form=candidate.form.name,
+            family=candidate.form.family,
+            variables=candidate.effect.variables,
+            statistic=float(scores.statistics[i]),
+            freedom=int(scores.df[i]),
+            log_p=float(scores.log_p[i]),
+            explained=float(scores.explained[i]),
+            distinct=float(scores.ratio[i]),
+            stage="set aside" if aside else "screened",
+            imitated_by=_imitator(matrix, screening.columns[i], fitted) if aside else "",
+        )
+    return found
+
+
+def _columns(
+    bench: Workbench, fitted: Fitted, courses: Sequence[Course], trials: Sequence[Trial]
+) -> list[FloatArray]:
+    """Directions of all trials: from the linear systems, or where there are none by simulation."""
+    known = fitted.space.physical(fitted.x)
+    targets = [p.target for p in fitted.problem.parameters]
+    values = []
+    for course, row in zip(courses, known, strict=True):
+        names = course.linear.parameter_names if course.linear is not None else ()
+        values.append(np.array([row[targets.index(name)] for name in names], float))
+    if bench.exchange:
+        return directions(courses, trials, values)
+    outside = [t for t in trials if t.candidate.site.kind == "output"]
+    inside = [t for t in trials if t.candidate.site.kind != "output"]
+    found = dict(zip(map(id, outside), directions(courses, outside, values), strict=True))
+    found |= dict(zip(map(id, inside), probe(bench, fitted, courses, inside), strict=True))
+    return [found[id(trial)] for trial in trials]
+
+
+def _peaks(records: Records, residuals: FloatArray) -> list[float]:
+    """Angular frequencies at which the residual of some record is strongest."""
+    best: list[tuple[float, float]] = []
+    for record in records.items:
+        part, times = residuals[record.rows], record.times
+        if len(part) < 16:
+            continue
+        step = float(np.median(np.diff(times)))
+        power = np.abs(np.fft.rfft(part - part.mean())) ** 2 / len(part)
+        rates = 2.0 * np.pi * np.fft.rfftfreq(len(part), step)
+        order = np.argsort(-power[2:])[:PEAKS] + 2
+        best += [(float(power[k]), float(rates[k])) for k in order]
+    found: list[float] = []
+    for _, rate in sorted(best, reverse=True):
+        if all(abs(rate - other) > 0.1 * other for other in found):
+            found.append(rate)
+    return found[:PEAKS]
+
+
+def _imitator(matrix: FloatArray, column: FloatArray, fitted: Fitted) -> str:
+    """The declared parameter whose sensitivity is most like a direction."""
+    direction = column[:, 0]
+    norms = np.linalg.norm(matrix, axis=0) * np.linalg.norm(direction)
+    if not norms.size or not norms.max() > 0.0:
+        return ""
+    cosines = np.abs(direction @ matrix) / np.where(norms > 0.0, norms, np.inf)
+    return fitted.space.unknowns[int(np.argmax(cosines))].label
+
+
+def refreshed(finding: Finding, stage: str, criterion: float = np.nan) -> Finding:
+    """A finding that has come a stage further."""
+    return replace(finding, stage=stage, criterion=criterion)

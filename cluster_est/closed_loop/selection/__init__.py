@@ -1,0 +1,1 @@
+"""Leading candidates simulated, refitted, accepted and revised: forward selection."""

@@ -1,0 +1,66 @@
+"""Two effects at once, for when no single one explains the residual.
+
+The best pairs of directions are found by linear algebra alone: for two unit directions b, c with
+g = b'c and the residual's shares x = b'r, y = c'r, both together carry
+(x^2 + y^2 - 2 g x y) / (1 - g^2) of r'r.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cluster_est.closed_loop.screening.screen import Screening
+from cluster_est.closed_loop.selection.refine import Contender, contest, joint_step, values_at
+from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
+
+LEADERS = 90
+ALIKE = 0.98
+"""Cosine above which two directions are no pair."""
+FITTED = 8
+
+
+def refit_pairs(bench: Workbench, current: Fitted, screening: Screening) -> list[Contender]:
+    """Refit the best pairs; the best first. A contender's last two effects are the pair."""
+    starts = [_start(current, screening, i, j) for i, j in best_pairs(screening)[:FITTED]]
+    return contest(bench, starts) if starts else []
+
+
+def best_pairs(screening: Screening) -> list[tuple[int, int]]:
+    """Pairs of trials of different candidates by the share of the residual that they carry."""
+    scores = screening.plain
+    usable = [
+        i for i in np.argsort(-scores.statistics, kind="stable").tolist()
+        if scores.df[i] == 1 and screening.trials[i].candidate.form.family != "table"
+    ][:LEADERS]  # fmt: skip
+    if len(usable) < 2:
+        return []
+    first = scores.offsets[usable]
+    basis, shares = scores.bases[:, first], scores.coordinates[first]
+    gram = basis.T @ basis
+    a, b = np.triu_indices(len(usable), 1)
+    g = gram[a, b]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        carried = (shares[a] ** 2 + shares[b] ** 2 - 2.0 * g * shares[a] * shares[b]) / (1 - g**2)
+    carried[np.abs(g) > ALIKE] = 0.0
+    found: list[tuple[int, int]] = []
+    seen: set[frozenset[str]] = set()
+    for k in np.argsort(-carried, kind="stable").tolist():
+        i, j = usable[a[k]], usable[b[k]]
+        names = frozenset(screening.trials[m].candidate.effect.name for m in (i, j))
+        if len(names) < 2 or names in seen or carried[k] <= 0.0:
+            continue
+        seen.add(names)
+        found.append((i, j))
+        if len(found) >= FITTED:
+            break
+    return found
+
+
+def _start(current: Fitted, screening: Screening, i: int, j: int) -> Start:
+    """Both effects, with the strengths of the joint linear step."""
+    _, strengths = joint_step(current, screening, (i, j))
+    start = current.start
+    for m, own in zip((i, j), strengths, strict=True):
+        trial = screening.trials[m]
+        start = start.plus(trial.candidate, values_at(trial, own))
+    return start

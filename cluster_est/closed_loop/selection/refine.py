@@ -1,0 +1,246 @@
+"""Which of the leading candidates it is: by real simulations and joint refits of all parameters.
+
+A score sees only a first small step. Each leading candidate is therefore switched on together with
+the step of all parameters that the linear model asks for, simulated, and the best are refitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates.make import Candidate
+from cluster_est.closed_loop.screening.directions import Trial
+from cluster_est.closed_loop.screening.screen import Screening
+from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.space import Space
+from workers.messages import FloatArray
+
+STEPS = (1.0, 0.3)
+"""Parts of the linear model's step that are tried."""
+LARGEST_STEP = 0.8
+"""Of a parameter: in logarithms, or as a share of its value."""
+WEAKEST, STRONGEST = 0.06, 3.0
+"""By how much a finite amount of the grid is scaled at most."""
+POINTS_OF_GRID = 2
+"""Points of a candidate's grid that are tried, the best by score."""
+WHITE_LEADERS = 8
+CLOSES = 0.9
+"""Share of the gap to the noise that a single effect must close, or more are tried."""
+FINALISTS = 3
+"""How many candidates are refitted to convergence."""
+EQUAL = 2.0
+"""Criteria that differ by less do not tell two candidates apart; the plainer name wins."""
+ALTERNATIVE = 10.0
+"""Criteria that differ by less leave a candidate possible."""
+
+FIRST = LeastSquares(trials=2, max_iterations=2, ftol=1e-4, xtol=1e-5, differences="forward")
+SHORT = LeastSquares(trials=2, max_iterations=2, ftol=1e-4, xtol=1e-5, differences="forward")
+FULL = LeastSquares(trials=2, max_iterations=10, ftol=1e-6, xtol=1e-7, differences="forward")
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A model with one effect more, refitted."""
+
+    fitted: Fitted = field(repr=False)
+    criterion: float
+    full: bool
+
+    @property
+    def candidate(self) -> Candidate:
+        return self.fitted.added[-1]
+
+
+def refit(
+    bench: Workbench, current: Fitted, screening: Screening, floor: float, *, wide: bool = True
+) -> list[Contender]:
+    """Refit the leading candidates; the best first.
+
+    Parameters
+    ----------
+    current
+        The model that they are added to.
+    screening
+        Of all candidates at that model.
+    floor
+        Sum of squares that the noise alone would leave.
+    wide
+        Whether to go on to candidates further back where the first do not close the gap to it: the
+        larger an effect, the less the score of a small one says. Without, only half as many are
+        refitted.
+    """
+    count, trials = bench.settings.refits, bench.settings.trials
+    if not wide:
+        count = (count + 1) // 2
+    leaders = screening.leaders(screening.plain, 2 * trials)
+    white = screening.leaders(screening.white, WHITE_LEADERS)
+    first = list(dict.fromkeys([*leaders[:trials], *white]))
+    starts = _try(bench, current, screening, first)
+    chosen, left = _mixed(starts, count)
+    contenders = contest(bench, chosen)
+    if not wide or _closes(current, contenders, floor):
+        return contenders
+    later = [i for i in leaders[trials:] if i not in first]
+    left += _try(bench, current, screening, later)
+    left.sort(key=lambda pair: pair[0])
+    contenders += contest(bench, [start for _, start in left[:count]])
+    return sorted(contenders, key=lambda c: c.criterion)
+
+
+def contest(bench: Workbench, starts: Sequence[Start]) -> list[Contender]:
+    """Refit all a little, the better half more, and the best to convergence; the best first."""
+    lost: list[Contender] = []
+    for method in (FIRST, SHORT):
+        fits = [f for f in bench.fit("candidate", starts, method) if f is not None]
+        fits.sort(key=lambda f: f.criterion(bench.records))
+        kept = max(FINALISTS, len(fits) // 2)
+        lost += [Contender(f, f.criterion(bench.records), False) for f in fits[kept:]]
+        starts = [f.start for f in fits[:kept]]
+    best = fits[:kept]
+    lost += [Contender(f, f.criterion(bench.records), False) for f in best[FINALISTS:]]
+    finished = bench.fit("candidate", [f.start for f in best[:FINALISTS]], FULL)
+    final = [new or old for new, old in zip(finished, best, strict=False)]
+    lost += [Contender(f, f.criterion(bench.records), True) for f in final]
+    return sorted(lost, key=lambda c: c.criterion)
+
+
+def _closes(current: Fitted, contenders: Sequence[Contender], floor: float) -> bool:
+    """Whether the best contender closes nearly all of the gap to the noise."""
+    if not contenders:
+        return False
+    best = min(c.fitted.sse for c in contenders)
+    return current.sse - best >= CLOSES * (current.sse - floor)
+
+
+def plainest(contenders: Sequence[Contender]) -> Contender:
+    """The best contender; among equals the plainest name."""
+    best = contenders[0].criterion
+    equal = [c for c in contenders if c.full and c.criterion - best < EQUAL] or contenders[:1]
+    return min(equal, key=lambda c: (c.candidate.form.order, c.criterion))
+
+
+def alternatives(contenders: Sequence[Contender], chosen: Contender) -> list[Contender]:
+    """The contenders that the data leave possible beside the chosen one, each effect once."""
+    seen = {chosen.candidate.effect.name}
+    found = []
+    for contender in contenders:
+        name = contender.candidate.effect.name
+        if contender.criterion - contenders[0].criterion <= ALTERNATIVE and name not in seen:
+            seen.add(name)
+            found.append(contender)
+    return found
+
+
+def _mixed(
+    starts: Sequence[tuple[float, Start]], count: int
+) -> tuple[list[Start], list[tuple[float, Start]]]:
+    """Two thirds by their rank in the screening, one by the cost of their first step; the rest."""
+    ranked = 2 * count // 3
+    rest = sorted(starts[ranked:], key=lambda pair: pair[0])
+    chosen = [*starts[:ranked], *rest[: count - ranked]]
+    return [start for _, start in chosen], rest[count - ranked :]
+
+
+def _try(
+    bench: Workbench, current: Fitted, screening: Screening, leaders: Sequence[int]
+) -> list[tuple[float, Start]]:
+    """Simulate the first step of each leader: its cost, and a start from the best point."""
+    asked: list[tuple[Space, FloatArray]] = []
+    begun: list[Start] = []
+    owners: list[int] = []
+    for owner, leader in enumerate(leaders):
+        for i in _grid_points(screening, leader):
+            trial = screening.trials[i]
+            step, (strengths,) = joint_step(current, screening, [i])
+            start = current.start.plus(trial.candidate, values_at(trial, strengths))
+            space = bench.space(start)
+            asked.append((space, _points(current, space, trial, step, strengths)))
+            begun.append(start)
+            owners.append(owner)
+    best: dict[int, tuple[float, Start]] = {}
+    for owner, (space, points), start, seen in zip(
+        owners, asked, begun, bench.look("trial", asked), strict=True
+    ):
+        for point, at in zip(points, seen, strict=True):
+            if at.ok and (owner not in best or at.cost < best[owner][0]):
+                values = space.estimates(point)
+                best[owner] = (at.cost, Start(start.problem, values, start.added))
+    return [best[owner] for owner in range(len(leaders)) if owner in best]
+
+
+def _grid_points(screening: Screening, leader: int) -> list[int]:
+    """The points of a leader's grid with the best scores."""
+    name = screening.trials[leader].candidate.effect.name
+    own = [i for i, t in enumerate(screening.trials) if t.candidate.effect.name == name]
+    own.sort(key=lambda i: -screening.plain.statistics[i])
+    return own[:POINTS_OF_GRID]
+
+
+def joint_step(
+    current: Fitted, screening: Screening, trials: Sequence[int]
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Gauss-Newton step of all unknowns, and how strong each trial is to be, on the screened rows.
+
+    A limit cannot be made stronger or weaker in proportion: it is switched on as it is, the other
+    unknowns make room for it, and it has no strengths.
+    """
+    matrix = current.jacobian[screening.rows]
+    residuals = current.residuals[screening.rows]
+    columns = [screening.columns[i] for i in trials]
+    scaled = [_proportional(screening.trials[i]) for i in trials]
+    for column, free in zip(columns, scaled, strict=True):
+        if not free:
+            residuals = residuals + column[:, 0]
+    own = [column if free else column[:, :0] for column, free in zip(columns, scaled, strict=True)]
+    joined = np.hstack([matrix, *own])
+    sizes = np.linalg.norm(joined, axis=0)
+    sizes[~(sizes > 0.0)] = 1.0
+    solved = np.linalg.lstsq(joined / sizes, -residuals, rcond=1e-6)[0] / sizes
+    ends = np.cumsum([matrix.shape[1], *(part.shape[1] for part in own)])
+    return solved[: ends[0]], [solved[a:b] for a, b in pairwise(ends)]
+
+
+def _proportional(trial: Trial) -> bool:
+    """Whether its effect grows with a coefficient from nothing."""
+    return any(c.neutral == 0.0 for c in trial.candidate.form.coefficients)
+
+
+def values_at(trial: Trial, strengths: FloatArray) -> list[float]:
+    """The trial's coefficients, as strong as the linear model asks for.
+
+    Where an effect is switched on by a finite amount, that amount is scaled, within limits.
+    """
+    asked = iter(strengths.tolist())
+    values = []
+    for c, value in zip(trial.candidate.form.coefficients, trial.values, strict=True):
+        if c.name in trial.candidate.strengths:
+            values.append(next(asked))
+        elif c.neutral == 0.0 and strengths.size:
+            values.append(value * min(max(next(asked), WEAKEST), STRONGEST))
+        else:
+            values.append(value)
+    return values
+
+
+def _points(
+    current: Fitted, space: Space, trial: Trial, step: FloatArray, strengths: FloatArray
+) -> FloatArray:
+    """The first step in several lengths, in the extended space."""
+    known = len(current.x)
+    log = np.array([u.log for u in current.space.unknowns], bool)
+    sizes = np.where(log, 1.0, np.maximum(np.abs(current.x), current.space.typical))
+    most = LARGEST_STEP * sizes
+    points = []
+    for part in STEPS:
+        moved = current.x + np.clip(part * step, -most, most)
+        point = np.concatenate([moved, space.start[known:]])
+        for i, unknown in enumerate(space.unknowns[known:], known):
+            if unknown.label.rpartition(".")[2] in trial.candidate.strengths:
+                point[i] = part * space.start[i]
+        points.append(np.clip(point, space.lower, space.upper))
+    return np.array(points)

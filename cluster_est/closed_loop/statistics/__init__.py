@@ -1,0 +1,1 @@
+"""Residuals as stacked records, their noise, and tests of what is left in them."""

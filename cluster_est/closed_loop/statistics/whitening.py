@@ -1,0 +1,97 @@
+"""Coloured noise made white, by an autoregression for each output."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import solve_toeplitz
+
+from cluster_est.closed_loop.statistics.records import Records
+from workers.messages import FloatArray
+
+
+def fit_autoregression(residuals: FloatArray, records: Records, order: int = 2) -> FloatArray:
+    """Coefficients of r_t = a_1 r_{t-1} + ... + a_p r_{t-p} + e_t for each output.
+
+    The Yule-Walker equations sum_j c_|i-j| a_j = c_i, with autocovariances c about 0 that are
+    summed over all records of the output (no product spans two records). Sums that are not
+    divided by their number of products make the equations positive definite and the solution
+    stationary, however smooth the residual is: P. J. Brockwell, R. A. Davis, Time Series: Theory
+    and Methods (1991), doi:10.1007/978-1-4419-0320-4, section 8.1.
+
+    Parameters
+    ----------
+    residuals : (n,)
+        Stacked.
+
+    Returns
+    -------
+    (outputs, order)
+        Zeros for an output whose residual is zero.
+    """
+    coefficients = np.zeros((len(records.outputs), order))
+    for output, row in enumerate(coefficients):
+        signals = [residuals[item.rows] for item in records.items if item.output == output]
+        covariances = sum((_autocovariances(s, order) for s in signals), np.zeros(order + 1))
+        if order and covariances[0] > 0.0:
+            row[:] = solve_toeplitz(covariances[:order], covariances[1:])
+    return coefficients
+
+
+def whiten(a: FloatArray, records: Records, coefficients: FloatArray) -> FloatArray:
+    """Each record filtered to its innovations e_t; as many rows as before.
+
+    The first samples of a record lack a full past. Each is predicted from the past that it has by
+    the autoregression of that lower order, and scaled to the variance of e. With that the map is
+    the exact inverse square root of the covariance of a stationary autoregression, none of the
+    record is lost, and `records` stay valid.
+
+    Being linear, it belongs on residuals, sensitivities and candidates alike.
+
+    Parameters
+    ----------
+    a : (n,) or (n, m)
+        Stacked; columns are filtered independently.
+    coefficients : (outputs, order)
+        From `fit_autoregression`.
+
+    Raises
+    ------
+    ValueError
+        If an autoregression is not stationary.
+    """
+    starts = [_lower_orders(row) for row in coefficients]
+    white = np.array(a, dtype=float)
+    for item in records.items:
+        past, now = a[item.rows], white[item.rows]
+        full = coefficients[item.output]
+        for lag, coefficient in enumerate(full, start=1):
+            now[lag:] -= coefficient * past[:-lag]
+        for t, (lower, scale) in enumerate(starts[item.output][: len(past)]):
+            now[t] = scale * (past[t] - np.tensordot(lower, past[:t][::-1], axes=1))
+    return white
+
+
+def _autocovariances(signal: FloatArray, order: int) -> FloatArray:
+    """Sums of r_t r_{t+k}, k = 0 ... order."""
+    length = len(signal)
+    lags = [np.add.reduce(signal[k:] * signal[: max(length - k, 0)]) for k in range(order + 1)]
+    return np.array(lags)
+
+
+def _lower_orders(coefficients: FloatArray) -> list[tuple[FloatArray, float]]:
+    """Predictors of order 0 ... p - 1 and the scale of their errors to those of order p.
+
+    The Levinson-Durbin recursion run downwards: a'_k = (a_k + a_p a_{p-k}) / (1 - a_p^2), and the
+    variance of the error grows by 1 / (1 - a_p^2).
+    """
+    predictors: list[tuple[FloatArray, float]] = []
+    current, shrink = coefficients, 1.0
+    while len(current):
+        last = float(current[-1])
+        if abs(last) >= 1.0:
+            raise ValueError(f"the autoregression {coefficients} is not stationary")
+        left = 1.0 - last**2
+        current = (current[:-1] + last * current[:-1][::-1]) / left
+        shrink *= left
+        predictors.append((current, float(np.sqrt(shrink))))
+    return predictors[::-1]

@@ -1,0 +1,185 @@
+"""From the experiments of a config to measured signals, constraints and time bases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cluster_est.config.constraints import constraint_functions, signal_bounds
+from cluster_est.config.reader import Config, ExperimentSection
+from cluster_est.config.reading import Reader, find_file
+from cluster_est.config.sections.types import MOST_TIMES
+from cluster_est.config.time_base import compared_at, counted, snapped, weighted
+from cluster_est.config.user_code import Code
+from cluster_est.errors import ConfigError
+from cluster_est.problem.data import Table, read_table
+from workers.fmu.description import nearest
+from workers.messages import Curve, Experiment, FloatArray, Input, Output
+
+
+def build_experiments(config: Config, base: Path, code: Code) -> tuple[Experiment, ...]:
+    """Read every experiment.
+
+    Parameters
+    ----------
+    config
+        A checked config.
+    base
+        The folder that its paths start from.
+    code
+        Finds functions of the user's.
+
+    Raises
+    ------
+    ClusterEstError
+        If a file is missing or wrong, or names do not fit together.
+    """
+    _check_weights(config)
+    tables: dict[Path, Table] = {}
+    return tuple(_experiment(section, config, base, code, tables) for section in config.experiments)
+
+
+def _experiment(
+    section: ExperimentSection, config: Config, base: Path, code: Code, tables: dict[Path, Table]
+) -> Experiment:
+    where = f"experiment {section.id!r}"
+    reader, times = _read(section, config, base, tables, where)
+    measured: tuple[Output, ...] = ()
+    inputs: tuple[Input, ...] = ()
+    signals: tuple[Input, ...] = ()
+    if reader is not None and len(times):
+        measured = tuple(reader.output(times, variable) for variable in section.outputs)
+        inputs = tuple(reader.input(times, name) for name in section.inputs)
+        signals = tuple(reader.signal(times, name) for name in section.signals)
+    start, stop = _interval(section, times, measured, where)
+    function = config.cost.function
+    return Experiment(
+        id=section.id,
+        start=start,
+        stop=stop,
+        inputs=inputs,
+        outputs=_compared(section, config, measured, start, stop),
+        values=tuple((config.values | section.values).items()),
+        role=section.role,
+        groups=tuple(section.group.items()),
+        signals=signals,
+        curve=None if reader is None else _curve(section, reader, start, stop, where),
+        bounds=tuple(
+            replace(bound, times=snapped(bound.times, _within(times, start, stop)))
+            for bound in signal_bounds(config, section.id, start, stop, measured)
+        ),
+        cost_function=code.function(function, "cost.function") if function else None,
+        constraint_functions=constraint_functions(config, section.id, code),
+    )
+
+
+def _read(
+    section: ExperimentSection,
+    config: Config,
+    base: Path,
+    tables: dict[Path, Table],
+    where: str,
+) -> tuple[Reader | None, FloatArray]:
+    """The experiment's table and its times; none where nothing is measured over time."""
+    if section.data is None:
+        return None, np.zeros(0)
+    path = find_file(section.data, base, config.data_folders, f"{where}.data")
+    if path not in tables:
+        tables[path] = read_table(path, where)
+    reader = Reader(tables[path], section, where)
+    timed = section.outputs or section.inputs or section.signals
+    return reader, reader.times() if timed else np.zeros(0)
+
+
+def _interval(
+    section: ExperimentSection, times: FloatArray, measured: tuple[Output, ...], where: str
+) -> tuple[float, float]:
+    """What is simulated: as the config says, else as far as the data goes."""
+    start, stop = section.start, section.stop
+    if start is None:
+        start = float(times[0])
+    if stop is None:
+        stop = float(max((o.times[-1] for o in measured if len(o.times)), default=times[-1]))
+    if not start < stop:
+        raise ConfigError(
+            f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one, or "
+            "leave both to the data"
+        )
+    return start, stop
+
+
+def _within(times: FloatArray, start: float, stop: float) -> FloatArray:
+    return times[(times >= start) & (times <= stop)]
+
+
+def _compared(
+    section: ExperimentSection,
+    config: Config,
+    measured: tuple[Output, ...],
+    start: float,
+    stop: float,
+) -> tuple[Output, ...]:
+    """Outputs on their time base, in their windows, with their weights."""
+    cost = config.cost
+    inside = [counted(output, start, stop, ()) for output in measured]
+    hows = [section.outputs[output.variable].interpolation for output in measured]
+    found = compared_at(inside, hows, cost.time_base, _simulated(config, start, stop))
+    result = []
+    for output in found:
+        given = section.outputs[output.variable].weight * section.weight
+        weight = given * cost.weights.get(output.variable, 1.0)
+        kept = counted(output, start + section.warm_up, stop, section.windows)
+        result.append(weighted(kept, cost.normalise, weight))
+    return tuple(result)
+
+
+def _simulated(config: Config, start: float, stop: float) -> FloatArray:
+    """Every `step` seconds, where the time base asks for that."""
+    cost = config.cost
+    if cost.time_base not in ("simulated", "both"):
+        return np.zeros(0)
+    step = cost.step or config.model.step
+    if step is None:
+        raise ConfigError(
+            f"cost.step: must be given in seconds, because the time base is {cost.time_base!r}, "
+            "but is not; add it, or model.step"
+        )
+    if not stop - start <= step * MOST_TIMES:
+        raise ConfigError(
+            f"cost.step: must leave at most {MOST_TIMES} times between {start:g} and {stop:g} s "
+            f"but is {step:g} s; make it longer (without it, model.step counts)"
+        )
+    times: FloatArray = np.arange(start, stop + 1e-9 * (stop - start), step)
+    return np.minimum(times, stop)
+
+
+def _curve(
+    section: ExperimentSection, reader: Reader, start: float, stop: float, where: str
+) -> Curve | None:
+    given = section.curve
+    if given is None:
+        return None
+    for name in given.tolerance:
+        if name not in given.columns:
+            raise ConfigError(
+                f"{where}.curve.tolerance.{name}: must be named as one of its columns but is not"
+                f"{nearest(name, given.columns)}"
+            )
+    return Curve(
+        variables=tuple(given.columns),
+        points=reader.points(given.columns),
+        times=np.linspace(start, stop, given.samples),
+        tolerances=tuple(given.tolerance.get(name, 0.0) for name in given.columns),
+    )
+
+
+def _check_weights(config: Config) -> None:
+    named = {name for section in config.experiments for name in section.outputs}
+    for name in config.cost.weights:
+        if name not in named:
+            raise ConfigError(
+                f"cost.weights.{name}: must be named as an output of some experiment but is not"
+                f"{nearest(name, sorted(named))}"
+            )

@@ -1,0 +1,166 @@
+"""What pydantic finds wrong in a config, as sentences for its author."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from workers.fmu.description import nearest
+
+_MUST = {
+    "string_type": "must be text in quotes",
+    "float_type": "must be a number",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "bool_type": "must be true or false",
+    "dict_type": "must be a table",
+    "model_type": "must be a table",
+    "list_type": "must be a list",
+    "finite_number": "must be a finite number",
+    "string_too_short": "must not be empty",
+    "too_short": "must have at least one entry",
+    "greater_than": "must be greater than {gt:g}",
+    "greater_than_equal": "must be at least {ge:g}",
+    "less_than": "must be less than {lt:g}",
+    "less_than_equal": "must be at most {le:g}",
+    "literal_error": "must be {expected}",
+}
+
+LONGEST_LINE = 2000
+
+
+def sentences(
+    error: ValidationError, where: str, raw: dict[str, Any], root: type[BaseModel]
+) -> list[str]:
+    """One sentence for each problem: where, what it must be, what it is, what to do.
+
+    Parameters
+    ----------
+    error
+        What pydantic found.
+    where
+        Opens each sentence.
+    raw
+        The config that was checked.
+    root
+        The class that it was checked against.
+    """
+    found = [f"{where}: {_sentence(problem, raw, root)}" for problem in error.errors()]
+    return list(dict.fromkeys(found))
+
+
+def shown(value: Any) -> str:
+    """A value as a message shows it: on one line and not too long."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to write integers of thousands of digits
+        return "a number of thousands of digits"
+    return text if len(text) < 60 else text[:57] + "..."
+
+
+def readable(text: str) -> str:
+    """A message as a terminal may get it, whatever a file made it quote.
+
+    What is not printable is written out, because a terminal may obey it; a line that nobody would
+    read to its end loses its middle.
+    """
+    return "\n".join(_cut("".join(map(_printable, line))) for line in text.split("\n"))
+
+
+def _printable(letter: str) -> str:
+    return letter if letter.isprintable() else repr(letter)[1:-1]
+
+
+def _cut(line: str) -> str:
+    return line if len(line) <= LONGEST_LINE else f"{line[:1000]} ... {line[-500:]}"
+
+
+def _sentence(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel]) -> str:
+    parts, kind, value = list(problem["loc"]), problem["type"], problem["input"]
+    if kind == "extra_forbidden":
+        section, _ = _walk(root, parts[:-1])
+        known = section.model_fields if _is_section(section) else []
+        return f"unknown key {_path(parts, raw)}{nearest(str(parts[-1]), known)}"
+    hint, meaning = _walk(root, parts)
+    parent, _ = _walk(root, parts[:-1])
+    if get_origin(parent) is tuple:  # one number of a pair: show both
+        parts, hint = parts[:-1], parent
+        value = _at(raw, parts)
+    path = _path(parts, raw)
+    if get_origin(hint) is tuple:
+        whole = _bare(get_args(hint)[0]) is int
+        must = "two whole numbers from 0" if whole else "two numbers"
+        finite = " that are finite" if kind == "finite_number" else ""
+        return f"{path}: must be a list of {must}{finite} but is {shown(value)} ({meaning})"
+    if kind == "missing":
+        return f"{path} is missing; add it ({meaning})"
+    must = _MUST[kind].format(**problem.get("ctx", {})) if kind in _MUST else problem["msg"]
+    return f"{path}: {must} but is {shown(value)}{_advice(kind, value, path)} ({meaning})"
+
+
+def _advice(kind: str, value: Any, path: str) -> str:
+    """What to do, where that can be told."""
+    if kind == "literal_error" or not isinstance(value, str | dict):
+        return ""
+    if isinstance(value, dict):
+        return "; open each entry with [[experiments]]" if path == "experiments" else ""
+    number = value.strip().lstrip("+-").replace(".", "", 1).isdigit()
+    quoted = number and kind in ("float_type", "int_type")
+    quoted = quoted or (value in ("true", "false") and kind == "bool_type")
+    return "; remove the quotes" if quoted else ""
+
+
+def _walk(hint: Any, parts: Sequence[int | str]) -> tuple[Any, str]:
+    """The type that a path leads to, and what the last named key on the way is for."""
+    meaning = "needed"
+    for part in parts:
+        if _is_section(hint):
+            found = hint.model_fields.get(str(part))
+            if found is None:
+                return None, meaning
+            hint, meaning = found.annotation, found.description or meaning
+        else:
+            inner = get_args(hint)
+            hint = inner[-1] if inner else None
+        hint = _bare(hint)
+    return hint, meaning
+
+
+def _bare(hint: Any) -> Any:
+    """Without its annotations, and without None."""
+    origin = get_origin(hint)
+    if origin is Annotated:
+        return _bare(get_args(hint)[0])
+    if origin in (Union, UnionType):
+        return _bare(next(arg for arg in get_args(hint) if arg is not type(None)))
+    return hint
+
+
+def _is_section(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, BaseModel)
+
+
+def _path(parts: Sequence[int | str], raw: dict[str, Any]) -> str:
+    """A path as the config's author would say it; an experiment is named by its id."""
+    text = ""
+    for i, part in enumerate(parts):
+        if isinstance(part, int):
+            entry = _at(raw, parts[: i + 1])
+            name = entry.get("id") if isinstance(entry, dict) else None
+            text += f"[{name!r}]" if isinstance(name, str) and name else f"[{part}]"
+        else:
+            name = part if part.isprintable() else repr(part)
+            text += f".{name}" if text else name
+    return text
+
+
+def _at(raw: Any, parts: Sequence[int | str]) -> Any:
+    for part in parts:
+        raw = raw[part]
+    return raw

@@ -1,0 +1,211 @@
+"""TOML to the objects of a fit: the only reader of config files.
+
+Its keys stand in `sections.py`; an unknown key is an error that names the nearest known one.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from cluster_est.config.messages import sentences
+from cluster_est.config.overrides import override
+from cluster_est.config.sections.experiment import (
+    ColumnSection,
+    CurveSection,
+    ExperimentSection,
+    InputSection,
+    OutputSection,
+)
+from cluster_est.config.sections.search import (
+    ConstraintSection,
+    CostSection,
+    MethodSection,
+    MultistartSection,
+    StepSection,
+    TrackingSection,
+    UncertaintySection,
+)
+from cluster_est.config.sections.sections import (
+    BudgetSection,
+    ClosedLoopSection,
+    CoefficientSection,
+    Config,
+    EffectSection,
+    ExecutorSection,
+    LogSection,
+    ModelSection,
+    ParameterSection,
+)
+from cluster_est.costs import ALIASES as COST_ALIASES
+from cluster_est.costs import COSTS
+from cluster_est.errors import ConfigError
+from cluster_est.executors import EXECUTORS
+from cluster_est.methods import ALIASES, METHODS
+from workers.fmu.description import nearest
+
+__all__ = [
+    "BudgetSection",
+    "ClosedLoopSection",
+    "CoefficientSection",
+    "ColumnSection",
+    "Config",
+    "ConstraintSection",
+    "CostSection",
+    "CurveSection",
+    "EffectSection",
+    "ExecutorSection",
+    "ExperimentSection",
+    "InputSection",
+    "LogSection",
+    "MethodSection",
+    "ModelSection",
+    "MultistartSection",
+    "OutputSection",
+    "ParameterSection",
+    "StepSection",
+    "TrackingSection",
+    "UncertaintySection",
+    "parse_config",
+    "read_config",
+]
+
+
+def read_config(path: Path, overrides: list[str] | None = None) -> Config:
+    """Read and check a config file.
+
+    Parameters
+    ----------
+    path
+        The TOML file.
+    overrides
+        "key=value" with dots in the key, as on the command line.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file, it is not TOML, or a key is unknown or has a wrong value.
+    """
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise ConfigError(f"there is no config file {path}; check the path") from None
+    except UnicodeDecodeError as error:
+        if path.suffix.lower() == ".fmu":
+            raise ConfigError(
+                f"{path}: must be a config but is an FMU; write one with cluster-est init"
+            ) from None
+        raise ConfigError(
+            f"{path}: must be text in UTF-8 but is not ({error.reason} at byte {error.start}); "
+            "save it as UTF-8"
+        ) from None
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: must be a file that can be read but cannot be ({error.strerror}); check "
+            "the path"
+        ) from error
+    except (ValueError, RecursionError) as error:  # tomllib lets more out than its own error
+        raise ConfigError(f"{path}: must be TOML but is not: {error}; mend that line") from None
+    for text in overrides or []:
+        override(raw, text)
+    return parse_config(raw, str(path))
+
+
+def parse_config(raw: dict[str, Any], where: str) -> Config:
+    """Check a config that is already in memory; `where` opens each message.
+
+    Raises
+    ------
+    ConfigError
+        With one line for each problem.
+    """
+    try:
+        config = Config.model_validate(raw)
+    except ValidationError as error:
+        raise ConfigError("\n".join(sentences(error, where, raw, Config))) from None
+    problems = [*_unknown_names(config)]
+    problems += _missing_starts(config)
+    demanded = bool(config.constraints or config.cost.function)
+    for experiment in config.experiments:
+        problems += _contradictions(experiment, demanded=demanded)
+    if problems:
+        raise ConfigError("\n".join(f"{where}: {problem}" for problem in problems))
+    return config
+
+
+def _unknown_names(config: Config) -> Iterator[str]:
+    choices: list[tuple[str, str, list[str], list[str]]] = [
+        ("cost.name", config.cost.name, list(COSTS), list(COST_ALIASES)),
+        ("method.name", config.method.name, list(METHODS), list(ALIASES)),
+        ("executor.name", config.executor.name, list(EXECUTORS), []),
+    ]
+    for key, name, known, aliases in choices:
+        if name not in (*known, *aliases):
+            yield f"{key}: there is no {name!r}{nearest(name, known)}"
+
+
+def _missing_starts(config: Config) -> Iterator[str]:
+    for name, parameter in config.parameters.items():
+        key = f"parameters.{name}"
+        if parameter.start is None and not parameter.expression:
+            yield f"{key}.start is missing; add it (where the estimation starts, in the FMU's unit)"
+        elif parameter.start is not None and parameter.expression:
+            yield (
+                f"{key}.start: must be left out where there is an expression, which says all of "
+                "the value, but is there; remove one of the two"
+            )
+
+
+def _wrong_source(where: str, experiment: ExperimentSection, *, demanded: bool) -> Iterator[str]:
+    """Data, times and what is measured, which depend on each other."""
+    timed = experiment.outputs or experiment.inputs or experiment.signals
+    given = [key for key in ("time", "sample_time") if getattr(experiment, key) is not None]
+    if not experiment.outputs and experiment.curve is None and not demanded:
+        yield f"{where}.outputs is missing; add it (FMU output = column), or a curve"
+    elif experiment.data is None:
+        if timed or experiment.curve is not None or given:
+            yield f"{where}.data is missing; add it (path of the table: csv, parquet, feather, mat)"
+    elif timed and len(given) != 1:
+        has = "both; remove one" if given else "neither; add one"
+        yield f"{where}: must have either time (a column) or sample_time (seconds) but has {has}"
+    if not timed and (experiment.start is None or experiment.stop is None):
+        yield (
+            f"{where}: must have start and stop in seconds, because no times are measured, but "
+            "has not; add both"
+        )
+
+
+def _contradictions(experiment: ExperimentSection, *, demanded: bool) -> Iterator[str]:
+    """What can be seen to be wrong before any file is read."""
+    where = f"experiments[{experiment.id!r}]"
+    yield from _wrong_source(where, experiment, demanded=demanded)
+    for name in experiment.sigma:
+        if name not in experiment.outputs:
+            yield (
+                f"{where}.sigma.{name}: must be named as one of its outputs but is not"
+                f"{nearest(name, experiment.outputs)}"
+            )
+    for name in experiment.outputs:
+        if name in experiment.inputs:
+            yield (
+                f"{where}.outputs.{name}: must not be an input of the same experiment, because "
+                "the FMU computes nothing there; remove one of the two"
+            )
+    start, stop = experiment.start, experiment.stop
+    if start is not None and stop is not None and not start < stop:
+        yield f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one"
+    for i, (first, last) in enumerate(experiment.windows):
+        if not first <= last:
+            yield (
+                f"{where}.windows[{i}]: must be [from, to] with from before to but is "
+                f"[{first:g}, {last:g}]; swap them"
+            )
+    if experiment.rows is not None and not experiment.rows[0] < experiment.rows[1]:
+        yield (
+            f"{where}.rows: must be [from, to] with from below to but is "
+            f"{list(experiment.rows)}; swap them, or remove the key to use all rows"
+        )

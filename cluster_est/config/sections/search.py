@@ -1,0 +1,155 @@
+"""The keys of what is searched for, and how: cost, constraints, method, starts, uncertainty."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, Strict
+from pydantic_core import PydanticCustomError
+
+from cluster_est.config.sections.types import (
+    LARGEST,
+    Count,
+    Finite,
+    Pair,
+    Positive,
+    Samples,
+    Section,
+)
+
+
+def _level(value: Any) -> Any:
+    """A number, or points of a curve over time."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if number and abs(value) <= sys.float_info.max:
+        return [(0.0, float(value))]
+    if isinstance(value, list) and value and all(isinstance(v, list | tuple) for v in value):
+        return value
+    raise PydanticCustomError("level", "must be a finite number or [[time, value], ...]")
+
+
+Level = Annotated[list[Pair], BeforeValidator(_level)]
+Name = Annotated[str, Field(min_length=1)]
+
+
+class CostSection(Section):
+    name: str = Field("sse", description="sse, sae, huber, soft_l1, cauchy, likelihood or total")
+    options: dict[str, Any] = Field(default_factory=dict, description="of the cost")
+    function: str = Field(
+        "",
+        description='"module:name" of a Python function whose numbers take the place of the '
+        "residuals; needs --allow-code",
+    )
+    time_base: Literal["measured", "union", "simulated", "both"] = Field(
+        "measured",
+        description="measured: each output at its own times; union: at the times of all outputs; "
+        "simulated: every step seconds; both: union and simulated",
+    )
+    step: Finite | None = Field(
+        None, gt=0.0, description="seconds of the simulated time base; default: model.step"
+    )
+    normalise: Literal["sigma", "max", "range"] = Field(
+        "sigma",
+        description="what residuals are divided by: sigma, or the measured signal's largest "
+        "absolute value or range",
+    )
+    weights: dict[str, Annotated[Finite, Field(gt=0.0)]] = Field(
+        default_factory=dict, description="FMU output = weight of its squares; default 1"
+    )
+
+
+class StepSection(Section):
+    initial: Finite = Field(0.0, description="value before the step")
+    final: Finite = Field(description="value that it settles at")
+    time: Finite = Field(0.0, description="seconds; when the step begins")
+    rise_time: Finite = Field(gt=0.0, description="seconds after which it must have risen")
+    rise: Finite = Field(80.0, gt=0.0, lt=100.0, description="percent of the step by then")
+    settling_time: Finite = Field(gt=0.0, description="seconds after which it must have settled")
+    settling: Finite = Field(1.0, gt=0.0, description="percent of the step it may be off then")
+    overshoot: Finite = Field(10.0, ge=0.0, description="percent of the step, until it settles")
+    undershoot: Finite = Field(1.0, ge=0.0, description="percent of the step, while it rises")
+
+
+class TrackingSection(Section):
+    absolute: Finite = Field(0.0, ge=0.0, description="tolerance in the signal's unit")
+    relative: Finite = Field(0.0, ge=0.0, description="and this part of the measured value")
+    side: Literal["both", "upper", "lower"] = Field(
+        "both", description="upper: the signal must only not be above; lower: not below"
+    )
+
+
+class ConstraintSection(Section):
+    name: str = Field("", description="for tables; default: what it says")
+    expression: str = Field(
+        "", description='on parameters: two formulas with <=, >= or = between, "mu_d <= mu_s"'
+    )
+    signal: str = Field("", description="on a variable of the FMU")
+    function: str = Field(
+        "",
+        description='"module:name" of a Python function that returns a number that must be at '
+        "most 0; needs --allow-code",
+    )
+    equality: bool = Field(False, description="for a function: the number must be 0")
+    lower: Level | None = Field(None, description="number, or [[time, value], ...]")
+    upper: Level | None = Field(None, description="number, or [[time, value], ...]")
+    step_response: StepSection | None = Field(None, description="envelope of a step response")
+    tracking: TrackingSection | None = Field(
+        None, description="band around the measured signal, in each experiment that has it"
+    )
+    final: Finite | None = Field(None, description="value at the end of the simulation")
+    tolerance: Finite = Field(0.0, ge=0.0, description="how far it may be off; 0: an equality")
+    between: Annotated[tuple[Finite, Finite], Strict(False)] | None = Field(
+        None, description="[from, to] seconds; default: the whole simulation"
+    )
+    samples: Samples = Field(200, description="times at which the signal is checked, evenly spaced")
+    scale: Finite | None = Field(
+        None, gt=0.0, description="what a violation is counted in; default: the size of its limits"
+    )
+    experiments: list[str] = Field(
+        default_factory=list, description="ids of the experiments; default: all"
+    )
+
+
+class MethodSection(Section):
+    name: str = Field("least_squares", description="see the documentation: which method when")
+    options: dict[str, Any] = Field(default_factory=dict, description="of the method")
+    seed: Count = Field(0, description="of the method's random generator")
+
+
+class MultistartSection(Section):
+    n: Positive = Field(1, description="starts, the parameters' own first")
+    sampler: Literal["sobol", "latin_hypercube", "uniform"] = Field(
+        "sobol", description="how the others are spread over the bounds"
+    )
+    points: list[dict[str, Finite]] = Field(
+        default_factory=list, description="starts of your own: [{ parameter = value }, ...]"
+    )
+    screen: Positive = Field(
+        1, description="points looked at for each start; the best ones are started from"
+    )
+    at_once: Positive = Field(16, description="starts under way at the same time")
+    patience: Count = Field(
+        0, description="stop after so many starts in a row without a new minimum; 0: never"
+    )
+    same: Finite = Field(
+        1e-3, gt=0.0, description="relative distance up to which two minima are the same"
+    )
+    seed: Count = Field(0, description="of the sampler")
+
+
+class UncertaintySection(Section):
+    profiles: list[str] = Field(
+        default_factory=list,
+        description='labels or parameters whose likelihood profiles are taken; "shared" or "all"',
+    )
+    bootstrap: Count = Field(0, description="draws of experiments with a refit each; 0: none")
+    confidence: Finite = Field(0.95, ge=0.5, lt=1.0, description="of profiles and bootstrap")
+    steps: Positive = Field(4, description="refits at least on each side of a profile")
+    max_steps: int = Field(
+        20, ge=2, le=LARGEST, description="refits on a side, then it is called flat"
+    )
+    rise: Finite = Field(
+        0.0, ge=0.0, description="of the cost at a profile's ends; 0: from the residuals"
+    )
+    at_once: Positive = Field(16, description="refits under way at the same time")

@@ -1,0 +1,206 @@
+"""Every key of a config file, once: its type, its default and a line that says what it is."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, Strict
+
+from cluster_est.config.sections.experiment import ExperimentSection
+from cluster_est.config.sections.search import (
+    ConstraintSection,
+    CostSection,
+    MethodSection,
+    MultistartSection,
+    UncertaintySection,
+)
+from cluster_est.config.sections.types import LARGEST, Count, Finite, Known, Section
+
+
+class ModelSection(Section):
+    fmu: str = Field(description="path of the FMU, from the config's folder")
+    interface: Literal["auto", "model_exchange", "co_simulation"] = Field(
+        "auto", description="which of the FMU's interfaces; auto prefers model exchange"
+    )
+    solver: Literal["auto", "dormand_prince", "rk4", "cvode", "fmu"] = Field(
+        "auto",
+        description="auto: dormand_prince for model exchange, fmu for co-simulation; "
+        "cvode for stiff models",
+    )
+    step: Finite | None = Field(
+        None,
+        gt=0.0,
+        description="seconds; the step of rk4, the longest step of the others; "
+        "default: from one time in the data to the next, no limit for dormand_prince and cvode",
+    )
+    rtol: Finite | None = Field(
+        None, gt=0.0, lt=1.0, description="relative tolerance; default 1e-8, the FMU's own for fmu"
+    )
+    atol: Finite | None = Field(
+        None, gt=0.0, description="absolute tolerance over each state's nominal; default rtol"
+    )
+    max_steps: Count = Field(1_000_000, gt=0, description="steps after which a simulation fails")
+    reset: Literal["auto", "reset", "instance", "process"] = Field(
+        "auto",
+        description="what every simulation begins with: a reset of the instance, a new instance "
+        "or a new process; auto: the first that lets a simulation be repeated",
+    )
+
+
+class ParameterSection(Section):
+    start: Finite | None = Field(
+        None,
+        description="where the estimation starts, in the FMU's unit; needed but for an expression",
+    )
+    bounds: Annotated[tuple[float, float], Strict(False)] = Field(
+        (float("-inf"), float("inf")), description="[lower, upper]"
+    )
+    scale: Literal["linear", "log"] = Field("linear", description="log: methods see ln(value)")
+    fixed: bool = Field(False, description="keep it at its start")
+    variable: str = Field("", description="the FMU's name for it; default: the key")
+    per: str | None = Field(
+        None, description='"experiment" or "group:KEY" for a value of its own there; default shared'
+    )
+    unit: str = Field("", description="for tables; default: the FMU's")
+    expression: str = Field(
+        "", description='instead of start: a formula in other parameters, such as "2 * k1"'
+    )
+    auxiliary: bool = Field(
+        False, description="not in the FMU: for expressions and constraints alone"
+    )
+
+
+class CoefficientSection(Section):
+    start: Finite | None = Field(
+        None, description="where the estimation starts; default: the value that does nothing"
+    )
+    bounds: Annotated[tuple[float, float], Strict(False)] | None = Field(
+        None, description="[lower, upper]; default: what physics allows"
+    )
+    scale: Literal["linear", "log"] = Field("linear", description="log: methods see ln(value)")
+    fixed: bool = Field(False, description="keep it at its start")
+    neutral: Finite | None = Field(
+        None, description="of an equation of your own: the value at which it does nothing"
+    )
+    per: str | None = Field(None, description='"experiment" or "group:KEY"; default shared')
+    unit: str = Field("", description="for tables")
+
+
+class EffectSection(Section):
+    name: str = Field("", description="of the effect; default: its form")
+    site: str = Field(
+        description='"der(STATE)", "pair STATE,STATE", "input NAME", "output NAME" or '
+        '"parameter NAME" of the FMU'
+    )
+    form: str = Field("", description="a form of the library, such as coulomb")
+    variables: list[str] = Field(
+        default_factory=list,
+        description="states, inputs or signals it is a function of, or differences like "
+        '"x - z"; default: the state of der(STATE), or the difference of a pair',
+    )
+    equation: str = Field("", description="instead of form: an equation in the FMU's names")
+    parameters: dict[str, CoefficientSection] = Field(
+        default_factory=dict, description="its coefficients = { start, bounds, ... }"
+    )
+
+
+class ClosedLoopSection(Section):
+    effects: list[str] = Field(
+        default_factory=list, description="forms to try, such as coulomb; default: the library"
+    )
+    sites: list[str] = Field(
+        default_factory=list, description='where to look, such as "der(v)"; default: all'
+    )
+    max_effects: Count = Field(3, gt=0, description="effects to add at most")
+    significance: Finite = Field(
+        0.01, gt=0.0, lt=1.0, description="largest p-value at which something counts as missing"
+    )
+    draws: int = Field(
+        2000, ge=100, le=LARGEST, description="Monte Carlo draws of each null distribution"
+    )
+    trials: Count = Field(30, gt=0, description="candidates tried by a real simulation")
+    refits: Count = Field(12, gt=0, description="of those, how many are refitted")
+    starts: Count = Field(
+        8, gt=0, description="starts of the declared fit, where one is not enough"
+    )
+    least_gain: Finite = Field(
+        0.2, ge=0.0, description="share of the gap to the noise that an effect must close"
+    )
+    pairs: bool = Field(True, description="try two effects at once where no single one is enough")
+    seed: Count = Field(0, description="of every random generator of the loop")
+
+
+class ExecutorSection(Section):
+    name: str = Field("local", description="local, processes or ray")
+    workers: Count | None = Field(
+        None, gt=0, description="default: every core of the cluster for ray, else 1"
+    )
+    address: str | None = Field(
+        None, description='of a Ray cluster, e.g. "auto"; default: this machine alone'
+    )
+    timeout: Finite = Field(
+        600.0, gt=0.0, description="seconds that one simulation may take; not with local"
+    )
+    patience: Finite = Field(
+        50.0,
+        ge=0.0,
+        description="times as long as usual that one may take, and a second; 0: no such limit",
+    )
+    memory: Finite | None = Field(
+        None, gt=0.0, description="MB that a worker's simulation may have; default: no limit"
+    )
+    growth: Finite = Field(
+        256.0, gt=0.0, description="MB by which an FMU may leak before its process is replaced"
+    )
+
+
+class BudgetSection(Section):
+    evaluations: Count | None = Field(None, gt=0, description="points to evaluate at most")
+    seconds: Finite | None = Field(None, gt=0.0, description="after which nothing new is asked")
+
+
+class LogSection(Section):
+    residuals: bool = Field(
+        True,
+        description="false: leave residuals and trajectories out; a resumed run computes them anew",
+    )
+    max_megabytes: Finite = Field(
+        4096.0,
+        ge=0.0,
+        description="size beyond which the oldest simulations lose theirs; 0: no limit",
+    )
+
+
+class Config(Section):
+    """A whole config file."""
+
+    model: ModelSection = Field(description="the FMU and how to integrate it")
+    data_folders: list[str] = Field(
+        default_factory=list,
+        description="folders to look for data in, after the config's own; $NAME is replaced",
+    )
+    parameters: dict[str, ParameterSection] = Field(
+        default_factory=dict, description="what to estimate"
+    )
+    values: dict[str, Known] = Field(
+        default_factory=dict, description="known values of all experiments, by FMU name"
+    )
+    experiments: list[ExperimentSection] = Field(min_length=1, description="measured runs")
+    effects: list[EffectSection] = Field(
+        default_factory=list, description="terms that are added to the model"
+    )
+    closed_loop: ClosedLoopSection = Field(
+        ClosedLoopSection(), description="how close-loop looks for what the model lacks"
+    )
+    cost: CostSection = Field(CostSection(), description="what is minimised")
+    constraints: list[ConstraintSection] = Field(
+        default_factory=list, description="what parameters and signals must satisfy"
+    )
+    method: MethodSection = Field(MethodSection(), description="how")
+    multistart: MultistartSection = Field(MultistartSection(), description="from how many starts")
+    uncertainty: UncertaintySection = Field(
+        UncertaintySection(), description="intervals that take refits"
+    )
+    executor: ExecutorSection = Field(ExecutorSection(), description="where")
+    budget: BudgetSection = Field(BudgetSection(), description="for how long")
+    log: LogSection = Field(LogSection(), description="how much of each simulation is kept")

@@ -1,0 +1,119 @@
+"""Answers from a log, in front of another executor: how an interrupted run is taken up again."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Collection, Sequence
+
+from cluster_est.executors.base import Executor
+from cluster_est.run_folder.log_format import simulation_key
+from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from workers.messages import Experiment, Model, Outcome, Task
+
+
+class Recall(Executor):
+    """Answers tasks that stand in a log, and lets another executor do the others.
+
+    The run is done again from its start. What it asks and the log answers is *held* and given back
+    one at a time, in the log's order, as it came back the first time. So a method that goes by the
+    order of its answers goes the same way again. Everything else waits until nothing is held any
+    more: what the first run took back before it began can be taken back again. A held task cannot
+    be, because it was not the first time either.
+
+    Rows without residuals, or without a linearisation, are simulated again at once, and answered
+    when it is their turn.
+
+    It is no choice of a config: `open_executor` puts it there for a run that is resumed.
+
+    Parameters
+    ----------
+    inner
+        Simulates; it is closed along with this one.
+    model, experiments
+        What `inner` was opened with.
+    log
+        What is known already.
+    """
+
+    def __init__(
+        self,
+        inner: Executor,
+        model: Model,
+        experiments: Sequence[Experiment],
+        log: LoggedOutcomes,
+    ) -> None:
+        self._inner = inner
+        self._model_key = model.key
+        self._experiment_keys = [experiment.key for experiment in experiments]
+        self._log = log
+        self._held: list[tuple[int, int]] = []  # row, task
+        self._later: list[Task] = []
+        self._early: dict[int, Outcome] = {}
+
+    @property
+    def workers(self) -> int:  # type: ignore[override]
+        """Those of the executor behind it; a pool may grow."""
+        return self._inner.workers
+
+    def submit(self, tasks: Sequence[Task]) -> None:
+        if self._log.remaining:
+            rows = self._log.take([(self._key(task), task.want) for task in tasks])
+        else:
+            rows = [None] * len(tasks)
+        again = []
+        for task, row in zip(tasks, rows, strict=True):
+            if row is None:
+                self._later.append(task)
+                continue
+            heapq.heappush(self._held, (row, task.id))
+            if not self._log.is_whole(row):
+                again.append(task)
+        if again:
+            self._inner.submit(again)
+        self._pass_on()
+
+    def completed(self) -> list[Outcome]:
+        while self._held:
+            row, task = self._held[0]
+            if self._log.is_whole(row):
+                outcome = self._log.outcome(row, task)
+            elif task in self._early:
+                outcome = self._early.pop(task)
+            else:
+                self._early |= {outcome.task: outcome for outcome in self._inner.completed()}
+                continue
+            heapq.heappop(self._held)
+            self._log.note_answered(task)
+            return [outcome]
+        self._pass_on()
+        if self._early:
+            outcomes = list(self._early.values())
+            self._early.clear()
+            return outcomes
+        return self._inner.completed()
+
+    def cancel(self, tasks: Collection[int]) -> list[int]:
+        wanted = set(tasks).difference(task for _, task in self._held)
+        found = [task.id for task in self._later if task.id in wanted]
+        if found:
+            self._later = [task for task in self._later if task.id not in wanted]
+        return found + self._inner.cancel(wanted.difference(found))
+
+    @property
+    def busy(self) -> int:
+        return self._inner.busy
+
+    def close(self) -> None:
+        self._held.clear()
+        self._later.clear()
+        self._inner.close()
+
+    def _pass_on(self) -> None:
+        """Let the others be simulated, once nothing is held any more."""
+        if self._later and not self._held:
+            later, self._later = self._later, []
+            self._inner.submit(later)
+
+    def _key(self, task: Task) -> str:
+        experiment = self._experiment_keys[task.experiment]
+        return simulation_key(self._model_key, experiment, task.effects, task.values)

@@ -1,0 +1,1 @@
+"""Jacobians and gradients of a cost: by finite differences or from the model."""

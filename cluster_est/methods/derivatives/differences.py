@@ -1,0 +1,173 @@
+"""Derivatives of the residuals by finite differences, one point for each colour of unknowns.
+
+The error of a forward difference is the sum of the simulation's noise over the step and of the
+curvature times the step; it is smallest where the relative step is the square root of the relative
+noise, for a central difference the cube root (P. E. Gill, W. Murray, M. H. Wright, Practical
+Optimization (1981), section 8.6). The noise of a simulation is not that of a double: an adaptive
+solver's result jumps by a part of its tolerance whenever its number of steps changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cluster_est.methods.base import Evaluation, Points, Progress
+from cluster_est.methods.block_matrix import BlockMatrix
+from cluster_est.problem.space import Space
+from workers.messages import FloatArray, Solver
+
+Scheme = Literal["forward", "central"]
+Differences = Literal["auto", "forward", "central", "sensitivities"]
+"""What a user may choose."""
+LARGE = 2**23
+"""Entries above which a solution keeps its Jacobian in blocks, where those are much smaller."""
+NOISE_OF_TOLERANCE = 1e-3
+"""Part of an adaptive solver's tolerance by which its result jumps."""
+NOISE_OF_CVODE = 10.0
+"""The same of CVODE, which changes order and step in leaps; 1 to 100 on stiff models."""
+NOISE_FIXED = 1e-14
+NOISE_UNKNOWN = 1e-11
+"""Of a co-simulation FMU, whose solver nobody sees."""
+
+
+@dataclass(frozen=True)
+class Jacobian:
+    """Derivatives at a point.
+
+    Attributes
+    ----------
+    blocks
+        Of the residuals, (residuals, unknowns); zero in the columns of frozen unknowns.
+    frozen : (unknowns,)
+        Unknowns whose derivative could not be computed because a simulation failed.
+    steps : (unknowns,)
+        What was added to each unknown.
+    constraints : (constraints, unknowns)
+        Derivatives of `Evaluation.constraints`; zero in frozen columns too.
+    """
+
+    blocks: BlockMatrix
+    frozen: npt.NDArray[np.bool_]
+    steps: FloatArray
+    constraints: FloatArray
+
+    @cached_property
+    def matrix(self) -> FloatArray:
+        """(residuals, unknowns): the whole matrix, for those who need it in one piece."""
+        return self.blocks.dense()
+
+    @property
+    def whole(self) -> FloatArray | None:
+        """`matrix`, unless it is too large for `Solution.jacobian`."""
+        return None if self.large is not None else self.matrix
+
+    @property
+    def large(self) -> BlockMatrix | None:
+        """`blocks`, where the whole matrix is too large."""
+        entries = self.blocks.height * self.blocks.size
+        return self.blocks if self.blocks.sparse and entries > LARGE else None
+
+
+def relative_noise(solver: Solver) -> float:
+    """How large the noise of a simulation is, relative to its result."""
+    if solver.name == "rk4":
+        return NOISE_FIXED
+    if solver.name == "cvode":
+        return max(NOISE_FIXED, NOISE_OF_CVODE * (solver.rtol or 1e-8))
+    if solver.name == "dormand_prince":
+        return max(NOISE_FIXED, NOISE_OF_TOLERANCE * (solver.rtol or 1e-8))
+    return max(NOISE_UNKNOWN, NOISE_OF_TOLERANCE * (solver.rtol or 0.0))
+
+
+def difference_steps(space: Space, x: FloatArray, scheme: Scheme, relative: float) -> FloatArray:
+    """A step for each unknown, with the sign that keeps forward differences within the bounds.
+
+    A relative step of 0 takes the one that suits the simulation's noise.
+    """
+    if relative <= 0.0:
+        noise = relative_noise(space.problem.model.solver)
+        relative = noise ** (0.5 if scheme == "forward" else 1.0 / 3.0)
+    logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
+    size = np.where(logarithmic, 1.0, np.maximum(np.abs(x), space.typical))
+    room = np.maximum(space.upper - x, x - space.lower)
+    steps = np.minimum(relative * size, 0.5 * room)
+    steps = (x + steps) - x
+    return np.where(x + steps > space.upper, -steps, steps)
+
+
+def jacobian(
+    space: Space,
+    x: FloatArray,
+    at: Evaluation,
+    scheme: Scheme,
+    relative_step: float,
+    progress: Progress | None,
+) -> Generator[Points, list[Evaluation], Jacobian]:
+    """Ask for the points of a Jacobian and assemble it.
+
+    Parameters
+    ----------
+    space, x, at
+        The point and its evaluation.
+    scheme
+        "forward" costs one evaluation for each colour, "central" two.
+    relative_step
+        0 for the step that suits the solver.
+    """
+    steps = difference_steps(space, x, scheme, relative_step)
+    ahead = np.tile(x, (len(space.colours), 1))
+    behind = ahead.copy()
+    for colour, members in enumerate(space.colours):
+        ahead[colour, members] += steps[members]
+        behind[colour, members] -= steps[members]
+    if scheme == "forward":
+        forward = yield Points(ahead, "jacobian", progress)
+        widths = ahead - x
+        return _assemble(space, x, at, steps, forward, [at] * len(forward), widths)
+    behind = np.clip(behind, space.lower, space.upper)
+    both = yield Points(np.vstack([ahead, behind]), "jacobian_central", progress)
+    high, low = both[: len(ahead)], both[len(ahead) :]
+    return _assemble(space, x, at, steps, high, low, ahead - behind)
+
+
+def _assemble(
+    space: Space,
+    x: FloatArray,
+    at: Evaluation,
+    steps: FloatArray,
+    ahead: list[Evaluation],
+    behind: list[Evaluation],
+    widths: FloatArray,
+) -> Jacobian:
+    """Take each unknown's column from the experiments that it acts on, in its colour's point."""
+    places = space.constraint_rows
+    pairs = zip(at.rows, space.acting, strict=True)
+    parts = [np.zeros((row.stop - row.start, len(columns))) for row, columns in pairs]
+    constraints = np.zeros((len(space.constraint_names), space.size))
+    own = space.parameter_constraint_slopes(x)
+    constraints[: len(own)] = own
+    frozen = np.zeros(space.size, dtype=bool)
+    colour_of = np.zeros(space.size, np.intp)
+    for colour, members in enumerate(space.colours):
+        colour_of[members] = colour
+    for e, columns in enumerate(space.acting):
+        for j, i in enumerate(columns.tolist()):
+            colour = colour_of[i]
+            high, low = ahead[colour].outcomes[e], behind[colour].outcomes[e]
+            width = widths[colour, i]
+            if high.residuals is None or low.residuals is None or width == 0.0:
+                frozen[i] = True
+                continue
+            parts[e][:, j] = (high.residuals - low.residuals) / width
+            if places[e].stop > places[e].start:
+                constraints[places[e], i] = (high.constraints - low.constraints) / width
+    for part, columns in zip(parts, space.acting, strict=True):
+        part[:, frozen[columns]] = 0.0
+    constraints[:, frozen] = 0.0
+    return Jacobian(BlockMatrix(tuple(parts), space.acting, space.size), frozen, steps, constraints)

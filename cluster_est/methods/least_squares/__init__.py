@@ -1,0 +1,1 @@
+"""Levenberg-Marquardt within bounds, its linear algebra, and the one of SciPy."""

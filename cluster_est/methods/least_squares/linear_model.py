@@ -1,0 +1,83 @@
+"""The linear part of a least-squares model: as one array, or experiment by experiment."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import final
+
+import numpy as np
+
+from cluster_est.methods.block_matrix import BlockMatrix
+from cluster_est.methods.derivatives.differences import Jacobian
+from cluster_est.methods.least_squares.block_step import BlockStepSolver
+from cluster_est.methods.least_squares.bounded_step import StepSolver
+from workers.messages import FloatArray
+
+
+class LinearMap(ABC):
+    """A weighted Jacobian J, and what a search asks of it."""
+
+    @abstractmethod
+    def norms(self) -> FloatArray:
+        """(unknowns,): of the columns."""
+
+    @abstractmethod
+    def transposed_product(self, values: FloatArray) -> FloatArray:
+        """(unknowns,): J'v of one value for each residual."""
+
+    @abstractmethod
+    def product(self, step: FloatArray) -> FloatArray:
+        """(residuals,): J p of one value for each unknown."""
+
+    @abstractmethod
+    def solver(
+        self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
+    ) -> StepSolver | BlockStepSolver:
+        """What finds steps; see `StepSolver`."""
+
+
+def linear_map(derivatives: Jacobian, factor: FloatArray) -> LinearMap:
+    """Of a Jacobian whose rows are multiplied with a factor, in the form that suits its size."""
+    if derivatives.blocks.sparse:
+        return _Blocks(derivatives.blocks.weighted(factor))
+    return _Whole(factor[:, None] * derivatives.matrix)
+
+
+@final
+class _Whole(LinearMap):
+    def __init__(self, matrix: FloatArray) -> None:
+        self._matrix = matrix
+
+    def norms(self) -> FloatArray:
+        return np.asarray(np.linalg.norm(self._matrix, axis=0))
+
+    def transposed_product(self, values: FloatArray) -> FloatArray:
+        return np.asarray(self._matrix.T @ values)
+
+    def product(self, step: FloatArray) -> FloatArray:
+        return np.asarray(self._matrix @ step)
+
+    def solver(
+        self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
+    ) -> StepSolver:
+        return StepSolver(self._matrix, residuals, scale, lower, upper)
+
+
+@final
+class _Blocks(LinearMap):
+    def __init__(self, matrix: BlockMatrix) -> None:
+        self._matrix = matrix
+
+    def norms(self) -> FloatArray:
+        return self._matrix.norms()
+
+    def transposed_product(self, values: FloatArray) -> FloatArray:
+        return self._matrix.transposed_product(values)
+
+    def product(self, step: FloatArray) -> FloatArray:
+        return self._matrix.product(step)
+
+    def solver(
+        self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
+    ) -> BlockStepSolver:
+        return BlockStepSolver(self._matrix, residuals, scale, lower, upper)

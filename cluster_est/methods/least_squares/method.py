@@ -1,0 +1,155 @@
+"""A Levenberg-Marquardt method within bounds and constraints, that asks for much at once.
+
+An iteration is two requests: one point for each colour of unknowns (the Jacobian), then steps for
+several damping factors at the same time, of which the best is taken. The number of trial steps is
+an option and never the number of workers, so the result does not depend on the machine. Where the
+model promised much more than the best trial gained, a third request follows the curvature that the
+trials have shown.
+
+Each step minimises the linear model within the bounds exactly, so a bound that becomes active does
+not bend the step of the other unknowns. Damping is scaled by the largest column norms seen, which
+makes the iterates independent of the units of the unknowns.
+
+References: D. W. Marquardt, J. SIAM 11 (1963) 431-441, doi:10.1137/0111030; J. J. More, The
+Levenberg-Marquardt algorithm, Lecture Notes in Mathematics 630 (1978), doi:10.1007/BFb0067700.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from cluster_est.methods.base import Ending, Method, Points, Progress, Search, Solution
+from cluster_est.methods.derivatives.differences import Differences, Jacobian
+from cluster_est.methods.derivatives.sensitivities import Slopes
+from cluster_est.methods.least_squares.final_steps import polish
+from cluster_est.methods.least_squares.iteration import LEAST_DAMPING, Descent, State, Steps
+from cluster_est.methods.least_squares.local_model import LocalModel
+from cluster_est.methods.sqp.trust_region import Settings, sequential_search
+from cluster_est.problem.space import Space
+from workers.messages import FloatArray
+
+FIRST_DAMPING = 1e-3
+SHRUNK = 0.1
+"""An unknown this much smaller than its start deserves smaller differences at the end."""
+CONSTRAINED_XTOL = 1e-6
+"""Shortest step under constraints; at their kinks the cost stops falling long before it."""
+
+
+@dataclass(frozen=True)
+class LeastSquares(Method):
+    """Levenberg-Marquardt with coloured differences and parallel trial steps.
+
+    The method to try first for any sum of squares, and for the costs that weight them: few
+    evaluations, and each request keeps many workers busy. It finds the minimum that the start leads
+    to; for others use several starts. It keeps bounds at every point. Under constraints of other
+    kinds its Gauss-Newton model goes through the steps of `sqp`, and they are satisfied in the end.
+    Not for costs without weights, or with jumps.
+
+    Attributes
+    ----------
+    trials
+        Steps that are tried at once, each with ten times the damping of the one before. Without
+        effect under constraints.
+    max_iterations
+        Limit on the number of Jacobians.
+    ftol, xtol, gtol
+        Converged when the model expects to lower the cost by less than `ftol` of the weighted sum
+        of squares, when a step is shorter than `xtol` of the point, or when the cosine between the
+        residuals and every column of the Jacobian that is not held by a bound is below `gtol`.
+    differences
+        "forward", "central", or "auto": forward until converged, then central to the end, which
+        removes the error that forward differences leave in the minimum. Where they are central, the
+        last steps go on to a millionth of `ftol`. "sensitivities": none; one simulation carries the
+        derivatives along, where an FMU in model exchange provides directional derivatives that
+        agree with differences, and "auto" elsewhere. `fit` takes them for "auto" too where that
+        needs half the time (`cluster_est.running.sensitivity_policy`).
+    relative_step
+        Relative step of the differences; 0 takes the one that suits the solver's noise.
+    """
+
+    name: ClassVar[str] = "least_squares"
+    needs_residuals: ClassVar[bool] = True
+    keeps_constraints: ClassVar[bool] = True
+
+    trials: int = field(default=4, metadata={"least": 1})
+    max_iterations: int = field(default=100, metadata={"least": 1})
+    ftol: float = field(default=1e-10, metadata={"least": 0.0})
+    xtol: float = field(default=1e-10, metadata={"least": 0.0})
+    gtol: float = field(default=1e-10, metadata={"least": 0.0})
+    differences: Differences = "auto"
+    relative_step: float = field(default=0.0, metadata={"least": 0.0})
+
+    def search(self, space: Space, generator: np.random.Generator) -> Search:
+        return self._constrained(space) if space.constraint_names else self._free(space)
+
+    def _constrained(self, space: Space) -> Search:
+        settings = Settings(
+            max_iterations=self.max_iterations,
+            ftol=self.ftol,
+            xtol=max(self.xtol, CONSTRAINED_XTOL),
+            differences=self.differences,
+            relative_step=self.relative_step,
+            hessian="gauss_newton",
+            speculative_gradient=False,
+        )
+        return sequential_search(space, settings)
+
+    def _free(self, space: Space) -> Search:
+        x = space.start
+        (at,) = yield Points(x[None, :], "start", Progress(0, np.nan))
+        if not at.ok:
+            return Solution(x, np.nan, Ending.START_FAILED, at.reason)
+        state = State(x, at, Progress(0, at.cost), np.zeros(space.size), FIRST_DAMPING)
+        slopes = Slopes(space, self.differences, self.relative_step)
+        while True:
+            near = _shrunk(space, state.x)
+            derivatives = yield from slopes.jacobian(near, state.x, state.at, state.progress)
+            state, ending = yield from self._iterate(space, state, derivatives, slopes.exact)
+            if ending is None:
+                continue
+            if ending in (Ending.CONVERGED, Ending.STALLED) and slopes.refine():
+                state = replace(state, damping=min(state.damping, FIRST_DAMPING))
+                continue
+            return Solution(
+                x=state.x,
+                cost=state.at.cost,
+                ending=ending,
+                message=slopes.note,
+                iterations=state.progress.iteration,
+                jacobian=derivatives.whole,
+                block_jacobian=derivatives.large,
+                difference_steps=derivatives.steps,
+                at=state.at,
+            )
+
+    def _iterate(self, space: Space, state: State, derivatives: Jacobian, exact: bool) -> Steps:
+        """From a Jacobian to the next point. Returns the new state, and why to stop if so."""
+        if derivatives.frozen.all():
+            return state, Ending.DERIVATIVES_FAILED
+        model = LocalModel(space, state.x, state.at, derivatives, state.largest)
+        if model.squares == 0.0:
+            return state, Ending.PERFECT
+        progress = replace(state.progress, optimality=model.optimality, damping=state.damping)
+        state = replace(state, largest=model.scale, progress=progress)
+        if model.optimality <= self.gtol:
+            return state, Ending.CONVERGED
+        if state.progress.iteration >= self.max_iterations:
+            return state, Ending.MAX_ITERATIONS
+        if exact:
+            polished = yield from polish(space, state, model, self.ftol)
+            if polished is not None:
+                return polished
+        state = replace(state, offset=model.gain(model.step(LEAST_DAMPING)) / model.squares)
+        descent = Descent(space, self.trials, self.ftol, self.xtol)
+        return (yield from descent.iterate(state, model))
+
+
+def _shrunk(space: Space, x: FloatArray) -> Space:
+    """The same space, for differences, with starts as small as unknowns have become."""
+    small = (np.abs(x) < SHRUNK * space.typical) & (space.start != 0.0)
+    size = np.maximum(np.abs(x), SHRUNK**2 * space.typical)
+    start = np.where(small, np.copysign(size, x), space.start)
+    return space.starting_at(np.clip(start, space.lower, space.upper))

@@ -1,0 +1,145 @@
+"""`scipy.optimize.least_squares` on the same farm: its Jacobians are ours, one request each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
+from cluster_est.methods.callback_bridge import Ask, drive, search_in_thread
+from cluster_est.methods.derivatives.differences import Scheme, jacobian
+from cluster_est.problem.space import Space
+from workers.messages import FloatArray
+
+FAILED_RESIDUAL = 1e100
+"""SciPy knows no failed evaluation: it is told of a residual so large that it shortens its step."""
+
+
+class _StartFailedError(Exception):
+    pass
+
+
+@dataclass(frozen=True)
+class ScipyLeastSquares(Method):
+    """SciPy's trust region reflective, dogleg or MINPACK's Levenberg-Marquardt.
+
+    To compare with a well-known implementation. Its trial steps come one at a time, so it keeps at
+    most as many workers busy as there are experiments.
+
+    Attributes
+    ----------
+    algorithm
+        "trf", "dogbox" or "lm"; "lm" refuses bounds.
+    max_evaluations
+        SciPy's max_nfev, without those of Jacobians; 0 leaves it to SciPy.
+    ftol, xtol, gtol
+        As SciPy defines them.
+    differences, relative_step
+        Scheme and relative step of the Jacobian; 0 takes the step that suits the solver's noise.
+    """
+
+    name: ClassVar[str] = "scipy_least_squares"
+    needs_residuals: ClassVar[bool] = True
+
+    algorithm: Literal["trf", "dogbox", "lm"] = "trf"
+    max_evaluations: int = field(default=0, metadata={"least": 0})
+    ftol: float = field(default=1e-10, metadata={"least": 0.0})
+    xtol: float = field(default=1e-10, metadata={"least": 0.0})
+    gtol: float = field(default=1e-10, metadata={"least": 0.0})
+    differences: Literal["forward", "central"] = "forward"
+    relative_step: float = field(default=0.0, metadata={"least": 0.0})
+
+    def check(self, space: Space) -> None:
+        cost = space.problem.cost
+        if not isinstance(cost, SumSquared):
+            raise ProblemError(
+                f"method.name: {self.name} minimises the sum of squares but cost.name is "
+                f'{cost.name!r}; choose "least_squares", which weights residuals, or "sse"'
+            )
+        bounded = np.isfinite(space.lower).any() or np.isfinite(space.upper).any()
+        if self.algorithm == "lm" and bounded:
+            raise ProblemError(
+                'method.options.algorithm: "lm" cannot keep bounds but a parameter has some; use '
+                '"trf" or remove them'
+            )
+
+    def search(self, space: Space, generator: np.random.Generator) -> Search:
+        return search_in_thread(lambda ask: self._solve(space, ask))
+
+    def _solve(self, space: Space, ask: Ask) -> Solution:
+        known = _Known(space, ask)
+        scheme: Scheme = self.differences
+
+        def derivatives(x: FloatArray) -> FloatArray:
+            at = known.evaluation(x)
+            steps = jacobian(space, x, at, scheme, self.relative_step, known.progress)
+            found = drive(steps, ask)
+            known.steps = found.steps
+            return found.matrix
+
+        try:
+            with np.errstate(over="ignore"):  # of a trial step, whose cost is then infinite
+                result = least_squares(
+                    known.residuals,
+                    space.start,
+                    jac=derivatives,
+                    bounds=(space.lower, space.upper)
+                    if self.algorithm != "lm"
+                    else (-np.inf, np.inf),
+                    method=self.algorithm,
+                    ftol=_tolerance(self.ftol),
+                    xtol=_tolerance(self.xtol),
+                    gtol=_tolerance(self.gtol),
+                    x_scale="jac",
+                    max_nfev=self.max_evaluations or None,
+                )
+        except _StartFailedError as failure:
+            return Solution(space.start, np.nan, Ending.START_FAILED, str(failure))
+        return Solution(
+            x=result.x,
+            cost=known.evaluation(result.x).cost,
+            ending=Ending.CONVERGED if result.status > 0 else Ending.MAX_ITERATIONS,
+            message=result.message,
+            iterations=known.progress.iteration,
+            jacobian=result.jac,
+            difference_steps=known.steps,
+        )
+
+
+class _Known:
+    """Evaluations that SciPy asked for, so that a Jacobian does not ask for its point again."""
+
+    def __init__(self, space: Space, ask: Ask) -> None:
+        self._space, self._ask = space, ask
+        self._x: FloatArray | None = None
+        self._at: Evaluation | None = None
+        self.progress = Progress(0, np.nan)
+        self.steps: FloatArray | None = None
+
+    def evaluation(self, x: FloatArray) -> Evaluation:
+        if self._at is None or self._x is None or not np.array_equal(x, self._x):
+            first = self._at is None
+            purpose = "start" if first else "trial"
+            (at,) = self._ask(Points(x[None, :].copy(), purpose, self.progress))
+            if first and not at.ok:
+                raise _StartFailedError(at.reason)
+            self._x, self._at = x.copy(), at
+            if at.ok and not at.cost >= self.progress.cost:
+                self.progress = Progress(0 if first else self.progress.iteration + 1, at.cost)
+        return self._at
+
+    def residuals(self, x: FloatArray) -> FloatArray:
+        at = self.evaluation(x)
+        if at.ok:
+            return at.residuals
+        return np.full(self._space.rows[-1].stop, FAILED_RESIDUAL)
+
+
+def _tolerance(value: float) -> float | None:
+    """SciPy switches a criterion off with None."""
+    return value if value > 0.0 else None

@@ -1,0 +1,1 @@
+"""Pattern searches, synchronous and asynchronous."""

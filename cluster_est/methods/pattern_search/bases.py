@@ -1,0 +1,99 @@
+"""Directions that a pattern search polls: some direction of any half-space is among them.
+
+Next to bounds and constraints they must generate the directions that stay inside, or a poll may
+fail where going along the boundary would not: R. M. Lewis, A. Shepherd, V. Torczon, Implementing
+generating set search methods for linearly constrained minimization, SIAM J. Sci. Comput. 29 (2007)
+2507-2530.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import qr
+
+from cluster_est.methods.coordinates import Near
+from workers.messages import FloatArray
+
+Basis = Literal["2n", "n+1"]
+Axes = Literal["aligned", "coordinates", "random"]
+NEGLIGIBLE = 1e-8
+
+
+def reflection(across: FloatArray) -> FloatArray:
+    """The Householder matrix that mirrors `across`; its rows are orthonormal."""
+    unit = across / np.linalg.norm(across)
+    return np.eye(len(across)) - 2.0 * np.outer(unit, unit)
+
+
+def aligned_axes(progress: FloatArray) -> FloatArray:
+    """Orthonormal rows, the first along a vector up to its sign; the coordinates if that is 0.
+
+    The idea of H. H. Rosenbrock, An automatic method for finding the greatest or least value of a
+    function, Comput. J. 3 (1960) 175-184, doi:10.1093/comjnl/3.3.175, with one reflection.
+    """
+    length = float(np.linalg.norm(progress))
+    if length == 0.0:
+        return np.eye(len(progress))
+    across = progress / length
+    across[0] += 1.0 if across[0] >= 0.0 else -1.0
+    return reflection(across)
+
+
+def simplex(size: int) -> FloatArray:
+    """(size + 1, size): directions of unit length to the corners of a regular simplex."""
+    first = np.full((1, size), size**-0.5)
+    others = np.sqrt(1.0 + 1.0 / size) * np.eye(size) - size**-1.5 * (np.sqrt(size + 1.0) + 1.0)
+    return np.concatenate([first, others])
+
+
+def directions(axes: FloatArray, basis: Basis, near: Near) -> FloatArray:
+    """(directions, unknowns) of unit length.
+
+    Parameters
+    ----------
+    axes : (unknowns, unknowns)
+        Orthonormal rows.
+    basis
+        "2n" goes both ways along each axis, "n+1" to the corners of a simplex. Next to bounds or
+        constraints the directions are always those of "2n": both ways along them, and straight
+        at and away from each.
+    near
+        What lies within reach.
+    """
+    if len(near.sides) + len(near.equal) == 0:
+        return np.concatenate([axes, -axes]) if basis == "2n" else simplex(len(axes)) @ axes
+    both = np.concatenate([near.sides, near.equal])
+    inverse = np.linalg.pinv(both)
+    along = _independent(axes - (axes @ inverse) @ both)
+    across = _unit(inverse.T[: len(near.sides)])
+    found = [along, -along, -across, across]
+    if np.linalg.matrix_rank(both) < len(both):  # a vertex with more sides than there is room for
+        found += [axes, -axes]
+    return _distinct(np.concatenate(found))
+
+
+def _independent(vectors: FloatArray) -> FloatArray:
+    """Orthonormal vectors that span the same, close to the longest of the given ones."""
+    if not vectors.any():
+        return vectors[:0]
+    found, triangle, _ = qr(vectors.T, mode="economic", pivoting=True)
+    sizes = np.abs(np.diag(triangle))
+    return np.ascontiguousarray(found[:, sizes > NEGLIGIBLE].T)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    lengths = np.linalg.norm(vectors, axis=1)
+    long = lengths > NEGLIGIBLE
+    found: FloatArray = vectors[long] / lengths[long, None]
+    return found
+
+
+def _distinct(vectors: FloatArray) -> FloatArray:
+    """Without those that point where an earlier one does."""
+    kept: list[FloatArray] = []
+    for vector in vectors:
+        if all(np.abs(vector - other).max() > NEGLIGIBLE for other in kept):
+            kept.append(vector)
+    return np.array(kept).reshape(-1, vectors.shape[1])

@@ -1,0 +1,105 @@
+"""Quadratic models of a cost and its constraints through points that were polled anyway.
+
+Of all quadratics through too few points the one with the least second derivatives (in the
+Frobenius norm) is taken: A. L. Custodio, H. Rocha, L. N. Vicente, Incorporating minimum Frobenius
+norm models in direct search, Comput. Optim. Appl. 46 (2010) 265-278,
+doi:10.1007/s10589-009-9283-0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from cluster_est.methods.pattern_search.augmented_lagrangian import Lagrangian
+from workers.messages import FloatArray
+
+CURVATURE_WEIGHT = 1e-5
+"""How little second derivatives count against missing a point."""
+
+
+def points_needed(size: int) -> int:
+    """How many points determine a quadratic in `size` unknowns."""
+    return (size + 1) * (size + 2) // 2
+
+
+@dataclass(frozen=True)
+class QuadraticModel:
+    """Values v + g s + s H s / 2 of some quantities, the cost first and then the constraints.
+
+    Attributes
+    ----------
+    values : (quantities,)
+        At s = 0.
+    gradients : (quantities, unknowns)
+    curvatures : (quantities, unknowns, unknowns)
+    """
+
+    values: FloatArray
+    gradients: FloatArray
+    curvatures: FloatArray
+
+    def predicted(self, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(steps,) costs and (steps, constraints) after some steps (steps, unknowns)."""
+        bent = np.einsum("qij,kj->kqi", self.curvatures, steps)
+        values = self.values + steps @ self.gradients.T + 0.5 * np.einsum("kqi,ki->kq", bent, steps)
+        return values[:, 0], values[:, 1:]
+
+    def minimum(self, lagrangian: Lagrangian, lower: FloatArray, upper: FloatArray) -> FloatArray:
+        """The step s within bounds at which the model's augmented Lagrangian is least."""
+        start = float(lagrangian.values(self.values[0], self.values[1:]))
+        slopes = self.gradients[0] + lagrangian.shifted(self.values[1:]) @ self.gradients[1:]
+        scale = float(np.abs(slopes).max() + np.abs(self.curvatures[0]).max()) or 1.0
+
+        def merit(s: FloatArray) -> tuple[float, FloatArray]:
+            bent = self.curvatures @ s
+            values = self.values + self.gradients @ s + 0.5 * (bent @ s)
+            slopes = self.gradients + bent
+            constraints = values[1:]
+            value = float(lagrangian.values(values[0], constraints)) - start
+            slope = slopes[0] + lagrangian.shifted(constraints) @ slopes[1:]
+            return value / scale, slope / scale
+
+        found = minimize(
+            merit,
+            np.zeros(len(lower)),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=np.column_stack([lower, upper]),
+            options={"ftol": 1e-15, "gtol": 1e-12, "maxiter": 200},
+        )
+        step: FloatArray = np.clip(found.x, lower, upper)
+        return step
+
+
+def fit_model(base: FloatArray, steps: FloatArray, changes: FloatArray) -> QuadraticModel:
+    """The model that goes through `base` and, as far as it can, through the other points.
+
+    Parameters
+    ----------
+    base : (quantities,)
+        Values at s = 0.
+    steps : (points, unknowns)
+        Of order 1.
+    changes : (points, quantities)
+        Values there, less those at s = 0.
+    """
+    size = steps.shape[1]
+    rows, columns = np.triu_indices(size)
+    # a coefficient's square is its part of the Frobenius norm
+    factors = np.where(rows == columns, 0.5, np.sqrt(0.5))
+    design = np.concatenate([steps, steps[:, rows] * steps[:, columns] * factors], axis=1)
+    # what a quadratic misses grows with the third power of the distance
+    weights = 1.0 / np.maximum(1.0, np.abs(steps).max(axis=1)) ** 3
+    penalty = np.zeros((len(rows), design.shape[1]))
+    penalty[:, size:] = CURVATURE_WEIGHT * np.eye(len(rows))
+    left = np.concatenate([design * weights[:, None], penalty])
+    right = np.concatenate([changes * weights[:, None], np.zeros((len(rows), len(base)))])
+    found = np.linalg.lstsq(left, right, rcond=1e-13)[0]
+    curvatures = np.zeros((len(base), size, size))
+    halves = found[size:].T * np.where(rows == columns, 0.5, np.sqrt(0.5))
+    curvatures[:, rows, columns] += halves
+    curvatures[:, columns, rows] += halves
+    return QuadraticModel(base, np.ascontiguousarray(found[:size].T), curvatures)

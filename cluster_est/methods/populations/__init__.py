@@ -1,0 +1,1 @@
+"""Evolutionary methods: each generation is one request."""

@@ -1,0 +1,114 @@
+"""Covariance matrix adaptation, by `cma`, the package that pymoo's own wrapper calls.
+
+N. Hansen, A. Ostermeier, Evol. Comput. 9 (2001) 159-195, doi:10.1162/106365601750190398.
+
+The wrapper is left out: it seeds numpy's global generator, and takes every exception for the end
+of the search.
+"""
+
+from __future__ import annotations
+
+import importlib
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from cluster_est.methods.populations.generation import Goal, Member, Strategy
+from cluster_est.methods.populations.method import PopulationMethod
+from cluster_est.methods.populations.scaling import Box
+from workers.messages import FloatArray
+
+DEGENERATE = {"conditioncov", "noeffectaxis", "noeffectcoord", "tolupsigma"}
+"""What `cma` calls a distribution that rounding errors keep from going on."""
+
+
+@dataclass(frozen=True)
+class Cmaes(PopulationMethod):
+    """Samples a normal distribution whose centre, size and shape follow the better points.
+
+    The population to try first for one broad minimum under noise or jumps, where derivatives are no
+    use: it learns how unknowns depend on each other, and needs a small population. It begins at the
+    start, so for several minima use several starts. Bounds may be missing.
+
+    Only the order of points counts, constraints before cost.
+
+    Attributes
+    ----------
+    population, max_generations, xtol, ftol, window
+        Of every `PopulationMethod`. The usual population is 8 + 6 ln(unknowns) points, at least 16:
+        at least twice what `cma` takes by itself, which is caught in local minima more often. Raise
+        it where there is noise. The start comes on top once.
+    sigma
+        Standard deviation of the first generation, in units of the range between the bounds; where
+        an unknown lacks one, in units of the size of its start. Lower it to stay near the start.
+    """
+
+    name: ClassVar[str] = "cmaes"
+    needs_bounds: ClassVar[bool] = False
+    least_population: ClassVar[int] = 4
+
+    sigma: float = field(default=0.25, metadata={"least": 1e-6})
+
+    def usual_population(self, unknowns: int) -> int:
+        return max(16, int(8 + 6 * np.log(unknowns)))
+
+    def strategy(self, box: Box, size: int, goal: Goal, generator: np.random.Generator) -> Strategy:
+        return _Adaptation(box, self.sigma, size, generator)
+
+
+class _Adaptation(Strategy):
+    """The evolution strategy of `cma`, without its files, output, seeds and tolerances."""
+
+    def __init__(self, box: Box, sigma: float, size: int, generator: np.random.Generator) -> None:
+        options = {
+            "popsize": size,
+            "bounds": [_none_if_infinite(box.lower), _none_if_infinite(box.upper)],
+            "seed": np.nan,
+            "randn": lambda *shape: generator.standard_normal(shape),
+            "verbose": -10,
+            "maxiter": np.inf,
+        }
+        if box.space.size == 1:
+            options["maxstd"] = np.inf  # of a single unknown, its own limit would raise
+        with _quiet():
+            cma = importlib.import_module("cma")
+            self._strategy: Any = cma.CMAEvolutionStrategy(box.start, sigma, options)
+        self._start: FloatArray | None = box.start
+        self._sampled: list[FloatArray] = []
+        self._numbers = range(0)
+
+    def ask(self) -> FloatArray:
+        first = [] if self._start is None else [self._start]
+        with _quiet():
+            if not first and DEGENERATE & set(self._strategy.stop()):
+                return np.zeros((0, 0))
+            self._sampled = self._strategy.ask()
+        return np.array([*first, *self._sampled])
+
+    def tell(self, numbers: range, members: Sequence[Member]) -> None:
+        if self._start is not None:
+            numbers, members = numbers[1:], members[1:]
+            self._start = None
+        self._numbers = numbers
+        places = {rank: place for place, rank in enumerate(sorted({m.rank for m in members}))}
+        with _quiet():
+            self._strategy.tell(self._sampled, [float(places[m.rank]) for m in members])
+
+    def survivors(self) -> list[int]:
+        return list(self._numbers)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the warnings of `cma`, nor the filter for warnings that it adds."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _none_if_infinite(bounds: FloatArray) -> list[float | None]:
+    return [bound if np.isfinite(bound) else None for bound in bounds.tolist()]

@@ -1,0 +1,69 @@
+"""A genetic algorithm for real numbers, by pymoo.
+
+Simulated binary crossover of K. Deb, R. B. Agrawal, Complex Systems 9 (1995) 115-148, and
+polynomial mutation; constraints by the rules of K. Deb, Comput. Methods Appl. Mech. Engrg. 186
+(2000) 311-338, doi:10.1016/S0045-7825(99)00389-8.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from cluster_est.methods.populations.generation import Goal, Strategy
+from cluster_est.methods.populations.method import PopulationMethod
+from cluster_est.methods.populations.pymoo_strategy import PymooStrategy
+from cluster_est.methods.populations.scaling import Box
+
+
+@dataclass(frozen=True)
+class Genetic(PopulationMethod):
+    """The fittest of parents and children live on; children mix two parents and mutate.
+
+    For costs that jump, or where good values of single unknowns can be combined. It finds the
+    region of a minimum but few digits of it: go on from there with another method. Where `de`
+    works, it needs fewer simulations.
+
+    Attributes
+    ----------
+    population, max_generations, window
+        Of every `PopulationMethod`. The usual population is 10 points per unknown, at least 50.
+    xtol, ftol
+        Likewise, but a population of kin draws together long before it is at a minimum, from where
+        mutations still lead on. So nearness counts only where `xtol` is raised from 0, and a cost
+        that hardly falls ends the search sooner.
+    crossover_eta, mutation_eta
+        How much children resemble their parents, and a mutated value the one before: with larger
+        numbers more, so that the search is finer and less wide.
+    crossover_probability
+        Part of the pairs of parents that mix.
+    """
+
+    name: ClassVar[str] = "ga"
+
+    xtol: float = field(default=0.0, metadata={"least": 0.0})
+    ftol: float = field(default=1e-4, metadata={"least": 0.0})
+    crossover_eta: float = field(default=3.0, metadata={"least": 1.0})
+    mutation_eta: float = field(default=20.0, metadata={"least": 1.0})
+    crossover_probability: float = field(default=0.9, metadata={"least": 0.0})
+
+    def usual_population(self, unknowns: int) -> int:
+        return max(50, 10 * unknowns)
+
+    def strategy(self, box: Box, size: int, goal: Goal, generator: np.random.Generator) -> Strategy:
+        from pymoo.algorithms.soo.nonconvex.ga import GA
+        from pymoo.operators.crossover.sbx import SBX
+        from pymoo.operators.mutation.pm import PM
+
+        return PymooStrategy(
+            GA,
+            box,
+            size,
+            goal,
+            generator,
+            pop_size=size,
+            crossover=SBX(prob=self.crossover_probability, eta=self.crossover_eta),
+            mutation=PM(eta=self.mutation_eta),
+        )

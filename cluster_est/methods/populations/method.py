@@ -1,0 +1,201 @@
+"""Populations as methods: a whole generation is one request.
+
+What picks the next generation is a `Strategy`, most of them from pymoo. What comes after a
+generation is decided here: the best point so far, the lines of the table, when to stop.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import (
+    Ending,
+    Evaluation,
+    Method,
+    Other,
+    Points,
+    Progress,
+    Search,
+    Solution,
+)
+from cluster_est.methods.populations.generation import (
+    FAILED,
+    Goal,
+    LeastCost,
+    Member,
+    Strategy,
+    member_of,
+)
+from cluster_est.methods.populations.scaling import Box
+from cluster_est.problem.space import Space, Unknown
+
+
+@dataclass(frozen=True)
+class PopulationMethod(Method):
+    """A method that moves many points at a time, a generation for each request.
+
+    The first generation is spread between the bounds, so every unknown must have both: a guessed
+    box would decide what can be found. `cmaes` spreads around the start instead, and needs none.
+
+    Attributes
+    ----------
+    population
+        Points of a generation, all simulated at once. More of them search more widely and keep
+        more workers busy, but each generation costs more. 0 takes the method's own rule.
+    max_generations
+        Limit on their number.
+    xtol
+        Converged when all points of the population lie this close together in every unknown, in
+        units of the range between its bounds.
+    ftol, window
+        Converged when the best cost has fallen by no more than `ftol` of itself in the last
+        `window` generations. Widen the window if a search ends too soon.
+    """
+
+    needs_residuals: ClassVar[bool] = False
+    needs_every_residual: ClassVar[bool] = False
+    keeps_constraints: ClassVar[bool] = True
+    keeps_equality: ClassVar[bool] = False
+    """Whether it gets anywhere along a constraint that must be 0."""
+    needs_bounds: ClassVar[bool] = True
+    least_population: ClassVar[int] = 5
+
+    population: int = field(default=0, metadata={"least": 0})
+    max_generations: int = field(default=500, metadata={"least": 1})
+    xtol: float = field(default=1e-6, metadata={"least": 0.0})
+    ftol: float = field(default=1e-8, metadata={"least": 0.0})
+    window: int = field(default=30, metadata={"least": 1})
+
+    def check(self, space: Space) -> None:
+        if 0 < self.population < self.least_population:
+            raise ProblemError(
+                f"method.options.population: must be at least {self.least_population} for method "
+                f'"{self.name}" but is {self.population}; raise it, or set 0 for the usual size'
+            )
+        if space.equality.any() and not self.keeps_equality:
+            name = space.constraint_names[int(np.argmax(space.equality))]
+            raise ProblemError(
+                f'constraints: must be inequalities for method "{self.name}", but {name!r} is an '
+                'equality, along which hardly any point of a population lies; use method "isres", '
+                '"sqp" or "least_squares", or let a parameter follow from others by an expression'
+            )
+        if self.needs_bounds and not Box(space).bounded.all():
+            unknown = space.unknowns[int(np.argmin(Box(space).bounded))]
+            raise ProblemError(_unbounded(self.name, unknown))
+
+    def search(self, space: Space, generator: np.random.Generator) -> Search:
+        self.check(space)
+        return evolve(self, space, generator)
+
+    @abstractmethod
+    def usual_population(self, unknowns: int) -> int:
+        """Points of a generation where `population` is 0."""
+
+    @abstractmethod
+    def strategy(self, box: Box, size: int, goal: Goal, generator: np.random.Generator) -> Strategy:
+        """What picks generations of this size."""
+
+    def goal(self, space: Space) -> Goal:
+        """What it is after: the least cost, unless a method says otherwise."""
+        return LeastCost(self.ftol, self.window)
+
+
+def _unbounded(method: str, unknown: Unknown) -> str:
+    p = unknown.parameter
+    positive = " and positive, as its scale is logarithmic," if unknown.log else ""
+    return (
+        f"parameters.{p.name}.bounds: must be finite on both sides{positive} for method "
+        f'"{method}", which spreads its first points between them, but are '
+        f"[{p.lower:g}, {p.upper:g}]; set both, or use a method that needs none"
+    )
+
+
+def evolve(method: PopulationMethod, space: Space, generator: np.random.Generator) -> Search:
+    """Ask for one generation after the other until a method's tolerances or limit end it."""
+    box, goal = Box(space), method.goal(space)
+    size = method.population or method.usual_population(space.size)
+    strategy = method.strategy(box, size, goal, generator)
+    alive: dict[int, Member] = {}
+    best: _Best | None = None
+    progress: Progress | None = None
+    asked, generation = 0, 0
+    units = strategy.ask()
+    while True:
+        x = box.points(units)
+        evaluations = yield Points(x, "generation", progress)
+        born = [member_of(*three, goal) for three in zip(units, x, evaluations, strict=True)]
+        best = _better(best, born, evaluations)
+        if best is None:
+            reason = evaluations[0].reason or "the cost of the start is not a number"
+            return Solution(space.start, np.nan, Ending.START_FAILED, reason)
+        numbers = range(asked, asked + len(born))
+        asked, generation = numbers.stop, generation + 1
+        strategy.tell(numbers, born)
+        alive.update(zip(numbers, born, strict=True))
+        alive = {number: alive[number] for number in strategy.survivors()}
+        members = list(alive.values())
+        violation = best.member.violation if space.constraint_names else np.nan
+        progress = Progress(generation, best.member.cost, _spread(members), violation=violation)
+        units = strategy.ask()
+        settled = goal.settled(best.member, members)
+        ending = _ending(method, progress, settled, exhausted=not len(units))
+        if ending is not None:
+            others = goal.others(best.member, members)
+            return _solution(best, *ending, iterations=generation, others=others)
+
+
+@dataclass(frozen=True)
+class _Best:
+    """The best point that was ever seen, which a population may have lost."""
+
+    member: Member
+    at: Evaluation
+
+
+def _better(
+    best: _Best | None, born: Sequence[Member], evaluations: Sequence[Evaluation]
+) -> _Best | None:
+    """The best of a generation and all before; None while all have failed."""
+    for member, evaluation in zip(born, evaluations, strict=True):
+        if member.violation < FAILED and (best is None or member.rank < best.member.rank):
+            best = _Best(member, evaluation)
+    return best
+
+
+def _spread(members: Sequence[Member]) -> float:
+    """How far apart a population is, in the unknown where it is widest."""
+    units = np.array([member.unit for member in members])
+    return float(np.max(np.ptp(units, axis=0), initial=0.0))
+
+
+def _ending(
+    method: PopulationMethod, progress: Progress, settled: bool, exhausted: bool
+) -> tuple[Ending, str] | None:
+    """Why a search is over, if it is."""
+    if progress.step <= method.xtol:
+        return Ending.CONVERGED, "converged: the population has drawn together to within xtol"
+    if settled:
+        gained = f"the last {method.window} generations gained no more than ftol"
+        return Ending.CONVERGED, f"converged: {gained}"
+    if progress.iteration >= method.max_generations:
+        ended = f"stopped after {method.max_generations} generations"
+        return Ending.MAX_ITERATIONS, f"{ended}; raise method.options.max_generations"
+    if exhausted:
+        return Ending.STALLED, "the population makes no new points any more"
+    return None
+
+
+def _solution(
+    best: _Best, ending: Ending, message: str, iterations: int, others: tuple[Other, ...]
+) -> Solution:
+    x, cost, violation = best.member.x, best.member.cost, best.member.violation
+    if violation > 0.0:
+        message = f"{Ending.INFEASIBLE}, the best violates them by {violation:.2g}; {message}"
+        ending = Ending.INFEASIBLE
+    return Solution(x, cost, ending, message, iterations, at=best.at, others=others)

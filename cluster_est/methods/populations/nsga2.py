@@ -1,0 +1,179 @@
+"""NSGA-II, by pymoo: several objectives kept apart.
+
+K. Deb, A. Pratap, S. Agarwal, T. Meyarivan, IEEE Trans. Evol. Comput. 6 (2002) 182-197,
+doi:10.1109/4235.996017.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import compress
+from typing import ClassVar, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import Evaluation, Other
+from cluster_est.methods.populations.generation import Goal, Member, Strategy
+from cluster_est.methods.populations.method import PopulationMethod
+from cluster_est.methods.populations.pymoo_strategy import PymooStrategy
+from cluster_est.methods.populations.scaling import Box
+from cluster_est.problem.space import Space
+from workers.messages import FloatArray
+
+Kind = Literal["outputs", "experiments"]
+
+
+@dataclass(frozen=True)
+class Nsga2(PopulationMethod):
+    """Looks for all compromises between objectives: the points that nothing beats in all of them.
+
+    To see what a better fit of one output, or one experiment, costs the others, before weights are
+    chosen; and whether they contradict each other at all. For a single answer minimise the sum of
+    costs with another method. With more than about four objectives hardly any point beats another,
+    and the search loses its direction.
+
+    The solution is the point of least cost of all, which is the compromise that the other methods
+    look for; all that nothing beats are its `others`, those of least cost first.
+
+    Attributes
+    ----------
+    objectives
+        What has a cost of its own: each output variable over all experiments ("outputs"), or each
+        experiment with all its outputs ("experiments").
+    population, max_generations
+        Of every `PopulationMethod`. The usual population is 100 points; there can be as many
+        compromises.
+    xtol
+        Likewise: converged when all compromises have become one.
+    ftol, window
+        Converged when, on average, the compromises of now are ahead of those of `window`
+        generations ago by no more than `ftol` of the gap between neighbours. That is never much
+        below 0.2, because the gaps are filled at random.
+    crossover_eta, mutation_eta
+        As in `ga`.
+    """
+
+    name: ClassVar[str] = "nsga2"
+
+    objectives: Kind = "outputs"
+    ftol: float = field(default=0.4, metadata={"least": 0.0})
+    crossover_eta: float = field(default=15.0, metadata={"least": 1.0})
+    mutation_eta: float = field(default=20.0, metadata={"least": 1.0})
+
+    def check(self, space: Space) -> None:
+        super().check(space)
+        if self.objectives == "outputs" and any(
+            space.problem.experiments[e].cost_function for e in space.experiments
+        ):
+            raise ProblemError(
+                'method.options.objectives: must be "experiments" where an experiment has a cost '
+                'function, which says nothing of single outputs, but is "outputs"; change it, or '
+                "remove the cost functions"
+            )
+        count = Front.count(self.objectives, space)
+        if count < 2:
+            raise ProblemError(
+                f"method.options.objectives: there must be at least two {self.objectives} to keep "
+                f"apart but there {'is one' if count else 'are none'}; choose "
+                '"outputs" or "experiments", whichever there are more of, or another method'
+            )
+
+    def usual_population(self, unknowns: int) -> int:
+        return 100
+
+    def strategy(self, box: Box, size: int, goal: Goal, generator: np.random.Generator) -> Strategy:
+        from pymoo.algorithms.moo.nsga2 import NSGA2
+        from pymoo.operators.crossover.sbx import SBX
+        from pymoo.operators.mutation.pm import PM
+
+        return PymooStrategy(
+            NSGA2,
+            box,
+            size,
+            goal,
+            generator,
+            pop_size=size,
+            crossover=SBX(prob=0.9, eta=self.crossover_eta),
+            mutation=PM(eta=self.mutation_eta),
+        )
+
+    def goal(self, space: Space) -> Goal:
+        return Front(space, self.objectives, self.ftol, self.window)
+
+
+class Front(Goal):
+    """The members that no other beats, until they hardly move any more."""
+
+    def __init__(self, space: Space, kind: Kind, ftol: float, window: int) -> None:
+        self._space, self._kind, self._ftol, self._window = space, kind, ftol, window
+        self.objectives = self.count(kind, space)
+        self._measured = _measured(space)
+        self._fronts: list[FloatArray] = []
+
+    @staticmethod
+    def count(kind: Kind, space: Space) -> int:
+        if kind == "outputs":
+            return len(np.unique(space.outputs))
+        return sum(_measured(space))
+
+    def values(self, evaluation: Evaluation) -> FloatArray:
+        residuals, outputs = evaluation.residuals, self._space.outputs
+        cost = self._space.problem.cost
+        found = []
+        for rows in self._parts(evaluation):
+            numbers = np.unique(outputs[rows], return_inverse=True)[1] if len(outputs) else outputs
+            found.append(cost.value(np.ascontiguousarray(residuals[rows]), numbers))
+        return np.array(found, np.float64)
+
+    def _parts(self, evaluation: Evaluation) -> Sequence[slice | npt.NDArray[np.bool_]]:
+        """Which residuals belong to each objective."""
+        if self._kind == "experiments":
+            return list(compress(evaluation.rows, self._measured))
+        return [self._space.outputs == output for output in range(self.objectives)]
+
+    def settled(self, best: Member, members: Sequence[Member]) -> bool:
+        self._fronts.append(np.array([member.values for member in _unbeaten(members)]))
+        if len(self._fronts) <= self._window:
+            return False
+        before, now = self._fronts.pop(0), self._fronts[-1]
+        return bool(len(before) and len(now) and _behind(before, now) <= self._ftol)
+
+    def others(self, best: Member, members: Sequence[Member]) -> tuple[Other, ...]:
+        front = _unbeaten([best, *members])
+        found = [Other(m.x, m.cost, tuple(m.values.tolist())) for m in front]
+        return tuple(sorted(found, key=lambda other: (other.cost, other.objectives)))
+
+
+def _measured(space: Space) -> list[bool]:
+    """Whether each experiment has residuals; it may have constraints only."""
+    chosen = [space.problem.experiments[e] for e in space.experiments]
+    return [bool(e.size or e.cost_function) for e in chosen]
+
+
+def _unbeaten(members: Sequence[Member]) -> list[Member]:
+    """Those that satisfy the constraints and that none beats, once where several are alike."""
+    allowed = [member for member in members if member.violation == 0.0]
+    if not allowed:
+        return []
+    values, first = np.unique([m.values for m in allowed], axis=0, return_index=True)
+    as_good = (values[:, None] <= values[None]).all(axis=2)
+    beaten = as_good.sum(axis=0) > 1
+    return [allowed[i] for i in np.sort(first[~beaten]).tolist()]
+
+
+def _behind(before: FloatArray, now: FloatArray) -> float:
+    """How far the points of a front are behind those of another on average, in gaps of that.
+
+    A point of `now` is ahead by as much as it takes until some point of `before` is as good in all
+    objectives, in units of their ranges: the additive epsilon indicator of E. Zitzler, L. Thiele,
+    M. Laumanns, C. Fonseca, V. da Fonseca, IEEE Trans. Evol. Comput. 7 (2003) 117-132,
+    doi:10.1109/TEVC.2003.810758, for one point at a time.
+    """
+    ranges = np.ptp(np.vstack([before, now]), axis=0)
+    shifts = (before[:, None] - now[None]) / np.where(ranges > 0.0, ranges, 1.0)
+    ahead = np.ascontiguousarray(shifts.max(axis=2).min(axis=0))
+    gap = len(now) ** (-1.0 / (now.shape[1] - 1))
+    return float(np.add.reduce(ahead) / len(now) / gap)

@@ -1,0 +1,1 @@
+"""The simplex search of Nelder and Mead, and its case of one unknown."""

@@ -1,0 +1,239 @@
+"""The simplex search of Nelder and Mead, serial or with several vertices moved at once.
+
+The worst vertex of a simplex is reflected at the centre of the others, further if that leads to a
+new best point, less far if it does not help; if nothing helps, the simplex shrinks.
+
+References: J. A. Nelder, R. Mead, A simplex method for function minimization, Comput. J. 7 (1965)
+308-313, doi:10.1093/comjnl/7.4.308. Several vertices at once: D. Lee, M. Wiswall, A parallel
+implementation of the simplex function minimization routine, Comput. Econ. 30 (2007) 171-187,
+doi:10.1007/s10614-007-9094-2. Coefficients by the number of unknowns: F. Gao, L. Han, Implementing
+the Nelder-Mead simplex algorithm with adaptive parameters, Comput. Optim. Appl. 51 (2012) 259-277,
+doi:10.1007/s10589-010-9329-3. That the simplex may collapse where there is no minimum, and is then
+to be replaced by an oriented one: C. T. Kelley, Detection and remediation of stagnation in the
+Nelder-Mead algorithm using a sufficient decrease condition, SIAM J. Optim. 10 (1999) 43-55,
+doi:10.1137/S1052623497315203; it is detected here by a poll around the best vertex.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
+from cluster_est.methods.coordinates import Frame
+from cluster_est.methods.simplex.scalar_minimisation import minimise_one
+from cluster_est.methods.simplex.simplex import (
+    Moves,
+    Vertex,
+    around,
+    corners,
+    diameter,
+    ordered,
+    spread,
+)
+from cluster_est.problem.space import Space
+from workers.messages import FloatArray
+
+NEGLIGIBLE = 1e-3
+"""Of `xtol`: a simplex so small has converged though its costs differ, as at a jump."""
+COLLAPSES = (
+    "the simplex collapsed after every restart where a poll leads further down; raise "
+    'method.options.max_restarts, or use method "pattern_search"'
+)
+
+
+@dataclass(frozen=True)
+class NelderMead(Method):
+    """Simplex search; with one unknown, bounded scalar minimisation.
+
+    For up to about ten unknowns and a cost of any kind: without derivatives, with a little noise,
+    with simulations that fail here and there. Not for a smooth sum of squares, where
+    `least_squares` needs far fewer evaluations; not where the cost jumps or has edges, where
+    a simplex collapses easily and `pattern_search` does not; not with constraints. It finds the
+    minimum that the start leads to.
+
+    With one unknown, bounds are always kept, and only `initial_step`, `xtol` and `max_iterations`
+    matter.
+
+    Attributes
+    ----------
+    bounds
+        "refuse": as simplex searches do, an error where an unknown has bounds. "enforce": points
+        outside are moved onto the bounds. Where a minimum lies on many bounds, prefer
+        `pattern_search`.
+    parallel
+        How many vertices, from the worst on, are moved at once: at most half as many as there are
+        unknowns, as more let the simplex collapse. 1 is the classical method. With four unknowns
+        or more, 2 takes about half the rounds for about as many simulations, where workers would
+        be idle otherwise because they are more than the experiments; even more is rarely better.
+    speculative
+        Ask for a vertex's reflection, expansion and both contractions at once, rather than for
+        what the reflection calls for. The same search, in fewer rounds and with more simulations;
+        for when four times `parallel` times the experiments are no more than the workers.
+    coefficients
+        "adaptive": by the number of unknowns, which keeps the simplex from collapsing at edges and
+        where there are many; the usual ones for two. "classical": always the usual ones, which
+        save up to a quarter of the evaluations with three or four unknowns and a smooth cost.
+    initial_step
+        Edges of the first simplex, in noticeable changes: of the start value itself, of 1 in a
+        logarithm, of a tenth of the range of the bounds where the start is 0.
+    xtol, ftol
+        Converged when no vertex is further from the best than `xtol` noticeable changes, and none
+        is worse by more than `ftol` of the best cost (or by its square, of the start's cost).
+    max_restarts
+        A converged simplex is checked by a poll both ways along each axis. If that leads down, the
+        search begins anew there with a larger simplex, at most so often; 0 does without the poll.
+    max_iterations
+        Limit on the number of iterations over all restarts.
+    """
+
+    name: ClassVar[str] = "nelder_mead"
+    needs_residuals: ClassVar[bool] = False
+    needs_every_residual: ClassVar[bool] = False
+
+    bounds: Literal["refuse", "enforce"] = "refuse"
+    parallel: int = field(default=1, metadata={"least": 1})
+    speculative: bool = False
+    coefficients: Literal["adaptive", "classical"] = "adaptive"
+    initial_step: float = field(default=0.25, metadata={"least": 1e-9})
+    xtol: float = field(default=1e-6, metadata={"least": 0.0})
+    ftol: float = field(default=1e-8, metadata={"least": 0.0})
+    max_restarts: int = field(default=10, metadata={"least": 0})
+    max_iterations: int = field(default=5000, metadata={"least": 1})
+
+    def check(self, space: Space) -> None:
+        if self.bounds == "enforce" or space.size == 1:
+            return
+        bounded = np.flatnonzero(np.isfinite(space.lower) | np.isfinite(space.upper))
+        if len(bounded):
+            p = space.unknowns[bounded[0]].parameter
+            raise ProblemError(
+                f'parameters.{p.name}.bounds: must be absent for method "nelder_mead", whose '
+                f"simplex knows no bounds, but are [{p.lower:g}, {p.upper:g}]; set "
+                'method.options.bounds = "enforce", remove them, or use method "pattern_search"'
+            )
+
+    def search(self, space: Space, generator: np.random.Generator) -> Search:
+        (at,) = yield Points(space.start[None, :], "start", Progress(0, np.nan))
+        if not np.isfinite(at.rank[1]):
+            reason = at.reason or "the cost has no value there"
+            return Solution(space.start, np.nan, Ending.START_FAILED, reason)
+        if space.size == 1:
+            limits = self.initial_step, self.xtol, self.max_iterations
+            return (yield from minimise_one(space, at, *limits))
+        return (yield from _Descent(space, self, at).steps())
+
+
+Asking = Generator[Points, list[Evaluation], list[Vertex]]
+
+
+class _Descent:
+    """A search under way: a simplex, best vertex first."""
+
+    def __init__(self, space: Space, options: NelderMead, start: Evaluation) -> None:
+        self._frame, self._options = Frame(space), options
+        adaptive = options.coefficients == "adaptive"
+        self._moves = Moves.adaptive(space.size) if adaptive else Moves()
+        self._parallel = max(1, min(options.parallel, space.size // 2))
+        self._simplex = [Vertex(np.zeros(space.size), start)]
+        self._least_spread = options.ftol**2 * abs(start.cost)
+        self._progress = Progress(0, start.cost, damping=options.initial_step)
+
+    def steps(self) -> Search:
+        options = self._options
+        first = corners(self._frame, self._simplex[0].u, options.initial_step)
+        self._simplex = ordered(self._simplex + (yield from self._ask(first, "simplex")))
+        ending, restarts = None, 0
+        while ending is None:
+            if self._converged():
+                leads_on = options.max_restarts > 0 and (yield from self._restart())
+                restarts += 1
+                if not leads_on:
+                    ending = Ending.CONVERGED
+                elif restarts > options.max_restarts:
+                    ending = Ending.STALLED
+            elif self._progress.iteration >= options.max_iterations:
+                ending = Ending.MAX_ITERATIONS
+            else:
+                before = self._simplex[0]
+                yield from self._iterate()
+                self._advance(before)
+        best = self._simplex[0]
+        x, iterations = self._frame.x(best.u), self._progress.iteration
+        message = COLLAPSES if ending is Ending.STALLED else ""
+        return Solution(x, best.cost, ending, message, iterations, at=best.at)
+
+    def _advance(self, before: Vertex) -> None:
+        best = self._simplex[0]
+        self._progress = Progress(
+            self._progress.iteration + 1,
+            best.cost,
+            step=float(np.abs(best.u - before.u).max()),
+            damping=diameter(self._simplex),
+        )
+
+    def _ask(self, u: FloatArray, purpose: str) -> Asking:
+        evaluations = yield Points(self._frame.x(u), purpose, self._progress)
+        return [Vertex(*pair) for pair in zip(u, evaluations, strict=True)]
+
+    @property
+    def _tolerance(self) -> float:
+        """A difference of costs that counts as none."""
+        return self._options.ftol * abs(self._simplex[0].cost) + self._least_spread
+
+    def _converged(self) -> bool:
+        size = diameter(self._simplex)
+        if size > self._options.xtol:
+            return size == 0.0
+        return spread(self._simplex) <= self._tolerance or size <= NEGLIGIBLE * self._options.xtol
+
+    def _iterate(self) -> Generator[Points, list[Evaluation], None]:
+        """Move the worst vertices along the lines through the centre of the others, or shrink."""
+        kept, moving = self._simplex[: -self._parallel], self._simplex[-self._parallel :]
+        moved = yield from self._moved(kept, moving)
+        if all(new is old for new, old in zip(moved, moving, strict=True)):
+            best, *others = self._simplex
+            closer = np.array([best.u + self._moves.shrink * (v.u - best.u) for v in others])
+            kept, moved = [best], (yield from self._ask(closer, "shrink"))
+        self._simplex = ordered(kept + moved)
+
+    def _moved(self, kept: list[Vertex], moving: list[Vertex]) -> Asking:
+        """Where the paths of the moving vertices end."""
+        centre = np.add.reduce([v.u for v in kept]) / len(kept)
+        paths = [self._moves.path(v, kept) for v in moving]
+        ends = list(moving)
+        known: dict[tuple[int, float], Vertex] = {}
+        wanted = {i: next(path) for i, path in enumerate(paths)}
+        ahead = self._moves.along if self._options.speculative else ()
+        while wanted:
+            trials = [*wanted.items(), *((i, m) for i in wanted for m in ahead)]
+            unknown = [trial for trial in dict.fromkeys(trials) if trial not in known]
+            if unknown:
+                u = np.array([centre + m * (moving[i].u - centre) for i, m in unknown])
+                asked = yield from self._ask(self._frame.clip(u), "trial")
+                known |= zip(unknown, asked, strict=True)
+            further: dict[int, float] = {}
+            for i, move in wanted.items():
+                try:
+                    further[i] = paths[i].send(known[i, move])
+                except StopIteration as end:
+                    ends[i] = end.value
+            wanted = further
+        return ends
+
+    def _restart(self) -> Generator[Points, list[Evaluation], bool]:
+        """Poll around the best vertex; a new simplex that leads on from there, if any does."""
+        best = self._simplex[0]
+        step = np.sqrt(max(self._options.xtol, NEGLIGIBLE**2))
+        points = around(self._frame, best.u, step).reshape(-1, len(best.u))
+        polled = yield from self._ask(points, "poll")
+        pairs = zip(polled[::2], polled[1::2], strict=True)
+        # a step that a bound leaves no room for would make the simplex flat
+        downwards = [min(pair, key=lambda v: (not np.any(v.u != best.u), v.cost)) for pair in pairs]
+        tolerance = self._tolerance
+        self._simplex = ordered([best, *downwards])
+        return best.cost - self._simplex[0].cost > tolerance

@@ -1,0 +1,120 @@
+"""One unknown: a bracket around a minimum, then `scipy.optimize.minimize_scalar` within it.
+
+SciPy's bounded method is golden section with parabolas, of R. P. Brent, Algorithms for Minimization
+without Derivatives, Prentice-Hall 1973.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Search, Solution
+from cluster_est.methods.callback_bridge import Ask, search_in_thread
+from cluster_est.methods.coordinates import Frame
+from cluster_est.methods.simplex.simplex import Vertex
+from cluster_est.problem.space import Space
+
+LEAST_TOLERANCE = 1e-12
+"""SciPy would not end without any."""
+
+
+def minimise_one(
+    space: Space, start: Evaluation, step: float, xtol: float, max_evaluations: int
+) -> Search:
+    """Search one unknown.
+
+    Where both bounds are finite it searches all between them, as it is usual, and around the start
+    only if that was better than all it found. Otherwise it walks downhill from the start, with
+    steps that double, until the cost rises or a bound is met.
+
+    Parameters
+    ----------
+    space
+        With one unknown.
+    start
+        The evaluation at its start.
+    step
+        First step of the walk, in noticeable changes.
+    xtol
+        How far the minimum may be off, in noticeable changes.
+    max_evaluations
+        Limit, apart from a few.
+    """
+    line = _Line(space, start, step, max(xtol, LEAST_TOLERANCE), max_evaluations)
+    return search_in_thread(line.solve)
+
+
+class _Line:
+    """What is known along the line of one unknown."""
+
+    def __init__(
+        self, space: Space, start: Evaluation, step: float, xtol: float, max_evaluations: int
+    ) -> None:
+        self._frame, self._step, self._xtol, self._left = Frame(space), step, xtol, max_evaluations
+        self._start = self._best = Vertex(np.zeros(1), start)
+        self._progress = Progress(0, start.cost)
+
+    def solve(self, ask: Ask) -> Solution:
+        lower, upper = float(self._frame.lower[0]), float(self._frame.upper[0])
+        converged = False
+        if np.isfinite(upper - lower):
+            converged = self._between(ask, lower, upper)
+        if self._best is self._start:
+            converged = self._between(ask, *self._bracket(ask, lower, upper))
+        for bound in (lower, upper):
+            if 0.0 < abs(self._best.u[0] - bound) <= 3.0 * self._xtol:
+                self._costs(ask, [bound], "bound")
+        best = self._best
+        return Solution(
+            self._frame.x(best.u),
+            best.cost,
+            Ending.CONVERGED if converged else Ending.MAX_ITERATIONS,
+            iterations=self._progress.iteration,
+            at=best.at,
+        )
+
+    def _between(self, ask: Ask, low: float, high: float) -> bool:
+        """Search an interval; whether it was searched to the end."""
+        if not self._left > 0:
+            return False
+        with np.errstate(all="ignore"):  # of differences of infinite costs
+            result = minimize_scalar(
+                lambda u: self._costs(ask, [float(u)], "trial")[0],
+                bounds=(low, high),
+                method="bounded",
+                options={"xatol": self._xtol, "maxiter": self._left},
+            )
+        return bool(result.status != 1)
+
+    def _bracket(self, ask: Ask, lower: float, upper: float) -> tuple[float, float]:
+        """Walk downhill from the start until there is a minimum between two points."""
+        step = self._step
+        ends = [max(-step, lower), min(step, upper)]
+        costs = self._costs(ask, ends, "bracket")
+        if min(costs) >= self._start.cost:
+            return ends[0], ends[1]
+        towards = int(costs[1] < costs[0])
+        behind, here, cost = 0.0, ends[towards], costs[towards]
+        limit = (lower, upper)[towards]
+        while here != limit and self._left > 0:
+            step *= 2.0
+            ahead = float(np.clip(here + (step if towards else -step), lower, upper))
+            (found,) = self._costs(ask, [ahead], "bracket")
+            if found >= cost:
+                return min(behind, ahead), max(behind, ahead)
+            behind, here, cost = here, ahead, found
+        return min(behind, here), max(behind, here)
+
+    def _costs(self, ask: Ask, at: list[float], purpose: str) -> list[float]:
+        """Ask; infinite where a simulation failed."""
+        u = np.array(at)[:, None]
+        evaluations = ask(Points(self._frame.x(u), purpose, self._progress))
+        found = [Vertex(*pair) for pair in zip(u, evaluations, strict=True)]
+        before = self._best
+        self._best = min([before, *found], key=lambda v: v.cost)
+        self._left -= len(found)
+        self._progress = Progress(
+            self._progress.iteration + 1, self._best.cost, float(abs(self._best.u - before.u)[0])
+        )
+        return [v.cost for v in found]

@@ -1,0 +1,1 @@
+"""Sequential quadratic programming, and constrained minimisers of SciPy."""

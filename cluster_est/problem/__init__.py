@@ -1,0 +1,1 @@
+"""What is to be estimated, from what: model, parameters, constraints, measured data."""

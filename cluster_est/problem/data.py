@@ -1,0 +1,287 @@
+"""Measured tables: CSV, Parquet, Feather and MAT, as columns of numbers."""
+
+from __future__ import annotations
+
+import csv
+import io
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute
+import pyarrow.csv
+import pyarrow.feather
+import pyarrow.parquet
+
+from cluster_est.errors import DataError
+from cluster_est.problem.mat_file import contents
+from workers.fmu.description import nearest
+from workers.messages import FloatArray
+
+READERS = {
+    ".csv": "csv", ".tsv": "csv", ".txt": "csv",
+    ".parquet": "parquet", ".pq": "parquet",
+    ".feather": "feather", ".arrow": "feather", ".ipc": "feather",
+    ".mat": "mat",
+}  # fmt: skip
+MISSING = ["", "NaN", "nan", "NAN", "NA", "N/A", "null", "None"]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A measured file, its columns still as they are in the file.
+
+    Attributes
+    ----------
+    path
+        Where it came from, for messages.
+    columns
+        Arrow arrays or NumPy arrays by name.
+    unusable
+        Why a column that the file has cannot be used, by name.
+    delimiter
+        What stands between the cells of a text file; empty for other files.
+    """
+
+    path: Path
+    columns: dict[str, pa.ChunkedArray | FloatArray] = field(repr=False)
+    unusable: dict[str, str] = field(default_factory=dict)
+    delimiter: str = ""
+
+    def numbers(self, name: str, where: str) -> FloatArray:
+        """A column as floats, NaN where nothing was measured.
+
+        Raises
+        ------
+        DataError
+            If there is no such column, or if something in it is not a number.
+        """
+        if name in self.unusable:
+            raise DataError(f"{where}: {self.path}, column {name!r}: {self.unusable[name]}")
+        if name not in self.columns:
+            raise DataError(
+                f"{where}: {self.path} has no column {name!r}{nearest(name, self.columns)}"
+            )
+        column = self.columns[name]
+        if isinstance(column, np.ndarray):
+            return column
+        if pa.types.is_dictionary(column.type):
+            column = column.cast(column.type.value_type)
+        if _is_text(column):
+            cells = _cells(column, decimal_comma=self.delimiter not in ("", ","))
+            try:
+                return _floats(cells)
+            except pa.ArrowInvalid:
+                self._refuse(name, column, _first_text(cells), where)
+        if not _is_numeric(column):
+            raise DataError(
+                f"{where}: {self.path}, column {name!r}: must hold numbers but holds "
+                f"{column.type}; convert it to numbers (a time to seconds)"
+            )
+        return _floats(column)
+
+    def row(self, index: int) -> int:
+        """The row of the file, as an editor shows it, that the values at an index are from."""
+        if not self.delimiter:
+            return index + 1
+        for i, (line, _) in enumerate(_lines(self.path, self.delimiter)):
+            if i == index + 1:
+                return line
+        return index + 2
+
+    def _refuse(self, name: str, column: pa.ChunkedArray, index: int, where: str) -> NoReturn:
+        value = repr(column[index].as_py())
+        raise DataError(
+            f"{where}: {self.path}, column {name!r}, row {self.row(index)}: must be a number but "
+            f"is {value if len(value) < 60 else value[:57] + '...'}; mend it, or leave it empty "
+            "where nothing was measured"
+        )
+
+
+def read_table(path: Path, where: str) -> Table:
+    """Read a measured file; its ending says what it is.
+
+    Raises
+    ------
+    DataError
+        If there is no such file, or it is not what its ending says.
+    """
+    kind = READERS.get(path.suffix.lower())
+    if kind is None:
+        raise DataError(
+            f"{where}: {path} must end in one of {', '.join(READERS)} but ends in "
+            f"{path.suffix!r}; convert it or rename it"
+        )
+    read = {"csv": _read_csv, "mat": _read_mat, "parquet": _read_parquet, "feather": _read_feather}
+    try:
+        return read[kind](path)
+    except DataError as error:
+        raise DataError(f"{where}: {path} {error}") from None
+    except FileNotFoundError:
+        raise DataError(f"{where}: there is no file {path}; check the path") from None
+    except (pa.ArrowException, OSError, ValueError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise DataError(
+            f"{where}: {path} must be a {kind} file that can be read but is not ({reason}); "
+            "check that it is complete, or save it again"
+        ) from error
+
+
+def _read_csv(path: Path) -> Table:
+    """Read every column as text: whether it is a number matters only for those that are used."""
+    with path.open(encoding="utf-8-sig", errors="replace") as opened:
+        header = next((line for line in opened if line.strip("\r\n")), "")
+    delimiter = max(",;\t", key=header.count)
+    parse = pa.csv.ParseOptions(delimiter=delimiter)
+    try:
+        with pa.csv.open_csv(path, parse_options=parse) as opened_csv:
+            names = opened_csv.schema.names
+        convert = pa.csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()))
+        table = pa.csv.read_csv(path, parse_options=parse, convert_options=convert)
+    except (pa.ArrowInvalid, UnicodeDecodeError):
+        _explain_csv(path, delimiter)
+        raise
+    return _named(path, table, delimiter)
+
+
+def _explain_csv(path: Path, delimiter: str) -> None:
+    """Say what is wrong in a text file that Arrow refused, if it is one of the usual things."""
+    with path.open("rb") as opened:
+        for number, text in enumerate(opened, 1):
+            try:
+                text.decode()
+            except UnicodeDecodeError:
+                raise DataError(
+                    f"must be text in UTF-8 but row {number} is not; save it as UTF-8"
+                ) from None
+    width = count = 0
+    for line, cells in _lines(path, delimiter):
+        width, count = width or len(cells), count + 1
+        if len(cells) != width:
+            raise DataError(
+                f"must have as many cells in each row as in its header, {width}, but row {line} "
+                f"has {len(cells)}; mend that row"
+            )
+    if count < 2:
+        has = "only a header" if count else "nothing in it"
+        raise DataError(f"must have a header and rows of numbers but has {has}; check the file")
+
+
+def _lines(path: Path, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    """The lines of a text file that are not empty, with the number that an editor shows."""
+    with path.open(encoding="utf-8-sig", newline="") as opened:
+        reader = csv.reader(opened, delimiter=delimiter)
+        while True:
+            try:
+                cells = next(reader)
+            except StopIteration:
+                return
+            except csv.Error:  # a cell beyond Python's limit; it is still a line
+                cells = []
+            if cells:
+                yield reader.line_num, cells
+
+
+def _read_parquet(path: Path) -> Table:
+    # read_table would make columns of a folder's name like "run=3"
+    with pa.parquet.ParquetFile(path) as opened:
+        table = opened.read()
+    table.validate(full=True)
+    return _named(path, table)
+
+
+def _read_feather(path: Path) -> Table:
+    table = pa.feather.read_table(path, memory_map=False)
+    table.validate(full=True)
+    return _named(path, table)
+
+
+def _read_mat(path: Path) -> Table:
+    """Every variable of a MAT file that is a vector of numbers."""
+    from scipy.io import loadmat
+
+    content = path.read_bytes()
+    try:
+        found = contents(content)
+        wanted = None if found is None else found.numbers
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            variables = loadmat(io.BytesIO(content), squeeze_me=True, variable_names=wanted)
+    except NotImplementedError:
+        raise DataError(
+            "must be a MAT file of version 7 or older but is of version 7.3, which is HDF5; save "
+            'it with save(..., "-v7")'
+        ) from None
+    except OSError:
+        raise
+    except Exception as error:  # SciPy meets a damaged file with exceptions of every kind
+        raise DataError(
+            f"must be a MAT file but cannot be read as one ({type(error).__name__}: {error}); "
+            "save it again"
+        ) from error
+    columns: dict[str, pa.ChunkedArray | FloatArray] = {}
+    others = {} if found is None else found.others
+    unusable = {name: f"must be a vector of numbers but is {it}" for name, it in others.items()}
+    for name, values in variables.items():
+        vector = np.atleast_1d(values) if isinstance(values, np.ndarray) else None
+        if vector is not None and vector.ndim == 1 and vector.dtype.kind in "fiub":
+            columns[name] = vector.astype(np.float64)
+        elif not name.startswith("__"):
+            shape = " x ".join(str(n) for n in np.shape(values))
+            unusable[name] = f"must be a vector of numbers but is {shape or 'a'} " + (
+                f"{values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
+            )
+    return Table(path, columns, unusable)
+
+
+def _named(path: Path, table: pa.Table, delimiter: str = "") -> Table:
+    """Columns by name, without the blanks that some programs put around names."""
+    names = [name.strip() for name in table.column_names]
+    unusable = {
+        name: f"must be there once but {count} columns have that name; rename them"
+        for name, count in Counter(names).items()
+        if count > 1
+    }
+    columns = {name: table.column(i) for i, name in enumerate(names) if name not in unusable}
+    return Table(path, columns, unusable, delimiter)
+
+
+def _is_text(column: pa.ChunkedArray) -> bool:
+    return bool(pa.types.is_string(column.type) or pa.types.is_large_string(column.type))
+
+
+def _is_numeric(column: pa.ChunkedArray) -> bool:
+    kinds = ("floating", "integer", "null", "boolean", "decimal")
+    return any(getattr(pa.types, f"is_{kind}")(column.type) for kind in kinds)
+
+
+def _cells(column: pa.ChunkedArray, *, decimal_comma: bool) -> pa.ChunkedArray:
+    """Text ready to be numbers: without blanks, null where nothing was measured."""
+    trimmed = pa.compute.utf8_trim_whitespace(column)
+    if decimal_comma and not pa.compute.any(pa.compute.match_substring(trimmed, ".")).as_py():
+        trimmed = pa.compute.replace_substring(trimmed, ",", ".")
+    absent = pa.compute.is_in(trimmed, value_set=pa.array(MISSING, trimmed.type))
+    return pa.compute.if_else(absent, None, trimmed)
+
+
+def _floats(column: pa.ChunkedArray) -> FloatArray:
+    # unsafe: integers beyond 2**53, like times in nanoseconds, are rounded rather than refused
+    return np.array(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
+
+
+def _first_text(cells: pa.ChunkedArray) -> int:
+    """Where the first cell is that is no number, by halving."""
+    good, bad = 0, len(cells)
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        try:
+            _floats(cells.slice(good, middle - good))
+            good = middle
+        except pa.ArrowInvalid:
+            bad = middle
+    return good

@@ -1,0 +1,111 @@
+"""What was measured and what was simulated, as tables."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from cluster_est.problem.problem import Problem
+from cluster_est.results.output_errors import Simulation, curve_residuals, output_residuals
+from workers.messages import Experiment, FloatArray, Trajectory
+
+
+def residual_table(
+    problem: Problem,
+    simulations: tuple[Simulation, ...],
+    before: tuple[Simulation, ...] | None = None,
+) -> pa.Table:
+    """Measured, simulated and residual at each measured time.
+
+    With `before`, what was simulated before too, as "simulated_before": null where that is not had.
+    """
+    columns: dict[str, list[Any]] = defaultdict(list)
+    earlier = {s.experiment: s.outcome for s in before or ()}
+    for simulation in simulations:
+        experiment = problem.experiments[simulation.experiment]
+        for output in experiment.outputs:
+            found = output_residuals(output, simulation.outcome)
+            part = np.full(len(output.times), np.nan) if found is None else found
+            _add(columns, experiment, output.variable, part)
+            columns["time"].append(output.times)
+            columns["measured"].append(output.values)
+            columns["simulated"].append(output.values - part * output.sigma)
+            outcome = earlier.get(simulation.experiment)
+            then = None if outcome is None else output_residuals(output, outcome)
+            columns["simulated_before"].append(
+                np.full(len(part), np.nan) if then is None else output.values - then * output.sigma
+            )
+        distances = curve_residuals(experiment, simulation.outcome)
+        if experiment.curve is not None and distances is not None:
+            _add(
+                columns, experiment, "curve of " + ", ".join(experiment.curve.variables), distances
+            )
+            for name in (
+                "time",
+                "measured",
+                "simulated",
+                "simulated_before",
+            ):  # a distance belongs to none of them
+                columns[name].append(np.full(len(distances), np.nan))
+    names = ["experiment", "role", "output", "time", "measured", "simulated", "residual"]
+    table = pa.table({name: _joined(columns[name]) for name in names})
+    return table if before is None else _with_before(table, columns)
+
+
+def _add(
+    columns: dict[str, list[Any]], experiment: Experiment, output: str, residuals: FloatArray
+) -> None:
+    columns["experiment"].append(np.full(len(residuals), experiment.id))
+    columns["role"].append(np.full(len(residuals), experiment.role))
+    columns["output"].append(np.full(len(residuals), output))
+    columns["residual"].append(residuals)
+
+
+def trajectory_table(
+    problem: Problem,
+    simulations: tuple[Simulation, ...],
+    before: tuple[Simulation, ...] | None = None,
+) -> pa.Table:
+    """Simulated outputs at every time of each experiment's grid.
+
+    `before` as in `residual_table`.
+    """
+    columns: dict[str, list[Any]] = defaultdict(list)
+    earlier = {s.experiment: s.outcome.trajectory for s in before or ()}
+    for simulation in simulations:
+        trajectory = simulation.outcome.trajectory
+        if trajectory is None:
+            continue
+        experiment = problem.experiments[simulation.experiment]
+        for j, variable in enumerate(trajectory.variables):
+            columns["experiment"].append(np.full(len(trajectory.times), experiment.id))
+            columns["output"].append(np.full(len(trajectory.times), variable))
+            columns["time"].append(trajectory.times)
+            columns["simulated"].append(trajectory.values[:, j])
+            then = earlier.get(simulation.experiment)
+            columns["simulated_before"].append(_at(then, variable, trajectory.times))
+    names = [name for name in columns if name != "simulated_before"]
+    table = pa.table({name: np.concatenate(columns[name]) for name in names})
+    return table if before is None else _with_before(table, columns)
+
+
+def _at(trajectory: Trajectory | None, variable: str, times: FloatArray) -> FloatArray:
+    """An output at the times of another simulation; NaN if it is none of the same experiment."""
+    if trajectory is None or variable not in trajectory.variables:
+        return np.full(len(times), np.nan)
+    if not np.array_equal(trajectory.times, times):
+        return np.full(len(times), np.nan)
+    found: FloatArray = trajectory.values[:, trajectory.variables.index(variable)]
+    return found
+
+
+def _with_before(table: pa.Table, columns: dict[str, list[Any]]) -> pa.Table:
+    found = pa.array(_joined(columns["simulated_before"]), pa.float64(), from_pandas=True)
+    return table.append_column("simulated_before", found)
+
+
+def _joined(parts: list[Any]) -> Any:
+    return np.concatenate(parts) if parts else np.zeros(0)

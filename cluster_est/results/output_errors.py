@@ -1,0 +1,136 @@
+"""How well the outputs are followed: residuals from trajectories, and the table of errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cluster_est.problem.problem import Problem
+from workers.messages import Experiment, FloatArray, Outcome, Output, Role
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """One experiment simulated at given values: its outcome, with trajectory."""
+
+    experiment: int
+    outcome: Outcome = field(repr=False)
+
+
+@dataclass(frozen=True)
+class OutputError:
+    """How well one output of one experiment is followed, a row of errors.parquet.
+
+    `before` is at the start values, `after` at the estimates. `rmse` is in the output's unit,
+    `relative` is over the standard deviation of the measured signal, `normalised` over sigma. NaN
+    where the simulation failed.
+    """
+
+    experiment: str
+    role: Role
+    output: str
+    unit: str
+    samples: int
+    rmse_before: float
+    rmse_after: float
+    relative_before: float
+    relative_after: float
+    normalised_before: float
+    normalised_after: float
+
+
+def output_errors(
+    problem: Problem, before: list[Simulation], after: list[Simulation], units: dict[str, str]
+) -> tuple[OutputError, ...]:
+    """The table of errors, from each experiment simulated at the start and at the estimates."""
+    rows = []
+    for old, new in zip(before, after, strict=True):
+        experiment = problem.experiments[old.experiment]
+        for output in experiment.outputs:
+            spread = float(np.std(output.values)) or np.nan
+            then = _rms(output_residuals(output, old.outcome))
+            now = _rms(output_residuals(output, new.outcome))
+            rows.append(
+                OutputError(
+                    experiment=experiment.id,
+                    role=experiment.role,
+                    output=output.variable,
+                    unit=units.get(output.variable, ""),
+                    samples=len(output.times),
+                    rmse_before=then * output.sigma,
+                    rmse_after=now * output.sigma,
+                    relative_before=then * output.sigma / spread,
+                    relative_after=now * output.sigma / spread,
+                    normalised_before=then,
+                    normalised_after=now,
+                )
+            )
+        if experiment.curve is not None:
+            rows.append(_curve_error(experiment, old.outcome, new.outcome))
+    return tuple(rows)
+
+
+def output_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
+    """(measured - simulated) / sigma of one output at its measured times; None if it failed.
+
+    From the trajectory, whatever the cost makes of it.
+    """
+    trajectory = outcome.trajectory
+    if trajectory is None:
+        return None
+    column = trajectory.variables.index(output.variable)
+    rows = np.searchsorted(trajectory.times, output.times)
+    simulated: FloatArray = trajectory.values[rows, column]
+    return (output.values - simulated) / output.sigma
+
+
+def curve_residuals(experiment: Experiment, outcome: Outcome) -> FloatArray | None:
+    """Distances of a curve's segments, relative to its size; None if it failed, or has no curve."""
+    if experiment.curve is None or outcome.trajectory is None:
+        return None
+    if experiment.cost_function is not None:
+        return None
+    count = len(experiment.curve.points) - 1
+    return None if outcome.residuals is None else outcome.residuals[-count:]
+
+
+def _curve_error(experiment: Experiment, old: Outcome, new: Outcome) -> OutputError:
+    """Of a curve, whose distances are relative to its size already."""
+    curve = experiment.curve
+    then, now = _rms(curve_residuals(experiment, old)), _rms(curve_residuals(experiment, new))
+    return OutputError(
+        experiment=experiment.id,
+        role=experiment.role,
+        output="curve of " + ", ".join(curve.variables if curve is not None else ()),
+        unit="",
+        samples=0 if curve is None else len(curve.points),
+        rmse_before=then,
+        rmse_after=now,
+        relative_before=then,
+        relative_after=now,
+        normalised_before=then,
+        normalised_after=now,
+    )
+
+
+def _rms(residuals: FloatArray | None) -> float:
+    if residuals is None or not len(residuals):
+        return np.nan
+    return float(np.sqrt(np.mean(residuals**2)))
+
+
+def worse_than_constants(errors: Sequence[OutputError]) -> list[str]:
+    """A sentence for each fitted output whose error exceeds its own spread: often a wrong unit."""
+    worst: dict[str, OutputError] = {}
+    for each in errors:
+        if each.role == "train" and 1.0 < each.relative_after < np.inf:
+            known = worst.setdefault(each.output, each)
+            worst[each.output] = max(known, each, key=lambda e: e.relative_after)
+    return [
+        f"a constant would follow {name} better than the fitted model does: its error in "
+        f"{each.experiment} is {each.relative_after:.3g} times the measured standard deviation; "
+        "check columns and units"
+        for name, each in worst.items()
+    ]

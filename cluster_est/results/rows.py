@@ -1,0 +1,188 @@
+"""The rows of a fit's tables: estimates, constraints, starts and minima."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.methods.base import TOLERANCE, Other, Solution
+from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.space import Space
+from cluster_est.results.output_errors import Simulation
+from cluster_est.results.result import ConstraintValue, Estimate, PointValue, StartResult
+from cluster_est.running.evaluation import judge
+from cluster_est.running.multistart import Found
+from cluster_est.uncertainty import Interval, Uncertainty
+from workers.fmu.description import describe_model
+from workers.messages import FloatArray
+
+
+def estimates(
+    space: Space,
+    solution: Solution,
+    role: str,
+    units: dict[str, str],
+    found: Sequence[Interval],
+) -> list[Estimate]:
+    """The values that were searched for, with their intervals."""
+    steps = solution.difference_steps
+    return [
+        _estimate(space, solution, i, found[i], role, units, np.nan if steps is None else steps[i])
+        for i in range(space.size)
+    ]
+
+
+def _estimate(
+    space: Space,
+    solution: Solution,
+    i: int,
+    interval: Interval,
+    role: str,
+    units: dict[str, str],
+    difference_step: float,
+) -> Estimate:
+    unknown = space.unknowns[i]
+    parameter = unknown.parameter
+    _, _, scope = unknown.label.partition("[")
+    return Estimate(
+        label=unknown.label,
+        parameter=parameter.name,
+        variable=parameter.target,
+        unit=parameter.unit or units.get(parameter.target, ""),
+        scope=scope.removesuffix("]") or "shared",
+        value=unknown.to_physical(float(solution.x[i])),
+        start=unknown.start,
+        lower=parameter.lower,
+        upper=parameter.upper,
+        scale=parameter.scale,
+        at_bound=interval.at_bound,
+        std_error=interval.std_error,
+        lower95=interval.lower95,
+        upper95=interval.upper95,
+        difference_step=float(difference_step),
+        estimated_on=role,
+    )
+
+
+def derived(
+    space: Space, solution: Solution, units: dict[str, str], uncertainty: Uncertainty
+) -> list[Estimate]:
+    """What follows from the estimates, with intervals to first order."""
+    rows = []
+    spread = {each.label: each for each in uncertainty.derived}
+    parameters = {p.name: p for p in space.problem.parameters}
+    for label, value in space.derived(solution.x).items():
+        name, _, scope = label.partition("[")
+        parameter = parameters[name]
+        known = _known(parameter, units, value, "derived")
+        known = replace(known, label=label, scope=scope.removesuffix("]") or "shared")
+        if (each := spread.get(label)) is not None:
+            known = replace(
+                known, std_error=each.std_error, lower95=each.lower95, upper95=each.upper95
+            )
+        rows.append(known)
+    return rows
+
+
+def fixed(problem: Problem, units: dict[str, str]) -> list[Estimate]:
+    """What was kept at its start."""
+    return [_known(p, units, p.start, "known") for p in problem.parameters if p.fixed]
+
+
+def _known(parameter: Parameter, units: dict[str, str], value: float, how: str) -> Estimate:
+    """A row for what was not searched for."""
+    return Estimate(
+        label=parameter.name,
+        parameter=parameter.name,
+        variable=parameter.target,
+        unit=parameter.unit or units.get(parameter.target, ""),
+        scope="shared",
+        value=value,
+        start=parameter.start,
+        lower=parameter.lower,
+        upper=parameter.upper,
+        scale=parameter.scale,
+        at_bound="",
+        std_error=np.nan,
+        lower95=np.nan,
+        upper95=np.nan,
+        difference_step=np.nan,
+        estimated_on=how,
+    )
+
+
+def constraints(
+    space: Space, solution: Solution, before: list[Simulation], after: list[Simulation]
+) -> tuple[ConstraintValue, ...]:
+    """Every constraint on the training experiments, at the start and at the estimates."""
+    if not space.constraint_names:
+        return ()
+    then, now = (
+        _judged(space, x, each) for x, each in ((space.start, before), (solution.x, after))
+    )
+    rows = []
+    for i, name in enumerate(space.constraint_names):
+        equal = bool(space.equality[i])
+        value = float(now[i])
+        kept = (abs(value) if equal else value) <= TOLERANCE
+        kind = "= 0" if equal else "<= 0"
+        rows.append(ConstraintValue(name, kind, float(then[i]), value, kept))
+    return tuple(rows)
+
+
+def constraints_at_start(space: Space, simulations: list[Simulation]) -> tuple[float, ...]:
+    """Every constraint on the training experiments at the start, over its scale."""
+    return tuple(_judged(space, space.start, simulations).tolist())
+
+
+def _judged(space: Space, x: FloatArray, simulations: list[Simulation]) -> FloatArray:
+    """The constraints at x, NaN where a simulation failed."""
+    outcomes = tuple(simulations[e].outcome for e in space.experiments)
+    found = judge(space, x, outcomes, 0).constraints
+    return found if len(found) else np.full(len(space.constraint_names), np.nan)
+
+
+def starts_and_minima(
+    space: Space, found: Found
+) -> tuple[tuple[StartResult, ...], tuple[PointValue, ...]]:
+    """What several starts found, as rows; nothing where there was one."""
+    if len(found.solutions) < 2:
+        return (), ()
+    numbered = enumerate(zip(found.solutions, found.minimum, strict=True))
+    starts = tuple(
+        StartResult(i, s.cost, s.ending.name.lower(), s.iterations, minimum)
+        for i, (s, minimum) in numbered
+    )
+    minima = [Other(found.solutions[i].x, found.solutions[i].cost) for i in found.minima]
+    return starts, points(space, tuple(minima))
+
+
+def points(space: Space, others: tuple[Other, ...]) -> tuple[PointValue, ...]:
+    """Points worth keeping, value by value."""
+    return tuple(
+        PointValue(i, label, value, other.cost, other.objectives)
+        for i, other in enumerate(others)
+        for label, value in space.estimates(other.x).items()
+    )
+
+
+def coefficient_units(problem: Problem) -> dict[str, str]:
+    """Units of the effects' coefficients, by "EFFECT.COEFFICIENT"; "" where the FMU names none."""
+    if not problem.effects:
+        return {}
+    from workers.effects import units  # SymPy takes long to import
+    from workers.effects.definition import define
+
+    model = problem.model
+    description = describe_model(model)
+    signals = tuple({s.variable: None for e in problem.experiments for s in e.signals})
+    found: dict[str, str] = {}
+    for effect in problem.effects:
+        definition = define(effect, description, model.interface, signals)
+        names = [f"{effect.name}.{c.name}" for c in definition.form.coefficients]
+        texts = units.coefficient_units(definition, description)
+        pairs = zip(names, texts, strict=True)
+        found |= {name: "" if units.UNKNOWN in unit else unit for name, unit in pairs}
+    return found

@@ -1,0 +1,143 @@
+"""How far a run is, in a small file: for who watches its folder from elsewhere.
+
+A line for each iteration of each search, and one a second for the whole run. It is a log and no
+result; nothing reads it to go on.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cluster_est.running.records import Iteration, Snapshot
+
+PROGRESS = "progress.jsonl"
+SECONDS_BETWEEN = 1.0
+MOST_BYTES = 8 * 2**20
+"""When there are more, the file begins anew with the last line of each search."""
+
+
+class ProgressFile:
+    """Appends lines; who cannot write them loses the view, never the run."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._last: dict[str, str] = {}
+        self._shown = 0.0
+        self._size = 0
+        path.write_bytes(b"")
+
+    def iteration(self, iteration: Iteration) -> None:
+        """A new line of a search's iteration table."""
+        progress = iteration.progress
+        line = _line(
+            {
+                "search": iteration.search,
+                "iteration": progress.iteration,
+                "cost": progress.cost,
+                "violation": progress.violation,
+                "ending": progress.ending,
+                "evaluations": iteration.evaluations,
+            }
+        )
+        self._last[iteration.search] = line
+        self._write(line)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """The state of the whole run, at most once a second."""
+        now = time.monotonic()
+        if now - self._shown < SECONDS_BETWEEN:
+            return
+        self._shown = now
+        names = ("evaluations", "simulations", "failures", "busy", "workers", "seconds")
+        self._write(_line({"now": snapshot.search} | {n: getattr(snapshot, n) for n in names}))
+
+    def _write(self, line: str) -> None:
+        text, mode = line, "ab"
+        if self._size > MOST_BYTES:
+            text, mode, self._size = "".join(self._last.values()) + line, "wb", 0
+        with suppress(OSError), self._path.open(mode) as file:
+            file.write(text.encode())
+            self._size += len(text)
+
+
+def _line(row: dict[str, Any]) -> str:
+    """One line of JSON, which has no NaN."""
+    kept = {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in row.items()
+    }
+    return json.dumps(kept) + "\n"
+
+
+@dataclass(frozen=True)
+class State:
+    """The state of a whole run; `search` is one of those under way."""
+
+    search: str
+    evaluations: int
+    simulations: int
+    failures: int
+    busy: int
+    workers: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Line:
+    """One iteration of a search; costs are NaN where there was none."""
+
+    search: str
+    iteration: int
+    cost: float
+    violation: float
+    ending: str
+    evaluations: int
+
+
+class ProgressTail:
+    """Reads a progress file while it grows, only what is new.
+
+    Attributes
+    ----------
+    state
+        The last one; None before the first.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._offset = 0
+        self._torn = b""
+        self.state: State | None = None
+
+    def new(self) -> list[Line]:
+        """The iterations since the last call; a line that is half written comes with the next."""
+        try:
+            with self._path.open("rb") as file:
+                if file.seek(0, 2) < self._offset:  # it has begun anew
+                    self._offset, self._torn = 0, b""
+                file.seek(self._offset)
+                found = file.read()
+                self._offset = file.tell()
+        except OSError:
+            return []
+        *whole, self._torn = (self._torn + found).split(b"\n")
+        read = [self._read(line) for line in whole]
+        return [line for line in read if line is not None]
+
+    def _read(self, text: bytes) -> Line | None:
+        try:
+            row = json.loads(text)
+            if "now" in row:
+                self.state = State(row.pop("now"), **row)
+                return None
+            for name in ("cost", "violation"):
+                row[name] = math.nan if row[name] is None else float(row[name])
+            return Line(**row)
+        except (ValueError, TypeError, KeyError):  # of another version, or damaged
+            return None

@@ -1,0 +1,151 @@
+"""Whether and how a run that was interrupted is taken up again."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from cluster_est.cli.printing import read_facts
+from cluster_est.config.reader import Config
+from cluster_est.config.toml import to_toml
+from cluster_est.errors import RunFolderError
+from cluster_est.problem.problem import Problem
+from cluster_est.run_folder.evaluation_log import LogSettings
+from cluster_est.run_folder.folder import RunFolder, check_free
+from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, hash_config, versions
+from cluster_est.running.reset_policy import Chosen
+from cluster_est.running.sensitivity_policy import Carried
+
+FINISHED = "done"
+
+
+def open_folder(
+    out: Path,
+    problem: Problem,
+    config: Config,
+    unused: str,
+    *,
+    overwrite: bool,
+    logged: LoggedOutcomes | None = None,
+    base: Path | None = None,
+    chosen: Chosen | None = None,
+    carried: Carried | None = None,
+) -> RunFolder:
+    """The folder of a run by a config, whose paths start from `base`.
+
+    `unused` is the section that does not concern it.
+    """
+    return RunFolder(
+        out,
+        problem,
+        to_toml(config.model_dump(mode="python")),
+        hash_config(config.model_dump(mode="json", exclude_defaults=False), unused),
+        config.method.seed if unused == "closed_loop" else config.closed_loop.seed,
+        overwrite=overwrite,
+        log_settings=LogSettings(config.log.residuals, config.log.max_megabytes),
+        logged=logged,
+        config_folder=base,
+        chosen=chosen,
+        carried=carried,
+    )
+
+
+def is_finished(out: Path) -> bool:
+    """Whether a folder holds a run that reached its end."""
+    return (
+        (out / "run.json").is_file()
+        and (out / "parameters.parquet").is_file()
+        and read_facts(out)["status"] == FINISHED
+    )
+
+
+def check_resumable(out: Path, problem: Problem, config: Config, unused: str) -> bool:
+    """Whether there is a run to take up again; otherwise the folder is free for one that begins.
+
+    Executor, budget and log may be others than before. A budget's evaluations count those of the
+    first run too, its seconds begin anew.
+
+    Raises
+    ------
+    RunFolderError
+        If the folder holds something else, or a run of something else.
+    """
+    if not (out / "run.json").is_file():
+        check_free(out, overwrite=False)
+        return False
+    facts = read_facts(out)
+    different = _difference(out, facts, problem, config, unused)
+    if different:
+        raise RunFolderError(
+            f"{out}: must hold a run of the same problem to be resumed, but {different}; choose "
+            "another --out, or begin anew with --overwrite"
+        )
+    return True
+
+
+def _difference(
+    out: Path, facts: dict[str, Any], problem: Problem, config: Config, unused: str
+) -> str:
+    """What differs from the run that is there, as part of a sentence; empty if nothing does."""
+    if facts.get("format") != FORMAT:
+        return f"its format is {facts.get('format')} and this version writes {FORMAT}"
+    tree = config.model_dump(mode="json", exclude_defaults=False)
+    if facts.get("config_hash") != hash_config(tree, unused):
+        return _different_key(out, config, unused)
+    if facts.get("fmu", {}).get("sha256") != problem.model.archive_hash:
+        return f"{problem.model.name} was another FMU then, of the same name"
+    known = facts.get("experiments", {})
+    for experiment in problem.experiments:
+        if known.get(experiment.id) != experiment.key:
+            return f"the data of experiment {experiment.id!r} were others then"
+    return _different_version(facts.get("versions", {}))
+
+
+def _different_key(out: Path, config: Config, unused: str) -> str:
+    try:
+        before = tomllib.loads((out / "config.toml").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        before = {}
+    now = tomllib.loads(to_toml(config.model_dump(mode="python")))
+    for tree in (before, now):
+        for section in (*UNHASHED, unused):
+            tree.pop(section, None)
+    key = _first_difference(before, now)
+    if not key:
+        return "it was begun by another command"
+    was, is_now = (_at(tree, key) for tree in (before, now))
+    return f"{'.'.join(key)} was {was} and is {is_now}"
+
+
+def _first_difference(before: Any, now: Any) -> tuple[str, ...]:
+    """The path to the first value that differs; empty if none does."""
+    pairs: list[tuple[str, Any, Any]] = []
+    if isinstance(before, dict) and isinstance(now, dict):
+        pairs = [(k, before.get(k), now.get(k)) for k in dict.fromkeys([*before, *now])]
+    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        pairs = [(str(i), *pair) for i, pair in enumerate(zip(before, now, strict=True))]
+    for name, one, other in pairs:
+        if one != other:
+            return (name, *_first_difference(one, other))
+    return ()
+
+
+def _at(tree: Any, key: tuple[str, ...]) -> str:
+    for part in key:
+        tree = tree[int(part)] if isinstance(tree, list) else tree.get(part)
+    text = "not there" if tree is None else repr(tree)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _different_version(before: dict[str, str]) -> str:
+    """What of the software differs on which bits depend; not the last part of Python's version."""
+    now = versions()
+    for name in ("platform", *DECISIVE):
+        if before.get(name) != now.get(name):
+            return f"{name} was {before.get(name)} and is {now.get(name)}"
+    was, is_now = str(before.get("python")), now["python"]
+    if was.split(".")[:2] != is_now.split(".")[:2]:
+        return f"python was {was} and is {is_now}"
+    return ""

@@ -1,0 +1,1 @@
+"""Searches, their simulations and their budget: one queue for all of them."""

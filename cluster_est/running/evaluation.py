@@ -1,0 +1,41 @@
+"""What the outcomes of a point mean: its cost and its constraints."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from cluster_est.methods.base import Evaluation
+from cluster_est.problem.space import Space
+from workers.messages import FloatArray, Outcome
+
+
+def judge(space: Space, x: FloatArray, outcomes: tuple[Outcome, ...], index: int) -> Evaluation:
+    """Join the outcomes of a point's experiments, which stand in their order.
+
+    Parameters
+    ----------
+    space, x
+        Where the point lies.
+    outcomes
+        One for each experiment of the space.
+    index
+        The number of the point among all that its search has asked for.
+    """
+    joined = Evaluation(outcomes, np.nan, violation=np.nan, index=index)
+    if not joined.ok:
+        return joined
+    cost = space.problem.cost.value(joined.residuals, space.outputs)
+    if not space.constraint_names:
+        return Evaluation(outcomes, cost, index=index)
+    parts = [space.parameter_constraints(x), *(outcome.constraints for outcome in outcomes)]
+    constraints = np.concatenate(parts)
+    return Evaluation(outcomes, cost, constraints, violation(constraints, space.equality), index)
+
+
+def violation(constraints: FloatArray, equality: npt.NDArray[np.bool_]) -> float:
+    """The largest violation; 0 where all are satisfied, infinite where one has no value."""
+    if np.isnan(constraints).any():
+        return np.inf
+    sizes = np.where(equality, np.abs(constraints), np.maximum(constraints, 0.0))
+    return float(sizes.max(initial=0.0))

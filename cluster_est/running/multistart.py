@@ -1,0 +1,274 @@
+"""Many starts of one method: for costs with several minima.
+
+All searches share one queue, so the gradients of some fill the time in which others wait for their
+slowest simulation. What is found does not depend on which search is faster: starts are counted in
+their order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import qmc
+
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import Method, Solution
+from cluster_est.methods.given_points import Look
+from cluster_est.problem.space import Space
+from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.search_state import suited
+from workers.fmu.description import nearest
+from workers.messages import FloatArray
+
+Sampler = Literal["sobol", "latin_hypercube", "uniform"]
+ATTEMPTS = 50
+"""Samples drawn for each one that must satisfy the constraints on parameters."""
+
+
+@dataclass(frozen=True)
+class Multistart:
+    """From how many points to search, and which.
+
+    Attributes
+    ----------
+    n
+        Starts in all: the parameters' own, then `points`, then samples of the bounds.
+    sampler
+        "sobol" and "latin_hypercube" fill the bounds evenly, "uniform" does not.
+    points
+        Physical values by label, or by name for all labels of a parameter; what is not named keeps
+        its own start.
+    screen
+        For each sampled start so many points are evaluated, all at once, and the best are taken.
+    at_once
+        Searches under way at the same time. A fixed number, so that it decides nothing but speed.
+    patience
+        Stop after so many starts in a row that brought no new minimum; 0 for never.
+    same
+        Minima whose unknowns all differ by less than this part of their range are one.
+    seed
+        Of the sampler.
+    """
+
+    n: int = 1
+    sampler: Sampler = "sobol"
+    points: tuple[Mapping[str, float], ...] = ()
+    screen: int = 1
+    at_once: int = 16
+    patience: int = 0
+    same: float = 1e-3
+    seed: int = 0
+
+    @property
+    def searches(self) -> int:
+        """How many."""
+        return max(self.n, 1 + len(self.points))
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the searches found.
+
+    Attributes
+    ----------
+    starts : (searches, unknowns)
+        In search coordinates.
+    solutions
+        Of each search.
+    minima
+        Indices of solutions, the best first, one for each different minimum.
+    minimum
+        For each search the number of its minimum, counted from 0 as in `minima`; -1 where it did
+        not reach one.
+    """
+
+    starts: FloatArray
+    solutions: tuple[Solution, ...]
+    minima: tuple[int, ...]
+    minimum: tuple[int, ...]
+
+    @property
+    def best(self) -> Solution:
+        """Of the best minimum; of all solutions, where none of them is one."""
+        if self.minima:
+            return self.solutions[self.minima[0]]
+        return min(self.solutions, key=_rank)
+
+
+def search_from_starts(
+    runner: Runner, space: Space, method: Method, multistart: Multistart, seed: int
+) -> Found:
+    """Run a method from all starts at the same time.
+
+    Raises
+    ------
+    ProblemError
+        If samples are wanted but an unknown has no finite bounds.
+    """
+    starts = make_starts(runner, suited(space, method), multistart)
+    names = ["train"] if len(starts) == 1 else [f"start {i}" for i in range(len(starts))]
+    requests = [
+        SearchRequest(name, method, space.starting_at(x), seed)
+        for name, x in zip(names, starts, strict=True)
+    ]
+
+    def enough(solutions: Sequence[Solution]) -> bool:
+        return _nothing_new(space, solutions, multistart)
+
+    solutions = runner.run(requests, multistart.at_once, enough)
+    minima, minimum = cluster(space, solutions, multistart.same)
+    return Found(starts[: len(solutions)], tuple(solutions), minima, minimum)
+
+
+def check_starts(space: Space, multistart: Multistart) -> None:
+    """Refuse starts that this space cannot have, before anything is simulated.
+
+    Raises
+    ------
+    ProblemError
+        If a point of the user's names no unknown or lies out of bounds, or samples are wanted but
+        an unknown has no finite bounds.
+    """
+    for values in multistart.points:
+        _named(space, values)
+    if multistart.searches > 1 + len(multistart.points):
+        _check_bounds(space)
+
+
+def make_starts(runner: Runner, space: Space, multistart: Multistart) -> FloatArray:
+    """(searches, unknowns): the space's own start, the user's, then samples."""
+    given = [space.start, *(_named(space, values) for values in multistart.points)]
+    missing = multistart.searches - len(given)
+    if missing <= 0:
+        return np.array(given)
+    samples = sample(space, missing * multistart.screen, multistart)
+    if multistart.screen > 1:
+        look = Look(samples, "screen")
+        runner.run([SearchRequest("screen", look, space)])
+        if not look.seen:
+            raise KeyboardInterrupt  # the only end that it can have without an answer
+        order = sorted(range(len(samples)), key=lambda i: (look.seen[i].rank, i))
+        samples = samples[order[:missing]]
+    return np.vstack([*given, samples])
+
+
+def sample(space: Space, count: int, multistart: Multistart) -> FloatArray:
+    """(count, unknowns): points within the bounds that satisfy the constraints on parameters.
+
+    Where those leave too little room, the points that violate them least.
+
+    Raises
+    ------
+    ProblemError
+        If an unknown has no finite bounds.
+    """
+    _check_bounds(space)
+    wanted = space.parameter_constraints(space.start)
+    drawn = count * (ATTEMPTS if len(wanted) else 1)
+    generator = np.random.default_rng(multistart.seed)
+    unit = _unit(multistart.sampler, drawn, space.size, generator)
+    points = np.clip(space.lower + unit * (space.upper - space.lower), space.lower, space.upper)
+    if not len(wanted):
+        return points
+    equality = space.equality[: len(wanted)]
+    worst = np.array([_violation(space.parameter_constraints(x), equality) for x in points])
+    order = np.argsort(np.maximum(worst, 0.0), kind="stable")
+    return np.asarray(points[order[:count]])
+
+
+def _check_bounds(space: Space) -> None:
+    for i, unknown in enumerate(space.unknowns):
+        if not (np.isfinite(space.lower[i]) and np.isfinite(space.upper[i])):
+            positive = " and positive" if unknown.log else ""
+            parameter = unknown.parameter
+            raise ProblemError(
+                f"parameters.{parameter.name}.bounds: must be finite{positive}, because starts "
+                f"are sampled between them, but are [{parameter.lower:g}, {parameter.upper:g}]; "
+                "narrow them, or give multistart.points instead"
+            )
+
+
+def _unit(sampler: Sampler, count: int, size: int, generator: np.random.Generator) -> FloatArray:
+    if sampler == "uniform":
+        return generator.random((count, size))
+    kinds = {"sobol": qmc.Sobol, "latin_hypercube": qmc.LatinHypercube}
+    engine = kinds[sampler](size, rng=generator)
+    if sampler == "sobol":  # it is balanced for powers of two only, and warns about others
+        return np.asarray(engine.random_base2(max(0, (count - 1).bit_length()))[:count])
+    return np.asarray(engine.random(count))
+
+
+def _violation(values: FloatArray, equality: npt.NDArray[np.bool_]) -> float:
+    sizes = np.where(equality, np.abs(values), values)
+    return float(np.max(np.where(np.isnan(sizes), np.inf, sizes)))
+
+
+def _named(space: Space, values: Mapping[str, float]) -> FloatArray:
+    """A start of the user's, in search coordinates."""
+    labels = [unknown.label for unknown in space.unknowns]
+    names = [unknown.parameter.name for unknown in space.unknowns]
+    for name in values:
+        if name not in labels and name not in names:
+            raise ProblemError(
+                f"multistart.points: there is no unknown {name!r}{nearest(name, labels)}"
+            )
+    x = space.start.copy()
+    for i, unknown in enumerate(space.unknowns):
+        given = values.get(unknown.label, values.get(unknown.parameter.name))
+        if given is not None:
+            x[i] = unknown.to_search(given)
+            if not (np.isfinite(x[i]) and space.lower[i] <= x[i] <= space.upper[i]):
+                parameter = unknown.parameter
+                raise ProblemError(
+                    f"multistart.points: {unknown.label} must lie in its bounds "
+                    f"[{parameter.lower:g}, {parameter.upper:g}]"
+                    f"{' and be positive' if unknown.log else ''} but is {given:g}; move it"
+                )
+    return x
+
+
+def cluster(
+    space: Space, solutions: Sequence[Solution], same: float
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Which solutions are one minimum: indices of the best of each, and the number of each one's.
+
+    Solutions that did not reach a minimum have the number -1.
+    """
+    reached = [i for i, s in enumerate(solutions) if s.ending.success]
+    order = sorted(reached, key=lambda i: (_rank(solutions[i]), i))
+    minima: list[int] = []
+    number = [-1] * len(solutions)
+    for i in order:
+        for place, other in enumerate(minima):
+            if _same(space, solutions[i], solutions[other], same):
+                number[i] = place
+                break
+        else:
+            number[i] = len(minima)
+            minima.append(i)
+    return tuple(minima), tuple(number)
+
+
+def _same(space: Space, one: Solution, other: Solution, same: float) -> bool:
+    width = space.upper - space.lower
+    width = np.where(np.isfinite(width), width, space.typical)
+    return bool(np.all(np.abs(one.x - other.x) <= same * width))
+
+
+def _nothing_new(space: Space, solutions: Sequence[Solution], multistart: Multistart) -> bool:
+    if multistart.patience == 0 or len(solutions) <= multistart.patience:
+        return False
+    _, number = cluster(space, solutions, multistart.same)
+    before = set(number[: -multistart.patience]) - {-1}
+    latest = set(number[-multistart.patience :]) - {-1}
+    return bool(before) and latest <= before
+
+
+def _rank(solution: Solution) -> tuple[float, float]:
+    if solution.at is not None:
+        return solution.at.rank
+    return (0.0, solution.cost) if np.isfinite(solution.cost) else (np.inf, np.inf)

@@ -1,0 +1,142 @@
+"""What has been asked of the workers: who waits for each simulation, and what is known already.
+
+The same simulation is never asked for twice while it is under way or remembered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cluster_est.executors.base import Executor
+from cluster_est.problem.space import Space
+from cluster_est.running.records import Origin, Record
+from cluster_est.running.search_state import Active, Memory, Question
+from workers.messages import REDUCTIONS, FloatArray, Outcome, Status, Task, Want
+
+Slot = tuple[Active, int, int]
+"""A search, the index of its point, and the position of the experiment: where an outcome goes."""
+
+
+class Questions:
+    """Stands between searches and an executor.
+
+    Parameters
+    ----------
+    executor
+        Where tasks run.
+    record
+        Called once for each simulation, in the order in which they end.
+
+    Attributes
+    ----------
+    simulations, failures
+        How many there were.
+    """
+
+    def __init__(self, executor: Executor, record: Record) -> None:
+        self._executor = executor
+        self._record = record
+        self._next_task = 0
+        self._origins: dict[int, Origin] = {}
+        self._waiting: dict[Question, list[Slot]] = {}
+        self._known = Memory()
+        self._sizes: dict[tuple[int, bool], int] = {}
+        self.simulations = 0
+        self.failures = 0
+
+    def task(self, origin: Origin, want: Want) -> Task:
+        """A new task; the caller submits it."""
+        task = Task(self._next_task, origin.experiment, origin.values, want, origin.effects)
+        self._next_task += 1
+        self._origins[task.id] = origin
+        return task
+
+    def ask(self, slot: Slot, experiment: int, values: FloatArray) -> Task | None:
+        """A task for what is not known yet and nobody has asked for; else the slot is filled."""
+        search, index, place = slot
+        space = search.request.space
+        effects, want = space.problem.effects, space.wants[place]
+        want = "sensitivities" if search.sensitivities else want
+        question = (experiment, values.tobytes(), effects, want)
+        if not np.isfinite(values).all():
+            _place(slot, _no_values(space, values))
+            return None
+        if (known := self._known.get(question)) is not None:
+            _place(slot, known)
+            return None
+        if question in self._waiting:
+            self._waiting[question].append(slot)
+            return None
+        self._waiting[question] = [slot]
+        name, purpose = search.request.name, search.purpose
+        origin = Origin(name, index, purpose, experiment, values, effects, want=want)
+        return self.task(origin, want)
+
+    def receive(self, outcome: Outcome) -> Iterator[Active]:
+        """Fill the slots that wait for an outcome, one by one; after each, whose it was."""
+        origin = self._origins.get(outcome.task)
+        if origin is None:
+            return
+        outcome = self.note(outcome)
+        question = _question(origin)
+        self._known.remember(question, outcome)
+        for slot in self._waiting.pop(question, []):
+            _place(slot, outcome)
+            yield slot[0]
+
+    def note(self, outcome: Outcome) -> Outcome:
+        """Count and record the outcome of a task; what it is taken for."""
+        origin = self._origins.pop(outcome.task)
+        if outcome.residuals is not None:
+            found = len(outcome.residuals)
+            kind = origin.experiment, origin.want in REDUCTIONS
+            wanted = self._sizes.setdefault(kind, found)
+            if found != wanted:  # of a user's function, on a worker that saw no other point yet
+                message = f"there are {found} residuals but there were {wanted} at the first point"
+                seconds, worker = outcome.seconds, outcome.worker
+                outcome = Outcome(
+                    outcome.task, Status.NOT_FINITE, message=message, seconds=seconds, worker=worker
+                )
+        self.simulations += 1
+        self.failures += not outcome.ok
+        self._record(origin, outcome)
+        return outcome
+
+    def drop_unwanted(self) -> None:
+        """Take back what no search waits for any more and no worker has begun."""
+        unwanted = {
+            question
+            for question, slots in self._waiting.items()
+            if not any(index in owner.pending for owner, index, _ in slots)
+        }
+        self._cancel([t for t, origin in self._origins.items() if _question(origin) in unwanted])
+
+    def drop_all(self) -> None:
+        """Take back all that no worker has begun."""
+        self._cancel(list(self._origins))
+
+    def _cancel(self, tasks: list[int]) -> None:
+        for task in self._executor.cancel(tasks):
+            self._waiting.pop(_question(self._origins.pop(task)), None)
+
+
+def _place(slot: Slot, outcome: Outcome) -> None:
+    search, index, e = slot
+    search.place(index, e, outcome)
+
+
+def _question(origin: Origin) -> Question:
+    return origin.experiment, origin.values.tobytes(), origin.effects, origin.want
+
+
+def _no_values(space: Space, values: FloatArray) -> Outcome:
+    """The outcome of a point at which a parameter has no value."""
+    named = [p.name for p in space.problem.parameters if not p.auxiliary]
+    first = int(np.flatnonzero(~np.isfinite(values))[0])
+    return Outcome(
+        -1,
+        Status.NOT_FINITE,
+        message=f"parameter {named[first]!r} is {values[first]}, so nothing was simulated",
+    )

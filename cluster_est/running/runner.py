@@ -1,0 +1,370 @@
+"""The only loop: it feeds many searches from one queue and joins what comes back.
+
+Searches never wait for each other. Outcomes arrive in any order and are joined in the order of the
+experiments, so a search sees the same numbers whatever the workers did.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.errors import BudgetError
+from cluster_est.executors.base import Executor
+from cluster_est.methods.base import Ending, Evaluation, Points, Solution
+from cluster_est.running.interrupts import Interrupts, later
+from cluster_est.running.pending_tasks import Questions
+from cluster_est.running.records import Budget, Iteration, Note, Origin, Record, Show, Snapshot
+from cluster_est.running.search_state import Active, Pending, SearchRequest, suited
+from workers.messages import Effect, FloatArray, Outcome, Status, Task, Want
+
+__all__ = [
+    "Budget",
+    "Iteration",
+    "Note",
+    "Origin",
+    "Record",
+    "Runner",
+    "SearchRequest",
+    "Show",
+    "Snapshot",
+]
+
+
+SUBMITTED_AT_ONCE = 1000
+HURRY_SECONDS = 2.0
+Enough = Callable[[Sequence[Solution]], bool]
+
+
+class Runner:
+    """Runs searches on an executor.
+
+    Parameters
+    ----------
+    executor
+        Where tasks run; its experiments are those of the spaces' problem.
+    budget
+        Of all searches together.
+    record
+        Called once for each simulation, in the order in which they end.
+    show
+        Called whenever something came back.
+    note
+        Called for each new line of a search's iteration table, and once more at its end.
+    whole
+        For a recipe of many steps, to which searches that were cut short are no use: an interrupt
+        goes through `run`, and a budget that is used up raises BudgetError.
+    """
+
+    def __init__(
+        self,
+        executor: Executor,
+        budget: Budget | None = None,
+        record: Record | None = None,
+        show: Show | None = None,
+        note: Note | None = None,
+        *,
+        whole: bool = False,
+    ) -> None:
+        self._executor = executor
+        self._budget = budget or Budget()
+        self._questions = Questions(executor, record or (lambda origin, outcome: None))
+        self._show = show or (lambda snapshot: None)
+        self._iteration = note or (lambda iteration: None)
+        self._whole = whole
+        self._begin = time.monotonic()
+        self.evaluations = 0
+        self.interrupted = False
+        """Whether it was: no search goes on after that, and simulations get a few seconds."""
+
+    @property
+    def simulations(self) -> int:
+        return self._questions.simulations
+
+    @property
+    def failures(self) -> int:
+        return self._questions.failures
+
+    def run(
+        self,
+        requests: Sequence[SearchRequest],
+        at_once: int | None = None,
+        enough: Enough | None = None,
+    ) -> list[Solution]:
+        """Run searches to their ends, all at the same time.
+
+        A keyboard interrupt ends all of them with their best points so far, unless `whole`.
+
+        Parameters
+        ----------
+        requests
+            What to search.
+        at_once
+            How many are under way at the same time; the others begin, in order, as those end.
+        enough
+            Is asked, each time another one has ended before which all have ended, whether these
+            first ones are all that is needed: the others are given up then. So what comes back
+            does not depend on which search is faster.
+
+        Returns
+        -------
+        list of Solution
+            In the order of the requests; shorter than they are if there were `enough`.
+
+        Raises
+        ------
+        BudgetError
+            If `whole` and the budget is used up.
+        """
+        self._refuse_if_exhausted([])
+        searches = [self._open(request) for request in requests]
+        try:
+            if not self.interrupted:
+                with Interrupts() as interrupts:
+                    enough = enough or (lambda solutions: False)
+                    searches = self._run(searches, at_once, enough, interrupts)
+        except KeyboardInterrupt:
+            self._interrupt()
+            if self._whole:
+                raise
+        finally:
+            for search in searches:
+                search.steps.close()
+        for search in searches:
+            if search.solution is None:
+                self._finish(search, Ending.INTERRUPTED)
+        self._refuse_if_exhausted(searches)
+        return _solutions(searches)
+
+    def _interrupt(self) -> None:
+        """From now on nothing of what was asked for is wanted any more."""
+        self.interrupted = True
+        self._questions.drop_all()
+
+    def _run(
+        self, searches: list[Active], at_once: int | None, enough: Enough, interrupts: Interrupts
+    ) -> list[Active]:
+        """Run until all have ended, or the first of them are enough; those that count."""
+        waiting = searches[::-1]
+        counted = 0
+        while counted < len(searches):
+            self._begin_searches(waiting, searches, at_once)
+            if searches[counted].solution is None:
+                with interrupts.waiting():
+                    outcomes = self._executor.completed()
+                for outcome in outcomes:
+                    self._receive(outcome)
+                self._display(searches)
+                continue
+            counted += 1
+            if enough(_solutions(searches[:counted])):
+                self._give_up(searches[counted:])
+                return searches[:counted]
+        return searches
+
+    def _begin_searches(
+        self, waiting: list[Active], searches: Sequence[Active], at_once: int | None
+    ) -> None:
+        """Begin the next searches, in order, as many as may be under way."""
+        while waiting:
+            begun = len(searches) - len(waiting)
+            under_way = sum(s.solution is None for s in searches[:begun])
+            if at_once is not None and under_way >= at_once:
+                return
+            search = waiting.pop()
+            if self._exhausted() and begun:
+                self._finish(search, Ending.BUDGET)
+            else:
+                self._advance(search, None)
+
+    def _give_up(self, searches: Sequence[Active]) -> None:
+        """End searches whose solutions nobody wants any more."""
+        for search in searches:
+            self._drop(search, tuple(search.pending))
+            search.steps.close()
+
+    def simulate(
+        self,
+        values: FloatArray,
+        experiments: Sequence[int],
+        want: Want,
+        name: str,
+        effects: tuple[Effect, ...] = (),
+    ) -> list[Outcome]:
+        """Simulate experiments once each, outside any search.
+
+        Parameters
+        ----------
+        values : (experiments, parameters)
+            Physical values of the model's parameters, a row for each experiment.
+        experiments
+            Indices into the problem's experiments.
+        want, name
+            What for, and what the log calls it.
+        effects
+            What is added to the model.
+        """
+        tasks = []
+        for row, experiment in zip(values, experiments, strict=True):
+            origin = Origin(name, 0, want, experiment, row, effects, want=want)
+            tasks.append(self._questions.task(origin, want))
+        own = {task.id for task in tasks}
+        answers: dict[int, Outcome] = {}
+        self._executor.submit(tasks)
+        try:
+            with Interrupts() as interrupts, self._hurry():
+                while len(answers) < len(tasks):
+                    with interrupts.waiting():
+                        outcomes = self._executor.completed()
+                    for outcome in outcomes:
+                        self._answer(own, outcome, answers)
+        except KeyboardInterrupt:
+            self._interrupt()
+            if self._whole:
+                raise
+        return [answers.get(task.id, _not_simulated(task)) for task in tasks]
+
+    def _hurry(self) -> contextlib.AbstractContextManager[None]:
+        """After an interrupt only what takes a few seconds is simulated still."""
+        return later(HURRY_SECONDS) if self.interrupted else contextlib.nullcontext()
+
+    def _answer(self, own: set[int], outcome: Outcome, answers: dict[int, Outcome]) -> None:
+        if outcome.task in own:
+            answers[outcome.task] = self._questions.note(outcome)
+        else:  # left over from a search that was ended from outside
+            self._receive(outcome)
+
+    def _open(self, request: SearchRequest) -> Active:
+        generator = np.random.default_rng(request.seed)
+        request = replace(request, space=suited(request.space, request.method))
+        return Active(request, request.method.search(request.space, generator))
+
+    def _advance(self, search: Active, answers: list[Evaluation] | None) -> None:
+        """Send a search its answers and queue what it asks for next."""
+        while True:
+            try:
+                points = next(search.steps) if answers is None else search.steps.send(answers)
+            except StopIteration as end:
+                search.solution = end.value
+                self._end(search)
+                return
+            if search.asked and self._exhausted():
+                self._finish(search, Ending.BUDGET)
+                return
+            self._ask(search, points)
+            if not search.ready:
+                return
+            answers = search.take_answers()
+
+    def _ask(self, search: Active, points: Points) -> None:
+        """Queue the tasks of a request, experiment by experiment; skip what is known already."""
+        space = search.request.space
+        if points.progress is not None and points.progress != search.progress:
+            search.progress = points.progress
+            self._iteration(Iteration(search.request.name, points.progress, search.asked))
+        self._drop(search, points.drop)
+        search.asynchronous, search.purpose = points.asynchronous, points.purpose
+        search.sensitivities = points.sensitivities
+        first = search.asked
+        search.asked += len(points.x)
+        self.evaluations += len(points.x)
+        count = len(space.experiments)
+        for p, x in enumerate(points.x):
+            search.pending[first + p] = Pending(first + p, x.copy(), [None] * count, count)
+        physical = [space.physical(x) for x in points.x]
+        places = [(p, e) for e in range(count) for p in range(len(points.x))]
+        if points.asynchronous:  # a point is answered when it is complete, so one after the other
+            places.sort()
+        tasks: list[Task] = []
+        for p, e in places:
+            slot = (search, first + p, e)
+            task = self._questions.ask(slot, space.experiments[e], physical[p][e])
+            tasks += [task] if task is not None else []
+            if len(tasks) == SUBMITTED_AT_ONCE:  # workers begin while the others are prepared
+                self._executor.submit(tasks)
+                tasks = []
+        self._executor.submit(tasks)
+
+    def _receive(self, outcome: Outcome) -> None:
+        """Hand an outcome to who waits for it; let those go on that have all they asked for."""
+        for search in self._questions.receive(outcome):
+            if search.ready and search.solution is None:
+                self._advance(search, search.take_answers())
+
+    def _drop(self, search: Active, indices: tuple[int, ...]) -> None:
+        """Forget points that nobody wants; those simulations that have not begun need not."""
+        for index in indices:
+            search.pending.pop(index, None)
+        if indices:
+            self._questions.drop_unwanted()
+
+    def _finish(self, search: Active, ending: Ending) -> None:
+        """End a search from outside, with the best point that it has seen."""
+        start = search.request.space.start
+        x = start if search.best_x is None else search.best_x
+        cost = np.nan if search.best is None else search.best.cost
+        search.solution = Solution(
+            x, cost, ending, iterations=search.progress.iteration, at=search.best
+        )
+        search.pending.clear()
+        self._end(search)
+
+    def _end(self, search: Active) -> None:
+        """Note how a search ended, as the last line of its table."""
+        solution = search.solution
+        if solution is None:
+            return
+        violation = np.nan
+        if search.request.space.constraint_names and solution.at is not None:
+            violation = solution.at.violation
+        last = replace(
+            search.progress,
+            iteration=solution.iterations,
+            cost=solution.cost,
+            violation=violation,
+            ending=solution.ending.name.lower(),
+        )
+        self._iteration(Iteration(search.request.name, last, search.asked))
+
+    def _exhausted(self) -> bool:
+        most, longest = self._budget.evaluations, self._budget.seconds
+        used = time.monotonic() - self._begin
+        return (most is not None and self.evaluations >= most) or (
+            longest is not None and used >= longest
+        )
+
+    def _refuse_if_exhausted(self, searches: Sequence[Active]) -> None:
+        cut = [s for s in searches if s.solution and s.solution.ending is Ending.BUDGET]
+        if self._whole and self._exhausted() and (cut or not searches):
+            raise BudgetError(
+                f"budget: was used up after {self.evaluations} evaluations in "
+                f"{time.monotonic() - self._begin:.0f} s; raise budget.evaluations or "
+                "budget.seconds, or leave them out"
+            )
+
+    def _display(self, searches: Sequence[Active]) -> None:
+        running = [s for s in searches if s.solution is None] or list(searches)
+        self._show(
+            Snapshot(
+                search=running[0].request.name,
+                progress=running[0].progress,
+                evaluations=self.evaluations,
+                simulations=self.simulations,
+                failures=self.failures,
+                busy=self._executor.busy,
+                workers=self._executor.workers,
+                seconds=time.monotonic() - self._begin,
+            )
+        )
+
+
+def _solutions(searches: Sequence[Active]) -> list[Solution]:
+    return [search.solution for search in searches if search.solution is not None]
+
+
+def _not_simulated(task: Task) -> Outcome:
+    return Outcome(task.id, Status.NOT_RUN, message="the run was interrupted before it ran")

@@ -1,0 +1,115 @@
+"""A search in progress: what it has asked for, what has come back, and what it is sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cluster_est.methods.base import Evaluation, Method, Progress, Search, Solution
+from cluster_est.problem.space import Space
+from cluster_est.running.evaluation import judge
+from workers.messages import Effect, FloatArray, Outcome, Want
+
+MEMORY_BYTES = 256 * 2**20
+"""What is remembered to answer repeated questions without simulating."""
+OUTCOME_BYTES = 800
+"""What an outcome takes besides its residuals."""
+
+Question = tuple[int, bytes, tuple[Effect, ...], Want]
+"""Experiment, values and effects, which make a simulation, and what is wanted of it: whole
+residuals never stand in for reduced ones, or bits would depend on which of them came first."""
+
+
+@dataclass(frozen=True)
+class SearchRequest:
+    """One search: a method let loose on a space.
+
+    `name` tells searches apart in the log; `seed` starts the method's random generator.
+    """
+
+    name: str
+    method: Method
+    space: Space
+    seed: int = 0
+
+
+def suited(space: Space, method: Method) -> Space:
+    """The space as a method is given it: reduced, unless it looks at single residuals."""
+    return space if method.needs_every_residual else replace(space, reduced=True)
+
+
+@dataclass
+class Pending:
+    """A point that was asked for, and the outcomes that are there already."""
+
+    index: int
+    x: FloatArray
+    outcomes: list[Outcome | None]
+    missing: int
+
+
+@dataclass
+class Active:
+    """A search in progress and the points that it waits for, by index."""
+
+    request: SearchRequest
+    steps: Search
+    pending: dict[int, Pending] = field(default_factory=dict)
+    answers: list[tuple[Evaluation, FloatArray]] = field(default_factory=list)
+    asynchronous: bool = False
+    purpose: str = ""
+    sensitivities: bool = False
+    asked: int = 0
+    best: Evaluation | None = None
+    best_x: FloatArray | None = None
+    progress: Progress = field(default_factory=lambda: Progress(0, np.nan))
+    solution: Solution | None = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether what it waits for is there."""
+        if self.asynchronous:
+            return bool(self.answers) or not self.pending
+        return not self.pending
+
+    def place(self, index: int, e: int, outcome: Outcome) -> None:
+        """Put an outcome where it is waited for; judge the point that it completes."""
+        point = self.pending.get(index)
+        if point is None:  # dropped, or the search has ended
+            return
+        point.outcomes[e] = outcome
+        point.missing -= 1
+        if point.missing == 0:
+            del self.pending[index]
+            outcomes = tuple(o for o in point.outcomes if o is not None)
+            self.answers.append((judge(self.request.space, point.x, outcomes, index), point.x))
+
+    def take_answers(self) -> list[Evaluation]:
+        """The evaluations that it is sent, in the order in which it asked for them."""
+        answers = sorted(self.answers, key=lambda answer: answer[0].index)
+        self.answers = []
+        for evaluation, x in answers:
+            if evaluation.ok and (self.best is None or evaluation.rank < self.best.rank):
+                self.best, self.best_x = evaluation, x
+        return [evaluation for evaluation, _ in answers]
+
+
+class Memory:
+    """Outcomes that answer a repeated question without simulating, up to a size."""
+
+    def __init__(self) -> None:
+        self._known: dict[Question, Outcome] = {}
+        self._bytes = 0
+
+    def get(self, question: Question) -> Outcome | None:
+        return self._known.get(question)
+
+    def remember(self, question: Question, outcome: Outcome) -> None:
+        kept = (outcome.residuals, outcome.sensitivities)
+        size = OUTCOME_BYTES + sum(0 if each is None else each.nbytes for each in kept)
+        if self._bytes + size > MEMORY_BYTES:
+            self._known.clear()
+            self._bytes = 0
+        self._known[question] = outcome
+        self._bytes += size

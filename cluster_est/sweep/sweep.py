@@ -1,0 +1,176 @@
+"""The recipe of a sweep: many fits from one file, started again where it stopped."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cluster_est.errors import ClusterEstError, ConfigError, RunFolderError
+from cluster_est.sweep.lock import locked
+from cluster_est.sweep.matrix import SweepRun, read_sweep
+from cluster_est.sweep.pool import SharedPools
+from cluster_est.sweep.run import Progress, check_run, do_run
+from cluster_est.sweep.state import (
+    FAILED,
+    NOT_RUN,
+    SUCCESS,
+    Planned,
+    check_folder,
+    status,
+    summary_rows,
+    write_state,
+    write_summary,
+)
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Swept:
+    """What a sweep came to.
+
+    Attributes
+    ----------
+    rows
+        Of summary.parquet, one for each run.
+    ran
+        How many runs this call did.
+    interrupted
+        By Ctrl-C; the next call goes on.
+    """
+
+    rows: list[dict[str, Any]]
+    ran: int
+    interrupted: bool
+
+    @property
+    def success(self) -> bool:
+        """Whether every run reached a solution, now or in an earlier call."""
+        return all(row["status"] == SUCCESS for row in self.rows)
+
+
+def sweep(
+    path: Path,
+    out: Path,
+    tell: Tell,
+    progress: Progress,
+    *,
+    retry_failed: bool = False,
+    allow_code: bool = False,
+) -> Swept:
+    """Do every run of a sweep that is not done yet.
+
+    All runs are checked before the first one starts. They follow one another, each on all workers;
+    those with the same model and experiments come together and share their workers, and all with
+    Ray share one Ray. A run is skipped if its folder holds a solution for the same config, data,
+    FMU and versions. A run that failed is tried again if one of these or its budget has changed.
+
+    Parameters
+    ----------
+    path
+        The sweep file.
+    out
+        Holds a run folder for each run, summary.parquet and sweep.json.
+    tell
+        Called with a line for each run that ended.
+    progress
+        Makes the line that shows a run while it goes on.
+    retry_failed
+        Try again what failed, even if nothing has changed.
+    allow_code
+        Whether Python functions that configs name may run.
+
+    Raises
+    ------
+    ConfigError
+        With all that is wrong in the sweep, its configs and their data.
+    RunFolderError
+        If the folder is not a sweep's, or another process is at work in it.
+    ExecutorError
+        If there are no workers to be had; the next call goes on.
+    """
+    runs = read_sweep(path)
+    check_folder(out)
+    plan = _check_all(runs, allow_code=allow_code)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunFolderError(f"{out}: cannot be made ({error}); choose another") from error
+    with locked(out):
+        states = {p.run.name: status(out / p.run.name, p) for p in plan}
+        again = FAILED if retry_failed else ()
+        todo = [p for p in plan if states[p.run.name] in (NOT_RUN, *again)]
+        try:
+            ran = _do_all(todo, path, out, states, tell, progress, allow_code=allow_code)
+        finally:
+            write_state(out, path, states)
+            rows = summary_rows(out, plan, states)
+            write_summary(out, rows)
+    return Swept(rows, ran, interrupted=ran < len(todo))
+
+
+def _do_all(
+    todo: list[Planned],
+    path: Path,
+    out: Path,
+    states: dict[str, str],
+    tell: Tell,
+    progress: Progress,
+    *,
+    allow_code: bool,
+) -> int:
+    """Do the runs until Ctrl-C and note in `states` how each ended; how many did."""
+    together: dict[str, list[SweepRun]] = defaultdict(list)
+    for planned in todo:
+        together[planned.pool].append(planned.run)
+    ordered = [run for each in together.values() for run in each]
+    with SharedPools() as pools:
+        for i, run in enumerate(ordered):
+            states[run.name] = NOT_RUN
+            write_state(out, path, states, running=run.name)
+            try:
+                found = do_run(run, out / run.name, pools, progress, allow_code=allow_code)
+            except KeyboardInterrupt:
+                return i
+            states[run.name] = found
+            tell(f"[{i + 1}/{len(ordered)}] {run.name}: {found}")
+    return len(ordered)
+
+
+def _check_all(runs: list[SweepRun], *, allow_code: bool) -> list[Planned]:
+    """Check every run; what is wrong in several is said once, with their names."""
+    plan: list[Planned] = []
+    wrong: dict[str, list[str]] = defaultdict(list)
+    for run in runs:
+        try:
+            plan.append(check_run(run, allow_code=allow_code))
+        except ClusterEstError as error:
+            for line in str(error).splitlines():
+                wrong[line].append(run.name)
+    for problem, names in _disagreements(plan).items():
+        wrong[problem] += names
+    if wrong:
+        lines = [f"{_listed(names)}: {line}" for line, names in wrong.items()]
+        raise ConfigError("\n".join(lines))
+    return plan
+
+
+def _disagreements(plan: list[Planned]) -> dict[str, list[str]]:
+    """Runs that ask for another Ray than the first one does."""
+    with_ray = [planned for planned in plan if planned.ray is not None]
+    different = [p.run.name for p in with_ray if p.ray != with_ray[0].ray]
+    if not different:
+        return {}
+    problem = (
+        "executor: workers and address must be the same in all runs with Ray, because they share "
+        f"it, but differ from those of {with_ray[0].run.name}; set them in [overrides]"
+    )
+    return {problem: different}
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return f"run{'s' if len(names) > 1 else ''} {', '.join(names[:3])}{more}"

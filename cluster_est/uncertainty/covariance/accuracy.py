@@ -1,0 +1,88 @@
+"""How far the columns of a Jacobian by finite differences may be off.
+
+A direction that the data do not determine at all does not show as 0 in such a Jacobian, but as the
+sum of the errors of its columns: from the noise of the simulation over the step, and from the
+curvature times the step (forward) or its square (central); see `methods.differences`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cluster_est.methods.derivatives.differences import difference_steps, relative_noise
+from cluster_est.problem.space import Space
+from workers.messages import FloatArray
+
+SAFETY = 30.0
+"""The noise of a solver and the curvature are known by their orders of magnitude only."""
+ROUNDING = 1e-13
+ABOUT_ZERO = 0.01
+"""Of the typical size."""
+
+
+def sizes(space: Space, x: FloatArray) -> FloatArray:
+    """What a relative change of each unknown is relative to: itself, unless it is about 0."""
+    logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
+    own = np.where(np.abs(x) > ABOUT_ZERO * space.typical, np.abs(x), space.typical)
+    return np.where(logarithmic, 1.0, own)
+
+
+def column_errors(
+    space: Space,
+    x: FloatArray,
+    sensitivity: FloatArray,
+    outputs: float,
+    steps: FloatArray | None,
+) -> FloatArray:
+    """(unknowns,): the error of each column over its norm, with a margin.
+
+    Parameters
+    ----------
+    space, x
+        Where.
+    sensitivity : (unknowns,)
+        Norms of the columns, for a relative change of each unknown.
+    outputs
+        The norm of what was simulated, in units of the residuals.
+    steps
+        Of the differences; forward ones are assumed where they are not known. Whether they were
+        forward or central is told from their size.
+    """
+    noise = relative_noise(space.problem.model.solver)
+    usual = difference_steps(space, x, "forward", 0.0)
+    steps = np.abs(usual if steps is None else np.where(steps != 0.0, steps, usual))
+    # the scheme is told by steps that have the size that it gives them
+    asked = float(np.median(steps / np.where(usual != 0.0, np.abs(usual), 1.0))) if len(x) else 1.0
+    central = asked > noise ** (-1.0 / 12.0)  # the middle between both, on a logarithmic scale
+    one_sided = (x + steps > space.upper) | (x - steps < space.lower)
+    relative = steps / sizes(space, x)
+    curvature = np.where(one_sided | (not central), relative, relative**2)
+    least = np.finfo(float).tiny
+    return _errors(curvature, noise * outputs / np.maximum(relative, least), sensitivity)
+
+
+def measured_errors(
+    space: Space, sensitivity: FloatArray, outputs: float, reach: float
+) -> FloatArray:
+    """The same where directions were measured with steps of this relative size; see `sharpen`."""
+    noise = relative_noise(space.problem.model.solver)
+    curvature = np.full(space.size, reach**4)
+    return _errors(curvature, np.full(space.size, noise * outputs / reach), sensitivity)
+
+
+def _errors(curvature: FloatArray, noise: FloatArray, sensitivity: FloatArray) -> FloatArray:
+    """A column that is not larger than its noise is nothing but error."""
+    over = np.divide(noise, sensitivity, out=np.full(len(noise), np.inf), where=sensitivity > 0.0)
+    return np.asarray(np.maximum(SAFETY * (curvature + np.minimum(over, 1.0)), ROUNDING))
+
+
+def output_norm(space: Space, factor: FloatArray) -> float:
+    """The norm of the measured outputs, weighted like the residuals; 0 where nobody knows it."""
+    parts = [np.zeros(0)]
+    for e in space.experiments:
+        experiment = space.problem.experiments[e]
+        if experiment.cost_function is not None or experiment.curve is not None:
+            return 0.0
+        parts += [output.values / output.sigma for output in experiment.outputs]
+    values = np.concatenate(parts)
+    return float(np.linalg.norm(values * factor)) if len(values) == len(factor) else 0.0

@@ -1,0 +1,185 @@
+"""Standard errors, intervals and correlations from the Jacobian at the solution.
+
+With residuals r of n numbers that determine k directions, the covariance is s^2 (J'J)^-1 with
+s^2 = r'r / (n - k), and the intervals are those of Student's t: G. A. F. Seber, C. J. Wild,
+Nonlinear Regression (1989), doi:10.1002/0471725315, section 2.1. For other costs see `weighting`.
+
+It is right where the residuals are independent and the model is nearly linear over the interval.
+Residuals that are not white make the intervals too narrow: then bootstrap over experiments. Where
+the model bends, or an interval reaches a bound, take profiles.
+
+What holds an unknown takes a direction away: a bound that it stands at, and an active constraint
+on parameters, whose derivatives are projected out. Active constraints on signals are ignored.
+"""
+
+from __future__ import annotations
+
+from itertools import chain
+
+import numpy as np
+from scipy.stats import t as student
+
+from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.methods.base import Solution
+from cluster_est.problem.space import Space
+from cluster_est.uncertainty.covariance.jacobian import has_slopes
+from cluster_est.uncertainty.covariance.layout import HELD, Layout, bound_sides, lay_out
+from cluster_est.uncertainty.covariance.result import DerivedInterval, Interval, Uncertainty
+from cluster_est.uncertainty.covariance.system import WEAK, System, build, directions
+from workers.messages import FloatArray
+
+
+def intervals(space: Space, solution: Solution) -> list[Interval]:
+    """An interval for each unknown; see `assess`."""
+    return list(assess(space, solution).intervals)
+
+
+def assess(space: Space, solution: Solution, reach: float = 0.0) -> Uncertainty:
+    """What the Jacobian at a solution says about it.
+
+    Parameters
+    ----------
+    space, solution
+        What was searched, and what was found, with its `jacobian` and, for any cost but the sum of
+        squares, `at`. See `linearise` where a method leaves none.
+    reach
+        Of `sharpen`, if it was called.
+    """
+    system = prepare(space, solution, reach)
+    if system is None:
+        return _nothing(space, solution)
+    return _report(space, solution.x, system)
+
+
+def prepare(
+    space: Space, solution: Solution, reach: float = 0.0, weak: float = WEAK
+) -> System | None:
+    """The factored Jacobian of a solution; None if the solution lacks what that takes."""
+    known = solution.at is not None or isinstance(space.problem.cost, SumSquared)
+    if not has_slopes(solution) or not known or not np.isfinite(solution.cost):
+        return None
+    constraints = np.zeros(0) if solution.at is None else solution.at.constraints
+    layouts = [lay_out(space, solution.x, constraints, held=held) for held in (True, False)]
+    return build(space, solution, layouts[0], layouts[1], reach, weak)
+
+
+def _nothing(space: Space, solution: Solution) -> Uncertainty:
+    sides = bound_sides(space, solution.x)
+    found = tuple(Interval(np.nan, np.nan, np.nan, side) for side in sides)
+    note = "there are no intervals, because no derivatives are known at the solution"
+    none = np.zeros((0, 0))
+    return Uncertainty(found, (), (), (), none, none, (), np.nan, 0, (note,))
+
+
+def _report(space: Space, x: FloatArray, system: System) -> Uncertainty:
+    layout, variance = system.layout, system.scatter.variance
+    degrees = system.scatter.degrees
+    width = float(student.ppf(0.975, degrees)) if degrees > 0 else np.nan
+    variances = np.sqrt(_diagonal(space, system))  # per root of the variance, still scaled
+    errors = np.sqrt(variance) * variances / system.scale
+    shared, local = layout.shared, np.array([*chain(*layout.local)], dtype=np.intp)
+    inside = system.coordinates @ system.found.shared @ system.coordinates.T
+    crossed = [part @ system.coordinates.T for part in system.found.cross]
+    across = np.vstack([np.zeros((0, len(shared))), *crossed])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlations = inside / np.outer(variances[shared], variances[shared])
+        mixed = across / np.outer(variances[local], variances[shared])
+    return Uncertainty(
+        intervals=tuple(
+            _interval(space, x, i, errors[i], width, layout.sides[i]) for i in range(space.size)
+        ),
+        derived=_derived(space, x, system, width),
+        shared=tuple(space.unknowns[i].label for i in shared),
+        local=tuple(space.unknowns[i].label for i in local),
+        correlations=correlations,
+        local_correlations=mixed,
+        directions=directions(space, x, system),
+        variance=variance,
+        degrees=degrees,
+        notes=_notes(layout, system),
+    )
+
+
+def _diagonal(space: Space, system: System) -> FloatArray:
+    """(unknowns,): of the covariance; NaN for what is held or has a part in a lost direction."""
+    result = np.full(space.size, np.nan)
+    shared, coordinates = system.layout.shared, system.coordinates
+    inside = ((coordinates @ system.found.shared) * coordinates).sum(axis=1)
+    free = np.linalg.norm(coordinates, axis=1) > HELD
+    result[shared] = np.where(free, inside, np.nan)
+    for local, part in zip(system.layout.local, system.found.local, strict=True):
+        result[local] = np.diag(part)
+    touched = (np.abs(system.lost) > system.part).any(axis=0)
+    return np.where(touched | (result < 0.0), np.nan, result)
+
+
+def _interval(
+    space: Space, x: FloatArray, i: int, error: float, width: float, side: str
+) -> Interval:
+    unknown = space.unknowns[i]
+    known = bool(np.isfinite(error)) and np.isfinite(width)
+    low = unknown.to_physical(float(x[i] - width * error)) if known else np.nan
+    high = unknown.to_physical(float(x[i] + width * error)) if known else np.nan
+    physical = error * unknown.to_physical(float(x[i])) if unknown.log else error
+    return Interval(float(physical), low, high, side)
+
+
+def _derived(
+    space: Space, x: FloatArray, system: System, width: float
+) -> tuple[DerivedInterval, ...]:
+    """By the delta method; with no pairs of local unknowns of different experiments."""
+    values = space.derived(x)
+    if not values:
+        return ()
+    slopes = {label: np.zeros(space.size) for label in values}
+    for i in range(space.size):  # held ones too: they may be in lost directions
+        step = np.cbrt(np.finfo(float).eps) * max(abs(float(x[i])), float(space.typical[i]))
+        high, low = x.copy(), x.copy()
+        high[i] = min(x[i] + step, space.upper[i])
+        low[i] = max(x[i] - step, space.lower[i])
+        ahead, behind = space.derived(high), space.derived(low)
+        for label in values:
+            # a value that is the same in all experiments may be so at x alone, by chance
+            change = ahead.get(label, np.nan) - behind.get(label, np.nan)
+            slopes[label][i] = change / (high[i] - low[i])
+    found = []
+    for label, value in values.items():
+        error = _delta(system, slopes[label] / system.scale)
+        half = width * error
+        found.append(DerivedInterval(label, value, error, value - half, value + half))
+    return tuple(found)
+
+
+def _delta(system: System, slope: FloatArray) -> float:
+    """Standard error of a function with this slope in scaled unknowns."""
+    lengths = np.linalg.norm(system.lost, axis=1) * np.linalg.norm(slope)
+    if (np.abs(system.lost @ slope) > system.part * lengths).any():
+        return np.nan
+    own = system.coordinates.T @ slope[system.layout.shared]
+    total = float(own @ system.found.shared @ own)
+    parts = zip(system.layout.local, system.found.cross, system.found.local, strict=True)
+    for local, cross, block in parts:
+        part = slope[local]
+        total += 2.0 * float(part @ cross @ own) + float(part @ block @ part)
+    return float(np.sqrt(system.scatter.variance * max(total, 0.0)))
+
+
+def _notes(layout: Layout, system: System) -> tuple[str, ...]:
+    notes = []
+    if system.weighting.problem:
+        notes.append(f"there are no intervals, because {system.weighting.problem}; use bootstrap")
+    elif system.scatter.degrees <= 0:
+        count, rank = len(system.weighting.factor), system.factors.rank
+        notes.append(
+            f"there are no intervals, because {count} residuals determine {rank} directions and "
+            "nothing is left to tell their scatter"
+        )
+    if layout.active:
+        names = ", ".join(repr(name) for name in layout.active)
+        notes.append(f"the intervals hold what active constraints say ({names})")
+    if layout.ignored:
+        names = ", ".join(repr(name) for name in layout.ignored)
+        notes.append(
+            f"the intervals ignore active constraints on signals ({names}); profiles keep them"
+        )
+    return tuple(notes)

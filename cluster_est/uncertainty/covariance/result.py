@@ -1,0 +1,73 @@
+"""What is known about the uncertainty of estimates, from derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from cluster_est.uncertainty.covariance.directions import Direction
+from workers.messages import FloatArray
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Of one unknown, in physical units; NaN where it is held or the data do not determine it.
+
+    `at_bound` is "lower" or "upper" where a bound holds it.
+    """
+
+    std_error: float
+    lower95: float
+    upper95: float
+    at_bound: str
+
+
+@dataclass(frozen=True)
+class DerivedInterval:
+    """Of a parameter that follows from others, to first order."""
+
+    label: str
+    value: float
+    std_error: float
+    lower95: float
+    upper95: float
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What the derivatives at a solution say about it.
+
+    Attributes
+    ----------
+    intervals
+        One for each unknown, in their order.
+    derived
+        Of parameters that follow from others.
+    shared, local
+        Labels of the free unknowns that several experiments may depend on, and of the others.
+    correlations : (shared, shared)
+        NaN where the data do not determine one of the two.
+    local_correlations : (local, shared)
+        Those of two local unknowns are left out: their number is the square of the experiments'.
+    directions
+        What the data do not determine, or hardly.
+    variance, degrees
+        s^2 in units of the cost's own weights, and n - k; NaN where there is no covariance.
+    notes
+        Sentences on what was left out, and why.
+    """
+
+    intervals: tuple[Interval, ...]
+    derived: tuple[DerivedInterval, ...]
+    shared: tuple[str, ...]
+    local: tuple[str, ...]
+    correlations: FloatArray = field(repr=False)
+    local_correlations: FloatArray = field(repr=False)
+    directions: tuple[Direction, ...]
+    variance: float
+    degrees: int
+    notes: tuple[str, ...]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the data do not determine, and what was left out."""
+        return (*(direction.sentence for direction in self.directions), *self.notes)

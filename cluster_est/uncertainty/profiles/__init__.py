@@ -1,0 +1,1 @@
+"""Profile likelihoods: intervals by refits."""

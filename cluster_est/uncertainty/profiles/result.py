@@ -1,0 +1,83 @@
+"""What a profile shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from cluster_est.uncertainty.profiles.walk import Open
+
+
+@dataclass(frozen=True)
+class ProfilePoint:
+    """A refit: the kept value, the cost, and all unknowns, in physical units.
+
+    `root` is the signed root of the rise of the cost, -1 and 1 at the ends of the interval.
+    """
+
+    value: float
+    cost: float
+    root: float
+    estimates: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ProfileResult:
+    """The profile of one unknown.
+
+    Attributes
+    ----------
+    label, value, cost
+        Whose it is, its estimate and the cost there.
+    rise, confidence
+        How much higher the cost is at the ends of the interval.
+    points
+        From low to high values, the optimum among them; `labels` are those of their estimates.
+    lower, upper
+        The ends of the interval, in physical units. Where there is none they are infinite, or NaN
+        if refits failed, and `open_lower` or `open_upper` says why: "bound" if the profile reaches
+        the unknown's bound first, "flat" if it never rises enough, "failed" if refits failed,
+        "unknown" if the residuals do not say how far the cost may rise.
+    better
+        (estimates, cost) of a point that is better than the optimum; None if there is none.
+    """
+
+    label: str
+    value: float
+    cost: float
+    rise: float
+    confidence: float
+    labels: tuple[str, ...] = field(repr=False)
+    points: tuple[ProfilePoint, ...] = field(repr=False)
+    lower: float
+    upper: float
+    open_lower: Open
+    open_upper: Open
+    better: tuple[dict[str, float], float] | None = None
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What a person should know besides the interval."""
+        ends = [
+            ("lower", self.open_lower, self.points[0]),
+            ("upper", self.open_upper, self.points[-1]),
+        ]
+        if self.open_lower == "unknown":
+            return (
+                f"{self.label} has no profile, because the residuals do not say how far the cost "
+                "may rise; give uncertainty.rise",
+            )
+        found = [_sentence(self.label, side, why, point.value) for side, why, point in ends if why]
+        if self.better is not None:
+            found.append(
+                f"{self.label}: while its profile was taken, a better minimum turned up (cost "
+                f"{self.better[1]:.6g} instead of {self.cost:.6g}); fit again from there"
+            )
+        return tuple(found)
+
+
+def _sentence(label: str, side: str, why: Open, value: float) -> str:
+    if why == "bound":
+        return f"{label} has no {side} limit: its profile reaches the bound {value:.6g} first"
+    if why == "flat":
+        return f"{label} has no {side} limit: the cost does not rise enough as far as {value:.6g}"
+    return f"{label} has no {side} limit: the refits beyond {value:.6g} failed"

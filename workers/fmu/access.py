@@ -1,0 +1,70 @@
+"""From names of variables to where their numbers go in an FMU, see `workers.kernels.fmi.values`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from workers.fmu.variable import Variable
+from workers.kernels.fmi.values import TYPES, Access
+
+_CALLED = {"Enumeration": "Int64"}
+"""Types whose values are got and set as those of another one."""
+
+
+def access(
+    variables: Sequence[Variable | None], bases: Callable[[Variable], Sequence[float]]
+) -> Access:
+    """Lay a row of numbers on the FMU's variables.
+
+    Parameters
+    ----------
+    variables
+        What each column stands for; None for a column that the FMU does not see.
+    bases
+        The values of all elements of an array, for those that have no column.
+    """
+    plain = 0
+    for variable in variables:
+        if variable is None or variable.type != "Float64" or variable.size > 1:
+            break
+        plain += 1
+    whole: list[_Whole] = []
+    for column, variable in enumerate(variables[plain:], plain):
+        if variable is not None:
+            _place(variable, column, whole)
+    elements = [
+        (each.code, each.variable.reference, len(each.columns), column, int(bits))
+        for each in whole
+        for column, bits in zip(
+            each.columns, np.array(bases(each.variable), np.float64).view(np.int64), strict=True
+        )
+    ]
+    return Access(
+        reals=np.array([v.reference for v in variables[:plain] if v is not None], np.uint32),
+        elements=np.array(elements, np.int64).reshape(-1, 5),
+    )
+
+
+@dataclass(frozen=True)
+class _Whole:
+    """A variable that has a call of its own, and the column of each of its elements, or -1."""
+
+    code: int
+    variable: Variable
+    columns: list[int]
+
+
+def _place(variable: Variable, column: int, whole: list[_Whole]) -> None:
+    """Find the variable's place, or make one; a second name of the same value has its own."""
+    code = TYPES.index(_CALLED.get(variable.type, variable.type))
+    for each in whole:
+        same = each.code == code and each.variable.reference == variable.reference
+        if same and each.columns[variable.element] < 0:
+            each.columns[variable.element] = column
+            return
+    columns = [-1] * variable.size
+    columns[variable.element] = column
+    whole.append(_Whole(code, variable, columns))

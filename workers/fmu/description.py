@@ -1,0 +1,273 @@
+"""What an FMU says about itself: its variables and what it can do."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import zipfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+from workers.errors import ModelError
+from workers.fmu.archive import DAMAGED, open_archive
+from workers.fmu.elements import Version
+from workers.fmu.interfaces import Offer, read_offers
+from workers.fmu.model_variables import read_variables
+from workers.fmu.platforms import platforms_in, why_not_here
+from workers.fmu.structure import Dependency, read_structure
+from workers.fmu.variable import Variable
+from workers.fmu.xml import XML, Notes, first_line, flag, number, parse
+from workers.messages import Interface, Model
+
+
+@dataclass(frozen=True)
+class Description:
+    """What an FMU says about itself.
+
+    Attributes
+    ----------
+    file
+        The file's name, for messages.
+    version
+        Of FMI.
+    guid
+        What must be handed over to instantiate it; FMI 3 calls it the instantiation token.
+    tool
+        What exported it; "" if it does not say.
+    offers
+        The interfaces that can be used. One whose description cannot be used is left out, with a
+        warning.
+    variables
+        By name. An array x of FMI 3 is there as its elements, "x[1]" or "x[2,1]".
+    states
+        Names of the continuous states, in the order of the FMU's state vector.
+    outputs
+        Names of the outputs, in the order of the FMU's own list.
+    dependencies
+        Of outputs and state derivatives.
+    files
+        Names of binaries and sources in the archive.
+    interpolates_inputs, variable_steps, has_event_mode, fixed_internal_step
+        Of the co-simulation interface. The last in seconds, None if it names none.
+    completes_steps
+        Whether the model exchange interface is to be told of each completed step.
+    once_per_process
+        Whether any interface says so.
+    default_start, default_stop, default_step, default_tolerance
+        Seconds, and a relative tolerance; None where the FMU names none.
+    warnings
+        A sentence for each thing that was read around.
+    """
+
+    file: str
+    version: Version
+    guid: str
+    tool: str
+    offers: tuple[Offer, ...]
+    variables: dict[str, Variable]
+    states: tuple[str, ...]
+    event_indicators: int
+    outputs: tuple[str, ...]
+    dependencies: tuple[Dependency, ...]
+    files: tuple[str, ...]
+    interpolates_inputs: bool
+    variable_steps: bool
+    has_event_mode: bool
+    fixed_internal_step: float | None
+    completes_steps: bool
+    once_per_process: bool
+    default_start: float | None
+    default_stop: float | None
+    default_step: float | None
+    default_tolerance: float | None
+    warnings: tuple[str, ...]
+
+    @property
+    def interfaces(self) -> tuple[Interface, ...]:
+        return tuple(offer.interface for offer in self.offers)
+
+    @property
+    def platforms(self) -> tuple[str, ...]:
+        """Platforms that it has a folder of binaries for, as the folders are called."""
+        return platforms_in(self.files)
+
+    @property
+    def has_sources(self) -> bool:
+        return any(name.startswith("sources/") and name.endswith(".c") for name in self.files)
+
+    def offer(self, interface: Interface) -> Offer:
+        """What it can do with one of its interfaces."""
+        return next(offer for offer in self.offers if offer.interface == interface)
+
+    def variable(self, name: str, where: str) -> Variable:
+        """Look up a variable; `where` opens the message if there is none of that name."""
+        if name not in self.variables:
+            first = next((n for n in self.variables if n.startswith(f"{name}[")), None)
+            ending = nearest(name, self.variables)
+            if first is not None:
+                ending = f" but an array of that name; name one of its elements, such as {first!r}"
+            raise ModelError(f"{where}: {self.file} has no variable {name!r}{ending}")
+        return self.variables[name]
+
+    def inputs(self) -> list[Variable]:
+        """The inputs, without further names of the same."""
+        inputs = (v for v in self.variables.values() if v.causality == "input")
+        return [v for v in inputs if v.alias_of is None]
+
+    def check_platform(self, interface: Interface) -> None:
+        """Refuse an FMU that has no binary for this machine.
+
+        Raises
+        ------
+        ModelError
+            With what it has instead and what can be done.
+        """
+        identifier = self.offer(interface).identifier
+        why = why_not_here(self.version, identifier, self.files, self.has_sources)
+        if why is not None:
+            raise ModelError(f"{self.file}: {why}")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The end of a sentence: which known name a misspelt one is nearest to, or which there are."""
+    names = [str(k) for k in known]
+    lowered = {k.lower(): k for k in names}
+    close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.5)
+    if close:
+        return f"; did you mean {lowered[close[0]]!r}?"
+    if not names:
+        return "; it has none at all"
+    listed = ", ".join(repr(k) for k in names[:12])
+    return f"; it has {listed}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+def describe(file: str, archive: bytes, structural: Mapping[str, int] | None = None) -> Description:
+    """Read the model description of an FMU.
+
+    Harmless faults are read around and noted in `Description.warnings`.
+
+    Parameters
+    ----------
+    structural
+        Values of structural parameters (FMI 3) that differ from their start values: they decide
+        how many elements arrays have.
+
+    Raises
+    ------
+    ModelError
+        If the archive or its model description cannot be read or used, or is of another FMI
+        version, or has no such structural parameter.
+    """
+    notes = Notes(file)
+    with open_archive(file, archive) as opened:
+        names = opened.namelist()
+        root = parse(file, _content(file, opened), notes)
+    version = _version(root, notes)
+    declared = read_variables(root, version, structural or {}, notes)
+    _check_structural(file, declared.variables, structural or {})
+    structure = read_structure(root, version, declared, notes)
+    offers = read_offers(root, structure.fault, notes)
+    exchange, simulation, usual = (
+        _section(root, tag) for tag in ("ModelExchange", "CoSimulation", "DefaultExperiment")
+    )
+    if version == "2.0":
+        completes_steps = not flag(exchange.get("completedIntegratorStepNotNeeded"))
+    else:
+        completes_steps = flag(exchange.get("needsCompletedIntegratorStep"))
+    offered = [offer.interface for offer in offers]
+    return Description(
+        file=file,
+        version=version,
+        guid=_guid(root, version, file),
+        tool=" ".join((root.get("generationTool") or "").split()),
+        offers=offers,
+        variables=declared.variables,
+        states=structure.states,
+        event_indicators=structure.event_indicators,
+        outputs=structure.outputs,
+        dependencies=structure.dependencies,
+        files=tuple(n for n in names if n.startswith(("binaries/", "sources/"))),
+        interpolates_inputs=version == "2.0" and flag(simulation.get("canInterpolateInputs")),
+        variable_steps="co_simulation" not in offered
+        or flag(simulation.get("canHandleVariableCommunicationStepSize")),
+        has_event_mode=version == "3.0" and flag(simulation.get("hasEventMode")),
+        fixed_internal_step=_setting(simulation, "fixedInternalStepSize", notes),
+        completes_steps="model_exchange" in offered and completes_steps,
+        once_per_process=any(offer.once_per_process for offer in offers),
+        default_start=_setting(usual, "startTime", notes),
+        default_stop=_setting(usual, "stopTime", notes),
+        default_step=_setting(usual, "stepSize", notes),
+        default_tolerance=_setting(usual, "tolerance", notes),
+        warnings=notes.sentences(),
+    )
+
+
+def describe_model(model: Model) -> Description:
+    """The same for what a worker is sent."""
+    return describe(model.name, model.archive, dict(model.structure))
+
+
+def _content(file: str, opened: zipfile.ZipFile) -> bytes:
+    if XML not in opened.namelist():
+        raise ModelError(
+            f"{file}: must hold a {XML} but does not, so it is no FMU; export the model as an FMU"
+        )
+    try:
+        return opened.read(XML)
+    except (*DAMAGED, OSError) as error:
+        raise ModelError(
+            f"{file}: its {XML} must be XML but cannot be read ({first_line(error)}); export it "
+            "again"
+        ) from error
+
+
+def _version(root: Element, notes: Notes) -> Version:
+    if root.tag != "fmiModelDescription":
+        raise ModelError(
+            f"{notes.file}: its {XML} must describe a model, as <fmiModelDescription>, but "
+            f"describes <{root.tag}>; export the model as an FMU"
+        )
+    text = " ".join((root.get("fmiVersion") or "").split())
+    known = re.fullmatch(r"(2\.0|3\.[0-9]{1,3})(\.[0-9]{1,3})?", text)
+    if known is None:
+        has = f"is of {text[:40]}" if text else "names no version"
+        raise ModelError(
+            f"{notes.file}: must be an FMU of FMI version 2.0 or 3.0 but {has}; export it as one "
+            "of them"
+        )
+    version: Version = "2.0" if known.group(1) == "2.0" else "3.0"
+    if known.group(1) != version:
+        notes.add(f"it is of FMI {text} and read as {version}")
+    return version
+
+
+def _check_structural(
+    file: str, variables: Mapping[str, Variable], structural: Mapping[str, int]
+) -> None:
+    known = [v.name for v in variables.values() if v.causality == "structuralParameter"]
+    for name, value in structural.items():
+        if name not in known:
+            raise ModelError(f"{file}: has no structural parameter {name!r}{nearest(name, known)}")
+        if value < 0:
+            raise ModelError(
+                f"{file}: the structural parameter {name!r} must be a size, which is at least 0, "
+                f"but is {value}; change it"
+            )
+
+
+def _guid(root: Element, version: Version, file: str) -> str:
+    guid = root.get("instantiationToken") or root.get("guid")
+    if not guid:
+        key = "guid" if version == "2.0" else "instantiationToken"
+        raise ModelError(f"{file}: its {XML} must have a {key} but has none; export it again")
+    return guid
+
+
+def _section(root: Element, tag: str) -> Element:
+    found = root.find(tag)
+    return Element(tag) if found is None else found
+
+
+def _setting(element: Element, key: str, notes: Notes) -> float | None:
+    return number(element.get(key), notes, key, element.tag)

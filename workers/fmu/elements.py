@@ -1,0 +1,76 @@
+"""Which elements of a model description are variables, and of which type."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+from xml.etree.ElementTree import Element
+
+from workers.fmu.variable import KINDS, Type
+from workers.fmu.xml import Notes, whole
+
+Version = Literal["2.0", "3.0"]
+
+TYPES: dict[Version, dict[str, Type]] = {
+    "2.0": {
+        "Real": "Float64",
+        "Integer": "Int32",
+        "Enumeration": "Int32",
+        "Boolean": "Boolean",
+        "String": "String",
+    },
+    "3.0": {name: name for name in KINDS},
+}
+"""Names of types in the XML."""
+NOTHING = Element("nothing")
+
+
+@dataclass(frozen=True)
+class RawVariable:
+    """A variable's elements in the XML: its own, the one of its type (FMI 3: the same)."""
+
+    own: Element
+    value: Element
+    tag: str
+    key: int
+    """What other parts of the description call it by."""
+    name: str
+    reference: int
+
+
+def raw_variables(root: Element, version: Version, notes: Notes) -> list[RawVariable]:
+    """The variables that can be called; in FMI 2, the others still count for positions."""
+    section = root.find("ModelVariables")
+    types = TYPES[version]
+    found = []
+    if section is None:
+        notes.add("it has no <ModelVariables>")
+    elements = [] if section is None else list(section)
+    if version == "2.0":
+        elements = [e for e in elements if e.tag == "ScalarVariable"]
+    for position, own in enumerate(elements, start=1):
+        value: Element | None = own
+        if version == "2.0":
+            value = next((child for child in own if child.tag in types), None)
+        name, reference = own.get("name"), whole(own.get("valueReference"))
+        label = name or f"variable {position}"
+        if value is None or value.tag not in types:
+            notes.add("variables without a type of FMI are left out", label)
+        elif not name:
+            notes.add("variables without a name are left out", label)
+        elif reference is None or not 0 <= reference < 2**32:
+            notes.add("variables without a valueReference of 32 bits are left out", label)
+        else:
+            key = position if version == "2.0" else reference
+            found.append(RawVariable(own, value, value.tag, key, name, reference))
+    return found
+
+
+def declared_types(root: Element, version: Version) -> dict[str, Element]:
+    found = {}
+    for definition in root.iterfind("TypeDefinitions/*"):
+        holds = definition
+        if version == "2.0":
+            holds = next((child for child in definition if child.tag in TYPES[version]), NOTHING)
+        found[definition.get("name", "")] = holds
+    return found

@@ -1,0 +1,178 @@
+"""The <ModelVariables> of a model description, FMI 2 and 3."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from xml.etree.ElementTree import Element
+
+from workers.fmu.arrays import Sizes, elements_of, renamed
+from workers.fmu.elements import (
+    NOTHING,
+    TYPES,
+    RawVariable,
+    Version,
+    declared_types,
+    raw_variables,
+)
+from workers.fmu.variable import KINDS, Kind, Variable
+from workers.fmu.xml import Notes, number, whole
+
+_CAUSALITIES = (
+    "parameter", "calculatedParameter", "input", "output", "local", "independent",
+    "structuralParameter",
+)  # fmt: skip
+_VARIABILITIES = ("constant", "fixed", "tunable", "discrete", "continuous")
+_INITIALS = ("exact", "approx", "calculated")
+
+
+@dataclass(frozen=True)
+class Declared:
+    """All variables, and which of them a number in the description stands for.
+
+    Attributes
+    ----------
+    variables
+        By name, array elements and aliases on their own, in the order of the description.
+    behind
+        Position of a variable (FMI 2, from 1) or value reference (FMI 3) -> names of its elements.
+    """
+
+    variables: dict[str, Variable]
+    behind: dict[int, tuple[str, ...]]
+
+
+def read_variables(
+    root: Element, version: Version, structural: Mapping[str, int], notes: Notes
+) -> Declared:
+    """Read all variables; those without a name, a type or a value reference are left out.
+
+    Parameters
+    ----------
+    structural
+        Values of structural parameters that differ from their start values.
+    notes
+        Receives what was read around.
+    """
+    raws = raw_variables(root, version, notes)
+    types = declared_types(root, version)
+    sizes = Sizes(raws, structural)
+    found: dict[str, Variable] = {}
+    behind: dict[int, tuple[str, ...]] = {}
+    for raw in raws:
+        scalar = _scalar(raw, version, types, notes)
+        shape = sizes.shape(raw, notes)
+        if shape is None:
+            continue
+        elements = elements_of(raw, scalar, shape, notes)
+        aliases = [a.get("name", "") for a in raw.own.findall("Alias")]
+        behind.setdefault(raw.key, tuple(v.name for v in elements))
+        for variable in (*elements, *(a for n in aliases if n for a in renamed(elements, n))):
+            if found.setdefault(variable.name, variable) is not variable:
+                notes.add("names that are there twice mean the first variable", variable.name)
+    _add_derivatives(raws, found, behind, notes)
+    _add_aliases(found, version)
+    return Declared(found, behind)
+
+
+def _scalar(
+    raw: RawVariable, version: Version, types: Mapping[str, Element], notes: Notes
+) -> Variable:
+    """The variable as if it were no array and without a start value."""
+    own, value, name = raw.own, raw.value, raw.name
+    kind = KINDS[TYPES[version][raw.tag]]
+    wanted = value.get("declaredType")
+    declared = types.get(wanted or "", NOTHING)
+    if wanted and declared is NOTHING:
+        notes.add("types that are declared nowhere are ignored", name)
+
+    def attribute(key: str) -> str | None:
+        return value.get(key, declared.get(key))
+
+    def limit(key: str) -> float | None:
+        return number(attribute(key), notes, key, name)
+
+    causality = _one_of(own, "causality", _CAUSALITIES, notes) or "local"
+    variability = _variability(own, causality, kind, notes)
+    low, high = limit("min"), limit("max")
+    if low is not None and high is not None and low > high:
+        notes.add("a min that is above the max is ignored, like that max", name)
+        low = high = None
+    nominal = limit("nominal")
+    if attribute("nominal") is not None and not nominal:
+        notes.add("a nominal value that is 0 or no number counts as 1", name)
+    return Variable(
+        name=name,
+        reference=raw.reference,
+        kind=kind,
+        causality=causality,
+        settable=_settable(own, value, causality, variability, notes),
+        tunable=causality == "parameter" and variability == "tunable",
+        unit=attribute("unit") or "",
+        low=low,
+        high=high,
+        nominal=abs(nominal or 1.0),
+        type=TYPES[version][raw.tag],
+        variability=variability,
+        description=" ".join((own.get("description") or "").split()),
+    )
+
+
+def _one_of(own: Element, key: str, known: tuple[str, ...], notes: Notes) -> str | None:
+    text = own.get(key)
+    if text is None or text in known:
+        return text
+    notes.add(f"attributes {key} that FMI does not know are ignored", own.get("name"))
+    return None
+
+
+def _variability(own: Element, causality: str, kind: Kind, notes: Notes) -> str:
+    text = _one_of(own, "variability", _VARIABILITIES, notes)
+    if text is not None:
+        return text
+    if causality in ("parameter", "calculatedParameter", "structuralParameter"):
+        return "fixed"
+    return "continuous" if kind == "real" else "discrete"
+
+
+def _settable(own: Element, value: Element, causality: str, variability: str, notes: Notes) -> bool:
+    """Whether FMI allows a start value to be set before initialisation."""
+    initial = _one_of(own, "initial", _INITIALS, notes)
+    if variability == "constant" or causality in ("calculatedParameter", "independent"):
+        return False
+    if causality in ("parameter", "structuralParameter", "input"):
+        return True
+    return initial in ("exact", "approx") or (initial is None and value.get("start") is not None)
+
+
+def _add_derivatives(
+    raws: list[RawVariable],
+    found: dict[str, Variable],
+    behind: Mapping[int, tuple[str, ...]],
+    notes: Notes,
+) -> None:
+    for raw in raws:
+        text = raw.value.get("derivative")
+        if text is None or raw.key not in behind:
+            continue
+        key = whole(text)
+        states = behind.get(key, ()) if key is not None else ()
+        rates = behind[raw.key]
+        if len(states) != len(rates):
+            notes.add("attributes derivative that name no fitting variable are ignored", raw.name)
+            continue
+        for rate, state in zip(rates, states, strict=True):
+            found[rate] = replace(found[rate], derivative_of=state)
+
+
+def _add_aliases(found: dict[str, Variable], version: Version) -> None:
+    """Names that share a value. FMI 2 counts references for each type on its own."""
+    sharing: dict[tuple[str, int, int], list[str]] = {}
+    for v in found.values():
+        family = v.type if version == "2.0" else ""
+        sharing.setdefault((family, v.reference, v.element), []).append(v.name)
+    for names in sharing.values():
+        if len(names) > 1:
+            together = tuple(names)  # one tuple for all: thousands may share a constant
+            for name in names:
+                found[name] = replace(found[name], aliases=together)

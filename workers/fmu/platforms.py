@@ -1,0 +1,61 @@
+"""Which binaries an FMU holds, and which of them this machine can load."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import fmpy
+
+from workers.fmu.elements import Version
+
+PLATFORM: str = fmpy.platform
+"""This machine's platform in FMI 2.0's names."""
+PLATFORM_TUPLE: str = fmpy.platform_tuple
+"""The same in FMI 3.0's."""
+_SUFFIX: str = fmpy.sharedLibraryExtension
+_BITS_32 = ("linux32", "win32", "darwin32", "x86-linux", "x86-windows", "i686-linux")
+
+
+def platform_for(version: Version) -> str:
+    """This machine's platform, as the folder of its binaries is called in that version of FMI."""
+    return PLATFORM if version == "2.0" else PLATFORM_TUPLE
+
+
+def platforms_in(names: Iterable[str]) -> tuple[str, ...]:
+    """The platforms with a folder of binaries, from the names in an archive."""
+    found = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
+    return tuple(sorted(found))
+
+
+def binary_path(version: Version, identifier: str) -> str:
+    """Where an FMU's shared library for this machine must be in the archive."""
+    return f"binaries/{platform_for(version)}/{identifier}{_SUFFIX}"
+
+
+def why_not_here(
+    version: Version, identifier: str, names: Iterable[str], has_sources: bool
+) -> str | None:
+    """Why an FMU has nothing that this machine can load: a sentence without its beginning.
+
+    None if it has its binary. `names` are the archive's files.
+    """
+    held = frozenset(names)
+    wanted, path = platform_for(version), binary_path(version, identifier)
+    if path in held:
+        return None
+    there = platforms_in(held)
+    must = f"must have a binary for {wanted}, this machine's platform, but"
+    if wanted in there:
+        return f"must have the binary {path} but has not; export it again"
+    if there:
+        small = [p for p in there if p in _BITS_32]
+        note = f" ({' and '.join(small)}: 32 bits, which a 64-bit program cannot load)"
+        return f"{must} has one for {', '.join(there)}{note if small else ''}; " + (
+            f"export it for {wanted}" + (", or compile its sources" if has_sources else "")
+        )
+    if has_sources:
+        return (
+            f"{must} holds sources alone; compile them, for example with the command "
+            "`fmpy compile`, or export it with binaries"
+        )
+    return f"{must} has one for no platform at all; export it for {wanted}"

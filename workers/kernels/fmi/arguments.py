@@ -1,0 +1,47 @@
+"""What the loops are asked: one experiment, for many points, on one instance."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from workers.kernels.fmi.component import Component, References, Starts, Workspace
+from workers.kernels.fmi.hooks import Hooks
+from workers.kernels.fmi.initialise import Settings
+from workers.messages import FloatArray, IntArray
+from workers.simulation.grid import Grid
+
+
+class Asked(NamedTuple):
+    """The arguments of a loop, in its order; the last three are what it fills.
+
+    Attributes
+    ----------
+    c
+        The instance.
+    references, starts, grid
+        Of the experiment.
+    settings
+        Of the solver.
+    hooks
+        Effects, see `workers.kernels.fmi.hooks`.
+    points : (p, k)
+        Start values of the reals, a row a point.
+    work
+        Memory.
+    outputs : (p, n, y)
+        The outputs at each time of the grid.
+    codes, stopped_at : (p,)
+        0, or what went wrong (see `workers.kernels.fmi.failure`), and the time of it.
+    """
+
+    c: Component
+    references: References
+    starts: Starts
+    settings: Settings
+    hooks: Hooks
+    grid: Grid
+    points: FloatArray
+    work: Workspace
+    outputs: FloatArray
+    codes: IntArray
+    stopped_at: FloatArray

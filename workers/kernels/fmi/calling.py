@@ -1,0 +1,134 @@
+"""Calling C functions from compiled loops by their address.
+
+A ctypes function handed to numba costs half a millisecond for each entry and cannot be cached on
+disk. An address is only an integer: it is turned into a function pointer inside the compiled code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+from llvmlite import ir
+from numba import config, njit
+from numba.core import types
+from numba.extending import intrinsic
+
+inlined = njit(forceinline=True, nogil=True, _nrt=False)
+"""Compiles a helper into each loop that uses it."""
+
+
+def _cache_folder() -> Path:
+    """A folder that belongs to this version of the loops and all their helpers.
+
+    numba takes its cached code for a loop as long as the loop's own file is unchanged, whatever
+    has happened to helpers from other files that are compiled into it.
+    """
+    sources = [file.read_bytes() for file in sorted(Path(__file__).parents[1].rglob("*.py"))]
+    digest = hashlib.sha256(b"\0".join(sources)).hexdigest()[:16]
+    home = config.CACHE_DIR or platformdirs.user_cache_dir("cluster-est")
+    return Path(home) / "kernels" / digest
+
+
+_CACHE_FOLDER = str(_cache_folder())
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a loop, and without reference counting.
+
+    Atomic counters around every call would cost several times the call. Nothing can be allocated
+    inside; numba refuses to compile it.
+    """
+    before = config.CACHE_DIR
+    config.CACHE_DIR = _CACHE_FOLDER  # read while decorating, and other users of numba keep theirs
+    try:
+        return njit(nogil=True, cache=True, _nrt=False)(function)
+    finally:
+        config.CACHE_DIR = before
+
+
+def c_function(returns: Any, *arguments: Any) -> Callable[..., Any]:
+    """Make a compiled caller of the C functions with this signature.
+
+    Parameters
+    ----------
+    returns, *arguments
+        numba scalar types. A pointer travels as `types.intp`.
+
+    Returns
+    -------
+    callable
+        `call(address, values)` for use inside compiled code, `values` being a tuple.
+    """
+
+    @intrinsic
+    def call(typing_context: Any, address: Any, values: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+            pointer, packed = operands
+            prototype = ir.FunctionType(
+                context.get_value_type(returns), [context.get_value_type(a) for a in arguments]
+            )
+            cast = [
+                context.cast(builder, builder.extract_value(packed, i), given, wanted)
+                for i, (given, wanted) in enumerate(zip(values.types, arguments, strict=True))
+            ]
+            return builder.call(builder.inttoptr(pointer, prototype.as_pointer()), cast)
+
+        return returns(types.intp, values), generate
+
+    return call  # type: ignore[no-any-return]
+
+
+@intrinsic
+def address_of(typing_context: Any, array: Any) -> Any:
+    """Give the address of an array's first element, without touching its reference count.
+
+    The array must outlive the use of the address: it has to be an argument of the outermost
+    compiled function, because numba frees a local array after its last visible use.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        layout = context.make_array(signature.args[0])(context, builder, operands[0])
+        return builder.ptrtoint(layout.data, context.get_value_type(types.intp))
+
+    return types.intp(array), generate
+
+
+@intrinsic
+def peek(typing_context: Any, address: Any, like: Any) -> Any:
+    """What stands at an address, read as the type of another number."""
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        pointer = builder.inttoptr(operands[0], context.get_value_type(like).as_pointer())
+        return builder.load(pointer)
+
+    return like(types.intp, like), generate
+
+
+@intrinsic
+def poke(typing_context: Any, address: Any, value: Any) -> Any:
+    """Write a number to an address, in its own type."""
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        pointer = builder.inttoptr(operands[0], context.get_value_type(value).as_pointer())
+        builder.store(operands[1], pointer)
+        return context.get_dummy_value()
+
+    return types.void(types.intp, value), generate
+
+
+@intrinsic
+def is_fmi_2(typing_context: Any, component: Any) -> Any:
+    """Whether an instance is of FMI 2.0: known to the compiler, so the other branch costs nothing.
+
+    Its type says so; see `workers.kernels.fmi.component`.
+    """
+    constant = int(not component.instance_class.__name__.endswith("3"))
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        return context.get_constant(types.boolean, constant)
+
+    return types.boolean(component), generate

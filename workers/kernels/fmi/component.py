@@ -1,0 +1,151 @@
+"""An instance of an FMU as compiled code sees it: addresses of functions, references, memory."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from workers.kernels.fmi.values import TYPES, Access
+from workers.messages import FloatArray, IntArray
+
+
+class Component(NamedTuple):
+    """An instance of FMI 2.0: its handle and the addresses of its functions.
+
+    Functions that the version or the interface does not have are 0;
+    `accessors` has those that get (in row 0) and set each type of variable (see
+    `workers.kernels.fmi.values`). `n_states` and `n_indicators` count the FMU's own continuous
+    states and event indicators; arrays of states may be longer. `interpolates_inputs` and
+    `completes_steps` repeat the flags canInterpolateInputs and completedIntegratorStepNotNeeded
+    (negated) of the model description. `eventful` says whether an input that jumps is an event.
+    """
+
+    handle: int
+    reset: int
+    setup_experiment: int
+    enter_configuration_mode: int
+    exit_configuration_mode: int
+    enter_initialization_mode: int
+    exit_initialization_mode: int
+    set_real: int
+    get_real: int
+    accessors: IntArray
+    set_string: int
+    set_time: int
+    set_continuous_states: int
+    get_continuous_states: int
+    get_nominals: int
+    get_derivatives: int
+    get_event_indicators: int
+    enter_event_mode: int
+    update_discrete_states: int
+    enter_continuous_time_mode: int
+    completed_integrator_step: int
+    do_step: int
+    set_real_input_derivatives: int
+    get_directional_derivative: int
+    interpolates_inputs: bool
+    completes_steps: bool
+    eventful: bool
+    n_states: int
+    n_indicators: int
+
+
+Component3 = NamedTuple("Component3", list(Component.__annotations__.items()))  # type: ignore[misc]
+"""The same of FMI 3.0, as a type of its own: loops are compiled for one version or the other."""
+
+
+class Starts(NamedTuple):
+    """What is written before a simulation: `structure` (structural parameters) and strings first.
+
+    Strings are addresses of what ends with a zero byte.
+    """
+
+    structure: Access
+    numbers: Access
+    strings: IntArray
+    texts: IntArray
+
+
+class References(NamedTuple):
+    """What is written and read during a simulation.
+
+    `moving` are those inputs that may be set between events.
+    """
+
+    inputs: Access
+    moving: Access
+    outputs: Access
+
+
+class Workspace(NamedTuple):
+    """Memory that a simulation writes to. Reused: nothing is allocated inside a loop.
+
+    `inputs` are as measured; `edited` what effects make of them, `slopes` how fast those change,
+    `varied` the parameters that effects vary, `counts` the substeps of the effects' own states.
+    `stages` holds the integrator's derivatives, a row a stage; `atols` the absolute tolerances that
+    hold at the moment; `next_event` the time of the next time event. `indicators` are the event
+    indicators after the last step, behind an event that is being located, and of a trial.
+    `info` has what FMUs say of events (see `workers.kernels.fmi.functions`), `cell` the value of
+    one variable.
+    """
+
+    inputs: FloatArray
+    edited: FloatArray
+    slopes: FloatArray
+    varied: FloatArray
+    coefficients: FloatArray
+    base: FloatArray
+    counts: IntArray
+    orders: IntArray
+    states: FloatArray
+    trial: FloatArray
+    stages: FloatArray
+    atols: FloatArray
+    next_event: FloatArray
+    indicators: FloatArray
+    info: IntArray
+    cell: FloatArray
+
+
+def workspace(
+    n_inputs: int,
+    n_states: int,
+    n_coefficients: int = 0,
+    n_parameters: int = 0,
+    n_indicators: int = 0,
+    n_cells: int = 1,
+) -> Workspace:
+    """Allocate the memory for one instance.
+
+    `n_coefficients` and `n_parameters` are those of effects; `n_cells` is the size of the largest
+    array variable.
+    """
+    return Workspace(
+        inputs=np.zeros(n_inputs),
+        edited=np.zeros(n_inputs),
+        slopes=np.zeros(n_inputs),
+        varied=np.zeros(n_parameters),
+        coefficients=np.zeros(n_coefficients),
+        base=np.zeros(n_parameters),
+        counts=np.ones(1, np.int64),
+        orders=np.ones(n_inputs, np.int32),
+        states=np.zeros(n_states),
+        trial=np.zeros(n_states),
+        stages=np.zeros((7, n_states)),
+        atols=np.zeros(n_states),
+        next_event=np.full(1, np.inf),
+        indicators=np.zeros((3, n_indicators)),
+        info=np.zeros(12, np.int32),
+        cell=np.zeros(n_cells),
+    )
+
+
+def nothing_loaded(version: str) -> Component:
+    """A component whose functions must not be called, for compiled loops that call none."""
+    fields: dict[str, Any] = dict.fromkeys(Component._fields, 0)
+    fields.update(accessors=np.zeros((2, len(TYPES)), np.int64))
+    fields.update(interpolates_inputs=False, completes_steps=False, eventful=False)
+    made = Component if version == "2.0" else Component3
+    return cast(Component, made(**fields))

@@ -1,0 +1,56 @@
+"""What a kernel reports when a simulation does not reach its end."""
+
+from __future__ import annotations
+
+from workers.kernels.fmi.calling import inlined
+
+FINISHED = 0
+INITIALISATION = 1
+STEP = 2
+OUTPUT = 3
+STEP_TOO_SMALL = 4
+TOO_MANY_STEPS = 5
+NOT_FINITE = 6
+EVENT = 7
+TERMINATED = 8
+CHATTERING = 10
+DISCARDED = 11
+PENDING = 12
+SENSITIVITIES = 13
+HAS_EVENTS = 14
+
+SENTENCES = {
+    INITIALISATION: "the FMU could not be initialised",
+    STEP: "the FMU could not go on",
+    OUTPUT: "the FMU could not compute its outputs",
+    STEP_TOO_SMALL: "no step was short enough for the tolerance",
+    TOO_MANY_STEPS: "the limit on the number of steps was reached",
+    NOT_FINITE: "an output became infinite or not a number",
+    EVENT: "the FMU could not handle an event",
+    CHATTERING: "events followed each other without end",
+    DISCARDED: "the FMU could not go on",
+    PENDING: "the FMU computes in the background, which is not supported",
+    SENSITIVITIES: "the FMU could not give its directional derivatives",
+    HAS_EVENTS: "an event was met, across which sensitivities cannot be carried",
+    TERMINATED: "the FMU ended the simulation by itself",
+}
+
+OF_STIFFNESS = (STEP_TOO_SMALL, TOO_MANY_STEPS)
+"""What an explicit solver reports of a stiff model."""
+
+FATAL = 100
+"""Added to a code after status fatal: nothing may be asked of this instance any more."""
+
+
+@inlined
+def failed(code, status):  # type: ignore[no-untyped-def]
+    """The code of a call that brought no result."""
+    return code + FATAL if status >= 4 else code
+
+
+@inlined
+def failed_step(status):  # type: ignore[no-untyped-def]
+    """Do the same for a communication step: the FMU may discard it, or go on for itself."""
+    if status == 2:
+        return DISCARDED
+    return PENDING + FATAL if status == 5 else failed(STEP, status)

@@ -1,0 +1,80 @@
+"""From a used instance to the start of a simulation, in the order of the FMI standard."""
+
+from __future__ import annotations
+
+from math import ceil
+from typing import NamedTuple
+
+from workers.kernels.fmi.calling import inlined
+from workers.kernels.fmi.functions import (
+    enter_configuration_mode,
+    enter_initialization_mode,
+    exit_configuration_mode,
+    exit_initialization_mode,
+    reset,
+    set_strings,
+    setup_experiment,
+)
+from workers.kernels.fmi.values import DISCARD, set_values
+from workers.messages import FloatArray
+
+
+class Settings(NamedTuple):
+    """A `workers.messages.Solver` for compiled code: 0 stands for "not given".
+
+    `atols` holds the absolute tolerance of each state: `atol` times its nominal value. `fixed` is
+    the communication step of an FMU that takes no other; `step` has room for rounding then.
+    """
+
+    step: float
+    rtol: float
+    atol: float
+    atols: FloatArray
+    max_steps: int
+    fmu_tolerance: float
+    fixed: float = 0.0
+
+
+@inlined
+def n_steps(length, longest, limit):  # type: ignore[no-untyped-def]
+    """Into how many equal steps an interval is cut; more than `limit` is `limit` + 1."""
+    if longest <= 0.0:
+        return 1
+    needed = length / longest - 1e-9
+    return max(1, ceil(needed)) if needed < limit else limit + 1
+
+
+@inlined
+def initialise(c, references, starts, values, inputs, tolerance, start, work):  # type: ignore[no-untyped-def]
+    """Reset, write every start value, initialise. Returns the worst status.
+
+    Everything is written after each reset, because some FMUs do not reset their parameters. After a
+    failure nothing more is called: the standard forbids it.
+    """
+    worst = reset(c)
+    if worst < DISCARD and len(starts.structure.elements) > 0:
+        worst = max(worst, _configure(c, starts.structure, values, work))
+    if worst < DISCARD:  # before the values, like most importers: some FMUs set defaults in it
+        worst = max(worst, setup_experiment(c, tolerance, start))
+    if worst < DISCARD:
+        worst = max(worst, set_values(c, starts.numbers, values, work.cell))
+    if worst < DISCARD and len(starts.strings) > 0:
+        worst = max(worst, set_strings(c, starts.strings, starts.texts))
+    if worst < DISCARD:
+        worst = max(worst, enter_initialization_mode(c, tolerance, start))
+    if worst < DISCARD:
+        worst = max(worst, set_values(c, references.inputs, inputs, work.cell))
+    if worst < DISCARD:
+        worst = max(worst, exit_initialization_mode(c))
+    return worst
+
+
+@inlined
+def _configure(c, structure, values, work):  # type: ignore[no-untyped-def]
+    """Set structural parameters, which say how large arrays are."""
+    worst = enter_configuration_mode(c)
+    if worst < DISCARD:
+        worst = max(worst, set_values(c, structure, values, work.cell))
+    if worst < DISCARD:
+        worst = max(worst, exit_configuration_mode(c))
+    return worst

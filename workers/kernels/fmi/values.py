@@ -1,0 +1,190 @@
+"""Numbers on their way into variables of an FMU, and back, whatever type the variables are of.
+
+A row of numbers is float64 throughout. Its first columns are float64 variables, which one call
+takes together; each other variable, and each array, has a call of its own.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba.core.types import int32, intp, uintp
+
+from workers.kernels.fmi.calling import (
+    address_of,
+    c_function,
+    inlined,
+    is_fmi_2,
+    kernel,
+    peek,
+    poke,
+)
+from workers.messages import IntArray
+
+TYPES = (
+    "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64",
+    "Boolean",
+)  # fmt: skip
+"""Types of variables that are numbers; what stands here at i is known to loops as i."""
+DISCARD, ERROR = 2, 3
+"""From DISCARD on a call brought no result; from ERROR on the instance must be reset."""
+CODE, REFERENCE, SIZE, COLUMN, BASE = range(5)
+"""Columns of `Access.elements`."""
+
+
+class Access(NamedTuple):
+    """Which variables of an FMU a row of numbers stands for.
+
+    Few arrays, because compiled functions hand all of them on at each call.
+
+    Attributes
+    ----------
+    reals : (r,)
+        Value references of the float64 scalars that the first r columns stand for.
+    elements : (e, 5)
+        A row for each element of each other variable: the variable's type, value reference and
+        number of elements; the column that this element stands in, or -1, and the bits of its
+        value then.
+    """
+
+    reals: IntArray
+    elements: IntArray
+
+
+_values = c_function(int32, intp, intp, uintp, intp)
+_arrays = c_function(int32, intp, intp, uintp, intp, uintp)
+
+
+@inlined
+def set_reals(c, references, values):  # type: ignore[no-untyped-def]
+    """Set float64 scalars; values may be longer."""
+    at, count, first = address_of(references), len(references), address_of(values)
+    if is_fmi_2(c):
+        return _values(c.set_real, (c.handle, at, count, first))
+    return _arrays(c.set_real, (c.handle, at, count, first, count))
+
+
+@inlined
+def get_reals(c, references, values):  # type: ignore[no-untyped-def]
+    """Get float64 scalars; values may be longer."""
+    at, count, first = address_of(references), len(references), address_of(values)
+    if is_fmi_2(c):
+        return _values(c.get_real, (c.handle, at, count, first))
+    return _arrays(c.get_real, (c.handle, at, count, first, count))
+
+
+@inlined
+def set_values(c, access, row, cell):  # type: ignore[no-untyped-def]
+    """Set all variables that a row stands for. Returns the worst status."""
+    status = 0
+    if len(access.reals) > 0:
+        status = set_reals(c, access.reals, row)
+    if len(access.elements) > 0 and status < DISCARD:
+        status = max(
+            status,
+            _set_others(2 if is_fmi_2(c) else 3, c.handle, c.accessors, access.elements, row, cell),
+        )
+    return status
+
+
+@inlined
+def get_values(c, access, row, cell):  # type: ignore[no-untyped-def]
+    """Get all variables that a row stands for. Returns the worst status."""
+    status = 0
+    if len(access.reals) > 0:
+        status = get_reals(c, access.reals, row)
+    if len(access.elements) > 0 and status < DISCARD:
+        status = max(
+            status,
+            _get_others(2 if is_fmi_2(c) else 3, c.handle, c.accessors, access.elements, row, cell),
+        )
+    return status
+
+
+@kernel
+def _set_others(version, handle, accessors, elements, row, cell):  # type: ignore[no-untyped-def]
+    worst, first = 0, 0
+    while first < len(elements) and worst < DISCARD:
+        code, size = elements[first, CODE], elements[first, SIZE]
+        for e in range(size):
+            column = elements[first + e, COLUMN]
+            value = cell[0] if column < 0 else row[column]
+            if column < 0:
+                value = peek(address_of(elements) + 8 * (5 * (first + e) + BASE), np.float64(0.0))
+            _write(version, code, value, address_of(cell), e)
+        worst = max(worst, _call(version, handle, accessors[1, code], elements, first, size, cell))
+        first += size
+    return worst
+
+
+@kernel
+def _get_others(version, handle, accessors, elements, row, cell):  # type: ignore[no-untyped-def]
+    worst, first = 0, 0
+    while first < len(elements):
+        code, size = elements[first, CODE], elements[first, SIZE]
+        worst = max(worst, _call(version, handle, accessors[0, code], elements, first, size, cell))
+        if worst >= DISCARD:
+            break
+        for e in range(size):
+            column = elements[first + e, COLUMN]
+            if column >= 0:
+                row[column] = _read(version, code, address_of(cell), e)
+        first += size
+    return worst
+
+
+@inlined
+def _call(version, handle, function, elements, first, size, cell):  # type: ignore[no-untyped-def]
+    """Get or set one variable, whose value is in `cell`."""
+    at = address_of(elements) + 8 * (5 * first + REFERENCE)  # its lower half, in little-endian
+    if version == 2:
+        return _values(function, (handle, at, 1, address_of(cell)))
+    return _arrays(function, (handle, at, 1, address_of(cell), size))
+
+
+@inlined
+def _write(version, code, value, at, e):  # type: ignore[no-untyped-def]
+    """A number into element e, as a C compiler would convert it; booleans are 0 or not."""
+    if code == 0:
+        poke(at + 8 * e, value)
+    elif code == 1:
+        poke(at + 4 * e, np.float32(value))
+    elif code == 10 and version == 2:
+        poke(at + 4 * e, np.int32(value != 0.0))
+    elif code == 10:
+        poke(at + e, np.uint8(value != 0.0))
+    elif code == 9:
+        poke(at + 8 * e, np.uint64(value))
+    elif code == 8:
+        poke(at + 8 * e, np.int64(value))
+    elif code == 2 or code == 3:
+        poke(at + e, np.uint8(np.int64(value)))
+    elif code == 4 or code == 5:
+        poke(at + 2 * e, np.uint16(np.int64(value)))
+    else:
+        poke(at + 4 * e, np.uint32(np.int64(value)))
+
+
+@inlined
+def _read(version, code, at, e):  # type: ignore[no-untyped-def]
+    value = peek(at + 8 * e, np.float64(0.0)) if code == 0 else 0.0
+    if code == 1:
+        value = np.float64(peek(at + 4 * e, np.float32(0.0)))
+    elif code == 2:
+        value = np.float64(peek(at + e, np.int8(0)))
+    elif code == 3 or (code == 10 and version == 3):
+        value = np.float64(peek(at + e, np.uint8(0)))
+    elif code == 4:
+        value = np.float64(peek(at + 2 * e, np.int16(0)))
+    elif code == 5:
+        value = np.float64(peek(at + 2 * e, np.uint16(0)))
+    elif code == 6 or code == 10:
+        value = np.float64(peek(at + 4 * e, np.int32(0)))
+    elif code == 7:
+        value = np.float64(peek(at + 4 * e, np.uint32(0)))
+    elif code == 8:
+        value = np.float64(peek(at + 8 * e, np.int64(0)))
+    elif code == 9:
+        value = np.float64(peek(at + 8 * e, np.uint64(0)))
+    return value

@@ -1,0 +1,1 @@
+"""The solvers: one batch function each."""

@@ -1,0 +1,251 @@
+"""Dormand-Prince 5(4), adaptive, standing on every time of the grid.
+
+The default for model exchange. Because no step crosses a kink of an input, the error estimate is
+right and the tolerance is met; because the last stage of a step is the first of the next, a step
+costs six derivatives.
+
+References: J. R. Dormand, P. J. Prince, J. Comput. Appl. Math. 6 (1980) 19-26,
+doi:10.1016/0771-050X(80)90013-3. Step control and starting step: E. Hairer, S. P. Norsett,
+G. Wanner, Solving Ordinary Differential Equations I, doi:10.1007/978-3-540-78862-1, section II.4.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, sqrt
+
+import numpy as np
+
+from workers.kernels.fmi.calling import inlined, kernel
+from workers.kernels.fmi.failure import (
+    EVENT,
+    FINISHED,
+    HAS_EVENTS,
+    OUTPUT,
+    SENSITIVITIES,
+    STEP,
+    STEP_TOO_SMALL,
+    TOO_MANY_STEPS,
+    failed,
+)
+from workers.kernels.fmi.hooks import take_point
+from workers.kernels.fmi.values import DISCARD, ERROR
+from workers.kernels.model_exchange.events import find_event, handle_event, polynomial, shortest
+from workers.kernels.model_exchange.forward_sensitivities import advance
+from workers.kernels.model_exchange.moving import derivative, record_outputs, slopes_here
+from workers.kernels.model_exchange.solver_steps import arrive, complete_step, start
+
+NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
+WEIGHTS = np.array(
+    [
+        [0, 0, 0, 0, 0, 0],
+        [1 / 5, 0, 0, 0, 0, 0],
+        [3 / 40, 9 / 40, 0, 0, 0, 0],
+        [44 / 45, -56 / 15, 32 / 9, 0, 0, 0],
+        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0, 0],
+        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0],
+        [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
+    ]
+)
+ERROR_WEIGHTS = np.array(
+    [71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40]
+)
+INTERPOLANT = np.array(
+    [
+        [1, -8048581381 / 2820520608, 8663915743 / 2820520608, -12715105075 / 11282082432],
+        [0, 0, 0, 0],
+        [0, 131558114200 / 32700410799, -68118460800 / 10900136933, 87487479700 / 32700410799],
+        [0, -1754552775 / 470086768, 14199869525 / 1410260304, -10690763975 / 1880347072],
+        [0, 127303824393 / 49829197408, -318862633887 / 49829197408, 701980252875 / 199316789632],
+        [0, -282668133 / 205662961, 2019193451 / 616988883, -1453857185 / 822651844],
+        [0, 40617522 / 29380423, -110615467 / 29380423, 69997945 / 29380423],
+    ]
+)
+"""Of order 4 within a step, see `polynomial` in `workers.kernels.model_exchange.events`. Source: L.
+F. Shampine, Math. Comp. 46 (1986) 135-150, doi:10.1090/S0025-5718-1986-0815836-3."""
+SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
+
+
+@kernel
+def dormand_prince_batch(  # type: ignore[no-untyped-def]
+    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at
+):
+    """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
+    for p in range(len(points)):
+        take_point(hooks, p, work)
+        codes[p], stopped_at[p] = _dormand_prince(
+            c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
+        )
+        if codes[p] != FINISHED:
+            return p + 1
+    return len(points)
+
+
+@kernel
+def _dormand_prince(c, references, starts, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
+    times, steps_left = grid.times, settings.max_steps
+    time, proposed = times[0], 0.0
+    code = start(c, references, starts, settings, hooks, grid, point, work)
+    for i in range(len(times)):
+        if code == FINISHED:
+            code = arrive(c, references, settings, hooks, grid, i, time, work)
+        if code != FINISHED:
+            return code, time
+        status = record_outputs(c, references, hooks, grid, i, time, work, record[i])
+        if status >= DISCARD:
+            return failed(OUTPUT, status), time
+        if i + 1 < len(times):
+            code, time, proposed, steps_left = adaptive_steps(
+                c, references, settings, hooks, grid, i, time, proposed, steps_left, work
+            )
+    return code, time
+
+
+@inlined
+def adaptive_steps(  # type: ignore[no-untyped-def]
+    c, references, settings, hooks, grid, i, time, proposed, steps_left, work, forward=None
+):
+    """From a time, where the FMU stands, to grid time i + 1, from event to event.
+
+    Returns (code, time, step to try next, steps left). A proposed step of 0 stands for none. With
+    `forward`, sensitivities are carried along, up to the first event.
+    """
+    last, still = grid.times[i + 1], 0
+    close = shortest(time, last)
+    while True:
+        begin = time
+        end = min(last, work.next_event[0])
+        if abs(work.next_event[0] - last) <= close:  # not once before the grid time and once after
+            end = work.next_event[0]
+        code = FINISHED
+        if end > begin:
+            code, time, proposed, steps_left = _to_next_event(
+                c, references, settings, hooks, grid, i, begin, end, proposed, steps_left, work,
+                forward,
+            )  # fmt: skip
+        if code == EVENT or (code == FINISHED and time >= work.next_event[0]):
+            if forward is not None:
+                return HAS_EVENTS, time, proposed, steps_left
+            still = still + 1 if time - begin <= close else 0
+            code = handle_event(c, references, settings, hooks, grid, i, i, time, still, work)
+            proposed = 0.0
+        if code != FINISHED or last - time <= close:
+            return code, time, proposed, steps_left
+
+
+@inlined
+def _to_next_event(  # type: ignore[no-untyped-def]
+    c, references, settings, hooks, grid, i, time, last, proposed, steps_left, work, forward
+):
+    """Steps up to a time or a state event. Returns (code, time, step to try next, steps left)."""
+    close = shortest(time, last)
+    status, proposed = _first_slopes(c, settings, hooks, time, proposed, close, work)
+    if status >= DISCARD:
+        return failed(STEP, status), time, proposed, steps_left
+    while steps_left > 0:
+        proposed = min(proposed, settings.step) if settings.step > 0.0 else proposed
+        remaining = last - time
+        final = proposed >= remaining * (1.0 - 1e-10)
+        step = remaining if final else min(proposed, 0.5 * remaining)
+        status, error, part = _try_step(c, references, settings, hooks, grid, i, time, step, work)
+        steps_left -= 1
+        if status >= ERROR:
+            return failed(STEP, status), time, proposed, steps_left
+        wanted = step * _factor(status, error)
+        if status >= DISCARD or not error <= 1.0:
+            proposed = wanted
+            if proposed < close:
+                return STEP_TOO_SMALL, time, proposed, steps_left
+            continue
+        if forward is not None:
+            status = advance(c, references, hooks, grid, i, time, step, work, forward)
+            if status >= DISCARD:
+                return failed(SENSITIVITIES, status), time, proposed, steps_left
+        code = _accept(c, part, work)
+        time = last if final and part > 1.0 else time + step * min(part, 1.0)
+        proposed = max(proposed, wanted) if final else wanted
+        if code != FINISHED or final:
+            return code, time, proposed, steps_left
+    return TOO_MANY_STEPS, time, proposed, steps_left
+
+
+@inlined
+def _first_slopes(c, settings, hooks, time, proposed, close, work):  # type: ignore[no-untyped-def]
+    """The first stage, where the FMU stands, and a step to try. Returns (status, step)."""
+    status = slopes_here(c, hooks, time, work.states, work, work.stages[0])
+    if proposed == 0.0 and status < DISCARD:
+        proposed = _first_step(work.states, work.stages[0], settings.rtol, work.atols)
+    if not proposed >= close:  # or not a number, after an overflow: a step of 0 would never end
+        proposed = close
+    return status, proposed
+
+
+@inlined
+def _accept(c, part, work):  # type: ignore[no-untyped-def]
+    """Take over a step, or its part up to an event. Returns FINISHED, EVENT or why it must end."""
+    for j in range(len(work.states)):
+        work.states[j] = work.trial[j]
+        work.stages[0, j] = work.stages[6, j]
+    code = complete_step(c, work)
+    return EVENT if code == FINISHED and part <= 1.0 else code
+
+
+@inlined
+def _try_step(c, references, settings, hooks, grid, i, time, step, work):  # type: ignore[no-untyped-def]
+    """A step, and a look for events in it. Returns (status, error, part up to an event or 2)."""
+    status, error = _stages(c, references, settings, hooks, grid, i, time, step, work)
+    part = 2.0
+    if c.n_indicators > 0 and status < DISCARD and error <= 1.0:
+        status, part = find_event(
+            c, references, hooks, grid, i, time, step, polynomial, INTERPOLANT, work
+        )
+    return status, error, part
+
+
+@inlined
+def _stages(c, references, settings, hooks, grid, i, time, step, work):  # type: ignore[no-untyped-def]
+    """Six stages after the first. Leaves the new states in `trial`; returns (status, error).
+
+    The error is scaled: the step meets the tolerance if it is at most 1.
+    """
+    x, trial, k = work.states, work.trial, work.stages
+    status = 0
+    for stage in range(1, 7):
+        for j in range(len(x)):
+            slope = 0.0
+            for before in range(stage):
+                slope += WEIGHTS[stage, before] * k[before, j]
+            trial[j] = x[j] + step * slope
+        if status < DISCARD:
+            reach = time + NODES[stage] * step
+            status = derivative(c, references, hooks, grid, i, reach, trial, work, k[stage])
+    total = 0.0
+    for j in range(len(x)):
+        estimate = 0.0
+        for stage in range(7):
+            estimate += ERROR_WEIGHTS[stage] * k[stage, j]
+        scale = work.atols[j] + settings.rtol * max(abs(x[j]), abs(trial[j]))
+        total += (step * estimate / scale) ** 2
+    return status, sqrt(total / max(1, len(x)))
+
+
+@inlined
+def _factor(status, error):  # type: ignore[no-untyped-def]
+    """By how much to change the step after a try."""
+    if status >= DISCARD or not isfinite(error):
+        return SHRINK
+    if error == 0.0:
+        return GROW
+    return min(GROW, max(SHRINK, SAFETY * error**-0.2))
+
+
+@inlined
+def _first_step(states, derivatives, rtol, atols):  # type: ignore[no-untyped-def]
+    """A hundredth of the time in which the states would change by their own scale."""
+    size, speed = 0.0, 0.0
+    for j in range(len(states)):
+        scale = atols[j] + rtol * abs(states[j])
+        size += (states[j] / scale) ** 2
+        speed += (derivatives[j] / scale) ** 2
+    if size < 1e-10 or speed < 1e-10:
+        return 1e-6
+    return 0.01 * sqrt(size / speed)

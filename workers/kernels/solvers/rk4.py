@@ -1,0 +1,155 @@
+"""The classic Runge-Kutta method of order 4 with a fixed step.
+
+The cheapest choice for smooth, non-stiff models whose inputs are sampled more finely than their
+dynamics. It never checks its own error: compare once with half the step.
+
+Reference: W. Kutta, Zeitschrift fuer Mathematik und Physik 46 (1901) 435-453.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from workers.kernels.fmi.calling import inlined, kernel
+from workers.kernels.fmi.failure import (
+    EVENT,
+    FINISHED,
+    HAS_EVENTS,
+    OUTPUT,
+    SENSITIVITIES,
+    STEP,
+    TOO_MANY_STEPS,
+    failed,
+)
+from workers.kernels.fmi.hooks import take_point
+from workers.kernels.fmi.initialise import n_steps
+from workers.kernels.fmi.values import DISCARD
+from workers.kernels.model_exchange.events import find_event, handle_event, polynomial, shortest
+from workers.kernels.model_exchange.forward_sensitivities import advance
+from workers.kernels.model_exchange.moving import derivative, go_to, record_outputs, slopes_here
+from workers.kernels.model_exchange.solver_steps import arrive, complete_step, start
+
+INTERPOLANT = np.array(
+    [[1.0, -3 / 2, 2 / 3], [0.0, 1.0, -2 / 3], [0.0, 1.0, -2 / 3], [0.0, -1 / 2, 2 / 3]]
+)
+"""Of order 3 within a step, see `polynomial` in `workers.kernels.model_exchange.events`. Source: E.
+Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.6."""
+
+
+@kernel
+def rk4_batch(  # type: ignore[no-untyped-def]
+    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at
+):
+    """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
+    for p in range(len(points)):
+        take_point(hooks, p, work)
+        codes[p], stopped_at[p] = _rk4(
+            c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
+        )
+        if codes[p] != FINISHED:
+            return p + 1
+    return len(points)
+
+
+@kernel
+def _rk4(c, references, starts, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
+    times, steps_left = grid.times, settings.max_steps
+    time = times[0]
+    code = start(c, references, starts, settings, hooks, grid, point, work)
+    for i in range(len(times)):
+        if code == FINISHED:
+            code = arrive(c, references, settings, hooks, grid, i, time, work)
+        if code != FINISHED:
+            return code, time
+        status = record_outputs(c, references, hooks, grid, i, time, work, record[i])
+        if status >= DISCARD:
+            return failed(OUTPUT, status), time
+        if i + 1 < len(times):
+            code, time, steps_left = equal_steps(
+                c, references, settings, hooks, grid, i, time, steps_left, work
+            )
+    return code, time
+
+
+@inlined
+def equal_steps(  # type: ignore[no-untyped-def]
+    c, references, settings, hooks, grid, i, time, steps_left, work, forward=None
+):
+    """From a time to grid time i + 1, equal steps from event to event. Returns (code, time, steps
+    left). With `forward`, sensitivities are carried along, up to the first event."""
+    last, at_grid, still = grid.times[i + 1], True, 0
+    close = shortest(time, last)
+    while True:
+        begin = time
+        end = min(last, work.next_event[0])
+        if abs(work.next_event[0] - last) <= close:  # not once before the grid time and once after
+            end = work.next_event[0]
+        steps = n_steps(end - begin, settings.step, steps_left) if end > begin else 0
+        if steps > steps_left:
+            return TOO_MANY_STEPS, begin, steps_left
+        steps_left -= steps
+        step = (end - begin) / max(steps, 1)
+        code = FINISHED
+        for s in range(steps):
+            code, time = _go(
+                c, references, hooks, grid, i, begin + s * step, step, not at_grid, work, forward
+            )
+            at_grid = False
+            if code != FINISHED:
+                break
+        if code == FINISHED and steps > 0:
+            time = end
+        if code == EVENT or (code == FINISHED and time >= work.next_event[0]):
+            if forward is not None:
+                return HAS_EVENTS, time, steps_left
+            still = still + 1 if time - begin <= close else 0
+            code = handle_event(c, references, settings, hooks, grid, i, i, time, still, work)
+            at_grid = True
+        if code != FINISHED or last - time <= close:
+            return code, time, steps_left
+
+
+@inlined
+def _go(c, references, hooks, grid, i, time, step, moved, work, forward):  # type: ignore[no-untyped-def]
+    """One step, or its part up to an event. Returns (code, time), EVENT if there is one."""
+    status = _step(c, references, hooks, grid, i, time, step, moved, work)
+    part, found = 1.0, False
+    if c.n_indicators > 0 and status < DISCARD:
+        found_status, part = find_event(
+            c, references, hooks, grid, i, time, step, polynomial, INTERPOLANT, work
+        )
+        status, found = max(status, found_status), part <= 1.0
+        part = min(part, 1.0)
+    if status >= DISCARD:
+        return failed(STEP, status), time
+    if forward is not None:
+        status = advance(c, references, hooks, grid, i, time, step, work, forward)
+        if status >= DISCARD:
+            return failed(SENSITIVITIES, status), time
+    for j in range(len(work.states)):
+        work.states[j] = work.trial[j]
+    code = complete_step(c, work)
+    if code == FINISHED and found:
+        code = EVENT
+    return code, time + part * step
+
+
+@inlined
+def _step(c, references, hooks, grid, i, time, step, moved, work):  # type: ignore[no-untyped-def]
+    """One step from `time`, into `trial`; if not `moved`, the FMU stands at `time` already."""
+    x, trial, k = work.states, work.trial, work.stages
+    if moved:
+        status = derivative(c, references, hooks, grid, i, time, x, work, k[0])
+    else:
+        status = slopes_here(c, hooks, time, x, work, k[0])
+    for stage in range(1, 4):
+        reach = step if stage == 3 else 0.5 * step
+        for j in range(len(x)):
+            trial[j] = x[j] + reach * k[stage - 1, j]
+        if status < DISCARD:
+            status = derivative(c, references, hooks, grid, i, time + reach, trial, work, k[stage])
+    for j in range(len(x)):
+        trial[j] = x[j] + step / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
+    if (c.completes_steps or c.n_indicators > 0) and status < DISCARD:
+        status = max(status, go_to(c, references, hooks, time + step, trial, work))
+    return status

@@ -1,0 +1,56 @@
+"""The protocol between coordinator and worker: frozen, arrays and strings only.
+
+The coordinator installs a `Model` and its `Experiment`s once on every worker and then sends `Task`s
+(one point, one experiment). The worker answers each with an `Outcome`, failures included.
+"""
+
+from workers.messages.experiment import Curve, Experiment, Function, Input, Output, SignalBound
+from workers.messages.hashing import content_hash
+from workers.messages.model import Effect, Model, Solver
+from workers.messages.outcome import Linearisation, Outcome, Status, Trajectory
+from workers.messages.task import Limits, Task
+from workers.messages.types import (
+    REDUCTIONS,
+    USUAL,
+    FloatArray,
+    IntArray,
+    Interface,
+    Interpolation,
+    Reduction,
+    Renewal,
+    Role,
+    SolverName,
+    Value,
+    Want,
+)
+
+__all__ = [
+    "REDUCTIONS",
+    "USUAL",
+    "Curve",
+    "Effect",
+    "Experiment",
+    "FloatArray",
+    "Function",
+    "Input",
+    "IntArray",
+    "Interface",
+    "Interpolation",
+    "Limits",
+    "Linearisation",
+    "Model",
+    "Outcome",
+    "Output",
+    "Reduction",
+    "Renewal",
+    "Role",
+    "SignalBound",
+    "Solver",
+    "SolverName",
+    "Status",
+    "Task",
+    "Trajectory",
+    "Value",
+    "Want",
+    "content_hash",
+]

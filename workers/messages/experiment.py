@@ -1,0 +1,227 @@
+"""What a simulation is fed with and compared with: one measured experiment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from workers.messages.hashing import content_hash
+from workers.messages.types import REDUCTIONS, FloatArray, Interpolation, Role, Value, Want
+
+
+@dataclass(frozen=True)
+class Input:
+    """A measured signal that drives an input variable of the FMU.
+
+    Before its first and after its last sample the signal keeps that sample's value.
+    """
+
+    variable: str
+    times: FloatArray = field(repr=False)
+    values: FloatArray = field(repr=False)
+    interpolation: Interpolation = "linear"
+
+
+@dataclass(frozen=True)
+class Output:
+    """A measured signal that an output variable of the FMU should follow; no NaN in it."""
+
+    variable: str
+    times: FloatArray = field(repr=False)
+    values: FloatArray = field(repr=False)
+    sigma: float = 1.0
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Measured points of a curve without times, such as force over displacement.
+
+    Attributes
+    ----------
+    variables
+        The FMU's variable for each column.
+    points : (n, d)
+        Measured, in their order along the curve.
+    times : (m,)
+        When the simulated curve is sampled.
+    tolerances : (d,)
+        How far a simulated point may lie from the curve in each column; 0 for as far as it likes.
+    """
+
+    variables: tuple[str, ...]
+    points: FloatArray = field(repr=False)
+    times: FloatArray = field(repr=False)
+    tolerances: tuple[float, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its constraints."""
+        pairs = zip(self.variables, self.tolerances, strict=False)
+        return tuple(f"tolerance of {name}" for name, tolerance in pairs if tolerance != 0.0)
+
+
+@dataclass(frozen=True)
+class SignalBound:
+    """A constraint on a simulated signal y: lower(t) <= y(t) <= upper(t), or y(t) = lower(t).
+
+    Attributes
+    ----------
+    name
+        What tables call it.
+    variable
+        Of the FMU.
+    times : (m,)
+        When it must hold.
+    lower, upper : (m,)
+        Infinite where there is no bound.
+    scale
+        What a violation is counted in.
+    equality
+        Whether the signal must be equal to `lower`; `upper` is the same then.
+    """
+
+    name: str
+    variable: str
+    times: FloatArray = field(repr=False)
+    lower: FloatArray = field(repr=False)
+    upper: FloatArray = field(repr=False)
+    scale: float = 1.0
+    equality: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its constraints: one, or one for each side that it has."""
+        if self.equality:
+            return (self.name,)
+        sides = {"lower": self.lower, "upper": self.upper}
+        return tuple(f"{self.name} {s}" for s, values in sides.items() if np.isfinite(values).any())
+
+
+@dataclass(frozen=True)
+class Function:
+    """A Python function of the user's, which runs on the workers.
+
+    Attributes
+    ----------
+    module, name
+        Where it stands.
+    source
+        The module's text, where it is a file of the user's; empty if the module is installed.
+    equality
+        For a constraint: whether what it returns must be 0, else at most 0.
+    label
+        What tables call it; `name` if empty.
+    """
+
+    module: str
+    name: str
+    source: str = field(default="", repr=False)
+    equality: bool = False
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One measured run, as a worker needs it.
+
+    Attributes
+    ----------
+    id
+        Name, unique in a problem.
+    start, stop
+        Simulated interval in seconds. Every output's times lie in it.
+    inputs, outputs
+        The measured signals.
+    values
+        Known start values of this run by variable name, written before initialisation.
+    role, groups
+        Labels for the coordinator: whether the parameters are estimated from this run ("train") or
+        only tested on it ("test"), and which group it belongs to under each key. No result depends
+        on them.
+    signals
+        Measured signals that the model has no input for; effects may depend on them by name.
+    curve
+        Measured points without times, besides or instead of `outputs`.
+    bounds
+        What simulated signals must satisfy.
+    cost_function
+        Returns what takes the place of all residuals of this experiment.
+    constraint_functions
+        Each returns a number that must be at most 0, or 0.
+    """
+
+    id: str
+    start: float
+    stop: float
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    values: tuple[tuple[str, Value], ...] = ()
+    role: Role = "train"
+    groups: tuple[tuple[str, str], ...] = ()
+    signals: tuple[Input, ...] = ()
+    curve: Curve | None = None
+    bounds: tuple[SignalBound, ...] = ()
+    cost_function: Function | None = None
+    constraint_functions: tuple[Function, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of residuals; those of a cost function are known only once it has been called."""
+        return sum(self.counts)
+
+    @cached_property
+    def counts(self) -> tuple[int, ...]:
+        """Number of residuals of each output, then of the curve, in the order of the residuals."""
+        segments = () if self.curve is None else (len(self.curve.points) - 1,)
+        return (*(len(output.times) for output in self.outputs), *segments)
+
+    def counts_in(self, want: Want) -> tuple[int, ...]:
+        """The same for an answer to `want`, which may have one number for all of an output."""
+        return tuple(min(c, 1) for c in self.counts) if want in REDUCTIONS else self.counts
+
+    @cached_property
+    def recorded(self) -> tuple[str, ...]:
+        """The FMU's variables that a simulation records: outputs first, each once."""
+        names = [output.variable for output in self.outputs]
+        names += self.curve.variables if self.curve is not None else ()
+        return tuple(dict.fromkeys([*names, *(bound.variable for bound in self.bounds)]))
+
+    @cached_property
+    def constraint_names(self) -> tuple[str, ...]:
+        """Of the constraints that a worker evaluates: curve, bounds, then functions."""
+        names = [] if self.curve is None else list(self.curve.names)
+        for bound in self.bounds:
+            names += bound.names
+        return (*names, *(each.label or each.name for each in self.constraint_functions))
+
+    @cached_property
+    def equality(self) -> tuple[bool, ...]:
+        """Whether each of those must be 0, else at most 0."""
+        kinds = [False] * (0 if self.curve is None else len(self.curve.names))
+        for bound in self.bounds:
+            kinds += [bound.equality] * len(bound.names)
+        return (*kinds, *(function.equality for function in self.constraint_functions))
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of everything in here that a result depends on."""
+        signals: list[str | bytes] = [repr((self.start, self.stop, self.values))]
+        for given in (*self.inputs, *self.signals):
+            signals += [given.variable, given.interpolation]
+            signals += [given.times.tobytes(), given.values.tobytes()]
+        for output in self.outputs:
+            signals += [output.variable, repr(output.sigma)]
+            signals += [output.times.tobytes(), output.values.tobytes()]
+        if self.curve is not None:
+            signals += ["curve", repr(self.curve.variables), repr(self.curve.tolerances)]
+            signals += [self.curve.points.tobytes(), self.curve.times.tobytes()]
+        for bound in self.bounds:
+            signals += ["bound", bound.name, bound.variable, repr((bound.scale, bound.equality))]
+            signals += [bound.times.tobytes(), bound.lower.tobytes(), bound.upper.tobytes()]
+        for function in (self.cost_function, *self.constraint_functions):
+            if function is not None:
+                signals += ["function", function.module, function.name, function.source]
+                signals += [repr((function.equality, function is self.cost_function))]
+        return content_hash(signals)

@@ -1,0 +1,130 @@
+"""What a worker answers."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from workers.messages.types import FloatArray
+
+
+class Status(enum.StrEnum):
+    """How a task ended. A member's text is what a person reads."""
+
+    OK = "ok"
+    SOLVER_FAILURE = "solver failure"
+    NOT_FINITE = "not finite"
+    TIMEOUT = "timeout"
+    OUT_OF_MEMORY = "out of memory"
+    CRASH = "crash"
+    LOST_WORKER = "lost worker"
+    NOT_RUN = "not run"
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Simulated outputs, `values[i, j]` being `variables[j]` at `times[i]`."""
+
+    variables: tuple[str, ...]
+    times: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Linearisation:
+    """The model with its effects, linear around one simulation: dx/dt = f(t, x, u, p), y = g(...).
+
+    With it, the response to any small forcing follows from a linear time-varying system, without
+    another simulation.
+
+    States are the FMU's, then those of the effects ("EFFECT:STATE"). Inputs are all real inputs of
+    the FMU but those that a parameter sets, the experiment's first; the derivatives are by an input
+    *as it reaches the FMU*, behind all effects. Parameters are the tunable ones of
+    `Model.parameters`; the derivatives are by the value that holds at that time, where an effect
+    varies it. The derivatives are central differences, one-sided at a bound that the FMU declares.
+
+    Effects at outputs act on the record afterwards. `outputs` has them; `plain_outputs`, C, D and Q
+    do not. What a delay or backlash makes of an input is in `inputs` already. Where effects bring
+    times of their own, those between the times of the experiment's grid are left out.
+
+    Attributes
+    ----------
+    times : (n,)
+        The grid.
+    states, slopes : (n, x)
+        x and f.
+    inputs, edited : (n, u)
+        Inputs before and after the effects.
+    outputs, plain_outputs : (n, y)
+        With effects at outputs, and without: the experiment's outputs.
+    A, B, P : (n, x, x), (n, x, u), (n, x, p)
+        df/dx, df/du, df/dp.
+    C, D, Q : (n, y, x), (n, y, u), (n, y, p)
+        dg/dx, dg/du, dg/dp.
+    state_names, input_names, output_names, parameter_names
+        What the axes stand for.
+    """
+
+    times: FloatArray
+    states: FloatArray
+    slopes: FloatArray
+    inputs: FloatArray
+    edited: FloatArray
+    outputs: FloatArray
+    plain_outputs: FloatArray
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    P: FloatArray
+    Q: FloatArray
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    parameter_names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The answer to a task.
+
+    Attributes
+    ----------
+    task
+        The id of the task.
+    status, message
+        Anything but OK, and sensitivities that were not to be had, comes with a sentence that says
+        what happened, where and at which time.
+    residuals
+        (measured - simulated) / sigma, output after output, then those of the curve, or what the
+        task wanted in their place; None unless `status` is OK.
+    constraints
+        In the order of `Experiment.constraint_names`; empty unless `status` is OK.
+    trajectory, linearisation
+        Only where the task wanted it.
+    sensitivities : (residuals + constraints, parameters)
+        Derivatives of both by the values of `Model.parameters`, where the task wanted them; NaN in
+        the columns of parameters by which there are none. None, with a message that says why, where
+        the model cannot give them: the simulation itself may be OK then.
+    seconds
+        What this simulation cost: its share of the batch that it ran in.
+    worker
+        Who ran it.
+    """
+
+    task: int
+    status: Status
+    residuals: FloatArray | None = None
+    trajectory: Trajectory | None = None
+    message: str = ""
+    seconds: float = 0.0
+    worker: str = ""
+    linearisation: Linearisation | None = None
+    constraints: FloatArray = field(default_factory=lambda: np.zeros(0))
+    sensitivities: FloatArray | None = None
+
+    @property
+    def ok(self) -> bool:
+        return self.status is Status.OK

@@ -1,0 +1,59 @@
+"""What is asked of a worker, and when it is stopped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from workers.messages.model import Effect
+from workers.messages.types import FloatArray, Want
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One point and one experiment: the unit of distribution.
+
+    Attributes
+    ----------
+    id
+        Chosen by the coordinator; the outcome repeats it.
+    experiment
+        Index into the installed experiments.
+    values
+        Physical values of `Model.parameters`, then of the coefficients of each effect.
+    want
+        "residuals"; "squares" or "absolutes" for one number in place of those of each output (not
+        with a cost function), see `REDUCTIONS`; "trajectory" for the outputs at every time of the
+        simulation's grid too; "linearisation" for the model's derivatives there (model exchange
+        only); or "sensitivities" for the derivatives of the residuals by the parameters, where the
+        model can give them.
+    effects
+        What is added to the model.
+    """
+
+    id: int
+    experiment: int
+    values: FloatArray
+    want: Want = "residuals"
+    effects: tuple[Effect, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a simulation in a process of its own is ended from outside.
+
+    Attributes
+    ----------
+    seconds
+        Longest that one simulation may take.
+    patience
+        How many times as long as usual it may take, beyond a second; 0 for no such limit.
+    memory
+        Most bytes that the process may have in memory.
+    growth
+        Bytes by which it may grow over many simulations before it is replaced by a fresh one.
+    """
+
+    seconds: float = 600.0
+    patience: float = 50.0
+    memory: float = float("inf")
+    growth: float = 256.0 * 2**20

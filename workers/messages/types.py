@@ -1,0 +1,25 @@
+"""Names of choices, and what arrays are called."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[Any]
+Interface = Literal["model_exchange", "co_simulation"]
+SolverName = Literal["dormand_prince", "rk4", "cvode", "fmu"]
+Interpolation = Literal["linear", "hold"]
+Role = Literal["train", "test"]
+Reduction = Literal["squares", "absolutes"]
+Want = Literal["residuals", "squares", "absolutes", "trajectory", "linearisation", "sensitivities"]
+Renewal = Literal["auto", "reset", "instance", "process"]
+Value = float | int | bool | str
+
+REDUCTIONS: tuple[Reduction, ...] = get_args(Reduction)
+"""What takes the place of the residuals r of an output: the root of the sum of r^2, or the sum of
+|r|. Of one number, the sum of squares or of absolute values is that of them all."""
+USUAL: tuple[Want, ...] = ("residuals", *REDUCTIONS)
+"""What searches ask for: the same simulation, of which less or more is sent back."""

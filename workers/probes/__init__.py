@@ -1,0 +1,1 @@
+"""Questions about an FMU that go beyond a simulation, for a preflight."""

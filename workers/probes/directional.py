@@ -1,0 +1,30 @@
+"""Whether the directional derivatives that an FMU offers are the slopes of its own functions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from workers.errors import ModelError
+from workers.evaluate import Evaluator
+from workers.kernels.fmi import failure
+from workers.messages import FloatArray
+from workers.process.child import Probe
+from workers.simulation.jacobian import Derivatives, compare, named
+
+
+@dataclass(frozen=True)
+class Directional(Probe):
+    """Asks for them at the end of a simulation, in model exchange."""
+
+    experiment: int
+    point: FloatArray
+
+    def answer(self, evaluator: Evaluator) -> Derivatives:
+        simulator, description = evaluator.simulator, evaluator.description
+        record = simulator.run(self.experiment, self.point[None])
+        if record.codes[0] != failure.FINISHED:
+            raise ModelError(record.messages[0])
+        jacobian = named(description)
+        if len(jacobian.states) < len(description.states):
+            raise ModelError("it does not say which variables are its state derivatives")
+        return compare(simulator.instance.fmu, description.version, jacobian)

@@ -1,0 +1,96 @@
+"""The process that an FMU lives in, so that nothing else dies with it."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import signal
+import sys
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from workers.errors import ModelError
+from workers.evaluate import Evaluator
+from workers.fmu.instance import instances
+from workers.wire import Answers
+
+DIES_WITH_PARENT = 1
+"""PR_SET_PDEATHSIG of Linux's prctl."""
+FIRST_TO_GO = "1000"
+"""What Linux ends first when memory runs out."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Answers to a batch, and what the process has come to: bytes in memory, FMU instances."""
+
+    answers: Answers
+    resident: int
+    instances: int
+
+
+class Probe(ABC):
+    """Asks for more than a simulation: what `cluster-est check` wants to know of an FMU."""
+
+    @abstractmethod
+    def answer(self, evaluator: Evaluator) -> Any:
+        """Find it out with an FMU that was just loaded; what is returned travels back.
+
+        Raises
+        ------
+        ModelError
+            If it cannot be found out; travels back too.
+        """
+
+
+def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
+    """Load the FMU, say None or the ModelError, then answer batches until there are no more."""
+    gc.freeze()  # what was forked is shared with others as long as nobody writes to it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _leave_before_others()
+    try:
+        if isinstance(evaluator, ModelError):
+            raise evaluator
+        evaluator.load()
+    except ModelError as error:
+        connection.send(error)
+        return
+    connection.send(None)
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            asked = connection.recv()
+            if isinstance(asked, Probe):
+                connection.send(_probed(asked, evaluator))
+                continue
+            answers = Answers.of(evaluator.evaluate(asked))
+            connection.send(Report(answers, resident_bytes("self"), instances()))
+    evaluator.close()
+
+
+def _probed(probe: Probe, evaluator: Evaluator) -> Any:
+    try:
+        return probe.answer(evaluator)
+    except ModelError as error:
+        return error
+
+
+def resident_bytes(process: int | str) -> int:
+    """Bytes that a process has in memory; 0 where the system does not say."""
+    try:
+        pages = int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, IndexError, ValueError):
+        return 0
+    return pages * 4096
+
+
+def _leave_before_others() -> None:
+    """End when the parent does, even in the middle of a simulation; go first if memory is short."""
+    if sys.platform != "linux":
+        return
+    ctypes.CDLL(None).prctl(DIES_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(FIRST_TO_GO, encoding="ascii")

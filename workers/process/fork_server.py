@@ -1,0 +1,74 @@
+"""A process that forks others: each is ready in milliseconds, because all imports are done.
+
+Forking a worker itself would copy locks that its other threads hold; this process never has a
+second thread. It is started by a `Guard`, does what that says over one connection, and ends, with
+all that it has forked, when the connection ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from multiprocessing import reduction
+from multiprocessing.connection import Connection
+
+from workers.errors import ModelError
+from workers.evaluate import Evaluator
+from workers.messages import Experiment, Model
+from workers.process.child import serve
+
+FORK, FORK_FOR_EFFECTS = "fork", "fork for effects"
+
+
+def main(descriptor: int) -> None:
+    """Fork and wait as told: `FORK` and a connection's handle, or the id of an ended process."""
+    orders = Connection(descriptor)
+    installation = orders.recv()
+    _keep_apart(installation[0])
+    evaluator = _prepare(*installation)
+    running: set[int] = set()
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            order = orders.recv()
+            if order == FORK_FOR_EFFECTS:
+                import workers.simulation.bind_effects  # noqa: F401 (for all processes that follow)
+            if order in (FORK, FORK_FOR_EFFECTS):
+                handle = reduction.recv_handle(orders)
+                child = os.fork()
+                if child == 0:
+                    orders.close()
+                    serve(Connection(handle), evaluator)
+                    os._exit(0)
+                os.close(handle)
+                running.add(child)
+                orders.send(child)
+            else:
+                _, status = os.waitpid(order, 0)
+                running.discard(order)
+                orders.send(os.waitstatus_to_exitcode(status))
+    for child in running:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(child, signal.SIGKILL)
+
+
+def _keep_apart(model: Model) -> None:
+    """Keep what an FMU prints out of what this program prints to its standard output."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(2 if model.talks else nowhere, 1)
+    os.close(nowhere)
+
+
+def _prepare(
+    model: Model, experiments: tuple[Experiment, ...], name: str
+) -> Evaluator | ModelError:
+    """All but the FMU, ready once for all processes; or what is wrong with it, for them to say."""
+    try:
+        return Evaluator(model, experiments, name, load=False)
+    except ModelError as error:
+        return error
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

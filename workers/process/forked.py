@@ -1,0 +1,103 @@
+"""Processes that stand ready in milliseconds: the fork server's, seen from its client."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+from multiprocessing import reduction
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from workers.process.fork_server import FORK, FORK_FOR_EFFECTS
+
+
+class Forks:
+    """Starts processes that serve an installation, and says how they ended.
+
+    The process that forks them is started again if somebody has killed it.
+
+    Parameters
+    ----------
+    installation
+        What each process is given; see `workers.process.child.serve`.
+    """
+
+    def __init__(self, installation: tuple[Any, ...]) -> None:
+        self._installation = installation
+        self._start()
+
+    def fork(self, *, effects: bool = False) -> tuple[int, Connection]:
+        """A new process: its id, and a connection to it.
+
+        Parameters
+        ----------
+        effects
+            Whether it will be asked for effects, which take half a second to import.
+
+        Raises
+        ------
+        OSError
+            If none can be started.
+        """
+        try:
+            return self._fork(effects)
+        except (EOFError, OSError):
+            self.close()
+            self._start()
+        try:
+            return self._fork(effects)
+        except EOFError as error:
+            raise OSError("the process that should have started it has ended") from error
+
+    def wait(self, process: int) -> int | None:
+        """The exit code of a process that ends, or minus the signal that ended it.
+
+        None if nobody knows.
+        """
+        try:
+            self._orders.send(process)
+            code: int = self._orders.recv()
+        except (EOFError, OSError):
+            return None
+        return code
+
+    def close(self) -> None:
+        """End all processes. Again does nothing."""
+        if not self._orders.closed:
+            self._orders.close()
+            self._zygote.wait()
+
+    def _start(self) -> None:
+        mine, theirs = socket.socketpair()
+        with theirs:
+            self._zygote = subprocess.Popen(
+                [sys.executable, "-m", "workers.process.fork_server", str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,
+                env={**os.environ, "PYTHONPATH": _import_path(), "OPENBLAS_NUM_THREADS": "1"},
+            )
+        self._orders = Connection(mine.detach())
+        with contextlib.suppress(OSError):  # it has ended already: the first fork will say so
+            self._orders.send(self._installation)
+
+    def _fork(self, effects: bool) -> tuple[int, Connection]:
+        mine, theirs = socket.socketpair()
+        try:
+            with theirs:
+                self._orders.send(FORK_FOR_EFFECTS if effects else FORK)
+                reduction.send_handle(self._orders, theirs.fileno(), self._zygote.pid)
+                process: int = self._orders.recv()
+        except BaseException:
+            mine.close()
+            raise
+        return process, Connection(mine.detach())
+
+
+def _import_path() -> str:
+    """Where this package stands, for the process to find it too."""
+    own = str(Path(__file__).parents[2])
+    return os.pathsep.join([own, *filter(None, [os.environ.get("PYTHONPATH")])])

@@ -1,0 +1,289 @@
+"""Simulations in a process of their own: one that crashes, hangs or leaks costs only itself.
+
+A batch is sent to a forked process. If that dies or takes too long, each task of the batch is asked
+again alone in a fresh one, and the one that fails even then is an outcome with the reason: no task
+is tried a third time. For some time after, tasks go one by one, so that the next failure costs its
+neighbours nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import statistics
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+from workers.errors import ModelError
+from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
+from workers.process.child import Report, resident_bytes
+from workers.process.forked import Forks
+from workers.wire import Batch
+
+LOOK_SECONDS = 0.1
+"""How often the memory of a running simulation is looked at."""
+GRACE_SECONDS = 1.0
+"""What a simulation may always take beyond what is usual."""
+NEIGHBOURS = 5.0
+"""How many times as long as usual the other simulations of a batch may take on average. If they
+take longer, each is asked again alone and has all its time."""
+REMEMBERED = 31
+"""Durations of each experiment, whose median is what is usual."""
+TRIES, LOST = 2, 10
+"""How often a simulation may fail, and how often it may be killed from outside."""
+CAREFUL = 500
+"""Tasks in a row without a failure before they travel in batches again."""
+MOST_INSTANCES = 900
+"""Of an FMU in one process; some tools' FMUs die at about 1000."""
+LOAD_SECONDS = 300.0
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a process did not answer."""
+
+    status: Status
+    message: str
+
+    @property
+    def from_outside(self) -> bool:
+        """Whether somebody else ended it, so that the simulation is not to blame."""
+        return self.status is Status.LOST_WORKER
+
+
+class LostError(Exception):
+    """A process was killed from outside while it began; another one may do."""
+
+
+class Guard:
+    """An evaluator in a process of its own.
+
+    Parameters
+    ----------
+    model, experiments, name
+        As for `Evaluator`.
+    limits
+        When a simulation is ended from outside.
+
+    Raises
+    ------
+    ModelError
+        If the FMU cannot be loaded, or the process dies while it is.
+    """
+
+    def __init__(
+        self, model: Model, experiments: Sequence[Experiment], name: str, limits: Limits
+    ) -> None:
+        self._name, self._file, self._limits = name, model.name, limits
+        self._renew = model.renew
+        self._seconds: dict[int, deque[float]] = {}
+        self._careful = 0
+        self._base = 0
+        self._stopped = False
+        self._effects = False
+        self._forks = Forks((model, tuple(experiments), name))
+        self._child: tuple[int, Connection] | None = None
+        try:
+            self._begin_at_last()
+        except BaseException:
+            self.close()
+            raise
+
+    def evaluate(self, batch: Batch) -> list[Outcome]:
+        """Answer every task of a batch, in its order."""
+        failed = 0
+        together = self._renew in ("auto", "reset")
+        if together and self._careful == 0 and self._is_usual(batch):
+            answered = self._ask(batch)
+            if not isinstance(answered, Failure):
+                return answered
+            self._careful = CAREFUL
+            failed = 0 if answered.from_outside else 1
+        return [self._alone(task, failed) for task in batch.tasks()]
+
+    def once(self, task: Task) -> Outcome:
+        """Answer one task at the first attempt, whatever becomes of it."""
+        found = self._ask(Batch.of([task]))
+        return found[0] if isinstance(found, list) else self._failed(task, found)
+
+    def stop(self) -> None:
+        """End what is simulated, from another thread; all that is asked from now on fails."""
+        self._stopped = True
+        child = self._child
+        if child is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(child[0], signal.SIGKILL)
+
+    def close(self) -> None:
+        """End the processes, whatever they are doing; only after `stop` if a thread waits."""
+        self._stopped = True
+        self._end(kill=True)
+        self._forks.close()
+
+    def _alone(self, task: Task, failed: int) -> Outcome:
+        """The outcome of one task, which has failed so many times with its batch."""
+        self._careful = max(self._careful - 1, 0)
+        lost = 0
+        while True:
+            answered = self._ask(Batch.of([task]))
+            if not isinstance(answered, Failure):
+                return answered[0]
+            self._careful = CAREFUL
+            lost += answered.from_outside
+            failed += not answered.from_outside
+            if failed >= TRIES or lost >= LOST:
+                return self._failed(task, answered)
+
+    def _failed(self, task: Task, failure: Failure) -> Outcome:
+        return Outcome(task.id, failure.status, message=failure.message, worker=self._name)
+
+    def _ask(self, batch: Batch) -> list[Outcome] | Failure:
+        """One attempt: the outcomes, or why there are none."""
+        try:
+            child, connection = self._child or self._begin()
+        except ModelError as error:
+            return Failure(Status.CRASH, str(error))
+        except LostError as error:
+            return Failure(Status.LOST_WORKER, str(error))
+        begin = time.monotonic()
+        self._effects |= bool(batch.effects)
+        try:
+            connection.send(batch)
+            failure = self._wait(child, connection, begin, self._limit(batch))
+            report: Report | None = None if failure else connection.recv()
+        except (EOFError, OSError):
+            failure, report = None, None
+        except BaseException:  # interrupted: what it would answer is nobody's any more
+            self._end(kill=True)
+            raise
+        if report is None:
+            code = self._end(kill=failure is not None)
+            return failure or _ended(code)
+        outcomes = report.answers.outcomes()
+        self._learn(batch, outcomes)
+        if self._renew == "process":
+            self._end(kill=True)  # it has answered, and nothing waits for how it ends
+        elif self._has_grown(report):
+            self._end(kill=False)
+        return outcomes
+
+    def _wait(
+        self, child: int, connection: Connection, begin: float, limit: float
+    ) -> Failure | None:
+        """Wait for an answer; why not, if time or memory ran out."""
+        while not connection.poll(min(LOOK_SECONDS, max(begin + limit - time.monotonic(), 0.0))):
+            if time.monotonic() - begin >= limit:
+                return Failure(
+                    Status.TIMEOUT,
+                    f"the simulation did not end within {limit:.3g} s and was stopped; raise "
+                    "executor.timeout or executor.patience if it only needs longer",
+                )
+            resident = resident_bytes(child)
+            if resident > self._limits.memory:
+                return Failure(
+                    Status.OUT_OF_MEMORY,
+                    f"the simulation took {resident / 2**20:.0f} MB of memory and was stopped; "
+                    "raise executor.memory if it needs that much",
+                )
+        return None
+
+    def _limit(self, batch: Batch) -> float:
+        """Seconds that a batch may take: what one of it may, and some times what is usual."""
+        hard = self._limits.seconds
+        if self._limits.patience == 0.0 or not self._is_usual(batch):
+            return hard * len(batch.ids)
+        usual = [statistics.median(self._seconds[e]) for e in batch.experiments.tolist()]
+        longest = max(usual)
+        one = min(hard, GRACE_SECONDS + self._limits.patience * longest)
+        return one + NEIGHBOURS * (sum(usual) - longest)
+
+    def _is_usual(self, batch: Batch) -> bool:
+        """Whether it is known how long these simulations take; a first one goes alone."""
+        return batch.want in USUAL and all(e in self._seconds for e in batch.experiments.tolist())
+
+    def _learn(self, batch: Batch, outcomes: Sequence[Outcome]) -> None:
+        if batch.want in USUAL:
+            for experiment, outcome in zip(batch.experiments.tolist(), outcomes, strict=True):
+                known = self._seconds.setdefault(experiment, deque(maxlen=REMEMBERED))
+                known.append(outcome.seconds)
+
+    def _has_grown(self, report: Report) -> bool:
+        """Whether the process should be replaced before it fails: the FMU leaks."""
+        self._base = self._base or report.resident
+        grown = report.resident - self._base > self._limits.growth
+        return grown or report.instances > MOST_INSTANCES
+
+    def _begin_at_last(self) -> None:
+        for left in reversed(range(LOST)):
+            try:
+                self._begin()
+                return
+            except LostError as error:
+                if not left:
+                    raise ModelError(f"{self._file}: must load, but {error}") from error
+
+    def _begin(self) -> tuple[int, Connection]:
+        """Fork a process and wait until it has loaded the FMU."""
+        if self._stopped:
+            raise ModelError(f"{self._file}: its worker was stopped")
+        self._base = 0
+        try:
+            self._child = _, connection = self._forks.fork(effects=self._effects)
+        except OSError as error:
+            raise LostError(f"no process can be started ({error})") from error
+        said: ModelError | None
+        try:
+            if not connection.poll(LOAD_SECONDS):
+                self._end(kill=True)
+                raise ModelError(
+                    f"{self._file}: must load within {LOAD_SECONDS:g} s but does not; check that "
+                    "it does not wait for a licence or a window"
+                )
+            said = connection.recv()
+        except (EOFError, OSError) as error:
+            ended = _ended(self._end(kill=False))
+            if ended.from_outside:
+                raise LostError(ended.message) from error
+            raise ModelError(
+                f"{self._file}: must load, but {ended.message.replace('this simulation', 'that')}; "
+                "check that it runs on this machine"
+            ) from error
+        if said is not None:
+            self._end(kill=False)
+            raise said
+        return self._child
+
+    def _end(self, *, kill: bool) -> int | None:
+        """End the process; its exit code, or minus the signal that ended it."""
+        if self._child is None:
+            return None
+        child, connection = self._child
+        self._child = None
+        connection.close()
+        if kill:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
+        return self._forks.wait(child)
+
+
+def _ended(code: int | None) -> Failure:
+    """What became of a process that ended in the middle of a simulation."""
+    if code is None or code == -signal.SIGKILL:
+        message = "the process was killed from outside, perhaps because memory ran out"
+        return Failure(Status.LOST_WORKER, message)
+    if code < 0:
+        name = _signal_name(-code)
+        return Failure(Status.CRASH, f"the process crashed during this simulation ({name})")
+    message = f"the process was ended by the FMU during this simulation (exit code {code})"
+    return Failure(Status.CRASH, message)
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

@@ -1,0 +1,1 @@
+"""An experiment, an FMU and effects, bound together and simulated."""

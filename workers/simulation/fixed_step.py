@@ -1,0 +1,164 @@
+"""Co-simulation FMUs that cannot vary their communication step: when they communicate instead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from workers.errors import ModelError
+from workers.fmu.description import Description
+from workers.messages import Experiment, FloatArray, IntArray, Model
+from workers.simulation.grid import Grid, build_grid, on_times
+
+ON_GRID = 1e-6
+"""Of a step: a time that is nearer to a communication point than this stands on it."""
+
+
+@dataclass(frozen=True)
+class Communication:
+    """The communication points around the times of an experiment, for a step of fixed length.
+
+    Attributes
+    ----------
+    grid
+        The inputs at those points. An interval of it is one step, or several within which no
+        input has a kink.
+    step
+        Seconds from one point to the next.
+    longest
+        The same with room for rounding, so that every interval is cut into steps of this length.
+    before, after : (n,)
+        Between which points each time of the experiment lies.
+    parts : (n,)
+        How far it lies beyond the first of them, as a part of the step; 0 if it stands on it.
+    linear : (recorded,)
+        Which variables are interpolated. Others change at events alone, and keep their value.
+    """
+
+    grid: Grid
+    step: float
+    longest: float
+    before: IntArray
+    after: IntArray
+    parts: FloatArray
+    linear: IntArray
+
+    def read(self, records: FloatArray) -> FloatArray:
+        """(points, n, recorded) at the experiment's times, of (points, m, recorded) at its own."""
+        found = records[:, self.before]
+        between = np.flatnonzero(self.parts > 0.0)
+        first, second = records[:, self.before[between]], records[:, self.after[between]]
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is said of outputs
+            middle = first + self.parts[between, None] * (second - first)
+        found[:, between] = np.where(self.linear, middle, first)
+        return found
+
+
+def communicate(
+    model: Model,
+    description: Description,
+    experiment: Experiment,
+    recorded: tuple[str, ...],
+    times: FloatArray,
+) -> Communication | None:
+    """Return when the FMU communicates in an experiment; None if it does so at all of its times.
+
+    Steps begin at the start of the experiment. Their length is `Solver.step`, else the one that the
+    FMU names, else the shortest interval of the experiment if all others are multiples of it.
+
+    Parameters
+    ----------
+    recorded
+        The variables to record.
+    times : (n,)
+        Of the experiment's grid: all inputs and all measurements.
+
+    Raises
+    ------
+    ModelError
+        If there is no such step, or it is too short.
+    """
+    if model.interface != "co_simulation" or description.variable_steps:
+        return None
+    step = _step(model, description, experiment, times)
+    passed = (times - experiment.start) / step
+    nearest = np.round(passed)
+    stands = np.abs(passed - nearest) <= ON_GRID
+    first = np.where(stands, nearest, np.floor(passed))
+    last = np.where(stands, nearest, first + 1.0)
+    counts = np.unique(np.concatenate([first, last]))
+    points = experiment.start + counts * step
+    sampled = points.copy()  # an input that jumps at such a time has jumped, however it is rounded
+    sampled[np.searchsorted(counts, nearest[stands])] = times[stands]
+    most = float(np.diff(counts).max(initial=1.0))
+    return Communication(
+        grid=on_times(experiment, sampled)._replace(times=points),
+        step=step,
+        longest=step * (1.0 + 0.5 / most),
+        before=np.searchsorted(counts, first),
+        after=np.searchsorted(counts, last),
+        parts=np.where(stands, 0.0, passed - first),
+        linear=np.array([_moves(description, name) for name in recorded], np.bool_),
+    )
+
+
+def communication_notes(
+    model: Model, description: Description, experiments: Sequence[Experiment]
+) -> tuple[str, ...]:
+    """Say of which experiments values are interpolated, for a user.
+
+    Raises
+    ------
+    ModelError
+        As `communicate`.
+    """
+    found: dict[float, list[str]] = {}
+    for experiment in experiments:
+        times = build_grid(experiment).times
+        made = communicate(model, description, experiment, experiment.recorded, times)
+        if made is not None and made.parts.any():
+            found.setdefault(made.step, []).append(experiment.id)
+    return tuple(_note(description.file, step, names) for step, names in found.items())
+
+
+def _note(file: str, step: float, names: Sequence[str]) -> str:
+    one = len(names) == 1
+    which = f"experiment {names[0]!r}" if one else f"{len(names)} experiments"
+    return (
+        f"{file} communicates in steps of fixed length, every {step:g} s; {which} "
+        f"{'has' if one else 'have'} times between them, at which real outputs are interpolated "
+        "linearly, others keep their last value, and inputs act from the next step on; a shorter "
+        "model.step, where the FMU takes it, makes that finer"
+    )
+
+
+def _step(
+    model: Model, description: Description, experiment: Experiment, times: FloatArray
+) -> float:
+    where = f"experiment {experiment.id!r}"
+    own = (description.fixed_internal_step, description.default_step)
+    step = model.solver.step or next((s for s in own if s is not None and s > 0.0), None)
+    if step is None:
+        intervals = np.diff(times)
+        step = float(intervals.min())
+        steps = intervals / step
+        if np.abs(steps - np.round(steps)).max() > ON_GRID:
+            raise ModelError(
+                f"{where}: {description.file} needs one communication step of fixed length, names "
+                f"none, and the times of inputs and measurements are {intervals.min():g} to "
+                f"{intervals.max():g} s apart; set model.step to a step that it takes"
+            )
+    if not (experiment.stop - experiment.start) / step <= model.solver.max_steps:
+        raise ModelError(
+            f"{where}: {description.file} must communicate in steps of {step:g} s, of which "
+            f"{experiment.stop - experiment.start:g} s have more than model.max_steps = "
+            f"{model.solver.max_steps}; set model.step to a longer one that it takes, or raise that"
+        )
+    return step
+
+
+def _moves(description: Description, name: str) -> bool:
+    variable = description.variables.get(name)
+    return variable is not None and variable.moves

@@ -1,0 +1,110 @@
+"""The Jacobian of an FMU's states by the directional derivatives that it offers, if they are right.
+
+They may be silently zero or wrong, so they are compared with differences where the FMU stands.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from workers.errors import ModelError
+from workers.fmu.description import Description
+from workers.kernels.solvers.sundials import Jacobian
+from workers.messages import FloatArray
+
+STEP = float(np.cbrt(np.finfo(np.float64).eps))
+"""Of a central difference, over the size of a state."""
+AGREES = 1e-4
+"""How far directional derivatives may be off, over the largest slope of a state derivative."""
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """Directional derivatives of the state derivatives by the states, against differences.
+
+    Attributes
+    ----------
+    error
+        The largest difference, over the largest slope of that state derivative.
+    zero
+        Whether all are 0 where differences are not.
+    """
+
+    error: float
+    zero: bool
+
+
+def named(description: Description) -> Jacobian:
+    """The references that a Jacobian is asked for with; none where the FMU does not say enough."""
+    variables = description.variables
+    slopes = {v.derivative_of: v for v in variables.values() if v.derivative_of}
+    if any(name not in slopes for name in description.states):
+        return Jacobian.of()
+    asked = [(variables[name], slopes[name]) for name in description.states]
+    if any(v.type != "Float64" or v.size > 1 for pair in asked for v in pair):
+        return Jacobian.of()
+    return Jacobian.of([x.reference for x, _ in asked], [dx.reference for _, dx in asked])
+
+
+def compare(fmu: Any, version: str, jacobian: Jacobian) -> Derivatives:
+    """Compare them where the FMU stands, in continuous-time mode.
+
+    Parameters
+    ----------
+    fmu
+        The instance as fmpy has it.
+    version
+        Of FMI.
+    jacobian
+        What to compare.
+
+    Raises
+    ------
+    ModelError
+        If the FMU refuses to answer.
+    """
+    try:
+        return _compare(fmu, version, jacobian.slopes.tolist(), jacobian.states.tolist())
+    except Exception as error:  # fmpy raises bare exceptions
+        raise ModelError(f"asked for one, it failed ({error})") from error
+
+
+def _compare(fmu: Any, version: str, unknowns: list[int], knowns: list[int]) -> Derivatives:
+    vectors = _Vectors(fmu, len(knowns), version)
+    states = vectors.states()
+    given, taken = np.zeros((2, len(unknowns), len(knowns)))
+    for column, known in enumerate(knowns):
+        given[:, column] = fmu.getDirectionalDerivative(unknowns, [known], [1.0])
+    for column in range(len(knowns)):
+        step = STEP * max(abs(states[column]), 1.0)
+        moved = np.tile(states, (2, 1))
+        moved[:, column] += step, -step
+        high, low = (vectors.slopes_at(x) for x in moved)
+        taken[:, column] = (high - low) / (moved[0, column] - moved[1, column])
+    sizes = np.maximum(np.abs(taken).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    zero = not given.any() and bool(taken.any())
+    return Derivatives(float((np.abs(given - taken) / sizes).max(initial=0.0)), zero)
+
+
+class _Vectors:
+    """States and their derivatives, through the calls of either version."""
+
+    def __init__(self, fmu: Any, count: int, version: str) -> None:
+        self._fmu, self._count, self._old = fmu, count, version == "2.0"
+
+    def states(self) -> FloatArray:
+        return self._call("getContinuousStates", np.zeros(self._count))
+
+    def slopes_at(self, states: FloatArray) -> FloatArray:
+        self._call("setContinuousStates", np.ascontiguousarray(states))
+        name = "getDerivatives" if self._old else "getContinuousStateDerivatives"
+        return self._call(name, np.zeros(self._count))
+
+    def _call(self, name: str, values: FloatArray) -> FloatArray:
+        pointer = values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        getattr(self._fmu, name)(pointer, self._count)
+        return values
