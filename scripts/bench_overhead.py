@@ -25,7 +25,7 @@ from cluster_est.executors.base import Executor
 from cluster_est.running.resources import one_blas_thread
 from workers.messages import Experiment, Model, Output, Solver, Task
 
-MODEL = Path(__file__).resolve().parent.parent / "tests" / "models" / "misbehaves"
+MODEL = Path(__file__).resolve().parent.parent / "tests" / "fmus" / "lenient_models" / "misbehaves"
 WANTED = (50e-6, 200e-6, 1e-3, 5e-3, 20e-3, 100e-3)
 FIRST_STEP, END, SAMPLES = 1e-4, 2.0, 21
 AT_ONCE = 400

@@ -26,7 +26,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from build_fmus import build
 
-MODEL = Path(__file__).resolve().parent.parent / "tests" / "models" / "misbehaves"
+MODEL = Path(__file__).resolve().parent.parent / "tests" / "fmus" / "lenient_models" / "misbehaves"
 TRUE_RATE, NOISE = 0.7, 0.01
 STARTS = (1.0, 0.6, -0.4, 0.2)
 COUNTED = "SIMULATIONS_COUNTED_IN"

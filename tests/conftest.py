@@ -49,11 +49,11 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="session")
 def built_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], bytes]:
-    """Give the FMU of a folder in `tests/models`, built once a session."""
+    """Give the FMU of a folder in `tests/fmus/lenient_models`, built once a session."""
     if shutil.which("cc") is None or fmpy.platform != "linux64":
         pytest.skip("building with the system's compiler needs cc on a 64-bit Linux")
     folder = tmp_path_factory.mktemp("fmus")
-    models = Path(__file__).parent / "models"
+    models = Path(__file__).parent / "fmus" / "lenient_models"
 
     def give(name: str) -> bytes:
         path = folder / f"{name}.fmu"

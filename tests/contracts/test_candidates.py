@@ -13,7 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from systems_with_missing_effects import SYSTEMS, missing_effect_problem, opened, unfitted
+from support.truth.systems_with_missing_effects import (
+    SYSTEMS,
+    missing_effect_problem,
+    opened,
+    unfitted,
+)
 
 from cluster_est.closed_loop.candidates.make import Candidate, make_candidates
 from cluster_est.closed_loop.candidates.trajectory import Course

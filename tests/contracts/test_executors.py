@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import ray
-from reference_models import MODELS, REFERENCES, sampled_experiment
+from support.truth.example_models import MODELS, REFERENCES, sampled_experiment
 
 from cluster_est.executors import EXECUTORS, Executor, executor_class
 from workers.errors import ModelError

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from exported import Exported, co_simulated, needs_compiler, repair_of, unpacked
-from problems import FMU
-from springs_with_effects import FORCE, START, TIMES, C, K, M
+from support.exported import Exported, co_simulated, needs_compiler, repair_of, unpacked
+from support.problems.springs import FMU
+from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M
 
 from workers.effects.forms import FORMS
 from workers.evaluate import Evaluator

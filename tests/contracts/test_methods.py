@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from function_problems import PROBLEMS, FunctionProblem, rosenbrock
-from method_entries import CASES, CONSTRAINT, ENTRIES, boxed, excuse
-from nist import MODELS, read
+from support.problems.functions import PROBLEMS, FunctionProblem, rosenbrock
+from support.problems.method_entries import CASES, CONSTRAINT, ENTRIES, boxed, excuse
+from support.problems.nist import MODELS, read
 
 from cluster_est.methods import METHODS
 from cluster_est.methods.base import Ending, Points, Solution

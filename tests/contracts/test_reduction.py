@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from curve_problems import CurveExecutor, Curves
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from method_entries import ENTRIES
-from problems import spring_problem
+from support.problems.curves import CurveExecutor, Curves
+from support.problems.method_entries import ENTRIES
+from support.problems.springs import spring_problem
 
 from cluster_est import Budget, Experiment, LeastSquares, Output, Parameter, Resources, fit
 from cluster_est.costs import COSTS

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import scipy.optimize
-from problems import FMU, ROOT, spring_problem
+from support.problems.springs import FMU, ROOT, spring_problem
 
 import cluster_est as ce
 from cluster_est.cli import main

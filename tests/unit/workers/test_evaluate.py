@@ -12,7 +12,7 @@ from fmpy.fmi2 import FMU2Model
 from hypothesis import given
 from hypothesis import settings as limits
 from hypothesis import strategies as st
-from reference_models import MODELS, REFERENCES, sampled_experiment
+from support.truth.example_models import MODELS, REFERENCES, sampled_experiment
 
 from workers import evaluate
 from workers.errors import ModelError

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from systems_with_missing_effects import (
+from support.truth.systems_with_missing_effects import (
     measured,
     missing_effect_problem,
     opened,

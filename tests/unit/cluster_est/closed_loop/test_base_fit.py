@@ -5,7 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from systems_with_missing_effects import measured, missing_effect_problem, opened, started
+from support.truth.systems_with_missing_effects import (
+    measured,
+    missing_effect_problem,
+    opened,
+    started,
+)
 
 from cluster_est.closed_loop.selection.declared_model import THOROUGH, at_noise, fit_declared
 from cluster_est.closed_loop.workbench import Start

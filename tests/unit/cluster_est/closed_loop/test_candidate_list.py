@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from systems_with_missing_effects import missing_effect_problem, opened, unfitted
+from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
 from cluster_est import Parameter
 from cluster_est.closed_loop.candidates.equation import equation_text

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from systems_with_missing_effects import missing_effect_problem, opened, unfitted
+from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.screening import directions as module

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from stacked_noise import stack
+from support.truth.stacked_noise import stack
 
 from cluster_est.closed_loop.findings.wording import _largest_difference, error_changes, where_left
 

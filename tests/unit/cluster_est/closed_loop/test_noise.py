@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from stacked_noise import stack
+from support.truth.stacked_noise import stack
 
 from cluster_est.closed_loop.statistics.noise import estimate_noise
 

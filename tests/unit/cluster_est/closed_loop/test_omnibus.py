@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import kstest
-from stacked_noise import stack
+from support.truth.stacked_noise import stack
 
 from cluster_est.closed_loop.statistics import omnibus as module
 from cluster_est.closed_loop.statistics.omnibus import omnibus

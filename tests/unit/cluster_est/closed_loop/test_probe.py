@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from systems_with_missing_effects import SYSTEMS, missing_effect_problem, opened, unfitted
+from support.truth.systems_with_missing_effects import (
+    SYSTEMS,
+    missing_effect_problem,
+    opened,
+    unfitted,
+)
 
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.screening.directions import Trial

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from stacked_noise import stack
+from support.truth.stacked_noise import stack
 
 from cluster_est.closed_loop.findings.result import Verdict
 from cluster_est.closed_loop.findings.verdict import judge

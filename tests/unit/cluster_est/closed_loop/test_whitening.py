@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
-from stacked_noise import autoregressive, stack
+from support.truth.stacked_noise import autoregressive, stack
 
 from cluster_est.closed_loop.statistics.whitening import fit_autoregression, whiten
 

@@ -6,7 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from systems_with_missing_effects import measured, missing_effect_problem, opened, unfitted
+from support.truth.systems_with_missing_effects import (
+    measured,
+    missing_effect_problem,
+    opened,
+    unfitted,
+)
 
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.selection.declared_model import BRIEF

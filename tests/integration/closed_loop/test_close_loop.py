@@ -1,0 +1,220 @@
+"""cluster-est close-loop from the shell: what it prints, what it leaves behind, what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from support.truth.springs_with_friction import FRICTION, TIMES, write_config
+
+from cluster_est.cli import main
+from cluster_est.results.output_errors import OutputError
+from cluster_est.run_folder.evaluation_log import read_log
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory):
+    """A config with friction in its data, and the run folder that close-loop left for it."""
+    folder = tmp_path_factory.mktemp("closed")
+    config = write_config(folder)
+    assert main(["close-loop", str(config), "--out", str(folder / "run")]) == 0
+    return config, folder / "run"
+
+
+def facts(run: Path) -> dict:
+    return json.loads((run / "run.json").read_text())
+
+
+def rows(run: Path, name: str) -> list[dict]:
+    return pq.read_table(run / f"{name}.parquet").to_pylist()
+
+
+def test_run_json_says_what_was_found(closed):
+    said = facts(closed[1])
+    assert said["status"] == "done"
+    assert said["verdict"] == "found"
+    (effect,) = said["effects"]
+    named = ("coulomb", "friction", "der(v)", ["v"])
+    assert tuple(effect[key] for key in ("form", "family", "site", "variables")) == named
+    assert effect["equation"] == "der(v) += -k * tanh(v / width)"
+    strength, width = effect["parameters"]["k"], effect["parameters"]["width"]
+    assert strength["value"] == pytest.approx(FRICTION, rel=0.05)
+    assert strength["lower95"] < strength["value"] < strength["upper95"]
+    assert (strength["unit"], width["unit"]) == ("m/s^2", "m/s")
+    assert (width["fixed"], width["lower95"]) == (True, None)
+    assert isinstance(effect["alternatives"], list)
+    for role in ("train", "test"):
+        assert said["errors"][role]["before"] > 3.0 * said["errors"][role]["after"]
+    assert said["errors_over"] == "estimated noise"
+    assert said["errors_by_output"]["y"]["test"]["after"] == pytest.approx(1e-3, rel=0.3)
+    assert said["noise"]["y"] == pytest.approx(1e-3, rel=0.2)
+    assert (said["seed"], said["notes"]) == (0, [])
+    assert {"der(v)", "input F", "output y"} <= set(said["sites"])
+
+
+def test_errors_are_before_and_after_the_effect(closed):
+    found = rows(closed[1], "errors")
+    assert {f.name for f in dataclasses.fields(OutputError)} == set(found[0])
+    assert [row["role"] for row in found] == ["train", "train", "test"]
+    for row in found:
+        assert row["rmse_after"] == pytest.approx(1e-3, rel=0.3)
+        assert row["rmse_before"] > 3.0 * row["rmse_after"]
+        ratio = row["rmse_before"] / row["rmse_after"]
+        assert row["relative_before"] / row["relative_after"] == pytest.approx(ratio)
+        assert row["normalised_before"] / row["normalised_after"] == pytest.approx(ratio)
+
+
+def test_parameters_shift_back_when_the_effect_is_there(closed):
+    found = {row["label"]: row for row in rows(closed[1], "parameters")}
+    damping = found["c"]
+    assert damping["value"] == pytest.approx(0.6, abs=0.1)
+    assert damping["value_before"] > 1.0
+    assert damping["lower95_before"] < damping["value_before"] < damping["upper95_before"]
+    assert math.isnan(found["coulomb_v.k"]["value_before"])
+    assert found["coulomb_v.k"]["unit"] == "m/s^2"
+
+
+def test_every_candidate_and_every_coefficient_has_a_row(closed):
+    effects = rows(closed[1], "effects")
+    assert [(row["effect"], row["coefficient"], row["fixed"]) for row in effects] == [
+        ("coulomb_v", "k", False),
+        ("coulomb_v", "width", True),
+    ]
+    findings = rows(closed[1], "findings")
+    assert {row["form"] for row in findings} == {"coulomb", "cubic", "constant"}
+    assert {row["site"] for row in findings} == {"der(v)"}
+    accepted = [row["form"] for row in findings if row["stage"] == "accepted"]
+    assert accepted == ["coulomb"]
+    assert (closed[1] / "trajectories.parquet").is_file()
+
+
+def test_the_log_names_rehearsals_and_effects(closed):
+    log = read_log(closed[1] / "evaluations").to_pylist()
+    assert len(log) == facts(closed[1])["simulations"]
+    assert "run0 (inputs x 1.25)" in {row["experiment"] for row in log}
+    assert ["coulomb_v"] in [row["effects"] for row in log]
+    names = {(row["key"], row["experiment"]) for row in log}
+    assert len({key for key, _ in names}) == len(names)
+
+
+def test_show_prints_verdict_effect_and_errors(closed, capsys):
+    assert main(["show", str(closed[1])]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("verdict: found: ")
+    for phrase in ("effect coulomb_v (friction) at der(v)", "der(v) += -k * tanh(v / width)",
+                   "width = ", "m/s (held)", "RMSE before", "all", "open sites: "):  # fmt: skip
+        assert phrase in said
+    assert "…" not in said
+
+
+def test_a_pasted_effect_is_fitted_to_the_same_cost(closed, tmp_path):
+    config, run = closed
+    block = facts(run)["effects"][0]["config"]
+    named = config.with_name("named.toml")
+    named.write_text(config.read_text() + "\n" + block.replace(', unit = "m/s^2"', ""))
+    assert main(["fit", str(named), "--out", str(tmp_path / "fit")]) == 0
+    assert facts(tmp_path / "fit")["cost"] == pytest.approx(facts(run)["cost"], rel=1e-6)
+    units = {row["label"]: row["unit"] for row in rows(tmp_path / "fit", "parameters")}
+    assert units["coulomb_v.k"] == "m/s^2"
+
+
+def test_a_complete_model_lacks_nothing(tmp_path, capsys):
+    config = write_config(tmp_path, friction=0.0, roles=("train", "train"))
+    run = tmp_path / "run"
+    assert main(["close-loop", str(config), "--out", str(run), "closed_loop.seed=3"]) == 0
+    said = facts(run)
+    assert (said["verdict"], said["effects"], said["seed"]) == ("none", [], 3)
+    assert said["errors"]["test"] == {"before": None, "after": None}
+    assert 'no experiment has role = "test"' in " ".join(said["notes"])
+    assert 'note: no experiment has role = "test"' in capsys.readouterr().out
+    assert rows(run, "effects") == []
+    assert "seed = 3" in (run / "config.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "phrase"),
+    [
+        (['closed_loop.effects=["colomb"]'], "no form 'colomb'; did you mean 'coulomb'?"),
+        (['closed_loop.sites=["der(w)"]'], "does not offer the site 'der(w)'"),
+        (['closed_loop.sites=["v"]'], 'closed_loop.sites: must be "der(STATE)"'),
+        (["model.interface=co_simulation"], "does not offer the site 'der(v)'"),
+        (['closed_loop.effects=["hum"]'], "must name a form for one of the sites"),
+        (["closed_loop.max_effect=2"], "unknown key closed_loop.max_effect; did you mean"),
+        (["closed_loop.significance=2"], "closed_loop.significance: must be less than 1"),
+        (["closed_loop.draws=10"], "closed_loop.draws: must be at least 100"),
+        ([f"experiments.{i}.stop={TIMES[6]}" for i in range(2)], "at least 16 measured values"),
+    ],
+)
+def test_bad_input_is_one_sentence(closed, tmp_path, capsys, overrides, phrase):
+    arguments = ["close-loop", str(closed[0]), "--out", str(tmp_path / "run"), *overrides]
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert phrase in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_fewer_samples_than_candidates_is_refused(closed, tmp_path, capsys):
+    short = [f"experiments.{i}.stop={TIMES[8]}" for i in range(2)]
+    arguments = ["close-loop", str(closed[0]), "--out", str(tmp_path / "run"), *short]
+    arguments.append("closed_loop.effects=[]")
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert "at least as many measured values as there are candidates" in said
+    assert "closed_loop.effects" in said
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["status"] == "failed"
+
+
+def test_an_expression_is_never_run_as_code(closed, tmp_path, capsys):
+    config = closed[0].with_name("code.toml")
+    effect = '[[effects]]\nname = "e"\nsite = "der(v)"\nequation = "__import__(\'os\').getcwd()"\n'
+    config.write_text(closed[0].read_text() + "\n" + effect)
+    assert main(["close-loop", str(config), "--out", str(tmp_path / "run")]) == 2
+    assert "effect 'e': equation" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("override", "phrase"),
+    [
+        ("budget.evaluations=30", "budget: was used up after"),
+        ("model.max_steps=1", "the declared model cannot be simulated from its start values"),
+    ],
+)
+def test_no_result_is_exit_code_1(closed, tmp_path, capsys, override, phrase):
+    run = tmp_path / "run"
+    assert main(["close-loop", str(closed[0]), "--out", str(run), override]) == 1
+    said = capsys.readouterr().err
+    assert phrase in said
+    assert "stopped while " in said
+    assert facts(run)["status"] == "failed"
+    assert main(["show", str(run)]) == 0
+    assert phrase in capsys.readouterr().out
+
+
+def test_an_interrupt_ends_it_with_a_sentence(closed, tmp_path):
+    run = tmp_path / "run"
+    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code += "from cluster_est.cli import main; sys.exit(main(sys.argv[1:]))"
+    endless = ["closed_loop.effects=[]", "closed_loop.sites=[]", "closed_loop.trials=1000"]
+    endless += ["closed_loop.draws=200000"]
+    arguments = ["close-loop", str(closed[0]), "--out", str(run), *endless]
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *arguments], stderr=subprocess.PIPE, text=True
+    )
+    while not (run / "evaluations" / "00000.arrows").is_file() and process.poll() is None:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert "cluster-est: interrupted; stopped while " in said
+    assert "Traceback" not in said
+    assert facts(run)["status"] == "interrupted"

@@ -1,0 +1,109 @@
+"""The parts of a closed loop from Python, on a spring whose dry friction the model lacks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.truth.springs_with_friction import FRICTION, write_config
+
+import cluster_est as ce
+from cluster_est.closed_loop.prepare import open_bench
+
+SETTINGS = ce.LoopSettings(
+    forms=("coulomb", "cubic", "constant"), sites=("der(v)",), draws=400, max_effects=1, pairs=False
+)
+
+
+def read(folder, **options):
+    config = write_config(folder, **options)
+    return ce.build_problem(ce.read_config(config), folder)
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    return read(tmp_path_factory.mktemp("parts"))
+
+
+def test_detect_sees_that_something_is_missing(problem):
+    seen = ce.detect(problem, settings=SETTINGS)
+    assert seen.missing
+    assert max(seen.p, seen.p_white, seen.p_structure) <= 0.01
+    assert seen.rms["y"] > 3.0 * seen.noise["y"]
+    assert "something is missing" in seen.sentence
+
+
+def test_detect_sees_nothing_in_noise(tmp_path):
+    seen = ce.detect(read(tmp_path, friction=0.0), settings=SETTINGS)
+    assert not seen.missing
+    assert seen.rms["y"] == pytest.approx(1e-3, rel=0.2)
+    assert "nothing is missing" in seen.sentence
+
+
+def test_locate_ranks_the_candidates(problem):
+    first, second, *rest = ce.locate(problem, settings=SETTINGS)
+    assert {(f.form, f.variables) for f in (first, second)} == {
+        ("coulomb", ("v",)),
+        ("cubic", ("v",)),
+    }
+    assert first.log_p <= second.log_p < min(f.log_p for f in rest)
+    assert {f.form for f in rest} == {"cubic", "constant"}
+
+
+def test_an_effect_that_was_added_is_fitted(problem):
+    grown = ce.add_effect(problem, "der(v)", "coulomb", name="friction")
+    strength, width = grown.parameters[-2:]
+    assert (strength.name, strength.start, strength.fixed) == ("friction.k", 0.0, False)
+    assert (width.name, width.fixed) == ("friction.width", True)
+    assert 0.0 < width.start < 0.1
+    assert ce.fit(grown).x["friction.k"] == pytest.approx(FRICTION, rel=0.05)
+    assert not ce.detect(grown, settings=SETTINGS).missing
+
+
+def test_an_effect_starts_where_it_is_told(problem):
+    grown = ce.add_effect(problem, "der(v)", "coulomb", start={"k": 0.2, "width": 0.02})
+    assert [(p.name, p.start, p.fixed) for p in grown.parameters[-2:]] == [
+        ("coulomb.k", 0.2, False),
+        ("coulomb.width", 0.02, False),
+    ]
+    own = ce.add_effect(problem, "der(v)", equation="-a * v^3", name="own", start={"a": 0.5})
+    assert (own.parameters[-1].name, own.parameters[-1].start) == ("own.a", 0.5)
+
+
+@pytest.mark.parametrize(
+    ("given", "phrase"),
+    [
+        ({"site": "der(v)", "form": "colomb"}, "did you mean 'coulomb'?"),
+        ({"site": "der(w)", "form": "coulomb"}, "no such site der(w)"),
+        ({"site": "der(v)", "form": "sine"}, "parameters.f.start is missing"),
+        ({"site": "der(v)"}, "must have either form or equation but has neither"),
+        ({"site": "der(v)", "form": "coulomb", "start": {"q": 1.0}}, "no such coefficient"),
+        ({"site": "der(v)", "equation": "a *", "name": "own", "start": {"a": 1.0}}, "equation"),
+    ],
+)
+def test_a_wrong_effect_is_a_sentence(problem, given, phrase):
+    with pytest.raises(ce.ClusterEstError) as caught:
+        ce.add_effect(problem, **given)
+    assert phrase in str(caught.value)
+
+
+def test_outputs_without_sigma_are_weighted_and_the_reader_is_told(problem):
+    runs = []
+    for run in problem.experiments:
+        (y,) = run.outputs
+        speed = ce.Output("v", y.times, 1e3 * np.gradient(y.values, y.times), 1.0)
+        runs.append(replace(run, outputs=(y, speed)))
+    both = replace(problem, experiments=tuple(runs))
+    with open_bench(both, ce.Resources(), SETTINGS, 0, None, None) as bench:
+        (note,) = bench.notes
+        sigmas = {o.variable: o.sigma for o in bench.problem.experiments[0].outputs}
+    assert sigmas["y"] < 0.01 < sigmas["v"]
+    assert f"sigma = {{ y = {sigmas['y']:.6g}, v = {sigmas['v']:.6g} }}" in note
+
+
+def test_the_public_names_are_few_and_there():
+    assert len(ce.__all__) <= 30
+    assert all(getattr(ce, name) is not None for name in ce.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'colse_loop'"):
+        _ = ce.colse_loop

@@ -1,0 +1,302 @@
+"""An effect that stands in the C source of the FMU that made the data, and nowhere else, is found.
+
+The truth is `tests/fmus/lenient_models/spring_with_more/model.c`. What is fitted is the plain
+mass-spring-damper from parameters that are wrong by a fifth, and no config mentions the effect.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from closed_loop_benchmark import waveforms
+from support.problems.springs import FMU
+
+import cluster_est as ce
+from cluster_est.cli import main
+from cluster_est.closed_loop.findings.result import LoopResult, Verdict
+from cluster_est.config.toml import to_toml
+
+TIMES = np.arange(450) * 0.02
+TRUE = {"m": 1.2, "k": 30.0, "c": 0.6}
+WRONG = {"m": 0.96, "k": 36.0, "c": 0.48}
+STARTS = {
+    "multisine": 0.1,
+    "steps": 0.0,
+    "chirp": -0.05,
+    "binary": 0.0,
+    "triangle": 0.05,
+    "ramps": 0.0,
+}
+HELD_OUT = ("triangle", "ramps")
+SHARE = 0.01
+"""Noise over the standard deviation of the output."""
+
+Name = tuple[str, str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """What the C source has and the FMU under test lacks.
+
+    Attributes
+    ----------
+    effect
+        Values of the parameters of spring_with_more that switch it on.
+    names
+        Site, form and variables by which it may be found.
+    expected
+        Coefficients of the library's equation, from the C source.
+    sigma
+        Whether the config gives the noise.
+    """
+
+    effect: dict[str, float]
+    names: tuple[Name, ...]
+    expected: dict[str, float]
+    sigma: bool
+
+
+CASES = {
+    # friction dry tanh(v / 1e-4) over the mass
+    "friction": Case({"dry": 0.5}, (("der(v)", "coulomb", ("v",)),), {"k": 0.5 / 1.2}, True),
+    "friction, sigma unknown": Case(
+        {"dry": 0.5}, (("der(v)", "coulomb", ("v",)),), {"k": 0.5 / 1.2}, False
+    ),
+    # A lag at the input does the same to the forced motion, but the free motion from `STARTS` is
+    # delayed by the sensor alone.
+    "slow sensor": Case({"slow": 0.04}, (("output y", "lag", ()),), {"tau": 0.04}, False),
+    "bent sensor": Case({"bend": 0.6}, (("output y", "square", ()),), {"k": 0.6}, True),
+    "dead zone": Case({"dead": 0.5}, (("input F", "dead_zone", ()),), {"k": 0.5}, False),
+    "ageing": Case({"ageing": 0.02}, (("parameter k", "drift", ()),), {"k": 0.02}, True),
+    # -k (1 + r |x|) x / m is -k x / m - (k r / m) x |x|
+    "hardening": Case(
+        {"hardening": 1.0},
+        (("parameter k", "magnitude", ("x",)), ("der(v)", "quadratic", ("x",))),
+        {"k": 1.0},
+        False,
+    ),
+}
+
+
+def forces() -> dict[str, np.ndarray]:
+    random = np.random.default_rng(20)
+    return {
+        "multisine": 5.0 * waveforms.multisine(TIMES, random, 0.1, 2.5),
+        "steps": 4.0 * waveforms.held(TIMES, random, 0.6),
+        "chirp": 2.0 * waveforms.chirp(TIMES, 0.2, 2.0),
+        "binary": 3.0 * waveforms.binary(TIMES, random, 0.5),
+        "triangle": 4.0 * waveforms.triangle(TIMES, 1.7),
+        "ramps": 6.0 * waveforms.ramps(TIMES, random, 0.4),
+    }
+
+
+def measure(archive: bytes, effect: dict[str, float]) -> dict[str, np.ndarray]:
+    """What the spring with the effect in its C source does, to ten digits."""
+    runs = tuple(
+        ce.Experiment(
+            name,
+            0.0,
+            float(TIMES[-1]),
+            (ce.Input("F", TIMES, force),),
+            (ce.Output("y", TIMES, np.zeros_like(TIMES)),),
+            tuple({"x": STARTS[name], "shown": STARTS[name], **effect}.items()),
+        )
+        for name, force in forces().items()
+    )
+    solver = ce.Solver("dormand_prince", rtol=1e-9, atol=1e-10)
+    model = ce.Model("spring_with_more", archive, "model_exchange", solver, ())
+    # Measured are zeros, so the residuals are the outputs, with the sign turned.
+    found = ce.simulate(ce.Problem(model, (), runs))
+    return {run.id: -s.outcome.residuals for run, s in zip(runs, found, strict=True)}
+
+
+def draw(correlation: float = 0.0) -> dict[str, np.ndarray]:
+    """Noise of unit variance, white or AR(1)."""
+    random = np.random.default_rng(21)
+    found = {}
+    for name in STARTS:
+        wave = random.normal(size=len(TIMES))
+        for n in range(1, len(wave)):
+            fresh = np.sqrt(1.0 - correlation**2) * wave[n]
+            wave[n] = correlation * wave[n - 1] + fresh
+        found[name] = wave
+    return found
+
+
+def write(
+    folder: Path, curves: dict[str, np.ndarray], noise: dict[str, np.ndarray], sigma: float | None
+) -> Path:
+    """Write tables and a config that knows of the plain model only; give the config's path."""
+    experiments = []
+    for name, force in forces().items():
+        columns = np.column_stack([TIMES, force, curves[name] + noise[name]])
+        np.savetxt(
+            folder / f"{name}.csv", columns, "%.17g", ",", header="time,force,position", comments=""
+        )
+        experiments.append(
+            {
+                "id": name,
+                "data": f"{name}.csv",
+                "time": "time",
+                "inputs": {"F": "force"},
+                "outputs": {"y": "position"},
+                "sigma": {} if sigma is None else {"y": sigma},
+                "values": {"x": STARTS[name]},
+                "role": "test" if name in HELD_OUT else "train",
+            }
+        )
+    bounds = {"m": [0.2, 5.0], "k": [5.0, 150.0], "c": [0.0, 5.0]}
+    tree = {
+        "model": {"fmu": str(FMU)},
+        "parameters": {n: {"start": WRONG[n], "bounds": bounds[n]} for n in TRUE},
+        "experiments": experiments,
+    }
+    path = folder / "config.toml"
+    path.write_text(to_toml(tree))
+    return path
+
+
+@dataclass(frozen=True)
+class Written:
+    """A config with its data, and the noise that is in them."""
+
+    config: Path
+    sigma: float
+    noise: dict[str, np.ndarray]
+
+    def problem(self) -> ce.Problem:
+        return ce.build_problem(ce.read_config(self.config), self.config.parent)
+
+    def drawn(self, name: str) -> float:
+        """Root mean square of what was added to a record: the least that can be left."""
+        return float(np.sqrt(np.mean(self.noise[name] ** 2)))
+
+
+@pytest.fixture(scope="module")
+def prepared(built_fmu, tmp_path_factory):
+    """Write the data of an effect once, and give what a user would have."""
+
+    @cache
+    def prepare(effect: tuple[tuple[str, float], ...], given: bool, correlation: float = 0.0):
+        curves = measure(built_fmu("spring_with_more"), dict(effect))
+        size = SHARE * float(np.concatenate([curves[n] for n in curves if n not in HELD_OUT]).std())
+        noise = {name: size * wave for name, wave in draw(correlation).items()}
+        folder = tmp_path_factory.mktemp("spring")
+        return Written(write(folder, curves, noise, size if given else None), size, noise)
+
+    return prepare
+
+
+@pytest.fixture(scope="module")
+def closed(prepared):
+    """Close the loop on a case, once for all tests of it."""
+
+    @cache
+    def close(name: str) -> tuple[Written, LoopResult]:
+        case = CASES[name]
+        written = prepared(tuple(case.effect.items()), case.sigma)
+        return written, ce.close_loop(written.problem())
+
+    return close
+
+
+def at_rest(result: LoopResult) -> tuple[dict[str, float], dict[str, float]]:
+    """The declared parameters and the effect's coefficients, in the C source's terms."""
+    (effect,) = result.effects
+    parameters = {n: result.after.x[n] for n in TRUE}
+    numbers = {e.parameter.removeprefix(f"{effect.name}."): e.value for e in effect.coefficients}
+    if effect.site == "parameter k":  # p (1 + q (phi - at)): what it is at phi = 0, and its slope
+        share = 1.0 - numbers["k"] * numbers["at"]
+        parameters["k"] *= share
+        numbers["k"] /= share
+    elif effect.form == "quadratic":
+        numbers["k"] *= parameters["m"] / parameters["k"]
+    return parameters, numbers
+
+
+def distance(parameters: dict[str, float]) -> float:
+    """Root mean square of the logarithmic errors."""
+    return float(np.sqrt(np.mean([np.log(parameters[n] / TRUE[n]) ** 2 for n in TRUE])))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_is_found_at_its_site_under_its_name(closed, name):
+    result = closed(name)[1]
+    assert result.verdict == Verdict.FOUND
+    assert [(e.site, e.form, e.variables) in CASES[name].names for e in result.effects] == [True]
+    assert result.rejected == ()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_its_coefficients_are_those_of_the_c_source(closed, name):
+    parameters, numbers = at_rest(closed(name)[1])
+    for coefficient, true in CASES[name].expected.items():
+        assert numbers[coefficient] == pytest.approx(true, rel=0.02)
+    for parameter, true in TRUE.items():
+        assert parameters[parameter] == pytest.approx(true, rel=0.02)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_declared_parameters_come_nearer_to_the_truth(closed, name):
+    result = closed(name)[1]
+    assert distance(at_rest(result)[0]) < 0.5 * distance(result.before.x)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_errors_fall_to_the_noise_in_training_and_held_out(closed, name):
+    written, result = closed(name)
+    assert {e.experiment for e in result.errors if e.role == "test"} == set(HELD_OUT)
+    assert len(result.errors) == len(STARTS)
+    unit = written.sigma if CASES[name].sigma else result.noise["y"]
+    for error in result.errors:
+        assert (error.output, error.unit, error.samples) == ("y", "m", len(TIMES))
+        # Hardly more in one record: of a force with two levels a dead zone takes a share, as the
+        # wrong parameters do.
+        assert error.rmse_before > 1.2 * written.sigma
+        assert error.rmse_after == pytest.approx(written.drawn(error.experiment), rel=0.05)
+        assert error.normalised_before * unit == pytest.approx(error.rmse_before)
+        assert error.normalised_after * unit == pytest.approx(error.rmse_after)
+    for role in ("train", "test"):
+        drawn = [written.drawn(e.experiment) ** 2 for e in result.errors if e.role == role]
+        assert result.rms(role, "before") * unit > 5.0 * written.sigma
+        assert result.rms(role, "after") * unit == pytest.approx(np.sqrt(np.mean(drawn)), rel=0.03)
+    assert result.noise["y"] == pytest.approx(written.sigma, rel=0.1)
+
+
+@pytest.mark.parametrize("given", [True, False], ids=["sigma", "no sigma"])
+@pytest.mark.parametrize(
+    ("correlation", "verdict"), [(0.0, Verdict.NONE), (0.8, Verdict.COLOURED)], ids=["white", "AR"]
+)
+def test_without_an_effect_nothing_is_found(prepared, given, correlation, verdict):
+    written = prepared((), given, correlation)
+    result = ce.close_loop(written.problem())
+    assert result.verdict == verdict
+    assert result.effects == result.rejected == ()
+    assert result.after is result.before
+    for error in result.errors:
+        assert error.rmse_after == error.rmse_before
+        assert error.rmse_after == pytest.approx(written.drawn(error.experiment), rel=0.02)
+    for parameter, true in TRUE.items():
+        assert result.after.x[parameter] == pytest.approx(true, rel=0.02)
+
+
+def test_the_command_line_says_the_same(closed, tmp_path, capsys):
+    written, result = closed("dead zone")
+    run = tmp_path / "run"
+    assert main(["close-loop", str(written.config), "--out", str(run)]) == 0
+    assert capsys.readouterr().out.startswith("verdict: found: ")
+    facts = json.loads((run / "run.json").read_text())
+    (effect,) = facts["effects"]
+    assert (facts["verdict"], effect["site"], effect["form"]) == ("found", "input F", "dead_zone")
+    assert effect["parameters"]["k"]["value"] == result.effects[0].coefficients[0].value
+    rows = pq.read_table(run / "errors.parquet").to_pylist()
+    for row, error in zip(rows, result.errors, strict=True):
+        assert (row["experiment"], row["role"]) == (error.experiment, error.role)
+        assert row["rmse_before"] == error.rmse_before
+        assert row["rmse_after"] == error.rmse_after

@@ -1,0 +1,583 @@
+"""Costs, time bases, constraints and kinds of problems through an FMU whose answers are known.
+
+The mass-spring-damper is linear: SciPy solves it exactly and minimises the same costs on its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from scipy.optimize import brentq, least_squares, minimize
+from scipy.signal import StateSpace, lsim
+from support.problems.springs import FMU
+
+from cluster_est import LeastSquares, Problem, Result, build_problem, fit, simulate
+from cluster_est.cli import main
+from cluster_est.config.reader import parse_config
+from cluster_est.config.toml import to_toml
+from cluster_est.methods.pattern_search.method import PatternSearch
+from cluster_est.methods.simplex.nelder_mead import NelderMead
+from cluster_est.methods.sqp.method import Sqp
+
+TRUE = {"m": 1.2, "k": 30.0, "c": 0.6}
+TIMES = np.round(np.arange(301) * 0.01, 2)
+FORCE = 3.0 * np.random.default_rng(1).normal(size=301)
+NOISE = np.random.default_rng(2).normal(size=(2, 301))
+PARAMETERS = {
+    "m": {"start": 1.0, "bounds": [0.1, 10.0]},
+    "k": {"start": 24.0, "bounds": [1.0, 200.0]},
+    "c": {"start": 0.8, "bounds": [0.0, 10.0]},
+}
+CONSTRAINED = [LeastSquares(), Sqp(), PatternSearch()]
+named = attrgetter("name")
+
+Build = Callable[..., Problem]
+Values = dict[str, float]
+
+
+def motion(m: float, k: float, c: float, x0: float = 0.0, force: Any = FORCE) -> np.ndarray:
+    """(2, times): position and speed, exactly, with the force linear between its samples."""
+    system = StateSpace([[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], np.eye(2), [[0.0]] * 2)
+    return lsim(system, force, TIMES, [x0, 0.0])[2].T
+
+
+DATA = motion(**TRUE)
+
+
+@pytest.fixture
+def build(tmp_path: Path) -> Build:
+    """Write measured positions and speeds, and make a problem of them and the keys."""
+
+    def call(y: Any = DATA[0], v: Any = None, allow_code: bool = False, **keys: Any) -> Problem:
+        tree = written(tmp_path, y, v, **keys)
+        return build_problem(parse_config(tree, "c.toml"), tmp_path, allow_code=allow_code)
+
+    return call
+
+
+def written(folder: Path, y: Any, v: Any = None, **keys: Any) -> dict[str, Any]:
+    """A table and the config for it; `experiment` has more keys of the only experiment."""
+    columns = [TIMES, FORCE, y, *([] if v is None else [v])]
+    rows = [",".join("" if np.isnan(x) else repr(float(x)) for x in row)
+            for row in np.transpose(columns)]  # fmt: skip
+    header = "time,force,y" + ("" if v is None else ",v")
+    (folder / "data.csv").write_text("\n".join([header, *rows]) + "\n")
+    outputs = {"y": "y"} | ({} if v is None else {"v": "v"})
+    experiment = {
+        "id": "run",
+        "data": "data.csv",
+        "time": "time",
+        "inputs": {"F": "force"},
+        "outputs": outputs,
+        **keys.pop("experiment", {}),
+    }
+    return {
+        "model": {"fmu": str(FMU), "rtol": 1e-10},
+        "parameters": PARAMETERS,
+        "experiments": [experiment],
+        **keys,
+    }
+
+
+def scipy_fit(residuals: Callable[..., np.ndarray], **options: Any) -> tuple[Values, float]:
+    """The minimum that SciPy finds from the truth, and twice its cost: the sum of rho."""
+    found = least_squares(
+        lambda x: residuals(*x), list(TRUE.values()), x_scale="jac", xtol=1e-14, ftol=1e-14,
+        gtol=1e-14, **options,
+    )  # fmt: skip
+    return dict(zip(TRUE, found.x.tolist(), strict=True)), 2.0 * found.cost
+
+
+def close(result: Result, expected: Values, rel: float) -> None:
+    assert result.success, result.solution.ending
+    for name, value in expected.items():
+        assert result.x[name] == pytest.approx(value, rel=rel), name
+
+
+# --- costs
+
+SIGMA = 2e-3
+OUTLIERS = np.where(np.random.default_rng(3).random(301) < 0.1, 0.3, 0.0)
+SPOILED = DATA[0] + SIGMA * NOISE[0] + OUTLIERS
+SIGMAS = {"experiment": {"sigma": {"y": SIGMA}}}
+
+
+@pytest.mark.parametrize("name", ["sse", "huber", "soft_l1", "cauchy", "residuals", "SSE"])
+def test_every_cost_finds_the_truth_where_nothing_disturbs(build, name):
+    close(fit(build(cost={"name": name})), TRUE, 1e-6)
+
+
+@pytest.mark.parametrize("method", [LeastSquares(), Sqp()], ids=named)
+@pytest.mark.parametrize(
+    ("name", "scale"), [("huber", 1.345), ("soft_l1", 1.0), ("cauchy", 2.385), ("huber", 0.5)]
+)
+def test_robust_costs_have_the_minimum_that_scipy_finds(build, name, scale, method):
+    expected, cost = scipy_fit(
+        lambda m, k, c: (SPOILED - motion(m, k, c)[0]) / SIGMA, loss=name, f_scale=scale
+    )
+    result = fit(build(SPOILED, cost={"name": name, "options": {"scale": scale}}, **SIGMAS), method)
+    close(result, expected, 1e-4)
+    assert result.cost == pytest.approx(cost, rel=1e-6)
+
+
+def test_outliers_bend_the_sum_of_squares_and_not_the_robust_costs(build):
+    def error(cost: dict[str, Any]) -> float:
+        result = fit(build(SPOILED, cost=cost, **SIGMAS))
+        assert result.success
+        return max(abs(result.x[name] / value - 1.0) for name, value in TRUE.items())
+
+    squares = error({"name": "sse"})
+    assert squares > 0.1
+    for name in ("huber", "soft_l1", "cauchy"):
+        assert error({"name": name}) < 0.2 * squares
+
+
+@pytest.mark.parametrize("method", [PatternSearch(), NelderMead(bounds="enforce")], ids=named)
+def test_the_sum_of_absolute_values(build, method):
+    def cost(x: Any) -> float:
+        return float(np.abs(SPOILED - motion(*x)[0]).sum() / SIGMA)
+
+    start = np.array(list(TRUE.values()))
+    options = {"xatol": 1e-8, "fatol": 1e-8, "maxiter": 2000}
+    expected = minimize(cost, start, method="Nelder-Mead", options=options)
+    result = fit(build(SPOILED, cost={"name": "sae"}, **SIGMAS), method)
+    close(result, dict(zip(TRUE, expected.x, strict=True)), 1e-2)
+    assert result.cost == pytest.approx(cost(list(result.x.values())), rel=1e-6)
+    assert result.cost == pytest.approx(expected.fun, rel=1e-4)
+
+
+def test_the_likelihood_of_two_outputs_whose_noise_nobody_knows(build):
+    y, v = DATA + np.array([[2e-3], [5e-2]]) * NOISE
+
+    def cost(x: Any) -> float:
+        return sum(301 * np.log(np.mean(e**2)) for e in np.array([y, v]) - motion(*x))
+
+    def scaled(x: Any) -> float:
+        return cost(x * np.array(list(TRUE.values())))
+
+    expected = minimize(scaled, np.ones(3), method="BFGS", options={"gtol": 1e-3})
+    values = dict(zip(TRUE, expected.x * np.array(list(TRUE.values())), strict=True))
+    result = fit(build(y, v, cost={"name": "likelihood"}))
+    close(result, values, 1e-4)
+    assert result.cost == pytest.approx(expected.fun, abs=1e-5)
+    # neither the size that noise is given nor the weight of an output matters to it
+    other = fit(build(y, v, cost={"name": "likelihood", "weights": {"v": 7.0}},
+                      experiment={"sigma": {"y": 30.0}}))  # fmt: skip
+    close(other, result.x, 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("keys", "sizes"),
+    [
+        ({}, (1.0, 1.0)),
+        ({"experiment": {"sigma": {"y": 0.1, "v": 4.0}}}, (0.1, 4.0)),
+        ({"cost": {"weights": {"v": 0.25}}}, (1.0, 2.0)),
+        ({"cost": {"normalise": "max"}}, ("max", "max")),
+        ({"cost": {"normalise": "range", "weights": {"y": 9.0}}}, ("range / 3", "range")),
+        (
+            {
+                "experiment": {
+                    "outputs": {"y": {"column": "y", "weight": 4.0}, "v": "v"},
+                    "weight": 9.0,
+                    "sigma": {"y": 0.1},
+                }
+            },
+            (0.1 / 6.0, 1.0 / 3.0),
+        ),
+    ],
+)
+def test_weights_and_what_residuals_are_divided_by(build, keys, sizes):
+    measured = DATA + np.array([[0.02], [0.2]]) * NOISE
+    named = [
+        {"max": np.abs(each).max(), "range": np.ptp(each), "range / 3": np.ptp(each) / 3.0}
+        for each in measured
+    ]
+    numbers = np.array([n.get(s, s) for n, s in zip(named, sizes, strict=True)], float)
+
+    expected, cost = scipy_fit(
+        lambda m, k, c: ((measured - motion(m, k, c)) / numbers[:, None]).ravel()
+    )
+    result = fit(build(*measured, **keys))
+    close(result, expected, 1e-5)
+    assert result.cost == pytest.approx(cost, rel=1e-8)
+
+
+# --- time bases
+
+
+def held(times: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return np.array([values[known <= t + 1e-9][-1] for t in times])
+
+
+def linear(times: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return np.interp(times, known, values)
+
+
+@pytest.mark.parametrize("how", [linear, held])
+@pytest.mark.parametrize("base", ["measured", "union", "simulated", "both"])
+def test_residuals_on_every_time_base(build, base, how):
+    """Positions every 0.02 s from 0, speeds every 0.05 s from 0.1 to 2.5 s."""
+    y_at, v_at = np.arange(0, 301, 2), np.arange(10, 251, 5)
+    y, v = np.full((2, 301), np.nan)
+    y[y_at], v[v_at] = DATA[0, y_at] + 0.1, DATA[1, v_at] - 0.2
+    kind = "linear" if how is linear else "hold"
+    outputs = {name: {"column": name, "interpolation": kind} for name in ("y", "v")}
+    cost = {"time_base": base} | ({"step": 0.03} if base in ("simulated", "both") else {})
+    problem = build(y, v, cost=cost, experiment={"outputs": outputs})
+    union, steps = np.union1d(y_at, v_at), np.arange(0, 301, 3)
+    wanted = {"union": union, "simulated": steps, "both": np.union1d(union, steps)}
+    start = motion(*(p["start"] for p in PARAMETERS.values()))
+    expected = []
+    for known, values, signal in ((y_at, y, start[0]), (v_at, v, start[1])):
+        places = wanted.get(base, known)
+        places = places[(places >= known[0]) & (places <= known[-1])]
+        compared = how(TIMES[places], TIMES[known], values[known])
+        expected.append(compared - signal[places])
+    (found,) = simulate(problem)
+    np.testing.assert_allclose(found.outcome.residuals, np.concatenate(expected), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("keys", "good"),
+    [
+        ({"warm_up": 1.0}, TIMES >= 1.0),
+        ({"windows": [[0.5, 1.5], [2.0, 2.5]]}, ((TIMES >= 0.5) & (TIMES <= 1.5)) |
+         ((TIMES >= 2.0) & (TIMES <= 2.5))),
+        ({"warm_up": 0.5, "windows": [[0.0, 2.0]]}, (TIMES >= 0.5) & (TIMES <= 2.0)),
+    ],
+)  # fmt: skip
+def test_what_is_outside_of_windows_and_within_the_warm_up_does_not_count(build, keys, good):
+    spoiled = np.where(good, DATA[0], 9.0)
+    result = fit(build(spoiled, experiment=keys))
+    close(result, TRUE, 1e-6)
+    assert result.errors[0].samples == good.sum()
+
+
+# --- constraints on parameters
+
+
+@pytest.mark.parametrize("method", CONSTRAINED, ids=named)
+@pytest.mark.parametrize(
+    ("text", "whole"),
+    [
+        ("k <= 20 * m", lambda a, b: (a, 20.0 * a, b)),
+        ("m + c = 1.5", lambda a, b: (a, 20.0 * b + 20.0, 1.5 - a)),
+        ("20 <= k / m <= 23", lambda a, b: (a, 23.0 * a, b)),
+    ],
+)
+def test_a_constraint_on_parameters_that_the_data_contradict(build, text, whole, method):
+    """SciPy minimises over what is left when the constraint is put into the model."""
+    measured = DATA[0] + SIGMA * NOISE[0]
+    found = least_squares(
+        lambda x: measured - motion(*whole(*x))[0], [1.0, 0.5], xtol=1e-14, ftol=1e-14, gtol=1e-14
+    )
+    expected = dict(zip(TRUE, whole(*found.x), strict=True))
+    result = fit(build(measured, constraints=[{"expression": text}]), method)
+    close(result, expected, 2e-3)
+    assert result.cost == pytest.approx(2.0 * found.cost, rel=1e-4)
+    assert all(row.satisfied for row in result.constraints)
+
+
+@pytest.mark.parametrize("method", CONSTRAINED, ids=named)
+def test_a_constraint_that_the_data_satisfy_changes_nothing(build, method):
+    measured = DATA[0] + SIGMA * NOISE[0]
+    expected, _ = scipy_fit(lambda m, k, c: measured - motion(m, k, c)[0])
+    result = fit(build(measured, constraints=[{"expression": "c <= m"}]), method)
+    close(result, expected, 1e-3)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"m": PARAMETERS["m"], "k": {"expression": "25 * m"}, "c": PARAMETERS["c"]},
+        {
+            "m": PARAMETERS["m"],
+            "w": {"start": 4.0, "bounds": [1.0, 20.0], "auxiliary": True},
+            "k": {"expression": "m * w^2"},
+            "c": PARAMETERS["c"],
+        },
+        {
+            "m": PARAMETERS["m"],
+            "k": PARAMETERS["k"],
+            "c": {"expression": "2 * zeta * sqrt(k * m)"},
+            "zeta": {"start": 0.1, "bounds": [0.0, 1.0], "auxiliary": True},
+        },
+    ],
+    ids=["tied", "frequency", "damping ratio"],
+)
+def test_derived_parameters(build, parameters):
+    result = fit(build(parameters=parameters))
+    assert result.success
+    found = {each.label: each.value for each in result.estimates}
+    assert found.keys() == parameters.keys()
+    for name, value in TRUE.items():
+        assert found[name] == pytest.approx(value, rel=1e-6)
+
+
+def test_bounds_of_what_is_derived_are_kept(build):
+    parameters = {
+        "m": PARAMETERS["m"],
+        "k": {"expression": "25 * m", "bounds": [0.0, 28.0]},
+        "c": PARAMETERS["c"],
+    }
+    result = fit(build(parameters=parameters))
+    found = {each.label: each.value for each in result.estimates}
+    assert result.success
+    assert found["k"] == pytest.approx(28.0, abs=1e-4)
+
+
+# --- constraints on signals: a spring that is let go at 1 m, a step from 1 to 0
+
+LET_GO = motion(**TRUE, x0=1.0, force=0.0 * FORCE)
+ONLY_C = {"c": PARAMETERS["c"]}
+KNOWN = {"m": TRUE["m"], "k": TRUE["k"], "x": 1.0}
+ZETA = -np.log(0.1) / np.hypot(np.pi, np.log(0.1))
+"""Damping ratio at which a step overshoots by a tenth."""
+CRITICAL = 2.0 * np.sqrt(TRUE["k"] * TRUE["m"])
+STEP = {"initial": 1.0, "final": 0.0, "rise_time": 0.6, "settling_time": 2.0, "settling": 5.0}
+
+
+def free(c: float) -> np.ndarray:
+    return motion(TRUE["m"], TRUE["k"], c, 1.0, 0.0 * FORCE)[0]
+
+
+def let_go(build: Build, constraint: dict[str, Any], **keys: Any) -> Problem:
+    experiment = {"inputs": {}, **keys.pop("experiment", {})}
+    constraints = [{"signal": "y", **constraint}]
+    return build(
+        LET_GO[0],
+        parameters=ONLY_C,
+        values=KNOWN,
+        constraints=constraints,
+        experiment=experiment,
+        **keys,
+    )
+
+
+@pytest.mark.parametrize("method", CONSTRAINED, ids=named)
+@pytest.mark.parametrize(
+    "constraint",
+    [
+        {"lower": -0.1, "samples": 3001},
+        {"lower": [[0.0, -0.1], [3.0, -0.1]], "samples": 3001},
+        {"step_response": STEP, "samples": 3001},
+        {"lower": -0.1, "upper": 1.0, "between": [0.1, 3.0], "samples": 3001},
+    ],
+    ids=["number", "points", "step", "between"],
+)
+def test_a_fit_stops_where_the_overshoot_is_as_large_as_allowed(build, constraint, method):
+    """The data overshoot by 73 %, so the damping is the least that is allowed."""
+    result = fit(let_go(build, constraint), method)
+    close(result, {"c": ZETA * CRITICAL}, 1e-3)
+    assert all(row.satisfied for row in result.constraints)
+    assert max(row.after for row in result.constraints) == pytest.approx(0.0, abs=2e-6)
+
+
+@pytest.mark.parametrize("method", CONSTRAINED, ids=named)
+def test_a_final_value(build, method):
+    target = 0.5 * LET_GO[0, -1]
+    expected = brentq(lambda c: free(c)[-1] - target, TRUE["c"], 5.0 * TRUE["c"])
+    result = fit(let_go(build, {"final": target}), method)
+    close(result, {"c": expected}, 1e-4)
+    (row,) = result.constraints
+    assert (row.kind, row.satisfied) == ("= 0", True)
+
+
+@pytest.mark.parametrize("method", CONSTRAINED, ids=named)
+def test_a_final_value_with_tolerance(build, method):
+    target, off = 0.5 * LET_GO[0, -1], 0.1 * abs(LET_GO[0, -1])
+    edge = target + np.copysign(off, target)  # the data end beyond it
+    expected = brentq(lambda c: free(c)[-1] - edge, TRUE["c"], 5.0 * TRUE["c"])
+    close(fit(let_go(build, {"final": target, "tolerance": off}), method), {"c": expected}, 1e-3)
+
+
+@pytest.mark.parametrize("method", CONSTRAINED, ids=named)
+def test_tracking_within_a_band(build, method):
+    """One value is far off: the sum of squares lets it be, the band does not."""
+    measured = LET_GO[0].copy()
+    measured[100:110] += 0.1
+
+    def gap(c: float) -> float:
+        return float(np.abs(measured - free(c)).max())
+
+    alone = least_squares(lambda c: measured - free(c[0]), [0.6], xtol=1e-14).x[0]
+    allowed = 0.95 * gap(alone)
+    near = np.linspace(0.5 * alone, 2.0 * alone, 2001)
+    fits = [c for c in near if gap(c) <= allowed]
+    expected = min(fits, key=lambda c: abs(c - alone))
+    problem = build(
+        measured,
+        parameters=ONLY_C,
+        values=KNOWN,
+        constraints=[{"signal": "y", "tracking": {"absolute": allowed}}],
+        experiment={"inputs": {}},
+    )
+    result = fit(problem, method)
+    close(result, {"c": expected}, 2e-3)
+    assert gap(result.x["c"]) <= allowed * (1.0 + 1e-5)
+    assert abs(result.x["c"] - alone) > 1e-2
+
+
+def test_constraints_that_contradict_each_other_are_said_to(build):
+    problem = build(constraints=[{"expression": "m <= 1"}, {"expression": "m >= 2"}])
+    for method in CONSTRAINED:
+        result = fit(problem, method)
+        assert not result.success
+        assert [row.satisfied for row in result.constraints] != [True, True]
+
+
+# --- kinds of problems
+
+NO_DATA = {"id": "run", "start": 0.0, "stop": 3.0}
+
+
+@pytest.mark.parametrize("method", CONSTRAINED, ids=named)
+@pytest.mark.parametrize("c", [0.0, 0.8, 10.0])
+def test_pure_feasibility_needs_no_data(tmp_path, method, c):
+    """Whatever it starts from, it ends where SciPy's step response keeps within the envelope."""
+    tree = {
+        "model": {"fmu": str(FMU)},
+        "parameters": {"c": {"start": c, "bounds": [0.0, 30.0]}},
+        "values": KNOWN,
+        "experiments": [NO_DATA],
+        "constraints": [{"signal": "y", "step_response": STEP, "samples": 601}],
+    }
+    result = fit(build_problem(parse_config(tree, "c.toml"), tmp_path), method)
+    assert result.success, result.solution.ending
+    assert all(row.satisfied for row in result.constraints)
+    y = free(result.x["c"])
+    assert y.min() >= -0.1 - 1e-5
+    assert (np.abs(y[TIMES >= 2.0]) <= 0.05 + 1e-5).all()
+    assert (y[TIMES >= 0.6] <= 0.2 + 1e-5).all()
+
+
+def test_pure_feasibility_on_parameters_alone(tmp_path):
+    tree = {
+        "model": {"fmu": str(FMU)},
+        "parameters": PARAMETERS,
+        "experiments": [NO_DATA],
+        "constraints": [{"expression": "k / m = 100"}, {"expression": "c >= 2 * m"}],
+    }
+    for method in CONSTRAINED:
+        result = fit(build_problem(parse_config(tree, "c.toml"), tmp_path), method)
+        assert result.success, result.solution.ending
+        assert result.x["k"] / result.x["m"] == pytest.approx(100.0, rel=1e-4)
+        assert result.x["c"] >= 2.0 * result.x["m"] - 1e-5
+
+
+def test_pure_feasibility_by_the_command_line(tmp_path, capsys):
+    tree = {
+        "model": {"fmu": str(FMU)},
+        "parameters": ONLY_C,
+        "values": KNOWN,
+        "experiments": [NO_DATA],
+        "constraints": [{"signal": "y", "lower": -0.1}],
+    }
+    (tmp_path / "c.toml").write_text(to_toml(tree))
+    assert main(["fit", str(tmp_path / "c.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert "y lower [run]" in capsys.readouterr().out
+    (row,) = pq.read_table(tmp_path / "out" / "constraints.parquet").to_pylist()
+    assert row["before"] > 0.0
+    assert row["satisfied"]
+
+
+# --- functions of the user's
+
+SOURCE = """
+import numpy as np
+
+def residuals(run):
+    return run.residuals("y")
+
+def total(run):
+    return float(np.sum(run.residuals("y") ** 2))
+
+def overshoot(run):
+    return -run.simulated["y"].min() - 0.1
+"""
+
+
+def table(folder: Path, name: str = "parameters") -> list[dict[str, Any]]:
+    return pq.read_table(folder / f"{name}.parquet").to_pylist()
+
+
+def test_a_cost_function_by_the_command_line(tmp_path, capsys):
+    (tmp_path / "mine.py").write_text(SOURCE)
+    path = tmp_path / "c.toml"
+    path.write_text(to_toml(written(tmp_path, DATA[0] + SIGMA * NOISE[0])))
+    plain, own, refused = (tmp_path / name for name in ("plain", "own", "refused"))
+    assert main(["fit", str(path), "--out", str(plain)]) == 0
+    ours = ["fit", str(path), "cost.function=mine:residuals"]
+    assert main([*ours, "--out", str(own), "--allow-code"]) == 0
+    capsys.readouterr()
+    assert main([*ours, "--out", str(refused)]) == 2
+    assert "--allow-code" in capsys.readouterr().err
+    assert not refused.exists()
+    assert [r["value"] for r in table(own)] == [r["value"] for r in table(plain)]
+
+
+@pytest.mark.parametrize(
+    "method", [PatternSearch(), Sqp(), NelderMead(bounds="enforce")], ids=named
+)
+def test_a_cost_function_that_returns_one_number(tmp_path, build, method):
+    (tmp_path / "mine.py").write_text(SOURCE)
+    measured = DATA[0] + SIGMA * NOISE[0]
+    expected, cost = scipy_fit(lambda m, k, c: measured - motion(m, k, c)[0])
+    own = {"name": "total", "function": "mine:total"}
+    result = fit(build(measured, cost=own, allow_code=True), method)
+    close(result, expected, 5e-3)
+    assert result.cost == pytest.approx(cost, rel=1e-4)
+
+
+def test_a_constraint_function_by_the_command_line(tmp_path):
+    (tmp_path / "mine.py").write_text(SOURCE)
+    tree = written(
+        tmp_path,
+        LET_GO[0],
+        parameters=ONLY_C,
+        values=KNOWN,
+        constraints=[{"name": "overshoot", "function": "mine:overshoot"}],
+        experiment={"inputs": {}},
+    )
+    path, out = tmp_path / "c.toml", tmp_path / "out"
+    path.write_text(to_toml(tree))
+    assert main(["fit", str(path), "--out", str(tmp_path / "refused")]) == 2
+    assert main(["fit", str(path), "--out", str(out), "--allow-code"]) == 0
+    assert table(out)[0]["value"] == pytest.approx(ZETA * CRITICAL, rel=2e-3)
+    (row,) = table(out, "constraints")
+    assert (row["constraint"], row["satisfied"]) == ("overshoot [run]", True)
+
+
+# --- many starts
+
+
+def test_many_starts_by_the_command_line(tmp_path, capsys):
+    """A third of the bounds has negative masses, which cannot be simulated."""
+    measured = DATA[0] + SIGMA * NOISE[0]
+    expected, _ = scipy_fit(lambda m, k, c: measured - motion(m, k, c)[0])
+    parameters = PARAMETERS | {"m": {"start": 1.0, "bounds": [-2.5, 5.0]}}
+    path, out = tmp_path / "c.toml", tmp_path / "out"
+    path.write_text(to_toml(written(tmp_path, measured, parameters=parameters)))
+    assert main(["fit", str(path), "--out", str(out), "multistart.n=12"]) == 0
+    assert "starts of 12" in capsys.readouterr().out
+    starts, minima = table(out, "starts"), table(out, "minima")
+    assert [row["start"] for row in starts] == list(range(12))
+    failed = [row for row in starts if row["minimum"] < 0]
+    assert failed
+    assert {row["ending"] for row in failed} == {"start_failed"}
+    best = {row["label"]: row["value"] for row in minima if row["point"] == 0}
+    assert best == pytest.approx(expected, rel=1e-4)
+    assert best == {row["label"]: row["value"] for row in table(out)}
+    costs = {row["point"]: row["cost"] for row in minima}
+    assert list(costs.values()) == sorted(costs.values())
+    for row in starts:
+        if row["minimum"] >= 0:
+            assert row["cost"] == pytest.approx(costs[row["minimum"]], rel=1e-3)
+    assert main(["show", str(out), "--search", "start 3"]) == 0
+    assert "iteration" in capsys.readouterr().out

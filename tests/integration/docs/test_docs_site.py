@@ -1,0 +1,188 @@
+"""The documentation as a site: it builds, asks no other host, and describes all of the code."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from docs.pages import cell, keys_page, tables_page
+from pydantic import BaseModel
+from support.problems.springs import ROOT
+
+from cluster_est.cli import main
+from cluster_est.config.reader import Config
+from cluster_est.config.sections.sweep import SweepSections
+from cluster_est.config.toml import to_toml
+from cluster_est.results.table_columns import BEFORE, TABLES
+from cluster_est.run_folder.evaluation_log import read_log
+
+FETCHED = re.compile(r"""(?:<(?:script|img|iframe)[^>]*\ssrc|<link[^>]*\shref)=["']?(https?:)?//""")
+SPRING = ROOT / "configs" / "models" / "mass_spring_damper.fmu"
+DATA = ROOT / "configs" / "data" / "mass_spring_damper"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The built site; a warning of the build is an error."""
+    folder = tmp_path_factory.mktemp("site")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of mkdocs and its parts
+        from mkdocs.commands.build import build
+        from mkdocs.config import load_config
+
+        config = load_config(
+            str(ROOT / "scripts" / "docs" / "mkdocs.yml"), site_dir=str(folder), strict=True
+        )
+        config.plugins.on_startup(command="build", dirty=False)
+        build(config)
+    return folder
+
+
+def test_the_site_has_every_page(site):
+    sources = {path.stem for path in (ROOT / "cluster_est" / "docs").glob("*.md")}
+    built = {path.stem for path in site.glob("*.html")}
+    assert sources | {"keys", "tables", "commands", "python"} <= built
+
+
+def test_no_page_asks_another_host_for_anything(site):
+    pages = [path.read_text(encoding="utf-8") for path in site.glob("*.html")]
+    assert [found for page in pages for found in FETCHED.findall(page)] == []
+    styles = [path.read_text(encoding="utf-8") for path in site.rglob("*.css")]
+    assert styles
+    assert [s for s in styles if re.search(r"url\(\s*[\"']?(https?:)?//|@import", s)] == []
+
+
+def test_python_is_described_in_the_words_of_its_docstrings(site):
+    page = (site / "python.html").read_text(encoding="utf-8")
+    assert "Estimate all parameters of a problem from its training experiments" in page
+    assert "The residuals of the training experiments as a function" in page
+
+
+def keys(section: type[BaseModel], seen: set[type[BaseModel]]) -> list[str]:
+    """The lines that a page has for the keys of a section and of those inside it."""
+    seen.add(section)
+    found = []
+    for name, field in section.model_fields.items():
+        assert field.description, f"{section.__name__}.{name}"
+        found.append(f"| `{name}` |")
+        pending = [field.annotation]
+        while pending:
+            each = pending.pop()
+            if isinstance(each, type) and issubclass(each, BaseModel):
+                found += keys(each, seen) if each not in seen else []
+            else:
+                pending += getattr(each, "__args__", ())
+    return found
+
+
+@pytest.mark.parametrize("section", [Config, SweepSections])
+def test_every_key_is_described(section):
+    page = keys_page()
+    lines = keys(section, set())
+    assert len(lines) > 5
+    assert [line for line in lines if line not in page] == []
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> dict[str, Path]:
+    """A fit with all that a fit can have, a front, and a closed loop."""
+    folder = tmp_path_factory.mktemp("runs")
+    parameters = {
+        "m": {"start": 1.0, "bounds": [0.1, 10.0]},
+        "k": {"start": 25.0, "bounds": [1.0, 200.0]},
+    }
+    experiments = [
+        {
+            "id": f"e{i}",
+            "data": str(DATA / f"exp{1 + i % 3}.csv"),
+            "time": "time",
+            "rows": [0, 100],
+            "inputs": {"F": "force"},
+            "outputs": {"y": "position"},
+            "role": "test" if i == 5 else "train",
+        }
+        for i in range(6)
+    ]
+    base = {"model": {"fmu": str(SPRING)}, "parameters": parameters, "experiments": experiments}
+    more = {
+        "constraints": [{"expression": "m <= k"}],
+        "multistart": {"n": 2},
+        "uncertainty": {"profiles": ["m"], "bootstrap": 10},
+    }
+    front = {
+        "method": {
+            "name": "nsga2",
+            "options": {"population": 8, "max_generations": 3, "objectives": "experiments"},
+        },
+    }
+    loop = {"closed_loop": {"effects": ["bias"], "sites": ["output y"], "max_effects": 1}}
+    found = {}
+    for name, extra, command in (
+        ("fit", more, "fit"),
+        ("front", front, "fit"),
+        ("loop", loop, "close-loop"),
+    ):
+        (folder / f"{name}.toml").write_text(to_toml(base | extra))
+        code = main([command, str(folder / f"{name}.toml"), "--out", str(folder / name)])
+        assert code in (0, 1)  # the front is cut short
+        found[name] = folder / name
+    sweep = {"configs": ["loop.toml"], "axes": [{"name": "start", "key": "parameters.m.start",
+             "values": [1.0]}]}  # fmt: skip
+    (folder / "sweep.toml").write_text(to_toml(sweep))
+    assert main(["sweep", str(folder / "sweep.toml"), "--out", str(folder / "sweep")]) == 0
+    return found | {"sweep": folder / "sweep"}
+
+
+def columns(run: Path) -> dict[str, dict[str, str]]:
+    """Names and types of the columns of each table in a folder."""
+    found = {}
+    for path in run.glob("*.parquet"):
+        schema = pq.read_schema(path)
+        found[path.stem] = {field.name: str(field.type) for field in schema}
+    if (run / "evaluations").is_dir():
+        schema = read_log(run / "evaluations").schema
+        found["evaluations"] = {field.name: str(field.type) for field in schema}
+    return found
+
+
+def plain(type_: str) -> str:
+    """Parquet calls a list's items "element", and one without items has no type."""
+    return "list" if type_.startswith("list<") else type_
+
+
+DESCRIBED = {table.name: {c.name: plain(c.type) for c in table.columns} for table in TABLES}
+
+
+@pytest.mark.parametrize("name", ["fit", "front", "loop"])
+def test_every_column_that_a_run_writes_is_described(runs, name):
+    for table, found in columns(runs[name]).items():
+        described = dict(DESCRIBED[table])
+        if name == "loop" and table == "parameters":
+            described |= {c.name: plain(c.type) for c in BEFORE}
+        if found:  # a table without rows has no columns
+            assert {key: plain(type_) for key, type_ in found.items()} == described, table
+
+
+def test_every_column_of_a_sweeps_summary_is_described(runs):
+    found = columns(runs["sweep"])["summary"]
+    known = {k: v for k, v in found.items() if k != "start" and not k.startswith("parameter ")}
+    assert set(known) == set(DESCRIBED["summary"])
+    assert {k: v for k, v in known.items() if v != "null"}.items() <= DESCRIBED["summary"].items()
+
+
+def test_every_table_that_is_described_is_written_by_some_run(runs):
+    written = {name for run in runs.values() for name in columns(run)}
+    assert set(DESCRIBED) - written <= {"directions"}  # where something is not determined
+
+
+def test_every_column_has_a_meaning_on_the_page():
+    page = tables_page()
+    for table in TABLES:
+        assert f"## {table.name}\n" in page
+        for column in table.columns:
+            assert column.meaning
+            cells = (f"`{column.name}`", column.type, column.unit, column.meaning)
+            assert f"| {' | '.join(cell(text) for text in cells)} |" in page

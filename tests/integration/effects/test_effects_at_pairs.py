@@ -1,0 +1,126 @@
+"""Forces between two states, against SciPy on a quarter car that has them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from support.problems.springs import ROOT
+
+from workers.effects.definition import define
+from workers.effects.site import open_pairs, parse_site
+from workers.effects.units import coefficient_units
+from workers.evaluate import Evaluator
+from workers.fmu.description import describe
+from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
+from workers.wire import Batch
+
+FMU = ROOT / "configs" / "models" / "quarter_car.fmu"
+M_BODY, M_WHEEL, SPRING, DAMPER, TYRE = 300.0, 40.0, 2e4, 900.0, 1.8e5
+TIMES = np.arange(301) * 0.01
+ROAD = 0.03 * np.sin(9.0 * TIMES) + 0.02 * np.sin(4.0 * TIMES)
+VALUES = {"m_body": M_BODY, "m_wheel": M_WHEEL, "k_spring": SPRING, "c_damper": DAMPER}
+
+
+def solved(force):
+    """The body's velocity and the travel; `force` is what is added to the two accelerations."""
+
+    def slope(t, x):
+        z_body, v_body, z_wheel, v_wheel = x
+        road = np.interp(t, TIMES, ROAD)
+        suspension = SPRING * (z_body - z_wheel) + DAMPER * (v_body - v_wheel)
+        body, wheel = force(x)
+        return [
+            v_body,
+            -suspension / M_BODY + body,
+            v_wheel,
+            (suspension - TYRE * (z_wheel - road)) / M_WHEEL + wheel,
+        ]
+
+    x = solve_ivp(
+        slope, (0, TIMES[-1]), np.zeros(4), t_eval=TIMES, rtol=1e-9, atol=1e-11, max_step=0.01
+    ).y
+    return np.column_stack([x[1], x[0] - x[2]])
+
+
+def simulated(effect, coefficients):
+    outputs = tuple(Output(n, TIMES, np.zeros(len(TIMES))) for n in ("velocity", "travel"))
+    zeros = tuple((n, 0.0) for n in ("z_body", "v_body", "z_wheel", "v_wheel"))
+    values = (*VALUES.items(), ("k_tyre", TYRE), *zeros)
+    inputs = (Input("road", TIMES, ROAD),)
+    experiment = Experiment("e", 0.0, float(TIMES[-1]), inputs, outputs, values)
+    solver = Solver("dormand_prince", rtol=1e-10)
+    model = Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ())
+    evaluator = Evaluator(model, (experiment,), "w")
+    task = Task(0, 0, np.array(coefficients), "trajectory", (effect,))
+    (outcome,) = evaluator.evaluate(Batch.of([task]))
+    evaluator.close()
+    assert outcome.ok, outcome.message
+    return outcome.trajectory.values
+
+
+TRAVEL = ("z_body - z_wheel",)
+FORMS = {
+    "joint": ((30.0, 220.0, 0.01), TRAVEL, lambda v: np.clip(v, -0.01, 0.01)),
+    "gap": ((30.0, 220.0, 0.01), TRAVEL, lambda v: v - np.clip(v, -0.01, 0.01)),
+    "linear": ((2.0, 15.0), (), lambda v: v),
+    "quadratic": ((2.0, 15.0), (), lambda v: v * abs(v)),
+    "cubic": ((2e3, 15e3), TRAVEL, lambda v: v**3),
+    "coulomb": ((0.3, 2.2, 0.05), (), lambda v: np.tanh(v / 0.05)),
+    "leak": ((1.0, 7.5), ("v_wheel",), lambda v: np.sign(v) * np.sqrt(abs(v))),
+}
+PLACES = {
+    TRAVEL: lambda x: x[0] - x[2],
+    (): lambda x: x[1] - x[3],
+    ("v_wheel",): lambda x: x[3],
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_force_between_two_states(form):
+    coefficients, variables, law = FORMS[form]
+    k, back, *_ = coefficients
+
+    def force(x):
+        here = law(PLACES[variables](x))
+        return -k * here, back * here
+
+    truth = solved(force)
+    without = solved(lambda x: (0.0, 0.0))
+    assert np.abs(truth - without).max() > 3e-4
+    effect = Effect("e", "pair v_body,v_wheel", form, variables)
+    np.testing.assert_allclose(simulated(effect, coefficients), truth, atol=1e-6)
+
+
+def test_the_pairs_that_a_search_should_try_have_one_unit():
+    description = describe(FMU.name, FMU.read_bytes())
+    pairs = [str(site) for site in open_pairs(description, "model_exchange")]
+    assert pairs == ["pair z_body,z_wheel", "pair v_body,v_wheel"]
+    assert open_pairs(description, "co_simulation") == []
+
+
+def test_commas_within_brackets_belong_to_a_name():
+    site = parse_site("pair x[1,2], a.b[3]", "here")
+    assert site.targets == ("x[1,2]", "a.b[3]")
+    assert str(site) == "pair x[1,2],a.b[3]"
+
+
+UNITS = [
+    (Effect("e", "pair v_body,v_wheel", "gap", TRAVEL), ("m/s^2/m", "m/s^2/m", "m")),
+    (Effect("e", "pair z_body,v_wheel", "coulomb", ("road",)), ("m/s", "m/s^2", "m")),
+    (Effect("e", "der(v_body)", "quadratic"), ("m/s^2/(m/s)^2",)),
+    (Effect("e", "der(v_body)", "product", ("z_body", "v_body")), ("m/s^2/(m (m/s))",)),
+    (Effect("e", "der(v_body)", "dahl"), ("m/s^2", "m")),
+    (Effect("e", "output velocity", "drift"), ("m/s^2",)),
+    (Effect("e", "output velocity", "hum"), ("m/s", "m/s", "rad/s")),
+    (Effect("e", "input road", "cubic"), ("1/m^2",)),
+    (Effect("e", "parameter k_spring", "drift"), ("1/s", "s")),
+    (Effect("e", "output travel", "feed_through", ("sun",)), ("m/?",)),
+]
+
+
+@pytest.mark.parametrize(("effect", "units"), UNITS)
+def test_units_of_coefficients(effect, units):
+    description = describe(FMU.name, FMU.read_bytes())
+    definition = define(effect, description, "model_exchange", ("sun",))
+    assert coefficient_units(definition, description) == units

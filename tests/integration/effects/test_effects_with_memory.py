@@ -1,0 +1,98 @@
+"""Effects that remember what was: a play before the model, and a sensor that lags its own past."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from support.problems.springs import FMU
+from support.truth.exact_linear import position
+from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, solve
+
+from workers.evaluate import Evaluator
+from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
+from workers.wire import Batch
+
+EXACT = Solver("dormand_prince", rtol=1e-10)
+CO_SIMULATION = Solver("fmu", step=0.002)
+
+
+def simulated(effects, coefficients, solver, force=FORCE, interpolation="linear"):
+    """Outputs of simulations of several points, a row of coefficients each."""
+    output = Output("y", TIMES, np.zeros(len(TIMES)))
+    given = Input("F", TIMES, force, interpolation)
+    experiment = Experiment("e", 0.0, float(TIMES[-1]), (given,), (output,), (("x", START[0]),))
+    interface = "co_simulation" if solver.name == "fmu" else "model_exchange"
+    model = Model(FMU.name, FMU.read_bytes(), interface, solver, ("m", "k", "c"))
+    evaluator = Evaluator(model, (experiment,), "w")
+    tasks = [
+        Task(i, 0, np.array([M, K, C, *row]), "trajectory", tuple(effects))
+        for i, row in enumerate(coefficients)
+    ]
+    outcomes = evaluator.evaluate(Batch.of(tasks))
+    evaluator.close()
+    assert all(o.ok for o in outcomes), outcomes
+    return [o.trajectory.values[:, 0] for o in outcomes]
+
+
+def behind_a_play(signal, half):
+    """Moved only by contact: pushed at one end of the play or pulled at the other."""
+    place, places = signal[0], []
+    for s in signal:
+        if s - place > half:
+            place = s - half
+        elif place - s > half:
+            place = s + half
+        places.append(place)
+    return np.array(places)
+
+
+FINE = 64
+
+
+def played(half, gain=1.0):
+    """The position behind a play that is followed in steps much finer than the samples."""
+    times = np.linspace(TIMES[0], TIMES[-1], FINE * (len(TIMES) - 1) + 1)
+    force = gain * behind_a_play(np.interp(times, TIMES, FORCE), half)
+    return position(times, force, M, K, C, *START)[::FINE]
+
+
+@pytest.mark.parametrize("solver", [EXACT, CO_SIMULATION])
+def test_backlash_at_an_input(solver):
+    effect = Effect("e", "input F", "backlash")
+    several = simulated([effect], [(0.7,), (0.0,), (2.5,)], solver)
+    for half, found in zip((0.7, 0.0, 2.5), several, strict=True):
+        np.testing.assert_allclose(found, played(half), atol=2e-6)
+        sampled = solve(plain, force=behind_a_play(FORCE, half))[:, 0]
+        if half > 0.0:  # the turns between the samples are seen
+            assert np.abs(sampled - played(half)).max() > 1e-4
+
+
+def test_a_signal_is_changed_as_a_whole_before_it_is_bent():
+    effects = [Effect("a", "input F", "gain"), Effect("b", "input F", "backlash")]
+    (found,) = simulated(effects, [(0.2, 0.7)], EXACT)
+    np.testing.assert_allclose(found, played(0.7, gain=1.2), atol=2e-6)
+
+
+def bristle(v, x0):
+    """Exact for a signal that is linear between samples: each way of travel has its own end."""
+    z, states = 0.0, [0.0]
+    for a, b in pairwise(v):
+        turn = a / (a - b) if a * b < 0.0 else 1.0  # the part of the step before v changes sign
+        for area in (0.5 * turn * (a if turn < 1.0 else a + b), 0.5 * (1.0 - turn) * b):
+            moved = 0.02 * area / x0
+            z = np.sign(moved) + (z - np.sign(moved)) * np.exp(-abs(moved))
+        states.append(z)
+    return np.array(states)
+
+
+@pytest.mark.parametrize("solver", [EXACT, CO_SIMULATION])
+@pytest.mark.parametrize(("x0", "bar"), [(0.3, 3e-6), (0.002, 2e-4)])
+def test_hysteresis_of_a_sensor(solver, x0, bar):
+    """The kink at each turn costs accuracy, but however short x0 it stays stable."""
+    force = 2.0 * np.sin(3.0 * TIMES)
+    truth = solve(plain, force=force)[:, 0] + 0.02 * bristle(force, x0)
+    effect = Effect("e", "output y", "hysteresis", ("F",))
+    (found,) = simulated([effect], [(0.02, x0)], solver, force)
+    np.testing.assert_allclose(found, truth, atol=bar)

@@ -1,0 +1,77 @@
+"""A fit finds the truth where there is no noise, and SciPy's minimum where there is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from support.problems.springs import spring_problem
+from support.truth.exact_linear import position
+
+from cluster_est import LeastSquares, Solver, fit
+from cluster_est.methods.least_squares.scipy_least_squares import ScipyLeastSquares
+
+METHODS = [
+    LeastSquares(),
+    LeastSquares(trials=1),
+    LeastSquares(differences="forward"),
+    LeastSquares(differences="central"),
+    ScipyLeastSquares(),
+    ScipyLeastSquares(algorithm="dogbox"),
+]
+
+
+@pytest.mark.parametrize("method", METHODS, ids=repr)
+def test_every_parameter_returns_without_noise(method):
+    truth = spring_problem()
+    result = fit(truth.problem, method)
+    assert result.success
+    for label, value in truth.values.items():
+        assert result.x[label] == pytest.approx(value, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("interface", "solver"),
+    [
+        ("model_exchange", Solver("rk4", step=0.002)),
+        ("model_exchange", Solver("dormand_prince")),
+        ("co_simulation", Solver("fmu", step=0.002)),
+    ],
+)
+def test_every_parameter_returns_with_every_solver(interface, solver):
+    truth = spring_problem(solver=solver, interface=interface)
+    result = fit(truth.problem)
+    for label, value in truth.values.items():
+        assert result.x[label] == pytest.approx(value, rel=1e-6)
+
+
+def scipy_cost(truth):
+    """The minimum that SciPy finds with exact simulations, from the same start."""
+    experiments = truth.problem.experiments
+
+    def residuals(x):
+        m, log_k, c, *starts = x
+        return np.concatenate(
+            [
+                e.outputs[0].values - position(truth.times, force, m, np.exp(log_k), c, x0)
+                for e, force, x0 in zip(experiments, truth.forces, starts, strict=True)
+            ]
+        )
+
+    start = np.array([1.0, np.log(20.0), 1.0, *np.zeros(len(experiments))])
+    return 2.0 * least_squares(residuals, start, "3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14).cost
+
+
+@pytest.mark.parametrize("method", METHODS, ids=repr)
+def test_cost_with_noise_is_that_of_scipy(method):
+    truth = spring_problem(noise=0.01)
+    assert fit(truth.problem, method).cost == pytest.approx(scipy_cost(truth), rel=1e-8)
+
+
+def test_intervals_hold_the_truth_where_there_is_noise():
+    truth = spring_problem(noise=0.005, seed=3)
+    estimates = {e.label: e for e in fit(truth.problem).estimates}
+    for label, value in truth.values.items():
+        spread = estimates[label].std_error
+        assert 0.0 < spread < 0.05 * max(1.0, abs(value))
+        assert abs(estimates[label].value - value) < 4.0 * spread

@@ -1,0 +1,177 @@
+"""The compiled loops against the models' equations, solved by SciPy to a thousandth of the bar."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from support.truth.example_models import MODELS, REFERENCES, sampled_experiment, solve
+
+from workers.evaluate import Evaluator
+from workers.messages import (
+    Experiment,
+    FloatArray,
+    Input,
+    Interface,
+    Interpolation,
+    Model,
+    Outcome,
+    Output,
+    Solver,
+    Status,
+    Task,
+)
+from workers.wire import Batch
+
+NAMES = sorted(REFERENCES)
+INTERFACES: dict[str, Interface] = {
+    "dormand_prince": "model_exchange",
+    "rk4": "model_exchange",
+    "cvode": "model_exchange",
+    "fmu": "co_simulation",
+}
+
+
+@cache
+def archive(name: str) -> bytes:
+    return (MODELS / f"{name}.fmu").read_bytes()
+
+
+def simulate(name: str, experiment: Experiment, solver: Solver) -> Outcome:
+    model = Model(name, archive(name), INTERFACES[solver.name], solver, ())
+    evaluator = Evaluator(model, [experiment], "test")
+    (outcome,) = evaluator.evaluate(Batch.of([Task(0, 0, np.zeros(0), "trajectory")]))
+    evaluator.close()
+    return outcome
+
+
+@cache
+def sampled(name: str, interpolation: Interpolation) -> tuple[Experiment, FloatArray, FloatArray]:
+    """An experiment, all of its times, and the outputs there."""
+    experiment = sampled_experiment(REFERENCES[name], interpolation)
+    signals = [*experiment.inputs, *experiment.outputs]
+    times = np.unique(np.concatenate([s.times for s in signals]))
+    times = np.union1d([experiment.start, experiment.stop], times)
+    times = times[(times >= experiment.start) & (times <= experiment.stop)]
+    return experiment, times, solve(REFERENCES[name], experiment, times)
+
+
+def relative_error(outcome: Outcome, times: FloatArray, expected: FloatArray) -> float:
+    """The largest error of any output, relative to the output's size."""
+    assert outcome.trajectory is not None, outcome.message
+    np.testing.assert_array_equal(outcome.trajectory.times, times)
+    error = np.abs(outcome.trajectory.values - expected).max(axis=0)
+    return float((error / np.abs(expected).max(axis=0)).max())
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "hold"])
+@pytest.mark.parametrize("name", NAMES)
+class TestSampledInputs:
+    """Inputs and outputs sampled unequally, off each other's times, from a start that is not 0."""
+
+    @pytest.mark.parametrize("solver", list(INTERFACES))
+    def test_every_kernel_follows_the_equations(
+        self, name: str, interpolation: Interpolation, solver: str
+    ) -> None:
+        step = None if solver == "dormand_prince" else REFERENCES[name].step
+        chosen = Solver(solver, step, rtol=1e-10)  # type: ignore[arg-type]
+        experiment, times, expected = sampled(name, interpolation)
+        assert relative_error(simulate(name, experiment, chosen), times, expected) < 1e-8
+
+    def test_default_tolerance_is_enough(self, name: str, interpolation: Interpolation) -> None:
+        experiment, times, expected = sampled(name, interpolation)
+        outcome = simulate(name, experiment, Solver("dormand_prince"))
+        assert relative_error(outcome, times, expected) < 1e-6
+
+    def test_co_simulation_reaches_what_the_fmu_reaches_by_itself(
+        self, name: str, interpolation: Interpolation
+    ) -> None:
+        experiment, times, expected = sampled(name, interpolation)
+        outcome = simulate(name, experiment, Solver("fmu"))
+        assert relative_error(outcome, times, expected) < 5e-8
+
+    def test_residuals_are_measured_minus_simulated_in_sigmas(
+        self, name: str, interpolation: Interpolation
+    ) -> None:
+        experiment, times, expected = sampled(name, interpolation)
+        outputs = tuple(
+            replace(output, values=1.0 + np.arange(len(output.times)), sigma=0.5 + place)
+            for place, output in enumerate(experiment.outputs)
+        )
+        experiment = replace(experiment, outputs=outputs)
+        outcome = simulate(name, experiment, Solver("dormand_prince", rtol=1e-10))
+        wanted = [
+            (output.values - expected[np.searchsorted(times, output.times), place]) / output.sigma
+            for place, output in enumerate(outputs)
+        ]
+        size = max(np.abs(expected).max(), 1.0)
+        assert outcome.residuals is not None
+        np.testing.assert_allclose(
+            outcome.residuals, np.concatenate(wanted), rtol=0, atol=2e-8 * size
+        )
+
+
+def free_run(times: list[float], stop: float) -> tuple[Experiment, FloatArray, FloatArray]:
+    """The mass left to itself from t = 1: nothing but its outputs on the grid."""
+    reference = REFERENCES["mass_spring_damper"]
+    still = (Input("F", np.array([0.0]), np.array([0.0])),)
+    output = Output("y", np.array(times), np.zeros(len(times)))
+    experiment = Experiment("free", 1.0, stop, still, (output,), tuple(reference.starts.items()))
+    at = np.union1d([1.0, stop], times)
+    return replace(experiment, inputs=()), at, solve(reference, experiment, at)
+
+
+@pytest.mark.parametrize("solver", list(INTERFACES))
+@pytest.mark.parametrize(
+    ("times", "stop"), [([1.0, 1.01, 5.0, 5.003, 9.0], 9.0), ([9.0], 9.0), ([1.0], 6.0)]
+)
+def test_long_gaps_between_measured_times_are_crossed_in_steps(
+    solver: str, times: list[float], stop: float
+) -> None:
+    experiment, at, expected = free_run(times, stop)
+    step = None if solver == "dormand_prince" else 2e-3
+    chosen = Solver(solver, step, rtol=1e-11)  # type: ignore[arg-type]
+    outcome = simulate("mass_spring_damper", experiment, chosen)
+    assert relative_error(outcome, at, expected) < 1e-8
+
+
+def ends(solver: Solver) -> Outcome:
+    """The mass left to itself over one interval of a second, in at most some steps."""
+    return simulate("mass_spring_damper", free_run([2.0], 2.0)[0], solver)
+
+
+@pytest.mark.parametrize("solver", ["rk4", "fmu"])
+def test_fixed_steps_divide_an_interval_and_are_counted(solver: str) -> None:
+    assert ends(Solver(solver, 0.1, max_steps=10)).ok  # type: ignore[arg-type]
+    assert ends(Solver(solver, 0.3, max_steps=4)).ok  # type: ignore[arg-type]
+    assert ends(Solver(solver, max_steps=1)).ok  # type: ignore[arg-type]
+    for step, most in ((0.1, 9), (0.3, 3), (1e-12, 10**6), (1e-320, 10**6)):
+        outcome = ends(Solver(solver, step, max_steps=most))  # type: ignore[arg-type]
+        assert outcome.status is Status.SOLVER_FAILURE
+        assert "the limit on the number of steps was reached at t = 1 s" in outcome.message
+
+
+def test_dormand_prince_obeys_its_longest_step() -> None:
+    loose = {"rtol": 1.0, "atol": 1.0}
+    assert ends(Solver("dormand_prince", max_steps=12, **loose)).ok
+    assert not ends(Solver("dormand_prince", 0.01, max_steps=99, **loose)).ok
+    assert ends(Solver("dormand_prince", 0.01, max_steps=112, **loose)).ok
+    experiment, at, expected = free_run([2.0], 2.0)
+    outcome = simulate("mass_spring_damper", experiment, Solver("dormand_prince", 0.005, **loose))
+    assert relative_error(outcome, at, expected) < 1e-8
+
+
+def test_dormand_prince_meets_any_tolerance_it_is_given() -> None:
+    experiment, times, expected = sampled("mass_spring_damper", "linear")
+    errors = [
+        relative_error(
+            simulate("mass_spring_damper", experiment, Solver("dormand_prince", rtol=rtol)),
+            times,
+            expected,
+        )
+        for rtol in (1e-5, 1e-7, 1e-9, 1e-11)
+    ]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 1e-10

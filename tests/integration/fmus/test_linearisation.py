@@ -1,0 +1,298 @@
+"""Linearisations against Jacobians worked out by hand, at states against SciPy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.problems.springs import FMU, ROOT
+from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, solve
+
+from cluster_est.executors.local import LocalExecutor
+from cluster_est.run_folder.evaluation_log import EvaluationLog, read_log
+from cluster_est.running.runner import Runner
+from workers.errors import ModelError
+from workers.evaluate import Evaluator
+from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Status, Task
+from workers.wire import Batch
+
+ADAPTIVE = Solver("dormand_prince", rtol=1e-11)
+FIXED = Solver("rk4", step=0.001)
+STIFF = Solver("cvode", rtol=1e-10)
+SPRING = (M, K, C)
+EXACT = {"rtol": 1e-8, "atol": 1e-8}
+
+
+def spring_experiment(values=(("x", START[0]),)):
+    output = Output("y", TIMES, 0.05 * np.sin(TIMES), 0.5)
+    inputs = (Input("F", TIMES, FORCE),)
+    return Experiment("e", 0.0, float(TIMES[-1]), inputs, (output,), values)
+
+
+def spring(solver=ADAPTIVE, parameters=("m", "k", "c")):
+    interface = "co_simulation" if solver.name == "fmu" else "model_exchange"
+    return Model(FMU.name, FMU.read_bytes(), interface, solver, parameters)
+
+
+def ask(evaluator, values, want="linearisation", effects=()):
+    (outcome,) = evaluator.evaluate(Batch.of([Task(0, 0, np.array(values), want, effects)]))
+    return outcome
+
+
+def linearised(model, experiment, values, effects=()):
+    """A linearisation, whose simulation is the plain one to the last bit, before and after."""
+    evaluator = Evaluator(model, (experiment,), "w")
+    first = ask(evaluator, values, "trajectory", effects)
+    found = ask(evaluator, values, effects=effects)
+    assert found.ok, found.message
+    last = ask(evaluator, values, "trajectory", effects)
+    evaluator.close()
+    assert first.residuals.tobytes() == found.residuals.tobytes() == last.residuals.tobytes()
+    assert found.linearisation.outputs.tobytes() == first.trajectory.values.tobytes()
+    assert found.linearisation.times.tobytes() == first.trajectory.times.tobytes()
+    assert found.trajectory is None
+    assert first.linearisation is None
+    return found.linearisation
+
+
+def each(times, rows):
+    """A matrix for each time, of entries that are numbers or a number for each time."""
+    return np.moveaxis(
+        np.array([[np.broadcast_to(e, len(times)) for e in row] for row in rows], float), -1, 0
+    )
+
+
+def spring_by_parameters(x, v, force, m=M):
+    """df/d(m, k, c)."""
+    zero = np.zeros_like(x)
+    return [[zero, zero, zero], [-(force - K * x - C * v) / m**2, -x / m, -v / m]]
+
+
+@pytest.mark.parametrize("solver", [ADAPTIVE, FIXED, STIFF])
+def test_the_spring_has_the_textbook_matrices(solver):
+    found = linearised(spring(solver), spring_experiment(), SPRING)
+    states = solve(plain)
+    np.testing.assert_allclose(found.states, states, atol=1e-7)
+    x, v = found.states.T
+    acceleration = (FORCE - K * x - C * v) / M
+    np.testing.assert_allclose(found.slopes, np.column_stack([v, acceleration]), atol=1e-12)
+    np.testing.assert_array_equal(found.inputs[:, 0], FORCE)
+    np.testing.assert_array_equal(found.edited[:, 0], FORCE)
+    np.testing.assert_array_equal(found.outputs[:, 0], x)
+    np.testing.assert_array_equal(found.plain_outputs, found.outputs)
+    np.testing.assert_allclose(found.A, each(TIMES, [[0, 1], [-K / M, -C / M]]), **EXACT)
+    np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M]]), **EXACT)
+    np.testing.assert_allclose(found.C, each(TIMES, [[1, 0]]), **EXACT)
+    assert found.D.shape == (len(TIMES), 1, 1)
+    assert found.Q.shape == (len(TIMES), 1, 3)
+    assert not found.D.any()
+    assert not found.Q.any()
+    np.testing.assert_allclose(found.P, each(TIMES, spring_by_parameters(x, v, FORCE)), **EXACT)
+    assert found.state_names == ("x", "v")
+    assert found.input_names == ("F",)
+    assert found.output_names == ("y",)
+    assert found.parameter_names == ("m", "k", "c")
+
+
+def test_only_tunable_parameters_have_derivatives_and_a_bound_is_not_crossed():
+    """A damping of 0, its lower bound, and an initial position that is no parameter of the ODE."""
+    model = spring(parameters=("x", "c", "k"))
+    experiment = spring_experiment((("m", M),))
+    found = linearised(model, experiment, (START[0], 0.0, K))
+    assert found.parameter_names == ("c", "k")
+    x, v = found.states.T
+    np.testing.assert_allclose(found.P[:, 1], np.column_stack([-v / M, -x / M]), **EXACT)
+
+
+def model_of(name, parameters):
+    return Model(name, (ROOT / "configs/models" / f"{name}.fmu").read_bytes(), "model_exchange",
+                 ADAPTIVE, parameters)  # fmt: skip
+
+
+def driven(name, drive, outputs=("y",), values=()):
+    times = np.linspace(0.0, 10.0, 60)
+    measured = tuple(Output(output, times[1:], np.zeros(59)) for output in outputs)
+    return Experiment("e", 0.0, 10.0, (Input(name, times, drive(times)),), measured, values)
+
+
+def test_a_pendulum_far_from_hanging():
+    inertia, gravity, friction = 0.12, 2.3, 0.05
+    experiment = driven("torque", lambda t: 0.6 * np.sin(2 * t), values=(("angle", 1.5),))
+    model = model_of("pendulum", ("J", "G", "b"))
+    found = linearised(model, experiment, (inertia, gravity, friction))
+    angle, speed = found.states.T
+    torque = found.inputs[:, 0]
+    assert np.ptp(angle) > 2.0
+    rows = [[0, 1], [-gravity * np.cos(angle) / inertia, -friction / inertia]]
+    np.testing.assert_allclose(found.A, each(angle, rows), **EXACT)
+    np.testing.assert_allclose(found.B, each(angle, [[0], [1 / inertia]]), **EXACT)
+    moment = torque - gravity * np.sin(angle) - friction * speed
+    rows = [[0, 0, 0], [-moment / inertia**2, -np.sin(angle) / inertia, -speed / inertia]]
+    np.testing.assert_allclose(found.P, each(angle, rows), **EXACT)
+
+
+def test_cascaded_tanks():
+    k1, k2, kp = 0.06, 0.05, 0.055
+    model = model_of("cascaded_tanks", ("k1", "k2", "kp"))
+    found = linearised(model, driven("u", lambda t: 3 + 2 * np.sin(t)), (k1, k2, kp))
+    upper, lower = np.sqrt(found.states.T)
+    u = found.inputs[:, 0]
+    rows = [[-k1 / (2 * upper), 0], [k1 / (2 * upper), -k2 / (2 * lower)]]
+    np.testing.assert_allclose(found.A, each(u, rows), **EXACT)
+    np.testing.assert_allclose(found.B, each(u, [[kp], [0]]), **EXACT)
+    np.testing.assert_allclose(found.C, each(u, [[0, 1]]), **EXACT)
+    np.testing.assert_allclose(found.P, each(u, [[-upper, 0, u], [upper, -lower, 0]]), **EXACT)
+
+
+def test_inputs_that_nothing_drives_have_derivatives_too():
+    """A motor whose data know no load torque: it is held at its start value."""
+    model = model_of("dc_motor_belt", ("J_load",))
+    experiment = driven("V", lambda t: np.sin(t), ("load_speed", "current"))
+    experiment = replace(experiment, values=(("T_load", 0.01),))
+    found = linearised(model, experiment, (6e-4,))
+    assert found.input_names == ("V", "T_load")
+    assert found.output_names == ("load_speed", "current")
+    np.testing.assert_array_equal(found.edited[:, 1], 0.01)
+    load = found.state_names.index("w_load")
+    np.testing.assert_allclose(found.B[:, load, 1], -1 / 6e-4, rtol=1e-8)
+    np.testing.assert_array_equal(found.C.argmax(axis=2), [[load, found.state_names.index("i")]]
+                                  * len(found.times))  # fmt: skip
+
+
+def test_a_term_at_a_derivative_a_lagged_input_and_an_effect_at_an_output():
+    drag, tau, gain = 0.7, 0.1, 0.3
+    effects = (
+        Effect("lag", "input F", "lag"),
+        Effect("drag", "der(v)", "cubic"),
+        Effect("sensor", "output y", "gain"),
+    )
+    found = linearised(spring(), spring_experiment(), (*SPRING, tau, drag, gain), effects)
+
+    def slope(t, x, force):
+        v, dv = plain(t, x, x[2])
+        return [v, dv - drag * x[1] ** 3, (force - x[2]) / tau]
+
+    np.testing.assert_allclose(found.states, solve(slope, (*START, FORCE[0])), atol=1e-7)
+    assert found.state_names == ("x", "v", "lag:z")
+    x, v, z = found.states.T
+    np.testing.assert_array_equal(found.inputs[:, 0], FORCE)
+    np.testing.assert_array_equal(found.edited[:, 0], z)
+    rows = [[0, 1, 0], [-K / M, -C / M - 3 * drag * v**2, 1 / M], [0, 0, -1 / tau]]
+    np.testing.assert_allclose(found.A, each(TIMES, rows), **EXACT)
+    np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M], [0]]), **EXACT)
+    rows = [*spring_by_parameters(x, v, z), [0, 0, 0]]
+    np.testing.assert_allclose(found.P, each(TIMES, rows), **EXACT)
+    np.testing.assert_allclose(found.C, each(TIMES, [[1, 0, 0]]), **EXACT)
+    np.testing.assert_array_equal(found.plain_outputs[:, 0], x)
+    np.testing.assert_allclose(found.outputs[:, 0], (1 + gain) * x, rtol=1e-14)
+
+
+@pytest.mark.parametrize("solver", [ADAPTIVE, FIXED, STIFF])
+def test_a_parameter_that_heats_up(solver):
+    """Its derivative is by the value that holds at that time."""
+    k, at, tau = 0.4, 0.1, 0.5
+    effects = (Effect("hot", "parameter c", "heating", ("v",)),)
+    found = linearised(spring(solver), spring_experiment(), (*SPRING, k, at, tau), effects)
+    assert found.state_names == ("x", "v", "hot:z")
+    x, v, z = found.states.T
+    damping = C * (1 + k * (z - at))
+    acceleration = (FORCE - K * x - damping * v) / M
+    np.testing.assert_allclose(
+        found.slopes, np.column_stack([v, acceleration, (v**2 - z) / tau]), atol=1e-12
+    )
+    rows = [[0, 1, 0], [-K / M, -damping / M, -C * k * v / M], [0, 2 * v / tau, -1 / tau]]
+    np.testing.assert_allclose(found.A, each(TIMES, rows), **EXACT)
+    np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M], [0]]), **EXACT)
+    rows = [[0, 0, 0], [-acceleration / M, -x / M, -v / M], [0, 0, 0]]
+    np.testing.assert_allclose(found.P, each(TIMES, rows), **EXACT)
+
+
+def test_an_effect_at_a_derivative_sees_a_changed_input_behind_the_effects_at_it():
+    bias, gain, coupling = 0.5, 0.2, 2.0
+    effects = (
+        Effect("coupling", "der(v)", "product", ("x", "F")),
+        Effect("bias", "input F", "bias"),
+        Effect("gain", "input F", "gain"),
+    )
+    found = linearised(spring(), spring_experiment(), (*SPRING, coupling, bias, gain), effects)
+    x, _ = found.states.T
+    edited = (FORCE + bias) * (1 + gain)
+    np.testing.assert_allclose(found.edited[:, 0], edited, rtol=1e-14)
+    rows = [[0, 1], [-K / M + coupling * edited, -C / M]]
+    np.testing.assert_allclose(found.A, each(TIMES, rows), **EXACT)
+    np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M + coupling * x]]), **EXACT)
+
+
+def test_a_delayed_input_is_reported_on_the_grid_of_the_experiment():
+    effects = (Effect("late", "input F", "delay"), Effect("drag", "der(v)", "viscous"))
+    found = linearised(spring(), spring_experiment(), (*SPRING, 0.013, 0.4), effects)
+    np.testing.assert_array_equal(found.times, TIMES)
+    late = np.interp(TIMES - 0.013, TIMES, FORCE)
+    np.testing.assert_allclose(found.edited[:, 0], late, atol=1e-12)
+    np.testing.assert_allclose(found.A, each(TIMES, [[0, 1], [-K / M, -C / M - 0.4]]), **EXACT)
+
+
+def test_a_measured_signal_is_no_input():
+    wind = np.cos(5.0 * TIMES)
+    experiment = replace(spring_experiment(), signals=(Input("wind", TIMES + 0.001, wind),))
+    effects = (Effect("wind", "der(v)", "linear", ("wind",)), Effect("bias", "input F", "bias"))
+    found = linearised(spring(), experiment, (*SPRING, 0.8, 0.5), effects)
+    assert found.input_names == ("F",)
+    x, v = found.states.T
+    now = np.interp(TIMES, TIMES + 0.001, wind)
+    acceleration = (FORCE + 0.5 - K * x - C * v) / M + 0.8 * now
+    np.testing.assert_allclose(found.slopes, np.column_stack([v, acceleration]), atol=1e-12)
+    np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M]]), **EXACT)
+    np.testing.assert_allclose(found.A, each(TIMES, [[0, 1], [-K / M, -C / M]]), **EXACT)
+
+
+def test_failures_are_outcomes_and_leave_their_neighbours_alone():
+    evaluator = Evaluator(spring(), (spring_experiment(),), "w")
+    points = [SPRING, (-1.0, K, C), (2.0, K, C), (np.nan, K, C), SPRING]
+    tasks = [Task(i, 0, np.array(p), "linearisation") for i, p in enumerate(points)]
+    outcomes = evaluator.evaluate(Batch.of(tasks))
+    assert [o.ok for o in outcomes] == [True, False, True, False, True]
+    assert "mass must be positive, got -1" in outcomes[1].message
+    assert outcomes[1].linearisation is None
+    first, last = (outcomes[i].linearisation for i in (0, 4))
+    assert first.P.tobytes() == last.P.tobytes()
+    np.testing.assert_allclose(outcomes[2].linearisation.B[:, 1, 0], 0.5, rtol=1e-8)
+
+
+def test_a_derivative_that_is_not_finite_is_said():
+    """The root of a position has no derivative where the mass starts, at 0 and pushed upwards."""
+    experiment = replace(spring_experiment(()), stop=0.02)
+    experiment = replace(
+        experiment,
+        inputs=(Input("F", np.array([0.0]), np.array([5.0])),),
+        outputs=(Output("y", np.array([0.02]), np.zeros(1)),),
+    )
+    effect = Effect("e", "der(v)", equation="k * sqrt(x)", coefficients=(("k", 0.0),))
+    evaluator = Evaluator(spring(FIXED), (experiment,), "w")
+    assert ask(evaluator, (*SPRING, 1.0), "residuals", (effect,)).ok
+    outcome = ask(evaluator, (*SPRING, 1.0), effects=(effect,))
+    assert outcome.status is Status.NOT_FINITE
+    assert outcome.message == "the derivative of 'der(v)' by 'x' is nan at t = 0 s"
+    evaluator.close()
+
+
+def test_co_simulation_is_refused():
+    evaluator = Evaluator(spring(Solver("fmu")), (spring_experiment(),), "w")
+    with pytest.raises(ModelError, match=r"gives in model exchange only.*co_simulation"):
+        ask(evaluator, SPRING)
+    evaluator.close()
+
+
+def test_the_runner_passes_it_on_and_the_log_leaves_it_out(tmp_path):
+    model, experiment = spring(), spring_experiment()
+    log = EvaluationLog(tmp_path / "log", model.key, [(experiment.id, experiment.key)], {})
+    with LocalExecutor.open(model, (experiment,), 2, None) as executor:
+        runner = Runner(executor, record=log.record)
+        values = np.array([SPRING, (2.0, K, C)])
+        outcomes = runner.simulate(values, [0, 0], "linearisation", "response")
+    log.close()
+    inverse = [o.linearisation.B[7, 1, 0] for o in outcomes]
+    np.testing.assert_allclose(inverse, [1 / M, 0.5], rtol=1e-8)
+    table = read_log(tmp_path / "log")
+    assert table["purpose"].to_pylist() == ["linearisation"] * 2

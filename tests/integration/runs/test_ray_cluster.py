@@ -1,0 +1,61 @@
+"""A fit on two Ray nodes, of which one is killed in the middle and another one joins."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import ray
+from support.problems.springs import spring_problem
+from ray.cluster_utils import Cluster
+
+from cluster_est.executors.local import LocalExecutor
+from cluster_est.executors.ray_pool import RayPool
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.space import make_space
+from cluster_est.running.runner import Runner, SearchRequest
+
+
+@pytest.fixture
+def cluster() -> Iterator[Cluster]:
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    yield made
+    ray.shutdown()
+    made.shutdown()
+
+
+def test_a_lost_node_and_a_new_one_change_no_bit(cluster, monkeypatch):
+    monkeypatch.setattr("cluster_est.executors.ray_pool.CLUSTER_SECONDS", 0.5)
+    problem = spring_problem(noise=0.01).problem
+    space = make_space(problem, problem.indices("train"))
+    requests = [
+        SearchRequest(f"start {i}", LeastSquares(trials=1), space.starting_at(x))
+        for i, x in enumerate(
+            np.random.default_rng(0).uniform(0.8, 1.2, (40, space.size)) * space.start
+        )
+    ]
+    with LocalExecutor.open(problem.model, problem.experiments, 1, None) as executor:
+        expected = Runner(executor).run(requests)
+
+    second = cluster.add_node(num_cpus=1)
+    seen: dict[str, int] = {}
+
+    def disturb(origin, outcome):
+        seen[outcome.worker] = seen.get(outcome.worker, 0) + 1
+        if sum(seen.values()) == 300:
+            cluster.remove_node(second, allow_graceful=False)
+        if sum(seen.values()) == 600:
+            cluster.add_node(num_cpus=1)
+
+    with RayPool.open(problem.model, problem.experiments, None, cluster.address) as executor:
+        begin = time.monotonic()
+        while time.monotonic() - begin < 120.0:  # a new worker stands ready after some seconds
+            found = Runner(executor, record=disturb).run(requests)
+            assert [s.x.tobytes() for s in found] == [s.x.tobytes() for s in expected]
+            if len(seen) >= 3:
+                break
+    assert len(seen) >= 3

@@ -1,0 +1,102 @@
+"""A worker that stands still holds nobody up, and one that is killed loses nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ray
+from support.problems.springs import spring_problem
+
+from cluster_est.executors.local import LocalExecutor
+from cluster_est.executors.ray_pool import RayPool
+from workers.messages import Task
+
+
+@pytest.fixture
+def problem():
+    return spring_problem(noise=0.01).problem
+
+
+@pytest.fixture
+def pool(problem) -> Iterator[RayPool]:
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    with RayPool.open(problem.model, problem.experiments, 2, None) as executor:
+        yield executor
+    assert not ray.is_initialized()
+
+
+def actors() -> list[int]:
+    """Ray's actor processes that descend from this one."""
+    found, parents = [], {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                name = (entry / "cmdline").read_bytes()
+                parents[int(entry.name)] = int(
+                    (entry / "stat").read_text().rpartition(")")[2].split()[1]
+                )
+            except OSError:
+                continue
+            if name.startswith(b"ray::Worker"):
+                found.append(int(entry.name))
+    return [pid for pid in found if os.getpid() in ancestors(pid, parents)]
+
+
+def ancestors(process: int, parents: dict[int, int]) -> set[int]:
+    known: set[int] = set()
+    while process in parents:
+        process = parents[process]
+        known.add(process)
+    return known
+
+
+def tasks(problem, count: int, first: int) -> list[Task]:
+    generator = np.random.default_rng(first)
+    values = generator.uniform([1.0, 20.0, 0.5, 0.0], [1.5, 40.0, 1.0, 0.1], (count, 4))
+    return [Task(first + i, i % 5, row) for i, row in enumerate(values)]
+
+
+def answers(executor, asked: list[Task]) -> dict[int, bytes]:
+    executor.submit(asked)
+    found: dict[int, bytes] = {}
+    while len(found) < len(asked):
+        for outcome in executor.completed():
+            assert outcome.task not in found
+            found[outcome.task] = outcome.residuals.tobytes()
+    return found
+
+
+def expected(problem, asked: list[Task]) -> dict[int, bytes]:
+    with LocalExecutor.open(problem.model, problem.experiments, 1, None) as executor:
+        return answers(executor, asked)
+
+
+def test_what_a_worker_holds_up_is_asked_elsewhere(problem, pool):
+    answers(pool, tasks(problem, 100, 0))
+    stopped = actors()[0]
+    os.kill(stopped, signal.SIGSTOP)
+    try:
+        asked = tasks(problem, 200, 1000)
+        assert answers(pool, asked) == expected(problem, asked)
+    finally:
+        os.kill(stopped, signal.SIGCONT)
+    asked = tasks(problem, 100, 2000)
+    assert answers(pool, asked) == expected(problem, asked)
+
+
+def test_killed_workers_change_no_bit(problem, pool):
+    asked = tasks(problem, 3000, 0)
+    pool.submit(asked)
+    found: dict[int, bytes] = {}
+    for kill_at in (300, 900, 10**9):
+        while len(found) < min(kill_at, len(asked)):
+            found |= {o.task: o.residuals.tobytes() for o in pool.completed()}
+        running = actors()
+        if running and kill_at < len(asked):
+            os.kill(running[0], signal.SIGKILL)
+    assert found == expected(problem, asked)

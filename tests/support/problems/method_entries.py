@@ -1,0 +1,148 @@
+"""The product of methods and classical problems: what each method is for, and how closely.
+
+A new method joins by an entry in ENTRIES; the contract tests do the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from support.problems.constrained import CONSTRAINED
+from support.problems.functions import PROBLEMS, FunctionProblem
+from support.problems.nist import read
+from support.problems.rough import ROUGH
+
+from cluster_est.methods.base import Method
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.least_squares.scipy_least_squares import ScipyLeastSquares
+from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
+from cluster_est.methods.pattern_search.method import PatternSearch
+from cluster_est.methods.populations.cmaes import Cmaes
+from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
+from cluster_est.methods.populations.genetic import Genetic
+from cluster_est.methods.populations.isres import Isres
+from cluster_est.methods.populations.nsga2 import Nsga2
+from cluster_est.methods.populations.particle_swarm import ParticleSwarm
+from cluster_est.methods.simplex.nelder_mead import NelderMead
+from cluster_est.methods.sqp.method import Sqp
+
+SMOOTH, REGRESSION, CONSTRAINT, ROUGHNESS = "smooth", "regression", "constraint", "roughness"
+ALL = (SMOOTH, REGRESSION, CONSTRAINT, ROUGHNESS)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A method, the kinds of problems that it is for, and the part of the start's distance to the
+    minimum that it may leave. `boxed`: only problems with finite bounds."""
+
+    method: Method
+    kinds: tuple[str, ...]
+    accuracy: float
+    boxed: bool = False
+
+    def __str__(self) -> str:
+        return repr(self.method)
+
+
+ENTRIES = [
+    Entry(LeastSquares(max_iterations=300), (SMOOTH, REGRESSION, CONSTRAINT), 1e-8),
+    Entry(LeastSquares(trials=1, max_iterations=300), (SMOOTH, REGRESSION), 1e-8),
+    Entry(ScipyLeastSquares(), (SMOOTH, REGRESSION), 1e-8),
+    Entry(ScipyLeastSquares(algorithm="dogbox"), (SMOOTH, REGRESSION), 1e-8),
+    Entry(Sqp(max_iterations=300), (SMOOTH, REGRESSION, CONSTRAINT), 1e-8),
+    Entry(Sqp(algorithm="slsqp", max_iterations=300), (SMOOTH, REGRESSION, CONSTRAINT), 1e-6),
+    Entry(Sqp(algorithm="trust_constr", max_iterations=1500), (SMOOTH, CONSTRAINT), 1e-4),
+    Entry(
+        NelderMead(bounds="enforce", xtol=1e-8, ftol=1e-12), (SMOOTH, REGRESSION, ROUGHNESS), 1e-5
+    ),
+    Entry(
+        NelderMead(bounds="enforce", parallel=2, speculative=True, xtol=1e-8, ftol=1e-12),
+        (SMOOTH, REGRESSION, ROUGHNESS),
+        1e-2,
+    ),
+    Entry(PatternSearch(), ALL, 1e-5),
+    Entry(PatternSearch(basis="n+1"), ALL, 1e-5),
+    Entry(AsynchronousPatternSearch(), ALL, 1e-5),
+    Entry(DifferentialEvolution(), (SMOOTH, ROUGHNESS), 1e-3, boxed=True),
+    Entry(Cmaes(), (SMOOTH, ROUGHNESS), 1e-3, boxed=True),
+    Entry(ParticleSwarm(), (SMOOTH, ROUGHNESS), 1e-2, boxed=True),
+    Entry(Genetic(), (SMOOTH, ROUGHNESS), 0.03, boxed=True),
+    Entry(Isres(), (CONSTRAINT,), 1e-3, boxed=True),
+    # gives a front instead of a minimum, see tests/unit/cluster_est/methods/test_populations.py
+    Entry(Nsga2(), (), np.nan, boxed=True),
+]
+
+EXCUSES = {
+    ("dogbox", "bard bounded"): "stops early where a bound is active on the way, as documented",
+    (
+        "dogbox",
+        "rosenbrock bounded",
+    ): "stops early where a bound is active on the way, as documented",
+    ("Genetic", "kowalik osborne"): "does not follow a flat and narrow valley to its end",
+    ("Isres", "hs48"): "only the start satisfies the equalities, and no random point ever will",
+    ("trust_constr", "hs15"): "creeps along the edge and ends before the constraints are satisfied",
+    ("trust_constr", "hs26"): "needs thousands of iterations where the Hessian is singular",
+}
+"""Which part of a method's repr fails on which problem, and why that is known."""
+
+
+def excuse(entry: Entry, case: Case) -> str:
+    """Why this method need not solve this problem; empty if it must."""
+    reasons = [
+        why for (part, name), why in EXCUSES.items() if part in str(entry) and name == str(case)
+    ]
+    return reasons[0] if reasons else ""
+
+
+def boxed(problem: FunctionProblem) -> FunctionProblem:
+    """The same problem with a wide box in place of bounds that are not finite."""
+    start = np.array(problem.start)
+    room = 3.0 * max(1.0, float(np.abs(start).max()))
+    lower, upper = (
+        np.full(len(start), sign * np.inf) if bounds is None else np.array(bounds, np.float64)
+        for sign, bounds in ((-1.0, problem.lower), (1.0, problem.upper))
+    )
+    return replace(
+        problem,
+        lower=tuple(np.where(np.isfinite(lower), lower, start - room).tolist()),
+        upper=tuple(np.where(np.isfinite(upper), upper, start + room).tolist()),
+    )
+
+
+@dataclass(frozen=True)
+class Case:
+    """A classical problem of one kind. A method may end `tolerance` above the minimum."""
+
+    kind: str
+    problem: FunctionProblem
+    tolerance: float = 1e-12
+
+    def __str__(self) -> str:
+        return self.problem.name
+
+    @property
+    def minima(self) -> tuple[float, ...]:
+        """The least, and a local one that a search downhill may end in."""
+        return self.problem.minimum, *LOCAL_MINIMA.get(self.problem.name, ())
+
+    @property
+    def scale(self) -> float:
+        """What is a large difference between costs: that of the start, or the minimum itself."""
+        residuals = self.problem.residuals(np.array(self.problem.start))
+        start = self.problem.cost.value(residuals, np.zeros(len(residuals), np.int64))
+        return max(abs(start - self.problem.minimum), abs(self.problem.minimum))
+
+
+LOCAL_MINIMA = {"hs15": (360.3797671743,), "freudenstein roth": (48.98425367924,)}
+"""Of hs15: the least of its cost on the branch x0 < 0 of the edge x0 x1 = 1. The other's is from
+More, Garbow, Hillstrom (1981)."""
+REGRESSIONS = ("Misra1a", "DanWood", "Roszman1", "Kirby2", "MGH09", "Rat43")
+"""Two of each of NIST's three levels of difficulty; `least_squares` has to solve all 27."""
+
+CASES = [
+    *(Case(SMOOTH, problem) for problem in PROBLEMS),
+    *(Case(REGRESSION, read(name).problem(2)) for name in REGRESSIONS),
+    *(Case(CONSTRAINT, problem) for problem in CONSTRAINED),
+    *(Case(ROUGHNESS, problem, tolerance) for problem, tolerance in ROUGH),
+]

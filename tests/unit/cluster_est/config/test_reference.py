@@ -1,0 +1,97 @@
+"""configs/reference.toml has every key of the code, with the code's defaults, and nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import tomllib
+
+import pytest
+from pydantic import BaseModel
+from support.problems.springs import ROOT
+
+from cluster_est import LeastSquares, LoopSettings, build_problem, read_config
+from cluster_est.config import reader as config
+from cluster_est.config.build import build_settings
+from cluster_est.config.reader import parse_config
+
+REFERENCE = ROOT / "configs" / "reference.toml"
+SECTIONS = {
+    "": config.Config,
+    "model": config.ModelSection,
+    "parameters.m": config.ParameterSection,
+    "experiments": config.ExperimentSection,
+    "experiments.inputs.F": config.InputSection,
+    "experiments.outputs.y": config.OutputSection,
+    "experiments.curve": config.CurveSection,
+    "experiments.columns.force": config.ColumnSection,
+    "effects": config.EffectSection,
+    "effects.parameters.k": config.CoefficientSection,
+    "closed_loop": config.ClosedLoopSection,
+    "cost": config.CostSection,
+    "constraints": config.ConstraintSection,
+    "constraints.step_response": config.StepSection,
+    "constraints.tracking": config.TrackingSection,
+    "multistart": config.MultistartSection,
+    "uncertainty": config.UncertaintySection,
+    "method": config.MethodSection,
+    "executor": config.ExecutorSection,
+    "budget": config.BudgetSection,
+    "log": config.LogSection,
+}
+SHOWN = ("time", "effects", "form", "data", "expression", "outputs", "constraints", "start")
+"""Keys of which the reference has to show an example: one of several is needed."""
+
+
+def tree(*, everything: bool) -> dict:
+    """The reference, with the keys that are commented out if `everything`."""
+    text = REFERENCE.read_text(encoding="utf-8")
+    if everything:
+        text = re.sub(r"^# (?=\w+ = .* # )|^# (?=\w+ = \S+ \()", "", text, flags=re.MULTILINE)
+    return tomllib.loads(text)
+
+
+def at(table: dict, path: str) -> dict:
+    for part in filter(None, path.split(".")):
+        table = table[part]
+        table = table[0] if isinstance(table, list) else table
+    return table
+
+
+@pytest.mark.parametrize(("path", "section"), SECTIONS.items())
+def test_every_key_stands_in_the_reference(path, section):
+    assert set(at(tree(everything=True), path)) == set(section.model_fields)
+
+
+@pytest.mark.parametrize(("path", "section"), SECTIONS.items())
+def test_defaults_are_those_of_the_code(path, section):
+    commented_out = path in (
+        "experiments.curve",
+        "constraints.step_response",
+        "constraints.tracking",
+    )
+    table = at(tree(everything=commented_out), path)
+    for name, field in section.model_fields.items():
+        if field.is_required() or isinstance(table.get(name), dict) or name in SHOWN:
+            continue
+        default = field.get_default(call_default_factory=True)
+        if isinstance(default, BaseModel | dict):
+            continue
+        shown = table.get(name)
+        assert (tuple(shown) if isinstance(default, tuple) else shown) == default, name
+
+
+def test_method_options_are_those_of_least_squares():
+    defaults = {field.name: field.default for field in dataclasses.fields(LeastSquares)}
+    assert tree(everything=False)["method"]["options"] == defaults
+
+
+def test_the_keys_of_a_closed_loop_are_its_settings():
+    assert build_settings(parse_config(tree(everything=False), "reference")) == LoopSettings()
+
+
+def test_the_reference_is_a_config_that_works():
+    parse_config(tree(everything=False), "reference")
+    problem = build_problem(read_config(REFERENCE), REFERENCE.parent)
+    names = [p.name for p in problem.parameters]
+    assert names == ["m", "coulomb.k", "coulomb.width"]

@@ -1,0 +1,222 @@
+"""Answers from a log: in its order, each once, and what it lacks is simulated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.cut_logs import cut
+from support.problems.functions import FunctionProblem
+from support.shuffling_executor import MoodyExecutor
+
+from cluster_est.executors.log_replay import Recall
+from cluster_est.methods.base import Solution
+from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
+from cluster_est.problem.space import make_space
+from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings, read_log
+from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.running.records import Origin
+from cluster_est.running.runner import Runner, SearchRequest
+from workers.messages import Outcome, Status, Task, Trajectory
+
+PROBLEM = FunctionProblem(
+    "valley",
+    lambda x: np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]),
+    (-1.2, 1.0),
+    0.0,
+    (-2.0, -2.0),
+    (2.0, 2.0),
+).problem()
+MODEL, EXPERIMENTS = PROBLEM.model, PROBLEM.experiments
+
+
+def answer(task: Task) -> Outcome:
+    """What the valley is at a point; it cannot be computed left of -1.5."""
+    if task.values[0] < -1.5:
+        return Outcome(task.id, Status.SOLVER_FAILURE, message="too far left", worker="w")
+    x = task.values
+    residuals = np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+    path = Trajectory(("a", "b"), np.arange(3.0), np.outer(np.arange(3.0), x))
+    return Outcome(
+        task.id,
+        Status.OK,
+        residuals,
+        path if task.want == "trajectory" else None,
+        seconds=0.5,
+        worker="w",
+        constraints=x[:1],
+    )
+
+
+def tasks(*values: float, want: str = "residuals") -> list[Task]:
+    return [Task(i, 0, np.array([v, 0.5]), want) for i, v in enumerate(values)]  # type: ignore[arg-type]
+
+
+def origin(task: Task) -> Origin:
+    asked = task.experiment, task.values, task.effects
+    return Origin("train", 0, "trial", *asked, want=task.want)
+
+
+def log_of(folder: Path, *, settings: LogSettings | None = None) -> EvaluationLog:
+    names = [(e.id, e.key) for e in EXPERIMENTS]
+    return EvaluationLog(
+        folder, MODEL.key, names, {}, settings, LoggedOutcomes(folder).next_segment
+    )
+
+
+def write(folder: Path, asked: list[Task], settings: LogSettings | None = None) -> None:
+    log = log_of(folder, settings=settings)
+    for task in asked:
+        log.record(origin(task), answer(task))
+    log.close()
+
+
+def recall(folder: Path, inner: MoodyExecutor) -> Recall:
+    return Recall(inner, MODEL, EXPERIMENTS, LoggedOutcomes(folder))
+
+
+def drain(executor: Recall, count: int) -> list[int]:
+    found: list[int] = []
+    while len(found) < count:
+        found += [outcome.task for outcome in executor.completed()]
+    return found
+
+
+@pytest.mark.parametrize("want", ["residuals", "trajectory"])
+def test_what_is_logged_is_given_back_as_it_was(tmp_path: Path, want: str) -> None:
+    asked = tasks(0.1, -1.7, 0.3, want=want)
+    write(tmp_path, asked)
+    inner = MoodyExecutor(answer)
+    executor = recall(tmp_path, inner)
+    executor.submit(asked)
+    for task in asked:
+        (found,) = executor.completed()
+        true = answer(task)
+        assert (found.task, found.status, found.message) == (task.id, true.status, true.message)
+        assert (found.seconds, found.worker) == (true.seconds, true.worker)
+        np.testing.assert_array_equal(found.constraints, true.constraints)
+        assert (found.residuals is None) == (true.residuals is None)
+        if true.residuals is not None:
+            assert found.residuals.tobytes() == true.residuals.tobytes()
+        assert (found.trajectory is None) == (true.trajectory is None)
+        if true.trajectory is not None:
+            assert found.trajectory.variables == true.trajectory.variables
+            np.testing.assert_array_equal(found.trajectory.times, true.trajectory.times)
+            np.testing.assert_array_equal(found.trajectory.values, true.trajectory.values)
+    assert not inner.submitted
+
+
+def test_answers_come_in_the_order_of_the_log_then_the_others(tmp_path: Path) -> None:
+    one, two, three, four = tasks(0.1, 0.2, 0.3, 0.4)
+    write(tmp_path, [three, one])
+    inner = MoodyExecutor(answer)
+    executor = recall(tmp_path, inner)
+    executor.submit([one, two])  # three is not asked yet: it cannot be waited for
+    assert drain(executor, 1) == [one.id]
+    executor.submit([three, four])
+    assert drain(executor, 3)[0] == three.id
+    assert {task.id for task in inner.submitted} == {two.id, four.id}
+
+
+def test_the_same_question_asked_again_takes_the_next_row(tmp_path: Path) -> None:
+    one, again, third = (replace(tasks(0.1)[0], id=i) for i in range(3))
+    write(tmp_path, [one, again])
+    inner = MoodyExecutor(answer)
+    executor = recall(tmp_path, inner)
+    executor.submit([one, again, third])
+    assert drain(executor, 2) == [0, 1]
+    assert drain(executor, 1) == [2]
+    assert [task.id for task in inner.submitted] == [2]
+
+
+def test_what_is_wanted_is_part_of_the_question(tmp_path: Path) -> None:
+    write(tmp_path, tasks(0.1))
+    inner = MoodyExecutor(answer)
+    executor = recall(tmp_path, inner)
+    executor.submit(tasks(0.1, want="trajectory"))
+    (found,) = executor.completed()
+    assert found.trajectory is not None
+    assert len(inner.submitted) == 1
+
+
+def test_rows_without_residuals_are_simulated_again_and_keep_their_turn(tmp_path: Path) -> None:
+    asked = tasks(0.1, -1.7, 0.3, 0.4)
+    write(tmp_path, asked[::-1], LogSettings(residuals=False))
+    assert read_log(tmp_path)["residuals"].null_count == 4
+    inner = MoodyExecutor(answer)
+    executor = recall(tmp_path, inner)
+    executor.submit(asked)
+    outcomes = [executor.completed() for _ in asked]
+    assert [each.task for (each,) in outcomes] == [3, 2, 1, 0]
+    assert all(each.ok == (each.task != 1) for (each,) in outcomes)
+    assert {task.id for task in inner.submitted} == {0, 2, 3}  # a failure needs no residuals
+
+
+def test_what_is_held_is_not_taken_back_but_the_others_are(tmp_path: Path) -> None:
+    asked = tasks(0.1, 0.2, 0.3)
+    write(tmp_path, asked[:1])
+    inner = MoodyExecutor(answer)
+    executor = recall(tmp_path, inner)
+    executor.submit(asked)
+    assert executor.cancel([0, 1]) == [1]
+    assert sorted(drain(executor, 2)) == [0, 2]
+    assert [task.id for task in inner.submitted] == [2]
+
+
+def test_only_what_was_answered_from_the_log_is_known_to_be_logged(tmp_path: Path) -> None:
+    asked = tasks(0.1, 0.2)
+    write(tmp_path, asked[:1])
+    logged = LoggedOutcomes(tmp_path)
+    executor = Recall(MoodyExecutor(answer), MODEL, EXPERIMENTS, logged)
+    executor.submit(asked)
+    drain(executor, 2)
+    assert [logged.was_answered(task.id) for task in asked] == [True, False]
+    assert not logged.was_answered(0)  # the first task of the next runner
+
+
+def searched(folder: Path, seed: int) -> tuple[Solution, MoodyExecutor]:
+    """An asynchronous search with answers in random order, behind what the log has."""
+    logged = LoggedOutcomes(folder)
+    log = log_of(folder)
+    inner = MoodyExecutor(answer, seed, workers=4)
+
+    def record(who: Origin, outcome: Outcome) -> None:
+        if not logged.was_answered(outcome.task):
+            log.record(who, outcome)
+
+    request = SearchRequest("train", AsynchronousPatternSearch(), make_space(PROBLEM, (0,)), 3)
+    executor = Recall(inner, MODEL, EXPERIMENTS, logged)
+    (solution,) = Runner(executor, record=record).run([request])
+    log.close()
+    return solution, inner
+
+
+def bits(solution: Solution) -> tuple[bytes, float, int]:
+    return solution.x.tobytes(), solution.cost, solution.iterations
+
+
+def keys(folder: Path) -> list[str]:
+    found: list[str] = read_log(folder)["key"].to_pylist()
+    return found
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_asynchronous_search_goes_the_same_way_again(tmp_path: Path, seed: int) -> None:
+    first, _ = searched(tmp_path, seed)
+    course = keys(tmp_path)
+    again, inner = searched(tmp_path, seed + 10)
+    assert bits(again) == bits(first)
+    # Those that were under way when it ended are in no log.
+    assert not inner.answered
+    assert keys(tmp_path) == course
+    for rows in (0, 1, len(course) // 3, len(course) - 5):
+        cut(tmp_path, rows)
+        other, _ = searched(tmp_path, seed + 20)
+        assert keys(tmp_path)[:rows] == course[:rows]
+        assert other.ending.success
+        then, inner = searched(tmp_path, seed + 30)
+        assert not inner.answered
+        assert bits(then) == bits(other)
+        course = keys(tmp_path)

@@ -1,0 +1,555 @@
+"""pymoo's populations: minima and fronts that are known in closed form, chance, failures."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.problems.functions import (
+    FunctionExecutor,
+    FunctionProblem,
+    beale,
+    freudenstein_roth,
+    rosenbrock,
+)
+
+from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver
+from cluster_est.costs.sum_absolute import SumAbsolute
+from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.costs.total import Total
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import Ending
+from cluster_est.methods.populations.cmaes import Cmaes
+from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
+from cluster_est.methods.populations.genetic import Genetic
+from cluster_est.methods.populations.isres import Isres
+from cluster_est.methods.populations.nsga2 import Nsga2
+from cluster_est.methods.populations.particle_swarm import ParticleSwarm
+from cluster_est.problem.space import make_space
+from cluster_est.running.evaluation import judge
+from cluster_est.running.runner import Runner, SearchRequest
+from workers.messages import Function, Outcome, Status
+
+SHIFT = np.array([0.3, -0.7, 0.11])
+
+
+def rastrigin(x):
+    z = x - SHIFT
+    return np.array([np.add.reduce(z * z - 10.0 * np.cos(2.0 * np.pi * z) + 10.0)])
+
+
+def ackley(x):
+    z = x - SHIFT
+    far = 20.0 - 20.0 * np.exp(-0.2 * np.sqrt(np.mean(z * z)))
+    return np.array([far + np.e - np.exp(np.mean(np.cos(2.0 * np.pi * z)))])
+
+
+def hs43(x):
+    a, b, c, d = x
+    return np.array([a**2 + b**2 + 2 * c**2 + d**2 - 5 * a - 5 * b - 21 * c + 7 * d])
+
+
+def hs43_constraints(x):
+    a, b, c, d = x
+    return -np.array(
+        [
+            8 - a**2 - b**2 - c**2 - d**2 - a + b - c + d,
+            10 - a**2 - 2 * b**2 - c**2 - 2 * d**2 + a + d,
+            5 - 2 * a**2 - b**2 - c**2 - 2 * a + b + d,
+        ]
+    )
+
+
+ROSENBROCK = FunctionProblem("rosenbrock", rosenbrock, (-1.2, 1.0), 0.0, (-2, -2), (2.5, 3.5))
+BEALE = FunctionProblem("beale", beale, (1.0, 0.8), 0.0, (-4.5, -4.5), (4.5, 4.5))
+ON_A_BOUND = FunctionProblem("bound", rosenbrock, (-1.2, 1.0), 0.25, (-2.0, -2.0), (0.5, 2.0))
+RASTRIGIN = FunctionProblem(
+    "rastrigin", rastrigin, (3.3, -2.7, 1.2), 0.0, (-5.12,) * 3, (5.0,) * 3, cost=Total()
+)
+ACKLEY = FunctionProblem(
+    "ackley", ackley, (10.3, -2.7, 11.2), 0.0, (-15.0,) * 3, (20.0,) * 3, cost=Total()
+)
+# problems 11 and 43 of W. Hock, K. Schittkowski, Test Examples for Nonlinear Programming Codes
+# (1981), doi:10.1007/978-3-642-48320-2, and 7 and 39, which have equalities
+HS11 = FunctionProblem(
+    "hs11",
+    lambda x: np.array([(x[0] - 5.0) ** 2 + x[1] ** 2 - 25.0]),
+    (4.9, 0.1),
+    -8.498464223,
+    (-10.0,) * 2,
+    (10.0,) * 2,
+    lambda x: np.array([x[0] ** 2 - x[1]]),
+    (False,),
+    Total(),
+)
+HS43 = FunctionProblem(
+    "hs43",
+    hs43,
+    (0.0,) * 4,
+    -44.0,
+    (-10.0,) * 4,
+    (10.0,) * 4,
+    hs43_constraints,
+    (False,) * 3,
+    Total(),
+)
+HS7 = FunctionProblem(
+    "hs7",
+    lambda x: np.array([np.log(1.0 + x[0] ** 2) - x[1]]),
+    (2.0, 2.0),
+    -np.sqrt(3.0),
+    (-3.0,) * 2,
+    (3.0,) * 2,
+    lambda x: np.array([(1.0 + x[0] ** 2) ** 2 + x[1] ** 2 - 4.0]),
+    (True,),
+    Total(),
+)
+HS39 = FunctionProblem(
+    "hs39",
+    lambda x: np.array([-x[0]]),
+    (2.0,) * 4,
+    -1.0,
+    (-3.0,) * 4,
+    (3.0,) * 4,
+    lambda x: np.array([x[1] - x[0] ** 3 - x[2] ** 2, x[0] ** 2 - x[1] - x[3] ** 2]),
+    (True, True),
+    Total(),
+)
+MINIMA = [
+    (DifferentialEvolution(), ROSENBROCK, 1e-10),
+    (DifferentialEvolution(), BEALE, 1e-10),
+    (DifferentialEvolution(), ON_A_BOUND, 1e-9),
+    (DifferentialEvolution(), ACKLEY, 1e-4),
+    (DifferentialEvolution(base="best"), ROSENBROCK, 1e-10),
+    (Cmaes(), ROSENBROCK, 1e-10),
+    (Cmaes(), BEALE, 1e-10),
+    (Cmaes(), ON_A_BOUND, 1e-9),
+    (Cmaes(), ACKLEY, 1e-4),
+    (ParticleSwarm(), ROSENBROCK, 1e-8),
+    (ParticleSwarm(), BEALE, 1e-8),
+    (ParticleSwarm(), ON_A_BOUND, 1e-9),
+    (ParticleSwarm(), RASTRIGIN, 1e-8),
+    (ParticleSwarm(adaptive=True), ACKLEY, 1e-4),
+    # few digits, as its docstring says
+    (Genetic(), ROSENBROCK, 1e-2),
+    (Genetic(), BEALE, 1e-3),
+    (Genetic(), ON_A_BOUND, 1e-3),
+    (Genetic(), RASTRIGIN, 1e-2),
+    (Genetic(), ACKLEY, 5e-2),
+    (Isres(), ROSENBROCK, 1e-8),
+    (Isres(), BEALE, 1e-8),
+    (Isres(), ON_A_BOUND, 1e-8),
+    (Isres(), ACKLEY, 1e-4),
+]
+"""(method, problem, how far its cost may be from the minimum)"""
+GLOBAL_MINIMA = [
+    (DifferentialEvolution(), RASTRIGIN, 1e-8),
+    (Cmaes(population=100), RASTRIGIN, 1e-8),
+]
+"""Those where about one search in ten is caught in a local minimum."""
+SMALL = [
+    DifferentialEvolution(population=12, max_generations=15),
+    Cmaes(population=12, max_generations=15),
+    ParticleSwarm(population=12, max_generations=15),
+    Genetic(population=12, max_generations=15),
+    Isres(population=14, max_generations=15),
+]
+names = pytest.mark.parametrize("method", SMALL, ids=lambda m: m.name)
+
+
+def two_outputs(x):
+    """Distances to A and to B, as the residuals of two outputs."""
+    return np.concatenate([x - A, x - B])
+
+
+A, B = np.array([0.0, 0.5, 0.0]), np.array([1.0, 0.5, 1.0])
+
+
+def two_objectives(experiments=1, cost=None, outputs=("y", "z"), function=None):
+    times = np.arange(1.0, len(A) + 1.0)
+    made = tuple(Output(name, times, 0.0 * times) for name in outputs)
+    parts = [made] if experiments == 1 else [(output,) for output in made]
+    chosen = tuple(
+        Experiment(f"e{i}", 0.0, 9.0, (), part, cost_function=function)
+        for i, part in enumerate(parts)
+    )
+    parameters = tuple(Parameter(f"x{i}", 1.5, -2.0, 3.0) for i in range(len(A)))
+    model = Model("none", b"", "model_exchange", Solver("rk4"), tuple(p.name for p in parameters))
+    return Problem(model, parameters, chosen, cost or SumSquared())
+
+
+def solve(problem, method, residuals, seed=0):
+    space = make_space(problem, tuple(range(len(problem.experiments))))
+    with FunctionExecutor(residuals) as executor:
+        return Runner(executor).run([SearchRequest("test", method, space, seed)])[0]
+
+
+def watch(method, problem, seed=0):
+    """Drive a search by hand; its solution and its requests."""
+    space = make_space(problem.problem(), (0,))
+    constraints = problem.constraints or (lambda x: np.zeros(0))
+    search = method.search(space, np.random.default_rng(seed))
+    requests = [next(search)]
+    try:
+        while True:
+            answers = []
+            for x in requests[-1].x:
+                outcome = Outcome(0, Status.OK, problem.residuals(x), constraints=constraints(x))
+                answers.append(judge(space, x, (outcome,), 0))
+            requests.append(search.send(answers))
+    except StopIteration as end:
+        return end.value, requests
+
+
+@pytest.mark.parametrize(
+    ("method", "problem", "tolerance"), MINIMA, ids=lambda v: getattr(v, "name", "")
+)
+def test_finds_the_minimum(method, problem, tolerance):
+    solution = problem.solve(method, seed=1)
+    assert solution.cost == pytest.approx(problem.minimum, abs=tolerance)
+    assert solution.at.cost == solution.cost
+
+
+@pytest.mark.parametrize(
+    ("method", "problem", "tolerance"), GLOBAL_MINIMA, ids=lambda v: getattr(v, "name", "")
+)
+def test_mostly_finds_the_least_of_several_minima(method, problem, tolerance):
+    costs = np.array([problem.solve(method, seed).cost for seed in range(5)])
+    assert (costs >= problem.minimum).all()
+    assert (costs <= problem.minimum + tolerance).sum() >= 4
+
+
+@pytest.mark.parametrize("problem", [HS11, HS43], ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    ("method", "tolerance"),
+    [
+        (DifferentialEvolution(), 1e-5),
+        (Cmaes(), 1e-5),
+        (ParticleSwarm(), 0.1),
+        (Genetic(max_generations=200), 1.0),
+        (Isres(), 1e-5),
+    ],
+    ids=lambda v: getattr(v, "name", ""),
+)
+def test_keeps_inequality_constraints(method, problem, tolerance):
+    solution = problem.solve(method)
+    assert solution.at.feasible
+    assert solution.cost == pytest.approx(problem.minimum, abs=tolerance)
+
+
+@pytest.mark.parametrize("problem", [HS7, HS39], ids=lambda p: p.name)
+def test_isres_keeps_equality_constraints(problem):
+    solution = problem.solve(Isres())
+    assert solution.ending is Ending.CONVERGED
+    assert solution.at.feasible
+    assert solution.cost == pytest.approx(problem.minimum, abs=1e-5)
+
+
+@names
+class TestPopulation:
+    def test_a_generation_is_one_request_and_the_start_is_in_the_first(self, method):
+        solution, requests = watch(method, ROSENBROCK)
+        assert solution.iterations == len(requests) == method.max_generations
+        extra = 1 if method.name == "cmaes" else 0  # the start, on top of the sample
+        sizes = [len(points.x) for points in requests]
+        assert sizes == [method.population + extra] + [method.population] * 14
+        assert requests[0].x[0].tolist() == list(ROSENBROCK.start)
+        assert {points.purpose for points in requests} == {"generation"}
+
+    def test_the_table_has_a_line_for_each_generation(self, method):
+        _, requests = watch(method, HS11)
+        lines = [points.progress for points in requests[1:]]
+        assert [line.iteration for line in lines] == list(range(1, 15))
+        ranks = [(line.violation, line.cost) for line in lines]
+        assert ranks == sorted(ranks, reverse=True)
+        assert all(line.step > 0.0 for line in lines)
+
+    def test_same_seed_same_bits_other_seed_other_points(self, method):
+        first, again, other = (watch(method, HS11, seed)[1] for seed in (3, 3, 4))
+        assert [p.x.tobytes() for p in first] == [p.x.tobytes() for p in again]
+        assert first[1].x.tobytes() != other[1].x.tobytes()
+
+    def test_searches_side_by_side_do_not_disturb_each_other(self, method):
+        space = make_space(ROSENBROCK.problem(), (0,))
+        requests = [SearchRequest(str(seed), method, space, seed) for seed in range(3)]
+        with FunctionExecutor(rosenbrock) as executor:
+            together = Runner(executor).run(requests)
+        alone = [ROSENBROCK.solve(method, seed) for seed in range(3)]
+        assert [s.x.tobytes() for s in together] == [s.x.tobytes() for s in alone]
+
+    def test_leaves_the_global_generators_alone(self, method):
+        before = np.random.get_state()[1].copy(), random.getstate()
+        ROSENBROCK.solve(method)
+        assert (np.random.get_state()[1] == before[0]).all()
+        assert random.getstate() == before[1]
+
+    def test_stays_within_the_bounds(self, method):
+        # the unbounded minimum lies outside, the best point in a corner
+        lower, upper = np.array([0.1, -0.3]), np.array([0.7, 0.1])
+        problem = replace(ROSENBROCK, start=(0.7, -0.3), lower=tuple(lower), upper=tuple(upper))
+        _, requests = watch(method, problem)
+        points = np.vstack([request.x for request in requests])
+        assert (points >= lower).all()
+        assert (points <= upper).all()
+
+    def test_units_do_not_matter(self, method):
+        scale = np.array([2.0**30, 2.0**-20])
+        scaled = FunctionProblem(
+            "scaled",
+            lambda x: 2.0**10 * rosenbrock(x / scale),
+            tuple(scale * ROSENBROCK.start),
+            0.0,
+            tuple(scale * ROSENBROCK.lower),
+            tuple(scale * ROSENBROCK.upper),
+        )
+        plain = ROSENBROCK.solve(method)
+        assert (scaled.solve(method).x / scale).tolist() == plain.x.tolist()
+
+    def test_failures_are_worse_than_anything(self, method):
+        def walled(x):
+            return rosenbrock(x) if x[0] > -1.0 and x[1] < 2.0 else np.full(2, np.nan)
+
+        # the start fails too
+        solution = replace(ROSENBROCK, residuals=walled).solve(replace(method, max_generations=60))
+        assert solution.at.ok
+        assert solution.cost < 0.1
+
+    def test_ends_if_the_whole_first_generation_fails(self, method):
+        solution = replace(ROSENBROCK, residuals=lambda x: np.full(2, np.nan)).solve(method)
+        assert solution.ending is Ending.START_FAILED
+        assert "not finite" in solution.message
+        assert solution.x.tolist() == list(ROSENBROCK.start)
+        assert np.isnan(solution.cost)
+        assert solution.iterations == 0
+
+    def test_says_what_to_raise_at_its_limit(self, method):
+        solution = ROSENBROCK.solve(method)
+        assert solution.ending is Ending.MAX_ITERATIONS
+        assert (
+            solution.message == "stopped after 15 generations; raise method.options.max_generations"
+        )
+
+    def test_says_by_how_much_constraints_are_violated_at_best(self, method):
+        # x0 <= 1 and x0 >= 2 contradict each other; the least of the larger violation is 0.5
+        contradiction = replace(
+            ROSENBROCK,
+            constraints=lambda x: np.array([x[0] - 1.0, 2.0 - x[0]]),
+            equality=(False, False),
+        )
+        solution = contradiction.solve(replace(method, max_generations=40))
+        assert solution.ending is Ending.INFEASIBLE
+        assert "violates them by 0.5" in solution.message
+        assert solution.x[0] == pytest.approx(1.5, abs=0.1)
+
+    def test_ends_where_nothing_changes_the_cost(self, method):
+        flat = replace(ROSENBROCK, residuals=lambda x: np.ones(2))
+        solution = flat.solve(replace(method, max_generations=500, window=5))
+        assert solution.ending is Ending.CONVERGED
+        assert solution.cost == 2.0
+
+    def test_one_unknown_is_enough(self, method):
+        line = FunctionProblem("line", lambda x: x - 0.3, (0.9,), 0.0, (0.0,), (1.0,))
+        solution = line.solve(replace(method, max_generations=40))
+        assert solution.x[0] == pytest.approx(0.3, abs=1e-2)
+
+    def test_refuses_a_population_that_is_too_small(self, method):
+        space = make_space(ROSENBROCK.problem(), (0,))
+        with pytest.raises(ProblemError, match=r"options\.population: must be at least .* is 3"):
+            replace(method, population=3).check(space)
+
+    def test_refuses_equalities_that_it_cannot_keep(self, method):
+        space = make_space(HS7.problem(), (0,))
+        if method.name == "isres":
+            method.check(space)
+            return
+        with pytest.raises(ProblemError, match=r'must be inequalities .* "isres"'):
+            method.check(space)
+
+    def test_needs_bounds_unless_it_is_cmaes(self, method):
+        half = replace(ROSENBROCK, lower=(-2.0, -2.0), upper=(2.5, np.inf))
+        space = make_space(half.problem(), (0,))
+        if method.name == "cmaes":
+            assert half.solve(Cmaes()).cost == pytest.approx(0.0, abs=1e-10)
+            return
+        with pytest.raises(ProblemError, match=r"parameters\.x1\.bounds: .* are \[-2, inf\]; set"):
+            method.search(space, np.random.default_rng(0))
+
+    def test_a_logarithmic_scale_needs_positive_bounds(self, method):
+        problem = two_objectives()
+        first = Parameter("x0", 1.5, 0.0, 3.0, scale="log")
+        space = make_space(replace(problem, parameters=(first, *problem.parameters[1:])), (0,))
+        if method.name == "cmaes":
+            method.check(space)
+            return
+        with pytest.raises(ProblemError, match=r"x0\.bounds: must be finite .* and positive"):
+            method.check(space)
+
+
+def test_cmaes_needs_no_bounds_at_all():
+    # the start leads to the minimum at (5, 4)
+    free = FunctionProblem("free", freudenstein_roth, (6.0, 5.5), 0.0)
+    assert free.solve(Cmaes()).cost == pytest.approx(0.0, abs=1e-10)
+
+
+def test_an_infinite_cost_is_no_more_than_a_bad_one():
+    def steep(x):
+        return rosenbrock(x) * (1e200 if x[0] < 0.0 else 1.0)
+
+    for method in (*SMALL, Isres(population=14, max_generations=15)):
+        assert np.isfinite(replace(ROSENBROCK, residuals=steep).solve(method).cost)
+
+
+def fingerprints():
+    """Of all points that each method asks for, with failures and constraints among them."""
+
+    def walled(x):
+        return rosenbrock(x) if x[1] < 2.0 else np.full(2, np.nan)
+
+    found = []
+    for problem in (HS11, replace(ROSENBROCK, residuals=walled)):
+        for method in SMALL:
+            seen = []
+
+            def watched(x, seen=seen, problem=problem):
+                seen.append(x.tobytes())
+                return problem.residuals(x)
+
+            replace(problem, residuals=watched).solve(method, seed=7)
+            found.append(hashlib.sha256(b"".join(seen)).hexdigest())
+    front = solve(two_objectives(), Nsga2(population=20, max_generations=12), two_outputs)
+    return [*found, front.x.tobytes().hex()]
+
+
+def test_a_new_process_gets_the_same_bits():
+    code = "import test_populations; print(*test_populations.fingerprints())"
+    paths = os.pathsep.join(sys.path)
+    found = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        env={**os.environ, "PYTHONPATH": paths, "PYTHONHASHSEED": "5"},
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert found.stdout.split() == fingerprints()
+
+
+def test_importing_the_methods_does_not_import_pymoo():
+    modules = ["cmaes", "differential_evolution", "genetic", "isres", "nsga2", "particle_swarm"]
+    imports = "; ".join(f"import cluster_est.methods.{name}" for name in modules)
+    code = f"import sys; {imports}; print('pymoo' in sys.modules, 'cma' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == ["False", "False"]
+
+
+class TestNsga2:
+    """F0 = |x - A|^2 and F1 = |x - B|^2: the front is sqrt(F0) + sqrt(F1) = |B - A|."""
+
+    DISTANCE = float(np.sqrt(2.0))
+
+    def test_finds_the_whole_front(self):
+        solution = solve(two_objectives(), Nsga2(), two_outputs)
+        assert solution.ending is Ending.CONVERGED
+        roots = np.sqrt([other.objectives for other in solution.others])
+        assert len(roots) >= 90
+        assert (roots.sum(axis=1) - self.DISTANCE < 0.08).all()
+        along = np.sort(roots[:, 0]) / self.DISTANCE
+        assert along[0] < 0.05
+        assert along[-1] > 0.95
+        assert np.diff(along).max() < 0.06
+
+    def test_the_solution_is_the_point_of_least_total_cost(self):
+        solution = solve(two_objectives(), Nsga2(max_generations=20), two_outputs)
+        # the least total is halfway between A and B
+        assert solution.x == pytest.approx((A + B) / 2.0, abs=0.1)
+        assert solution.cost == pytest.approx(1.0, abs=0.02)
+        costs = [other.cost for other in solution.others]
+        assert costs == sorted(costs)
+        assert costs[0] == solution.cost
+        assert solution.others[0].x.tolist() == solution.x.tolist()
+
+    def test_no_point_of_the_front_beats_another(self):
+        solution = solve(two_objectives(), Nsga2(population=30, max_generations=9), two_outputs)
+        values = np.array([other.objectives for other in solution.others])
+        for mine in values:
+            others = values[(values != mine).any(axis=1)]
+            assert not (others <= mine).all(axis=1).any()
+        for other in solution.others:
+            parts = [np.sum((other.x - A) ** 2), np.sum((other.x - B) ** 2)]
+            assert other.objectives == pytest.approx(parts)
+            assert other.cost == pytest.approx(sum(parts))
+
+    def test_experiments_kept_apart_are_the_same_front(self):
+        class Split(FunctionExecutor):
+            def _answer(self, task):
+                outcome = super()._answer(task)
+                part = slice(0, 3) if task.experiment == 0 else slice(3, 6)
+                return replace(outcome, residuals=outcome.residuals[part])
+
+        method = Nsga2(population=20, max_generations=8)
+        apart = replace(method, objectives="experiments")
+        space = make_space(two_objectives(experiments=2), (0, 1))
+        with Split(two_outputs) as executor:
+            found = Runner(executor).run([SearchRequest("test", apart, space)])[0]
+        expected = solve(two_objectives(), method, two_outputs)
+        assert [o.objectives for o in found.others] == [o.objectives for o in expected.others]
+
+    def test_an_objective_is_the_problem_s_cost_of_its_part(self):
+        problem = two_objectives(cost=SumAbsolute())
+        solution = solve(problem, Nsga2(population=20, max_generations=5), two_outputs)
+        for other in solution.others:
+            parts = [np.abs(other.x - A).sum(), np.abs(other.x - B).sum()]
+            assert other.objectives == pytest.approx(parts)
+
+    def test_constraints_cut_the_front(self):
+        # x0 <= 0.5 leaves the half of the segment that is nearer to A
+        problem = two_objectives()
+        experiment = replace(problem.experiments[0], constraint_functions=(Function("none", "c"),))
+        space = make_space(replace(problem, experiments=(experiment,)), (0,))
+        executor = FunctionExecutor(two_outputs, lambda x: np.array([x[0] - 0.5]))
+        with executor:
+            found = Runner(executor).run([SearchRequest("test", Nsga2(), space)])[0]
+        assert max(other.x[0] for other in found.others) <= 0.5 + 1e-6
+        roots = np.sqrt([other.objectives for other in found.others])
+        assert (roots[:, 0] / self.DISTANCE).min() < 0.05
+
+    def test_same_seed_same_bits_also_with_failures(self):
+        def walled(x):
+            return two_outputs(x) if x[1] < 0.6 else np.full(6, np.nan)
+
+        method = Nsga2(population=20, max_generations=12)
+        first, again, other = (solve(two_objectives(), method, walled, s) for s in (5, 5, 6))
+        assert [o.x.tobytes() for o in first.others] == [o.x.tobytes() for o in again.others]
+        assert first.x.tobytes() != other.x.tobytes()
+        assert max(o.x[1] for o in first.others) < 0.6
+
+    def test_objectives_that_agree_make_a_single_point(self):
+        def agreeing(x):
+            return np.concatenate([x - A, 2.0 * (x - A)])
+
+        solution = solve(two_objectives(), Nsga2(population=40, max_generations=60), agreeing)
+        assert len(solution.others) == 1
+        assert solution.others[0].x == pytest.approx(A, abs=0.05)
+
+    def test_refuses_a_single_objective(self):
+        space = make_space(two_objectives(), (0,))
+        Nsga2().check(space)
+        with pytest.raises(ProblemError, match=r"at least two experiments .* there is one"):
+            Nsga2(objectives="experiments").check(space)
+        single = make_space(two_objectives(outputs=("y",)), (0,))
+        with pytest.raises(ProblemError, match=r"at least two outputs .* there is one"):
+            Nsga2().check(single)
+
+    def test_refuses_outputs_of_cost_functions(self):
+        problem = two_objectives(experiments=2, function=Function("none", "f"))
+        space = make_space(problem, (0, 1))
+        with pytest.raises(ProblemError, match='must be "experiments" where'):
+            Nsga2().check(space)
+        Nsga2(objectives="experiments").check(space)

@@ -1,0 +1,260 @@
+"""Constraints on parameters: in which experiments they hold, their values and their slopes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.problems.unloaded import unloaded_problem
+
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import Evaluation
+from cluster_est.problem.problem import Parameter
+from cluster_est.problem.space import make_space
+from cluster_est.running.evaluation import judge, violation
+from workers.messages import Function, Outcome, SignalBound, Status
+
+PER = [None, "experiment", "group:rig", "group:day"]
+
+
+def test_a_constraint_on_shared_parameters_holds_once():
+    problem = unloaded_problem([Parameter("a", 2.0), Parameter("b", 5.0)], 4, ["a <= b"])
+    space = make_space(problem, (0, 1, 2, 3))
+    assert space.constraint_names == ("a <= b",)
+    assert space.parameter_constraints(np.array([7.0, 4.0])).tolist() == [3.0]
+
+
+def test_a_constraint_on_a_value_of_each_experiment_holds_in_each():
+    parameters = [Parameter("a", 2.0), Parameter("x0", 0.0, per="experiment")]
+    space = make_space(unloaded_problem(parameters, 3, ["x0 <= a"]), (0, 2))
+    assert space.constraint_names == ("x0 <= a [e0]", "x0 <= a [e2]")
+    assert space.parameter_constraints(np.array([1.0, 5.0, -2.0])).tolist() == [4.0, -3.0]
+
+
+def test_a_constraint_on_a_value_of_each_group_holds_in_each_group():
+    parameters = [Parameter("a", 2.0, per="group:rig")]
+    space = make_space(unloaded_problem(parameters, 5, ["a <= 1"]), tuple(range(5)))
+    assert [u.label for u in space.unknowns] == ["a[A]", "a[B]"]
+    assert space.constraint_names == ("a <= 1 [e0]", "a <= 1 [e1]")
+    assert space.parameter_constraints(np.array([3.0, 10.0])).tolist() == [2.0, 9.0]
+
+
+def test_what_a_formula_leads_to_counts_too():
+    parameters = [
+        Parameter("a", 2.0),
+        Parameter("x0", 0.0, per="experiment"),
+        Parameter("y0", 0.0, expression="a * x0"),
+    ]
+    space = make_space(unloaded_problem(parameters, 2, ["y0 <= 1"]), (0, 1))
+    assert space.constraint_names == ("y0 <= 1 [e0]", "y0 <= 1 [e1]")
+    assert space.parameter_constraints(np.array([2.0, 3.0, 4.0])).tolist() == [5.0, 7.0]
+
+
+def test_a_known_value_of_one_experiment_makes_a_constraint_of_its_own():
+    parameters = [Parameter("a", 2.0), Parameter("b", 5.0)]
+    problem = unloaded_problem(parameters, 3, ["a <= b"], known={1: {"b": 1.0}})
+    space = make_space(problem, (0, 1, 2))
+    assert space.constraint_names == ("a <= b [e0]", "a <= b [e1]")
+    assert space.parameter_constraints(np.array([2.0, 5.0])).tolist() == [-3.0, 1.0]
+
+
+@st.composite
+def cases(draw):
+    """A problem with parameters of all kinds, and a point of its space."""
+    kinds = draw(st.lists(st.sampled_from(PER), min_size=2, max_size=4))
+    parameters = [
+        Parameter(f"p{i}", 1.5, 0.5, 4.0, draw(st.sampled_from(["linear", "log"])), per=per)
+        for i, per in enumerate(kinds)
+    ]
+    count = draw(st.integers(1, 6))
+    known = {
+        e: {f"p{i}": 2.0 + e + 10 * i for i in range(len(kinds)) if draw(st.integers(0, 5)) == 0}
+        for e in range(count)
+    }
+    used = draw(st.sets(st.integers(0, len(kinds) - 1), min_size=1))
+    text = " + ".join(f"{i + 1}*p{i}" for i in sorted(used)) + " <= 3"
+    problem = unloaded_problem(parameters, count, [text], known)
+    chosen = tuple(sorted(draw(st.sets(st.integers(0, count - 1), min_size=1))))
+    space = make_space(problem, chosen)
+    unit = draw(st.lists(st.floats(0.0, 1.0), min_size=space.size, max_size=space.size))
+    x = space.lower + np.array(unit) * (space.upper - space.lower)
+    return space, np.clip(x, space.lower, space.upper), sorted(used)
+
+
+@given(cases())
+def test_it_holds_wherever_it_says_something_new(case):
+    space, x, used = case
+    table = space.physical(x)
+    by_hand = [sum((i + 1) * row[i] for i in used) - 3.0 for row in table]
+    found = space.parameter_constraints(x)
+    assert len(found) == len(space.constraint_names) == len(set(space.constraint_names))
+    np.testing.assert_allclose(np.unique(found.round(9)), np.unique(np.round(by_hand, 9)))
+    labels = {
+        tuple(
+            dict(space.problem.experiments[e].values).get(
+                f"p{i}", next((u.label for u in space.unknowns
+                               if u.parameter.name == f"p{i}" and position in u.experiments), None))
+            for i in used
+        )
+        for position, e in enumerate(space.experiments)
+    }  # fmt: skip
+    assert len(found) == len(labels)
+
+
+@given(cases())
+def test_slopes_are_the_derivatives_even_at_the_bounds(case):
+    space, x, used = case
+    slopes = space.parameter_constraint_slopes(x)
+    assert slopes.shape == (len(space.constraint_names), space.size)
+    position = {name: space.constraint_names.index(name) for name in space.constraint_names}
+    for name, row in position.items():
+        label = name.partition("[")[2].removesuffix("]")
+        e = [space.problem.experiments[e].id for e in space.experiments].index(label or "e0") \
+            if label else 0  # fmt: skip
+        for j, unknown in enumerate(space.unknowns):
+            i = int(unknown.parameter.name[1:])
+            factor = (i + 1) * (unknown.to_physical(float(x[j])) if unknown.log else 1.0)
+            truth = factor if i in used and e in unknown.experiments else 0.0
+            assert slopes[row, j] == pytest.approx(truth, rel=1e-4, abs=1e-7)
+
+
+@pytest.mark.parametrize("end", ["lower", "upper"])
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_a_slope_at_a_bound_is_not_halved(end, scale):
+    parameter = Parameter("k", 2.0, 0.5, 8.0, scale)
+    space = make_space(unloaded_problem([parameter], constraints=["3 * k <= 1"]), (0,))
+    x = getattr(space, end)
+    truth = 3.0 * (getattr(parameter, end) if scale == "log" else 1.0)
+    assert space.parameter_constraint_slopes(x)[0, 0] == pytest.approx(truth, rel=1e-4)
+
+
+def test_slopes_do_not_depend_on_the_size_of_an_unknown():
+    parameters = [Parameter("big", 1e9, 0.0, 2e9), Parameter("small", 1e-9, 0.0, 2e-9)]
+    problem = unloaded_problem(parameters, constraints=["big * small <= 1", "big^2 <= 1"])
+    space = make_space(problem, (0,))
+    slopes = space.parameter_constraint_slopes(space.start)
+    np.testing.assert_allclose(slopes, [[1e-9, 1e9], [2e9, 0.0]], rtol=1e-6)
+
+
+def test_a_violation_is_counted_in_its_scale():
+    problem = unloaded_problem([Parameter("a", 2.0)], constraints=["a <= 1"], scale=4.0)
+    space = make_space(problem, (0,))
+    assert space.parameter_constraints(np.array([7.0])).tolist() == [1.5]
+    np.testing.assert_allclose(space.parameter_constraint_slopes(np.array([7.0])), [[0.25]])
+
+
+def test_bounds_of_what_follows_become_constraints():
+    parameters = [
+        Parameter("k", 2.0),
+        Parameter("c", 0.0, -5.0, 20.0, expression="3 * k"),
+        Parameter("d", 0.0, 0.0, expression="k - 1"),
+        Parameter("free", 0.0, expression="k"),
+    ]
+    space = make_space(unloaded_problem(parameters), (0,))
+    assert space.constraint_names == ("-5.0 <= c", "c <= 20.0", "0.0 <= d")
+    assert not space.equality.any()
+    found = space.parameter_constraints(np.array([10.0]))
+    np.testing.assert_allclose(found, [-35.0 / 20.0, 10.0 / 20.0, -9.0])
+
+
+def test_constraints_of_experiments_stand_behind_those_on_parameters():
+    times = np.array([0.0, 1.0])
+    bound = SignalBound("box", "y", times, np.array([0.0, 0.0]), np.array([1.0, np.inf]))
+    final = SignalBound("end", "y", times[1:], np.ones(1), np.ones(1), equality=True)
+    problem = unloaded_problem(
+        [Parameter("a", 1.0, per="experiment")],
+        2,
+        ["a = 1"],
+        bounds=(bound, final),
+        constraint_functions=(Function("none", "f"), Function("none", "g", equality=True)),
+    )
+    space = make_space(problem, (0, 1))
+    each = [("box lower", False), ("box upper", False), ("end", True), ("f", False), ("g", True)]
+    names = ["a = 1 [e0]", "a = 1 [e1]"]
+    names += [f"{name} [e{e}]" for e in (0, 1) for name, _ in each]
+    assert space.constraint_names == tuple(names)
+    assert space.equality.tolist() == [True, True, *[equal for _, equal in each] * 2]
+    assert space.constraint_rows == (slice(2, 7), slice(7, 12))
+
+
+def test_an_experiment_without_the_group_is_refused_in_a_constraint_too():
+    problem = unloaded_problem([Parameter("a", 1.0, per="group:day")], 2, ["a <= 1"], groups=())
+    with pytest.raises(ProblemError, match="must belong to a group"):
+        make_space(problem, (0, 1))
+
+
+def outcome(constraints=(), residuals=(1.0, 2.0)) -> Outcome:
+    return Outcome(0, Status.OK, np.array(residuals), constraints=np.array(constraints, float))
+
+
+FAILED = Outcome(0, Status.SOLVER_FAILURE, message="no")
+
+
+def test_a_point_is_judged_by_all_its_constraints():
+    problem = unloaded_problem(
+        [Parameter("a", 1.0)],
+        2,
+        ["a <= 3", "a = 1"],
+        constraint_functions=(Function("none", "f"), Function("none", "g", equality=True)),
+    )
+    space = make_space(problem, (0, 1))
+    x = np.array([1.0])
+    good = judge(space, x, (outcome([-1.0, 0.0]), outcome([-2.0, 1e-7])), 5)
+    assert good.constraints.tolist() == [-2.0, 0.0, -1.0, 0.0, -2.0, 1e-7]
+    assert (good.violation, good.feasible, good.index) == (1e-7, True, 5)
+    assert (good.cost, good.rank) == (10.0, (0.0, 10.0))
+    bad = judge(space, x, (outcome([-1.0, -0.25]), outcome([0.125, 0.0])), 6)
+    assert (bad.violation, bad.feasible, bad.rank) == (0.25, False, (0.25, 10.0))
+    failed = judge(space, x, (outcome([-1.0, 0.0]), FAILED), 7)
+    assert math.isnan(failed.cost)
+    assert not failed.feasible
+    assert good.rank < bad.rank < failed.rank == (math.inf, math.inf)
+
+
+def test_a_constraint_without_a_value_is_as_bad_as_can_be():
+    problem = unloaded_problem([Parameter("a", 1.0)], 1, ["sqrt(a) <= 3"])
+    space = make_space(problem, (0,))
+    at = judge(space, np.array([-1.0]), (outcome(),), 0)
+    assert at.violation == math.inf
+    assert not at.feasible
+    assert at.rank[0] == math.inf
+    np.testing.assert_array_equal(space.parameter_constraint_slopes(np.array([-1.0])), [[0.0]])
+
+
+def test_without_constraints_nothing_is_violated():
+    space = make_space(unloaded_problem([Parameter("a", 1.0)]), (0,))
+    at = judge(space, np.array([1.0]), (outcome(),), 0)
+    assert (at.violation, at.feasible, len(at.constraints)) == (0.0, True, 0)
+    assert space.parameter_constraint_slopes(np.array([1.0])).shape == (0, 1)
+
+
+@given(st.lists(st.tuples(st.floats(-5.0, 5.0), st.booleans()), max_size=6))
+def test_a_violation_is_the_largest_one(pairs):
+    values = np.array([value for value, _ in pairs])
+    equality = np.array([equal for _, equal in pairs], dtype=bool)
+    by_hand = max((abs(v) if equal else max(v, 0.0) for v, equal in pairs), default=0.0)
+    assert violation(values, equality) == by_hand
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from([0.0, 1e-8, 1e-3, 2.0]), st.floats(-9, 9), st.booleans()),
+        min_size=2,
+        max_size=8,
+    )
+)
+def test_ranks_put_constraints_first(triples):
+    points = [
+        Evaluation((outcome() if ok else FAILED,), cost if ok else np.nan, violation=v)
+        for v, cost, ok in triples
+    ]
+    best = min(points, key=lambda p: p.rank)
+    feasible = [p.cost for p in points if p.feasible]
+    if feasible:
+        assert best.feasible
+        assert best.cost == min(feasible)
+    elif any(p.ok for p in points):
+        assert best.violation == min(p.violation for p in points if p.ok)

@@ -1,0 +1,120 @@
+"""Many experiments with unknowns of their own: the same minimum, whatever holds the Jacobian."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.problems.curves import Curves
+
+from cluster_est import LeastSquares, Parameter
+from cluster_est.methods import block_matrix
+from cluster_est.methods.base import Ending
+from cluster_est.methods.derivatives import differences
+from cluster_est.running.runner import SearchRequest
+from cluster_est.uncertainty import assess, examine
+
+TIMES = np.linspace(0.0, 3.0, 12)
+SHARED = np.array([1.0, 0.5, 2.0, 0.3, 0.7])
+
+
+def formula(times, values, experiment):
+    """A gain and an offset of the experiment's own around a shape that all share."""
+    a, b, w, c, d, gain, offset = values
+    shape = a * np.exp(-b * times) + np.sin(w * times + 0.1 * experiment)
+    return gain * (shape + c * np.cos(3.0 * times) + d * np.sin(5.0 * times)) + offset
+
+
+def many(bounded=False, experiments=300, noise=0.05):
+    """5 shared unknowns, and a gain and an offset of each experiment."""
+    generator = np.random.default_rng(3)
+    gains = generator.uniform(0.5, 1.5, experiments)
+    offsets = generator.normal(size=experiments)
+    measured = [
+        formula(TIMES, [*SHARED, gains[e], offsets[e]], e) + noise * generator.normal(size=12)
+        for e in range(experiments)
+    ]
+    shared = [
+        Parameter(name, start=1.2 * value, lower=0.01, upper=10.0)
+        for name, value in zip("abwcd", SHARED, strict=True)
+    ]
+    gain = Parameter("gain", 1.0, *((0.6, 1.4) if bounded else (0.01, 10.0)), per="experiment")
+    edge = 0.8 if bounded else 10.0
+    offset = Parameter("offset", 0.1, -edge, edge, per="experiment")
+    return Curves(formula, (*shared, gain, offset), TIMES, measured)
+
+
+@pytest.mark.parametrize("bounded", [False, True])
+def test_the_minimum_does_not_depend_on_what_holds_the_jacobian(bounded, monkeypatch):
+    problem = many(bounded, experiments=30)
+    _, space, whole = problem.solve()
+    monkeypatch.setattr(block_matrix, "MANY", 10)
+    _, _, blocks = problem.solve()
+    assert space.size == 5 + 60
+    assert blocks.ending is Ending.CONVERGED
+    assert blocks.cost == pytest.approx(whole.cost, rel=1e-12)
+    np.testing.assert_allclose(blocks.x, whole.x, atol=1e-6)
+    held = [np.minimum(s.x - space.lower, space.upper - s.x) < 1e-9 for s in (blocks, whole)]
+    np.testing.assert_array_equal(*held)
+    assert held[0].sum() > 10 if bounded else not held[0].any()
+
+
+def test_three_hundred_experiments_end_where_the_whole_matrix_sees_no_better_point(monkeypatch):
+    problem = many(experiments=300)
+    runner, space, blocks = problem.solve()
+    assert (space.size, len(space.colours)) == (605, 7)
+    assert blocks.ending is Ending.CONVERGED
+    monkeypatch.setattr(block_matrix, "MANY", 10**9)
+    again = SearchRequest("fit", LeastSquares(), space.starting_at(blocks.x))
+    (whole,) = runner.run([again])
+    assert whole.iterations <= 1
+    assert blocks.cost == pytest.approx(whole.cost, rel=1e-12)
+    np.testing.assert_allclose(blocks.x, whole.x, atol=1e-6)
+
+
+def test_intervals_do_not_depend_on_what_holds_the_jacobian(monkeypatch):
+    problem = many(experiments=30)
+    runner, space, whole = problem.solve()
+    monkeypatch.setattr(block_matrix, "MANY", 10)
+    monkeypatch.setattr(differences, "LARGE", 0)
+    _, _, blocks = problem.solve()
+    assert blocks.jacobian is None
+    assert blocks.block_jacobian is not None
+    np.testing.assert_allclose(blocks.block_jacobian.dense(), whole.jacobian, atol=1e-4)
+    expected, found = assess(space, whole), examine(runner, space, blocks)
+    np.testing.assert_allclose(
+        [each.std_error for each in found.intervals],
+        [each.std_error for each in expected.intervals],
+        rtol=1e-5,
+    )
+
+
+def test_directions_are_measured_again_where_the_jacobian_is_in_blocks(monkeypatch):
+    def twice(times, values, experiment):
+        shared, one, other = values
+        return shared * times + (one + other) * np.cos(times + experiment)
+
+    parameters = (
+        Parameter("k", 1.0),
+        Parameter("one", 0.3, per="experiment"),
+        Parameter("other", 0.6, per="experiment"),
+    )
+    measured = [twice(TIMES, [2.0, 0.5, 0.5 * e], e) + 0.01 * TIMES**2 for e in range(8)]
+    monkeypatch.setattr(block_matrix, "MANY", 10)
+    monkeypatch.setattr(differences, "LARGE", 0)
+    runner, space, blocks = Curves(twice, parameters, TIMES, measured).solve()
+    found = examine(runner, space, blocks)
+    assert blocks.jacobian is None
+    assert [d.kind for d in found.directions] == ["undetermined"] * 8
+    assert {d.labels for d in found.directions} == {
+        (f"one[e{e}]", f"other[e{e}]") for e in range(8)
+    }
+    assert np.isfinite(found.intervals[0].std_error)
+    assert all(np.isnan(each.std_error) for each in found.intervals[1:])
+
+
+def test_the_space_of_many_experiments_grows_with_their_number_only():
+    space = many(experiments=300).space()
+    assert sum(len(acting) for acting in space.acting) == 300 * 7
+    np.testing.assert_array_equal(space.acting[7], [0, 1, 2, 3, 4, 5 + 7, 305 + 7])
+    table = space.physical(np.arange(605.0))
+    np.testing.assert_array_equal(table[7], [0.0, 1.0, 2.0, 3.0, 4.0, 12.0, 312.0])

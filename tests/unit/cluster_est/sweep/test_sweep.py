@@ -1,0 +1,224 @@
+"""Which runs a sweep file asks for, what is wrong in it, and who may work in a folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.spoiled import valid_tree, write_input
+
+from cluster_est import Problem, build_problem
+from cluster_est.config.toml import to_toml
+from cluster_est.errors import ConfigError, RunFolderError
+from cluster_est.executors.local import LocalExecutor
+from cluster_est.running.resources import Resources
+from cluster_est.sweep.lock import LOCK, locked
+from cluster_est.sweep.matrix import read_sweep
+from cluster_est.sweep.pool import SharedPools
+from workers.messages import Task
+
+METHODS = {
+    "name": "method",
+    "values": {"ls": {"method.name": "least_squares"}, "pattern": {"method.name": "sqp"}},
+}
+SEEDS = {"name": "seed", "key": "method.seed", "values": [0, 1]}
+
+
+def write_sweep(folder: Path, **keys: object) -> Path:
+    path = folder / "sweep.toml"
+    path.write_text(to_toml({"configs": ["config.toml"], **keys}), encoding="utf-8")
+    return path
+
+
+def names(folder: Path, **keys: object) -> list[str]:
+    return [run.name for run in read_sweep(write_sweep(folder, **keys))]
+
+
+def three_experiments(folder: Path) -> None:
+    tree = valid_tree()
+    tree["experiments"] = [tree["experiments"][0] | {"id": name} for name in "abc"]
+    write_input(folder, {"experiments": tree["experiments"]})
+
+
+def problem_of(folder: Path, ids: list[str]) -> Problem:
+    (run,) = read_sweep(write_sweep(folder, overrides={"only_experiments": ids}))
+    return build_problem(run.read(), folder)
+
+
+def test_every_combination_is_a_run(tmp_path):
+    assert names(tmp_path, axes=[METHODS, SEEDS]) == [
+        "config-ls-seed_0",
+        "config-ls-seed_1",
+        "config-pattern-seed_0",
+        "config-pattern-seed_1",
+    ]
+
+
+def test_a_sweep_without_axes_runs_each_config(tmp_path):
+    assert names(tmp_path, configs=["a.toml", "b/c.toml"]) == ["a", "c"]
+    assert names(tmp_path, configs={"x": "a/config.toml", "y": "b/config.toml"}) == ["x", "y"]
+
+
+def test_combinations_are_left_out(tmp_path):
+    kept = names(tmp_path, axes=[METHODS, SEEDS], skip=[{"method": "ls", "seed": [1]}])
+    assert kept == ["config-ls-seed_0", "config-pattern-seed_0", "config-pattern-seed_1"]
+
+
+def test_overrides_are_put_in_from_the_general_to_the_particular(tmp_path):
+    write_input(tmp_path)
+    axes = [{"name": "end", "values": {"x": {"method.seed": 2, "budget.seconds": 9.0}}}]
+    single = {"name": "single", "overrides": {"budget.evaluations": 7}}
+    general = {"method.seed": 1, "parameters.m.start": 3.5}
+    first, second = read_sweep(write_sweep(tmp_path, overrides=general, axes=axes, runs=[single]))
+    one, other = first.read(), second.read()
+    assert (one.method.seed, one.parameters["m"].start, one.budget.seconds) == (2, 3.5, 9.0)
+    assert (other.method.seed, other.budget.evaluations) == (1, 7)
+    assert first.choices == {"config": "config", "end": "x"}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "kept"),
+    [
+        ({"only_experiments": ["c", "a"]}, ["a", "c"]),
+        ({"drop_experiments": ["b"]}, ["a", "c"]),
+        ({"only_experiments": ["a", "b"], "drop_experiments": ["b"]}, ["a"]),
+    ],
+)
+def test_subsets_of_experiments(tmp_path, overrides, kept):
+    three_experiments(tmp_path)
+    (run,) = read_sweep(write_sweep(tmp_path, overrides=overrides))
+    assert [experiment.id for experiment in run.read().experiments] == kept
+
+
+@pytest.mark.parametrize(
+    ("overrides", "phrase"),
+    [
+        ({"only_experiments": ["a", "bb"]}, "there is no experiment 'bb'; did you mean 'b'?"),
+        ({"drop_experiments": ["a", "b", "c"]}, "must leave some experiment but leaves none"),
+        ({"parameters.m.stat": 1.0}, "unknown key parameters.m.stat; did you mean 'start'?"),
+    ],
+)
+def test_wrong_overrides_are_refused(tmp_path, overrides, phrase):
+    three_experiments(tmp_path)
+    (run,) = read_sweep(write_sweep(tmp_path, overrides=overrides))
+    with pytest.raises(ConfigError) as caught:
+        run.read()
+    assert phrase in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "phrase"),
+    [
+        ({"axis": []}, "unknown key axis; did you mean 'axes'?"),
+        ({"configs": []}, "configs: must have at least one entry"),
+        ({"configs": ["a/x.toml", "b/x.toml"]}, "files of different names"),
+        ({"configs": {"a b": "x.toml"}}, "configs.a b: the name must consist of letters"),
+        ({"axes": [SEEDS | {"values": [0, 0]}]}, "a list of different plain values"),
+        ({"axes": [SEEDS | {"values": [[0]]}]}, "a list of different plain values"),
+        ({"axes": [{"name": "seed", "values": [0]}]}, "because its axis has no key"),
+        ({"axes": [SEEDS, SEEDS]}, "axes.seed: the name must be given once"),
+        ({"axes": [SEEDS | {"name": "config"}]}, "axes.config: the name must be given once"),
+        ({"axes": [SEEDS | {"values": [*range(10_001)]}]}, "at most 10000 runs but make 10001"),
+        ({"overrides": {"method": {"seed": 1}}}, 'must stand in quotes; write "method.seed" = '),
+        ({"overrides": {"only_experiments": "a"}}, "must be a list of experiments' ids"),
+        ({"axes": [SEEDS], "skip": [{"sed": 1}]}, "skip[0].sed: there is no such axis; did you"),
+        ({"axes": [SEEDS], "skip": [{"seed": 7}]}, "skip[0].seed: there is no '7'"),
+        ({"axes": [SEEDS], "skip": [{"seed": [0, 1]}]}, "must leave some run but leaves none"),
+        ({"runs": [{"name": "Config"}]}, "two runs must not have one name, but config has it"),
+        ({"runs": [{"name": "sweep.json"}]}, "taken by a file of the sweep"),
+        ({"runs": [{"name": "../x"}]}, "the name must consist of letters"),
+        ({"runs": [{"name": "x", "config": "confg"}]}, "no 'confg'; did you mean 'config'?"),
+        ({"configs": ["a", "b"], "runs": [{"name": "x"}]}, "because there are several configs"),
+    ],
+)
+def test_wrong_sweeps_are_refused(tmp_path, keys, phrase):
+    with pytest.raises(ConfigError) as caught:
+        read_sweep(write_sweep(tmp_path, **keys))
+    assert phrase in str(caught.value)
+    assert str(tmp_path / "sweep.toml") in str(caught.value)
+
+
+def test_a_missing_or_broken_file_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_sweep(tmp_path / "sweep.toml")
+    (tmp_path / "sweep.toml").write_bytes(b"\xff\xfe = [")
+    with pytest.raises(ConfigError, match="must be TOML in UTF-8"):
+        read_sweep(tmp_path / "sweep.toml")
+
+
+def test_a_lock_keeps_others_out_until_it_is_released(tmp_path):
+    with locked(tmp_path):
+        with pytest.raises(RunFolderError, match=f"process {os.getpid()} on"), locked(tmp_path):
+            pass
+        assert [each.name for each in tmp_path.iterdir()] == [LOCK]
+    with locked(tmp_path):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def leave_lock(folder: Path, **changes: object) -> None:
+    """What a process that is gone has left."""
+    gone = subprocess.run(
+        [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True
+    )
+    holder = {"pid": int(gone.stdout), "host": socket.gethostname(), "begun": "", "token": "t"}
+    (folder / LOCK).write_text(json.dumps(holder | changes), encoding="utf-8")
+
+
+def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
+    leave_lock(tmp_path)
+    with locked(tmp_path):
+        assert json.loads((tmp_path / LOCK).read_text())["pid"] == os.getpid()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_a_number_that_another_process_has_now_is_no_owner(tmp_path):
+    leave_lock(tmp_path, pid=os.getpid(), begun="another boot 17")
+    with locked(tmp_path):
+        pass
+
+
+@pytest.mark.parametrize("changes", [{"host": "elsewhere"}, {"pid": "x"}, {"token": None}])
+def test_a_lock_that_may_still_be_held_is_left_alone(tmp_path, changes):
+    leave_lock(tmp_path, **changes)
+    if "token" in changes:
+        (tmp_path / LOCK).write_text("{", encoding="utf-8")
+    before = (tmp_path / LOCK).read_bytes()
+    with pytest.raises(RunFolderError, match=r"remove .*\.sweep\.lock"), locked(tmp_path):
+        pass
+    assert (tmp_path / LOCK).read_bytes() == before
+
+
+def test_only_who_claims_a_stale_lock_may_replace_it(tmp_path):
+    leave_lock(tmp_path)
+    (tmp_path / f"{LOCK}.claim-t").write_text("{}", encoding="utf-8")
+    with pytest.raises(RunFolderError, match="claim-t"), locked(tmp_path):
+        pass
+
+
+def test_workers_stay_for_the_same_experiments(tmp_path):
+    three_experiments(tmp_path)
+    opened = [problem_of(tmp_path, ids) for ids in (["a", "b"], ["a", "b"], ["a"])]
+    with SharedPools() as pools:
+        first = pools.open(opened[0], Resources())
+        assert pools.open(opened[1], Resources()) is first
+        assert pools.open(opened[2], Resources()) is not first
+        assert isinstance(first, LocalExecutor)
+
+
+def test_workers_with_work_left_are_replaced(tmp_path):
+    write_input(tmp_path)
+    problem = problem_of(tmp_path, ["a"])
+    with SharedPools() as pools:
+        first = pools.open(problem, Resources())
+        first.submit([Task(0, 0, np.array([1.0, 25.0]))])
+        second = pools.open(problem, Resources())
+        assert second is not first
+        assert not second.busy

@@ -1,0 +1,304 @@
+"""What the data do not determine is named; what they do is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.problems.curves import Curves
+
+from cluster_est import LeastSquares, Parameter
+from cluster_est.methods.base import Ending, Solution
+from cluster_est.uncertainty import assess, examine, linearise, sharpen
+from cluster_est.uncertainty.rows import direction_rows
+
+TIMES = np.linspace(0.1, 4.0, 30)
+NAMES = "abcd"
+
+
+def curves(formula, truth, starts=None, count=1, scale="linear", per=()):
+    """A formula of parameters a, b, c, ... with noise."""
+    generator = np.random.default_rng(7)
+    measured = [
+        formula(TIMES, truth, e) + 0.01 * generator.normal(size=len(TIMES)) for e in range(count)
+    ]
+    parameters = tuple(
+        Parameter(
+            NAMES[i],
+            value,
+            1e-3 if scale == "log" else -100.0,
+            100.0,
+            scale=scale,
+            per="experiment" if NAMES[i] in per else None,
+        )
+        for i, value in enumerate(starts or truth)
+    )
+    return Curves(formula, parameters, TIMES, measured)
+
+
+def ratio(times, values, experiment):
+    a, b, c, d = values
+    return d + np.exp(-a / b * times) * np.cos(c / b * times)
+
+
+def product(times, values, experiment):
+    return values[0] * values[1] * np.exp(-values[2] * times)
+
+
+def total(times, values, experiment):
+    return (values[0] + values[1]) * np.exp(-times)
+
+
+def square(times, values, experiment):
+    return values[0] ** 2 / values[1] * np.exp(-times) + values[2]
+
+
+def unused(times, values, experiment):
+    return values[0] * np.exp(-times)
+
+
+def two_pairs(times, values, experiment):
+    a, b, c, d = values
+    return a * b * np.exp(-times) + c / d * np.cos(times)
+
+
+CASES = {
+    "by the same factor": (
+        ratio,
+        (0.5, 2.0, 6.0, 1.0),
+        ["the data determine a, b and c only together: all of them can grow by the same factor "
+         "without changing any residual"],
+    ),
+    "by inverse factors": (
+        product,
+        (2.0, 3.0, 1.0),
+        ["the data determine a and b only together: a can grow by the factor by which b falls "
+         "without changing any residual"],
+    ),
+    "in a ratio": (
+        square,
+        (2.0, 3.0, 1.0),
+        ["the data determine a and b only together: a and b can grow in the ratio 1 : 3 without "
+         "changing any residual"],
+    ),
+    "up and down": (
+        total,
+        (2.0, 3.0),
+        ["the data determine a and b only together: a can grow by 1 while b falls by 1 without "
+         "changing any residual"],
+    ),
+    "no effect": (unused, (2.0, 3.0), ["b has no effect on any residual"]),
+    "two pairs": (
+        two_pairs,
+        (2.0, 3.0, 1.0, 4.0),
+        ["the data determine a and b only together: a can grow by the factor by which b falls "
+         "without changing any residual",
+         "the data determine c and d only together: both can grow by the same factor without "
+         "changing any residual"],
+    ),
+}  # fmt: skip
+
+
+def at_truth(case, truth, differences="central", **options):
+    problem = curves(case, truth, **options)
+    runner, space = problem.runner(), problem.space()
+    if differences == "central":
+        return runner, space, linearise(runner, space, Solution(space.start, 1.0, Ending.CONVERGED))
+    forward = LeastSquares(differences="forward", max_iterations=0)
+    _, _, solution = problem.solve(forward)
+    return runner, space, solution
+
+
+@pytest.mark.parametrize("differences", ["forward", "central"])
+@pytest.mark.parametrize("name", CASES)
+class TestNames:
+    def test_from_the_derivatives_alone(self, name, differences):
+        case, truth, sentences = CASES[name]
+        _, space, solution = at_truth(case, truth, differences)
+        found = assess(space, solution)
+        assert sorted(d.sentence for d in found.directions) == sentences
+
+    def test_with_directions_measured(self, name, differences):
+        case, truth, sentences = CASES[name]
+        runner, space, solution = at_truth(case, truth, differences)
+        before = runner.evaluations
+        found = examine(runner, space, solution)
+        assert sorted(d.sentence for d in found.directions) == sentences
+        assert runner.evaluations - before == 4 * len(sentences)
+        for direction in found.directions:
+            assert direction.ratio < 1e-9
+            assert direction.kind == ("no effect" if name == "no effect" else "undetermined")
+
+    def test_only_what_is_named_lacks_an_interval(self, name, differences):
+        case, truth, _ = CASES[name]
+        runner, space, solution = at_truth(case, truth, differences)
+        found = examine(runner, space, solution)
+        named = {label for d in found.directions for label in d.labels}
+        lacking = {
+            unknown.label
+            for unknown, interval in zip(space.unknowns, found.intervals, strict=True)
+            if np.isnan(interval.std_error)
+        }
+        assert lacking == named
+        kept = [i for i, u in enumerate(space.unknowns) if u.label not in named]
+        inverse = np.linalg.pinv(solution.jacobian, rcond=1e-4)
+        expected = np.sqrt(np.diag(inverse @ inverse.T) * found.variance)[kept]
+        actual = [found.intervals[i].std_error for i in kept]
+        np.testing.assert_allclose(actual, expected, rtol=1e-4)
+
+
+def test_weights_are_the_move_in_each_unknowns_unit():
+    _, space, solution = at_truth(ratio, (0.5, 2.0, 6.0, 1.0))
+    (found,) = assess(space, solution).directions
+    np.testing.assert_allclose(found.weights, (1.0, 4.0, 12.0), rtol=1e-5)
+    np.testing.assert_allclose(found.relative, 1.0, rtol=1e-5)
+
+
+def test_on_a_log_scale_too():
+    _, space, solution = at_truth(ratio, (0.5, 2.0, 6.0, 1.0), scale="log")
+    (found,) = assess(space, solution).directions
+    np.testing.assert_allclose(found.weights, (1.0, 4.0, 12.0), rtol=1e-5)
+    assert "by the same factor" in found.sentence
+
+
+def test_shared_and_local_unknowns_together():
+    def offsets(times, values, experiment):
+        return values[0] + values[1] + values[2] * times
+
+    problem = curves(offsets, (2.0, 3.0, 1.0), count=3, per=("b",))
+    runner, space = problem.runner(), problem.space()
+    solution = Solution(space.start, 1.0, Ending.CONVERGED)
+    (found,) = examine(runner, space, solution).directions
+    assert found.labels == ("a", "b[e0]", "b[e1]", "b[e2]")
+    np.testing.assert_allclose(found.weights, (1.0, -1.0, -1.0, -1.0), rtol=1e-6)
+    assert "b[e0] falls by 1, b[e1] falls by 1 and b[e2] falls by 1" in found.sentence
+
+
+def test_local_unknowns_of_one_experiment_alone():
+    def sometimes(times, values, experiment):
+        level = values[0] * values[1] if experiment == 1 else values[0] + values[1] * times
+        return level + values[2] * times**2
+
+    problem = curves(sometimes, (2.0, 3.0, 1.0), count=3, per=("a", "b"))
+    runner, space = problem.runner(), problem.space()
+    found = examine(runner, space, Solution(space.start, 1.0, Ending.CONVERGED))
+    (direction,) = found.directions
+    assert direction.labels == ("a[e1]", "b[e1]")
+    undetermined = [np.isnan(interval.std_error) for interval in found.intervals]
+    labels = [u.label for u in space.unknowns]
+    assert [label for label, bad in zip(labels, undetermined, strict=True) if bad] == [
+        "a[e1]",
+        "b[e1]",
+    ]
+
+
+def nearly(times, values, experiment):
+    """b is told from a by a millionth of what it does."""
+    a, b, c = values
+    return (a + b) * np.exp(-times) + 2e-7 * b * np.cos(9.0 * times) + c
+
+
+def test_what_hardly_shows_is_called_weak_where_the_derivatives_can_tell():
+    runner, space, solution = at_truth(nearly, (2.0, 3.0, 1.0))
+    (found,) = examine(runner, space, solution).directions
+    assert found.kind == "weak"
+    assert found.labels == ("a", "b")
+    assert found.sentence == (
+        "the data hardly tell a and b apart: the residuals hardly change where a grows by 1 while "
+        "b falls by 1"
+    )
+
+
+def test_measured_derivatives_tell_what_forward_ones_cannot():
+    """The sum of two large columns hides 1e-5 of them behind its error."""
+
+    def close(times, values, experiment):
+        a, b = values
+        return np.exp(a * b * 3.0) * np.cos(5.0 * a * b * times) + 2e-5 * b * np.cos(9.0 * times)
+
+    problem = curves(close, (1.0, 2.0))
+    runner, space = problem.runner(), problem.space()
+    start = Solution(space.start, 1.0, Ending.CONVERGED)
+    exact = linearise(runner, space, start)
+    generator = np.random.default_rng(0)
+    noise = generator.normal(size=exact.jacobian.shape)
+    spoilt = exact.jacobian + 3e-6 * np.linalg.norm(exact.jacobian, axis=0) * noise / 30**0.5
+    steps = np.full(2, 1e-7)
+    coarse = replace(exact, jacobian=spoilt, difference_steps=steps)
+    sharp, reach = sharpen(runner, space, coarse)
+    singular = [
+        np.linalg.svd(s.jacobian / np.linalg.norm(s.jacobian, axis=0))[1][-1]
+        for s in (exact, sharp)
+    ]
+    assert reach > 0.0
+    assert singular[1] == pytest.approx(singular[0], rel=0.02)
+
+
+def test_noise_of_the_simulation_does_not_make_a_lost_direction_look_determined():
+    """As of a solver whose number of steps changes: along the direction itself there is none."""
+
+    def noisy(times, values, experiment):
+        a, b, c, _ = values
+        noise = 1e-8 * (np.sin(1e8 * a / b) + np.sin(1e8 * c / b))
+        return ratio(times, values, experiment) + noise * np.cos(7.0 * times)
+
+    runner, space, solution = at_truth(noisy, (0.5, 2.0, 6.0, 1.0))
+    assert assess(space, solution).directions == ()  # from the differences alone
+    (found,) = examine(runner, space, solution).directions
+    assert found.sentence == CASES["by the same factor"][2][0]
+
+
+def test_a_determined_problem_has_none():
+    def decay(times, values, experiment):
+        a, b, c = values
+        return a * np.exp(-b * times) + c
+
+    for differences in ("forward", "central"):
+        runner, space, solution = at_truth(decay, (2.0, 1.0, 0.5), differences)
+        before = runner.evaluations
+        assert examine(runner, space, solution).directions == ()
+        assert runner.evaluations == before
+
+
+def test_a_strong_correlation_is_not_a_lost_direction():
+    """Two exponentials of nearly the same rate: correlated by more than 0.9999."""
+
+    def two(times, values, experiment):
+        a, b = values
+        return a * np.exp(-times) + b * np.exp(-1.02 * times)
+
+    runner, space, solution = at_truth(two, (2.0, 1.0))
+    found = examine(runner, space, solution)
+    assert found.directions == ()
+    assert found.correlations[0, 1] < -0.9999
+
+
+def test_constraints_may_determine_what_the_data_do_not():
+    problem = replace(curves(total, (2.0, 3.0)), constraints=("b == 1.5 * a",))
+    runner, space = problem.runner(), problem.space()
+    found = examine(runner, space, Solution(space.start, 1.0, Ending.CONVERGED))
+    assert found.directions == ()
+    assert np.isfinite([interval.std_error for interval in found.intervals]).all()
+
+
+def test_failed_simulations_leave_the_derivatives_as_they_are():
+    def walled(times, values, experiment):
+        a, b, c = values
+        fine = abs(a - 2.0) < 1e-4 and abs(b - 3.0) < 1e-4
+        return a * b * np.exp(-c * times) if fine else np.full(len(times), np.nan)
+
+    runner, space, solution = at_truth(walled, (2.0, 3.0, 1.0))
+    found = examine(runner, space, solution)
+    assert [direction.labels for direction in found.directions] == [("a", "b")]
+    assert "not confirmed" in found.notes[0]
+
+
+def test_rows():
+    _, space, solution = at_truth(two_pairs, (2.0, 3.0, 1.0, 4.0))
+    rows = direction_rows(assess(space, solution))
+    assert sorted((row.direction, row.label) for row in rows) in (
+        [(0, "a"), (0, "b"), (1, "c"), (1, "d")],
+        [(0, "c"), (0, "d"), (1, "a"), (1, "b")],
+    )
+    assert all(row.sentence.startswith("the data") for row in rows)

@@ -1,0 +1,142 @@
+"""Archives that are damaged or hostile leave nothing behind but a sentence."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import re
+import stat
+import struct
+import zipfile
+from pathlib import Path
+
+import pytest
+from support.spoiled import LIBRARY, spoiled_fmu
+
+from workers.errors import ModelError
+from workers.fmu import archive
+from workers.fmu.archive import open_archive, unpack
+
+FMU = spoiled_fmu()
+CHANCE = random.Random(1)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch) -> Path:
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("CLUSTER_EST_CACHE", str(folder))
+    return folder
+
+
+def refusal(content: bytes) -> str:
+    with pytest.raises(ModelError) as error:
+        unpack("x.fmu", content, hashlib.sha256(content).hexdigest())
+    message = str(error.value)
+    assert message.startswith("x.fmu: ")
+    assert "\n" not in message
+    return message
+
+
+def with_entry(name: str, content: bytes = b"x") -> bytes:
+    return spoiled_fmu(lambda entries: entries.update({name: content}))
+
+
+def flagged(content: bytes, offset: int, value: int) -> bytes:
+    """Change a field of 16 bits in the first entry of the central directory."""
+    first = content.index(b"PK\1\2") + offset
+    return content[:first] + struct.pack("<H", value) + content[first + 2 :]
+
+
+def test_an_fmu_is_unpacked_once(cache):
+    folder = unpack("x.fmu", FMU, "some-hash")
+    assert folder == cache / "fmus" / "some-hash"
+    assert (folder / LIBRARY).is_file()
+    assert unpack("x.fmu", b"not looked at", "some-hash") == folder
+    assert os.listdir(folder.parent) == ["some-hash"]
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"", "must be an FMU, which is a zip file, but is not"),
+        (CHANCE.randbytes(5000), "must be an FMU, which is a zip file, but is not"),
+        (FMU[:50_000], "must be an FMU, which is a zip file, but is not"),
+        (FMU[:200] + b"\xff" * 60 + FMU[260:], ["cannot be unpacked (", "; export it again"]),
+        (flagged(FMU, 8, 1), ["cannot be unpacked (", "encrypted"]),
+        (flagged(FMU, 10, 77), "cannot be unpacked (That compression method is not supported"),
+        (flagged(FMU, 10, zipfile.ZIP_LZMA), "cannot be unpacked ("),
+        (spoiled_fmu(lambda e: e.update({"a": b"", "a/b": b""})), "cannot be unpacked into"),
+    ],
+    ids=[
+        *("empty", "random", "truncated", "damaged", "encrypted", "unknown method"),
+        *("other method", "conflict"),
+    ],
+)
+def test_a_damaged_archive_is_refused(cache, content, sentence):
+    message = refusal(content)
+    for part in [sentence] if isinstance(sentence, str) else sentence:
+        assert part in message
+    assert [*cache.glob("fmus/*")] == []
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../evil", "a/../../evil", "/evil", "//evil", "C:/evil", "C:evil", "C:\\evil", "..\\evil",
+     "a\\..\\..\\evil", "\\evil"],
+)  # fmt: skip
+def test_a_path_that_leaves_the_folder_is_refused(cache, name):
+    message = refusal(with_entry(name))
+    assert f"the path {name!r} in it must stay inside the FMU's folder but leaves it" in message
+    assert not cache.exists()
+
+
+def test_an_entry_without_a_name_is_refused(cache, tmp_path):
+    path = tmp_path / "x.zip"
+    with zipfile.ZipFile(path, "w") as packed, packed.open(zipfile.ZipInfo(""), "w") as entry:
+        entry.write(b"x")
+    assert "every entry in it must have a name but one has none" in refusal(path.read_bytes())
+    assert not cache.exists()
+
+
+def test_a_symbolic_link_is_refused(cache, tmp_path):
+    link = zipfile.ZipInfo("link")
+    link.create_system = 3
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    path = tmp_path / "link.zip"
+    with zipfile.ZipFile(path, "w") as packed:
+        packed.writestr(link, "/etc/passwd")
+    assert "the path 'link' in it must stay inside" in refusal(path.read_bytes())
+    assert not cache.exists()
+
+
+def test_a_zip_bomb_is_refused_before_it_is_unpacked(cache):
+    zeros = bytes(archive.HARMLESS_BYTES + 1)
+    message = refusal(spoiled_fmu(lambda e: (e.clear(), e.update(zeros=zeros))))
+    assert re.search(r"would unpack to 64 MiB from 0\.\d MiB, which is no ordinary FMU", message)
+    assert not cache.exists()
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused(cache, monkeypatch):
+    monkeypatch.setattr(archive, "MAX_UNPACKED_BYTES", 1000)
+    assert "which is no ordinary FMU; nothing was unpacked" in refusal(FMU)
+
+
+def test_a_cache_that_cannot_be_written_is_said(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path / "file"))
+    assert "set CLUSTER_EST_CACHE to a folder that can be written" in refusal(FMU)
+
+
+def test_any_damage_is_met_with_a_sentence(cache):
+    small = spoiled_fmu(lambda e: [e.pop(n) for n in list(e) if n != "modelDescription.xml"])
+    for _ in range(200):
+        content = bytearray(small)
+        for _ in range(CHANCE.randint(1, 4)):
+            content[CHANCE.randrange(len(content))] = CHANCE.randrange(256)
+        try:
+            with open_archive("x.fmu", bytes(content)) as opened:
+                assert opened.namelist()
+            unpack("x.fmu", bytes(content), hashlib.sha256(content).hexdigest())
+        except ModelError as error:
+            assert str(error).startswith("x.fmu: ")  # noqa: PT017

@@ -1,0 +1,143 @@
+"""Libraries that an FMU needs and this machine lacks, read from files made here byte by byte."""
+
+from __future__ import annotations
+
+import platform
+import struct
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from support.spoiled import FMU, LIBRARY
+
+from workers.fmu.binary_dependencies import about_licence, missing_libraries, why_not_loaded
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ELF is Linux's")
+
+MACHINE = {"x86_64": 62, "aarch64": 183}[platform.machine()]
+
+
+def elf(*needed: str, runpath: str = "", machine: int = MACHINE, wide: bool = True) -> bytes:
+    """A library of the ELF format that holds nothing but what it needs."""
+    names = b"\0"
+    entries = []
+    for tag, text in [*((1, name) for name in needed), *([(29, runpath)] if runpath else [])]:
+        entries.append((tag, len(names)))
+        names += text.encode() + b"\0"
+    header, segment, entry = (64, 56, "QQ") if wide else (52, 32, "II")
+    at = header + 2 * segment
+    size = (len(entries) + 2) * struct.calcsize(entry)
+    entries += [(5, 0x1000 + at + size), (0, 0)]  # addresses are 0x1000 above offsets
+    length = at + size + len(names)
+
+    def program(kind: int, offset: int, long: int) -> bytes:
+        if wide:
+            return struct.pack("<IIQQQQQQ", kind, 4, offset, 0x1000 + offset, 0, long, long, 8)
+        return struct.pack("<IIIIIIII", kind, offset, 0x1000 + offset, 0, long, long, 4, 8)
+
+    start = b"\x7fELF" + bytes([2 if wide else 1, 1, 1]) + bytes(9)
+    layout = "<HHIQQQIHHHHHH" if wide else "<HHIIIIIHHHHHH"
+    start += struct.pack(layout, 3, machine, 1, 0, header, 0, 0, header, segment, 2, 0, 0, 0)
+    table = b"".join(struct.pack("<" + entry, *each) for each in entries)
+    return start + program(1, 0, length) + program(2, at, size) + table + names
+
+
+@pytest.fixture
+def library(tmp_path):
+    def write(content: bytes, name: str = "m.so") -> Path:
+        (tmp_path / name).write_bytes(content)
+        return tmp_path / name
+
+    return write
+
+
+def test_an_fmu_that_loads_lacks_nothing(tmp_path):
+    with zipfile.ZipFile(FMU) as opened:
+        path = Path(opened.extract(LIBRARY, tmp_path))
+    assert missing_libraries(path) == ()
+    assert why_not_loaded(path) is None
+
+
+def test_the_interpreter_lacks_nothing_that_the_loader_finds():
+    listed = subprocess.run(["ldd", sys.executable], capture_output=True, text=True, check=False)
+    if listed.returncode or "not found" in listed.stdout:
+        pytest.skip("no ldd, or it finds something missing")
+    assert missing_libraries(Path(sys.executable)) == ()
+
+
+@pytest.mark.parametrize("wide", [True, False])
+def test_what_is_missing_is_named(library, wide):
+    path = library(elf("libc.so.6", "libno-such.so.3", "libnone.so.1", wide=wide))
+    assert missing_libraries(path) == ("libno-such.so.3", "libnone.so.1")
+
+
+def test_a_missing_library_is_a_sentence(library):
+    assert why_not_loaded(library(elf("libno-such.so.3"))) == (
+        "it needs the shared library libno-such.so.3, which this machine lacks; install it"
+    )
+    assert why_not_loaded(library(elf("libnone.so.1", "libno-such.so.3"))) == (
+        "it needs the shared libraries libno-such.so.3 and libnone.so.1, which this machine "
+        "lacks; install them"
+    )
+
+
+def test_a_library_beside_it_counts_if_it_is_looked_for_there(library):
+    library(elf("libdeep.so"), "libbeside.so")
+    assert missing_libraries(library(elf("libbeside.so", runpath="$ORIGIN"))) == ("libdeep.so",)
+    path = library(elf("libbeside.so"))
+    assert missing_libraries(path) == ("libbeside.so",)
+    assert "beside it, where the system does not look; set LD_LIBRARY_PATH to" in (
+        why_not_loaded(path) or ""
+    )
+
+
+def test_the_users_folders_are_looked_in(library, tmp_path, monkeypatch):
+    library(elf(), "libbeside.so")
+    monkeypatch.setenv("LD_LIBRARY_PATH", f":{tmp_path}")
+    assert missing_libraries(library(elf("libbeside.so"))) == ()
+
+
+def test_libraries_that_need_each_other_end(library):
+    library(elf("m.so", runpath="$ORIGIN"), "libother.so")
+    assert missing_libraries(library(elf("libother.so", runpath="${ORIGIN}"))) == ()
+
+
+def test_a_library_for_other_processors(library):
+    said = why_not_loaded(library(elf(machine=243))) or ""
+    assert "is for riscv64 processors, but this machine is of" in said
+    assert said.endswith("; export it for this machine")
+    assert "is for x86 processors" in (why_not_loaded(library(elf(machine=3, wide=False))) or "")
+
+
+def test_a_library_for_a_newer_system(library):
+    said = "/lib/libc.so.6: version `GLIBC_2.99' not found (required by m.so)"
+    why = why_not_loaded(library(elf("libc.so.6")), said) or ""
+    assert why.startswith("it was built for a newer system, with GLIBC_2.99, than this machine has")
+    assert why_not_loaded(library(elf("libc.so.6")), "another reason") is None
+
+
+def test_what_is_no_library_says_nothing(library, tmp_path):
+    whole = elf("libno-such.so.3")
+    for content in (b"", b"MZ", b"\x7fELF", whole[:70], whole[:-5], b"\x7fELF\2\1" + b"\xff" * 90):
+        assert missing_libraries(library(content)) == ()
+    assert missing_libraries(tmp_path / "none.so") == ()
+    assert why_not_loaded(library(b"no library")) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "is_refusal"),
+    [
+        ("No valid license found", True),
+        ("Licence checkout failed: -5,357", True),
+        ("Your LICENSE has expired.", True),
+        ("FlexLM error -15: cannot connect to server", True),
+        ("could not check out the feature", True),
+        ("Licensed under the 2-clause BSD licence", False),
+        ("GUID differs", False),
+        ("cannot open the file params.txt", False),
+    ],
+)
+def test_refusals_of_licences(text, is_refusal):
+    assert about_licence(text) is is_refusal

@@ -1,0 +1,415 @@
+"""Bounds, curves and functions of the user's: what a worker makes of simulated signals."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.problems.springs import FMU
+
+from workers.errors import ModelError
+from workers.evaluate import Evaluator
+from workers.messages import (
+    Curve,
+    Experiment,
+    FloatArray,
+    Function,
+    Input,
+    Model,
+    Outcome,
+    Output,
+    SignalBound,
+    Solver,
+    Status,
+    Task,
+)
+from workers.residuals.base import Simulated
+from workers.residuals.bounds import SignalBounds
+from workers.residuals.curve import CurveDistances, CurveTolerances
+from workers.residuals.functions import UserFunction, load
+from workers.wire import Batch
+
+TIMES = np.linspace(0.0, 2.0, 41)
+MODEL = Model(
+    "spring.fmu", FMU.read_bytes(), "model_exchange", Solver("dormand_prince"), ("m", "k")
+)
+POINTS = np.array([[1.0, 25.0], [1.3, 30.0], [-1.0, 25.0], [0.7, 18.0], [2.0, 40.0]])
+SOURCE = """
+import numpy as np
+
+def residuals(run):
+    return run.residuals("y")
+
+def energy(run):
+    return float(np.max(0.5 * run.values["m"] * run.simulated["v"] ** 2)) - 0.02
+
+def fails_for_light(run):
+    if run.values["m"] < 1.0:
+        raise RuntimeError("too light")
+    return run.simulated["y"][:3]
+"""
+
+
+def function(name: str, source: str = SOURCE) -> Function:
+    return Function("mine", name, source)
+
+
+EXPERIMENT = Experiment(
+    "run 1",
+    0.0,
+    2.0,
+    (Input("F", TIMES, np.sin(3.0 * TIMES)),),
+    (Output("y", TIMES[::2], 0.1 * np.cos(TIMES[::2]), 0.5),),
+)
+BOUND = SignalBound(
+    "speed", "v", np.linspace(0.0, 2.0, 33), np.full(33, -0.2), np.full(33, 0.15), 0.1
+)
+LOOP = Curve(("x", "v"), np.array([[0.0, 0.0], [0.05, 0.1], [0.1, 0.0], [0.0, -0.1]]),
+             np.linspace(0.0, 2.0, 21), (0.1, 0.2))  # fmt: skip
+EVERYTHING = replace(
+    EXPERIMENT, curve=LOOP, bounds=(BOUND,), constraint_functions=(function("energy"),)
+)
+
+
+def ask(experiment: Experiment, points: FloatArray, want: str = "residuals") -> list[Outcome]:
+    evaluator = Evaluator(MODEL, [experiment], "w")
+    tasks = [Task(i, 0, values, want) for i, values in enumerate(points)]  # type: ignore[arg-type]
+    outcomes = evaluator.evaluate(Batch.of(tasks))
+    evaluator.close()
+    return outcomes
+
+
+def simulated(signal: FloatArray, times: FloatArray, name: str = "y") -> Simulated:
+    """(points, n) of one variable."""
+    return Simulated(times, (name,), np.asarray(signal, float)[:, :, None], np.zeros((1, 1)))
+
+
+def bound(lower: object, upper: object, **more: object) -> SignalBound:
+    ones = np.ones(len(TIMES))
+    return SignalBound("b", "y", TIMES, lower * ones, upper * ones, **more)  # type: ignore
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5))
+def test_the_largest_violation_of_each_side(seed, points):
+    generator = np.random.default_rng(seed)
+    lower, upper = np.sort(generator.normal(size=(2, len(TIMES))), axis=0)
+    lower[generator.random(len(TIMES)) < 0.3] = -np.inf
+    upper[generator.random(len(TIMES)) < 0.3] = np.inf
+    signal = generator.normal(size=(points, len(TIMES)))
+    found = SignalBounds((bound(lower, upper, scale=2.0),)).compare(simulated(signal, TIMES)).values
+    for row, values in zip(found, signal, strict=True):
+        below = max((a - y) / 2.0 for a, y in zip(lower, values, strict=True) if np.isfinite(a))
+        above = max((y - b) / 2.0 for b, y in zip(upper, values, strict=True) if np.isfinite(b))
+        assert row.tolist() == [below, above]
+
+
+def test_an_equality_keeps_the_gap_that_is_farthest_and_its_sign():
+    signal = np.zeros((2, len(TIMES)))
+    signal[0, 3], signal[0, 7] = 0.5, -0.75
+    signal[1, 4] = 2.0
+    found = SignalBounds((bound(0.0, 0.0, scale=0.5, equality=True),))
+    assert found.compare(simulated(signal, TIMES)).values.tolist() == [[-1.5], [4.0]]
+
+
+def test_bounds_look_at_their_own_times_only():
+    some = SignalBound("b", "y", TIMES[5:8], np.zeros(3), np.full(3, np.inf))
+    signal = np.full((1, len(TIMES)), -9.0)
+    signal[0, 5:8] = [1.0, 2.0, 3.0]
+    assert SignalBounds((some,)).compare(simulated(signal, TIMES)).values.tolist() == [[-1.0]]
+
+
+def test_several_bounds_stand_one_after_the_other_as_their_names_do():
+    bounds = (bound(-1.0, np.inf), bound(-np.inf, 2.0), bound(0.0, 0.0, equality=True))
+    experiment = replace(EXPERIMENT, bounds=bounds)
+    assert experiment.constraint_names == ("b lower", "b upper", "b")
+    assert experiment.equality == (False, False, True)
+    found = SignalBounds(bounds).compare(simulated(np.full((1, len(TIMES)), 5.0), TIMES))
+    assert found.values.tolist() == [[-6.0, 3.0, 5.0]]
+
+
+def test_a_bound_without_limits_is_no_constraint():
+    nothing = bound(-np.inf, np.inf)
+    assert nothing.names == ()
+    found = SignalBounds((nothing,)).compare(simulated(np.zeros((3, len(TIMES))), TIMES))
+    assert found.values.shape == (3, 0)
+
+
+def test_a_signal_that_is_no_number_violates_nothing_in_silence():
+    signal = np.zeros((2, len(TIMES)))
+    signal[0, 10] = np.nan
+    found = SignalBounds((bound(-1.0, 1.0),)).compare(simulated(signal, TIMES)).values
+    assert np.isnan(found[0]).all()
+    assert found[1].tolist() == [-1.0, -1.0]
+
+
+def test_violations_that_overflow_are_an_outcome():
+    tiny = 5e-324
+    for spoiled in (
+        replace(EXPERIMENT, bounds=(replace(BOUND, scale=tiny),)),
+        replace(EXPERIMENT, curve=replace(LOOP, tolerances=(tiny, 0.0))),
+    ):
+        (outcome,) = ask(spoiled, np.array([[1.2, 30.0, 0.6]])[:, : len(MODEL.parameters)])
+        assert outcome.status is Status.NOT_FINITE
+        assert "too large" in outcome.message
+
+
+def test_a_curve_has_a_residual_for_each_segment_and_constraints_for_tolerances():
+    """The simulated curve stands still at (3, 0); the measured one goes from (0, 0) over (4, 0)."""
+    reference = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0]])
+    curve = Curve(("a", "b"), reference, TIMES[:4], (0.5, 0.0))
+    record = np.zeros((1, len(TIMES), 2))
+    record[0, :, 0], record[0, :, 1] = 3.0, 0.25
+    seen = Simulated(TIMES, ("a", "b"), record, np.zeros((1, 1)))
+    # over the largest absolute values, (4, 1): ends of the segments at 0.5 and 1, point at 0.75
+    expected = [np.hypot(0.25, 0.25), 0.25]
+    np.testing.assert_allclose(CurveDistances(curve).compare(seen).values, [expected])
+    np.testing.assert_allclose(CurveTolerances(curve).compare(seen).values, [[0.0 / 0.5 - 1.0]])
+    assert curve.names == ("tolerance of a",)
+
+
+def test_a_curve_takes_its_columns_by_name():
+    reference = np.array([[0.0, 0.0], [1.0, 10.0]])
+    curve = Curve(("b", "a"), reference, TIMES, (0.1, 1.0))
+    record = np.zeros((1, len(TIMES), 3))
+    record[0, :, 0] = np.linspace(0.0, 10.0, len(TIMES))  # a
+    record[0, :, 2] = np.linspace(0.0, 1.0, len(TIMES))  # b
+    seen = Simulated(TIMES, ("a", "c", "b"), record, np.zeros((1, 1)))
+    np.testing.assert_allclose(CurveDistances(curve).compare(seen).values, [[0.0]], atol=1e-15)
+    np.testing.assert_allclose(CurveTolerances(curve).compare(seen).values, [[-1.0, -1.0]])
+
+
+def test_what_an_experiment_has_comes_in_the_order_of_its_names():
+    (outcome,) = ask(EVERYTHING, POINTS[:1], "trajectory")
+    assert outcome.ok
+    assert EVERYTHING.constraint_names == (
+        "tolerance of x", "tolerance of v", "speed lower", "speed upper", "energy"
+    )  # fmt: skip
+    assert EVERYTHING.recorded == ("y", "x", "v")
+    assert EVERYTHING.size == 21 + 3 == len(outcome.residuals)
+    trajectory = outcome.trajectory
+    signal = dict(zip(trajectory.variables, trajectory.values.T, strict=True))
+    place = np.searchsorted(trajectory.times, EVERYTHING.outputs[0].times)
+    expected = (EVERYTHING.outputs[0].values - signal["y"][place]) / 0.5
+    np.testing.assert_array_equal(outcome.residuals[:21], expected)
+    v = signal["v"][np.searchsorted(trajectory.times, BOUND.times)]
+    np.testing.assert_array_equal(
+        outcome.constraints[2:4], [np.max(-0.2 - v) / 0.1, np.max(v - 0.15) / 0.1]
+    )
+    assert outcome.constraints[4] == np.max(0.5 * 1.0 * signal["v"] ** 2) - 0.02
+
+
+def bits(outcome: Outcome) -> tuple[Status, str, bytes, bytes]:
+    residuals = b"" if outcome.residuals is None else outcome.residuals.tobytes()
+    return outcome.status, outcome.message, residuals, outcome.constraints.tobytes()
+
+
+USER = replace(EVERYTHING, cost_function=function("residuals"))
+SCALAR = replace(EXPERIMENT, cost_function=function("energy"), bounds=(BOUND,))
+ALONE: dict[tuple[str, int], tuple] = {}
+
+
+@given(
+    st.sampled_from([EVERYTHING, USER, SCALAR]),
+    st.lists(st.integers(0, len(POINTS) - 1), min_size=1, max_size=8),
+)
+def test_no_answer_depends_on_its_batch(experiment, chosen):
+    for i in set(chosen):
+        if (experiment.key, i) not in ALONE:
+            ALONE[experiment.key, i] = bits(ask(experiment, POINTS[[i]])[0])
+    together = ask(experiment, POINTS[chosen])
+    assert [bits(o) for o in together] == [ALONE[experiment.key, i] for i in chosen]
+    assert [o.ok for o in together] == [i != 2 for i in chosen]
+
+
+def test_a_function_that_gives_the_residuals_gives_the_same_bits():
+    plain = ask(EXPERIMENT, POINTS)
+    own = ask(replace(EXPERIMENT, cost_function=function("residuals")), POINTS)
+    assert [bits(o) for o in own] == [bits(o) for o in plain]
+
+
+def test_the_key_of_an_experiment_knows_all_of_it():
+    limits = replace(BOUND, upper=BOUND.upper + 1.0)
+    variants = [
+        EXPERIMENT,
+        EVERYTHING,
+        replace(EVERYTHING, bounds=(limits,)),
+        replace(EVERYTHING, bounds=(replace(BOUND, scale=0.2),)),
+        replace(EVERYTHING, bounds=()),
+        replace(EVERYTHING, curve=replace(LOOP, tolerances=(0.1, 0.3))),
+        replace(EVERYTHING, curve=replace(LOOP, times=LOOP.times[1:])),
+        replace(EVERYTHING, curve=replace(LOOP, points=LOOP.points + 1.0)),
+        replace(EVERYTHING, constraint_functions=(function("energy", SOURCE + "\n"),)),
+        replace(EVERYTHING, constraint_functions=(replace(function("energy"), equality=True),)),
+        USER,
+        replace(EVERYTHING, constraint_functions=(), cost_function=function("energy")),
+    ]
+    assert len({e.key for e in variants}) == len(variants)
+    label = replace(EVERYTHING, constraint_functions=(replace(function("energy"), label="E"),))
+    assert label.key == EVERYTHING.key
+    assert label.constraint_names[-1] == "E"
+
+
+def user(body: str) -> Function:
+    return Function(
+        "mine", "f", "import numpy as np\ndef f(run):\n" + textwrap.indent(body, "    ")
+    )
+
+
+@pytest.mark.parametrize(
+    ("body", "phrase"),
+    [
+        ("return 1 / 0", "ZeroDivisionError: division by zero"),
+        ("return run.nothing", "AttributeError"),
+        ("return run.simulated['q']", "KeyError: 'q'"),
+        ("raise SystemExit(3)", "SystemExit: 3"),
+        ("raise ValueError", "ValueError"),
+        ("return 'many'", "could not convert string to float"),
+        ("return {'a': 1}", "TypeError"),
+        ("return None", "it must return real numbers but returned a NoneType"),
+        ("pass", "it must return real numbers but returned a NoneType"),
+        ("return 1j", "it must return real numbers but returned a complex"),
+        ("return np.fft.fft(run.simulated['y'])", "it must return real numbers but returned"),
+        ("return float('nan')", "it must return finite numbers but returned nan"),
+        ("return [1.0, float('-inf')]", "but returned"),
+        ("return []", "but returned none"),
+        ("return [[1.0], [1.0, 2.0]]", "ValueError"),
+        ("run.simulated['y'][:] = 0.0\nreturn 0.0", "read-only"),
+        ("run.measured['y'][1][:] = 0.0\nreturn 0.0", "read-only"),
+        ("run.times[0] = 1.0\nreturn 0.0", "read-only"),
+    ],
+)
+@pytest.mark.parametrize("place", ["cost", "constraint"])
+def test_a_function_that_misbehaves_is_a_failed_evaluation_that_says_why(body, phrase, place):
+    each = user(body)
+    experiment = (
+        replace(EXPERIMENT, cost_function=each)
+        if place == "cost"
+        else replace(EXPERIMENT, constraint_functions=(each,))
+    )
+    for outcome in ask(experiment, POINTS[:2]):
+        assert outcome.status is Status.NOT_FINITE
+        assert outcome.message.startswith("mine:f failed (")
+        assert phrase in outcome.message
+        assert outcome.residuals is None
+        assert len(outcome.constraints) == 0
+
+
+def test_a_failure_spares_its_neighbours():
+    outcomes = ask(replace(EXPERIMENT, cost_function=function("fails_for_light")), POINTS)
+    assert [o.ok for o in outcomes] == [True, True, False, False, True]
+    assert outcomes[2].status is Status.SOLVER_FAILURE
+    assert "mass must be positive" in outcomes[2].message
+    assert outcomes[3].message == "mine:fails_for_light failed (RuntimeError: too light)"
+    assert [len(o.residuals) for o in outcomes if o.residuals is not None] == [3, 3, 3]
+
+
+@pytest.mark.parametrize("first", [0, 2, 3])
+def test_a_simulation_without_values_is_no_answer_of_the_function(first):
+    """Not even where nobody knows yet how many numbers it returns."""
+    each = replace(EXPERIMENT, cost_function=function("fails_for_light"))
+    points = np.roll(POINTS, -first, axis=0)
+    assert [o.ok for o in ask(each, points)] == np.roll([True, True, False, False, True],
+                                                         -first).tolist()  # fmt: skip
+
+
+def test_outputs_that_are_not_finite_are_said_to_be_even_behind_a_function():
+    record = np.zeros((2, 5, 1))
+    record[0, 3] = np.nan
+    seen = Simulated(np.arange(5.0), ("y",), record, np.zeros((2, 2)))
+    compared = UserFunction(user("return 1.0"), EXPERIMENT, ("m", "k"), single=False).compare(seen)
+    assert list(compared.failures) == [0]
+    assert compared.values[1].tolist() == [1.0]
+
+
+def test_a_constraint_returns_one_number():
+    (outcome,) = ask(
+        replace(EXPERIMENT, constraint_functions=(user("return [1.0, 2.0]"),)), POINTS[:1]
+    )
+    assert "it must return one number but returned 2" in outcome.message
+    (outcome,) = ask(
+        replace(EXPERIMENT, constraint_functions=(user("return np.array([[7.0]])"),)), POINTS[:1]
+    )
+    assert outcome.constraints.tolist() == [7.0]
+
+
+def test_a_cost_function_returns_as_many_numbers_each_time():
+    each = replace(EXPERIMENT, cost_function=user("return np.ones(2 + (run.values['m'] > 1.1))"))
+    good, bad = ask(each, POINTS[[0, 1]])
+    assert good.residuals.tolist() == [1.0, 1.0]
+    assert "it must return 2 numbers, as it did before, but returned 3" in bad.message
+
+
+def test_whole_numbers_and_truths_are_numbers():
+    for body, value in [("return 3", 3.0), ("return True", 1.0), ("return np.float32(2)", 2.0)]:
+        (outcome,) = ask(replace(EXPERIMENT, cost_function=user(body)), POINTS[:1])
+        assert outcome.residuals.tolist() == [value]
+
+
+def test_what_a_function_is_given():
+    body = """
+assert run.experiment == "run 1"
+assert sorted(run.simulated) == ["v", "x", "y"]
+assert list(run.measured) == ["y"] and run.sigma == {"y": 0.5}
+assert run.values == {"m": 1.0, "k": 25.0}
+times, values = run.measured["y"]
+assert len(times) == len(values) == 21
+assert all(len(column) == len(run.times) for column in run.simulated.values())
+assert run.times[0] == 0.0 and run.times[-1] == 2.0
+return run.residuals("y")
+"""
+    each = replace(EVERYTHING, cost_function=user(body), constraint_functions=())
+    (outcome,) = ask(each, POINTS[:1])
+    assert outcome.ok, outcome.message
+
+
+def test_a_function_cannot_spoil_what_others_see():
+    spoils = user("for v in run.simulated.values():\n    v = v * 0\nrun.values.clear()\nreturn 0.0")
+    plain = ask(EXPERIMENT, POINTS)
+    beside = ask(replace(EXPERIMENT, constraint_functions=(spoils, spoils)), POINTS)
+    for one, other in zip(plain, beside, strict=True):
+        assert bits(one)[2] == bits(other)[2]
+
+
+def test_source_text_works_in_another_process(tmp_path):
+    experiment = replace(EVERYTHING, cost_function=function("residuals"))
+    packed = tmp_path / "job.pickle"
+    packed.write_bytes(pickle.dumps((MODEL, experiment, POINTS)))
+    script = textwrap.dedent(
+        f"""
+        import pickle, sys
+        model, experiment, points = pickle.loads(open({str(packed)!r}, "rb").read())
+        from workers.evaluate import Evaluator
+        from workers.messages import Task
+        from workers.wire import Answers, Batch
+        batch = Batch.of([Task(i, 0, values) for i, values in enumerate(points)])
+        outcomes = Evaluator(model, [experiment], "w").evaluate(batch)
+        sys.stdout.buffer.write(pickle.dumps(Answers.of(outcomes)))
+        """
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, check=True
+    )
+    elsewhere = pickle.loads(done.stdout).outcomes()
+    assert [bits(o) for o in elsewhere] == [bits(o) for o in ask(experiment, POINTS)]
+
+
+def test_a_worker_that_lacks_the_module_says_so():
+    for each in (Function("no_such_module", "f"), Function("math", "no_such")):
+        with pytest.raises(ModelError, match=f"{each.module}:{each.name}: must be a function"):
+            Evaluator(MODEL, [replace(EXPERIMENT, cost_function=each)], "w")
+
+
+def test_each_worker_has_a_module_of_its_own():
+    counted: Callable = load(Function("counts", "f", "calls = []\ndef f(run):\n"
+                                      "    calls.append(run)\n    return len(calls)"))  # fmt: skip
+    other: Callable = load(Function("counts", "f", "calls = []\ndef f(run):\n"
+                                    "    calls.append(run)\n    return len(calls)"))  # fmt: skip
+    assert [counted(None), counted(None), other(None)] == [1, 2, 1]
