@@ -11,7 +11,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import Space, make_space
+from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.results import rows
 from cluster_est.results.output_errors import Simulation, output_errors
 from cluster_est.results.result import Result
@@ -91,7 +91,7 @@ def fit(
 
 def fit_on(
     runner: Runner,
-    train: Space,
+    train: SearchSpace,
     method: Method,
     seed: int,
     multistart: Multistart,
@@ -126,7 +126,7 @@ def fit_on(
 
 def complete(
     runner: Runner,
-    train: Space,
+    train: SearchSpace,
     solution: Solution,
     method: Method,
     before: list[Simulation],
@@ -201,7 +201,7 @@ def _kept(simulations: list[Simulation]) -> tuple[Simulation, ...]:
 
 def refine(
     runner: Runner,
-    train: Space,
+    train: SearchSpace,
     result: Result,
     method: Method,
     settings: UncertaintySettings,
@@ -231,7 +231,7 @@ def simulate(
 
 def check_search(
     problem: Problem, method: Method, settings: UncertaintySettings, multistart: Multistart
-) -> Space:
+) -> SearchSpace:
     """The space of the training experiments, if it can be searched as is asked.
 
     Raises
@@ -248,7 +248,7 @@ def check_search(
     return train
 
 
-def _accepts(method: Method, space: Space) -> bool:
+def _accepts(method: Method, space: SearchSpace) -> bool:
     try:
         check_method(method, space)
     except ProblemError:
@@ -256,7 +256,7 @@ def _accepts(method: Method, space: Space) -> bool:
     return True
 
 
-def check_method(method: Method, space: Space) -> None:
+def check_method(method: Method, space: SearchSpace) -> None:
     """Refuse a method that cannot solve this problem.
 
     Raises
@@ -286,7 +286,9 @@ def check_method(method: Method, space: Space) -> None:
     method.check(space)
 
 
-def _fit_test_records(runner: Runner, method: Method, space: Space, seed: int) -> Solution | None:
+def _fit_test_records(
+    runner: Runner, method: Method, space: SearchSpace, seed: int
+) -> Solution | None:
     """Estimate what belongs to test records alone. None if there is nothing to estimate."""
     if space.size == 0 or runner.interrupted:
         return None
@@ -304,7 +306,9 @@ def simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> l
     return [Simulation(e, outcome) for e, outcome in zip(everything, outcomes, strict=True)]
 
 
-def _whole(space: Space, solution: Solution, method: Method, after: list[Simulation]) -> Solution:
+def _whole(
+    space: SearchSpace, solution: Solution, method: Method, after: list[Simulation]
+) -> Solution:
     """The solution with every residual at its point, where its search was sent reduced ones."""
     if solution.at is None or suited(space, method).wants == space.wants:
         return solution

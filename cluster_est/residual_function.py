@@ -13,7 +13,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.methods.derivatives.differences import Scheme, jacobian
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import Space, make_space
+from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.resources import Resources, open_executor
 from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import FloatArray
@@ -21,7 +21,7 @@ from workers.messages import FloatArray
 
 def residuals(
     problem: Problem, resources: Resources | None = None, *, differences: Scheme = "forward"
-) -> Residuals:
+) -> ResidualFunction:
     """The residuals of the training experiments as a function of the unknowns.
 
     ::
@@ -50,10 +50,10 @@ def residuals(
     problem.describe()
     space = make_space(problem, problem.indices("train"))
     _check(space)
-    return Residuals(space, resources or Resources(), differences)
+    return ResidualFunction(space, resources or Resources(), differences)
 
 
-class Residuals:
+class ResidualFunction:
     """A function f(x) of the unknowns, whose workers stay until it is closed.
 
     x holds physical values, or their natural logarithms where a parameter's scale is "log".
@@ -75,7 +75,7 @@ class Residuals:
         Why the last point that failed did; "" if none has.
     """
 
-    def __init__(self, space: Space, resources: Resources, differences: Scheme) -> None:
+    def __init__(self, space: SearchSpace, resources: Resources, differences: Scheme) -> None:
         self._space, self._differences = space, differences
         self._executor = open_executor(space.problem, resources)
         self._runner = Runner(self._executor, resources.budget, whole=True)
@@ -105,7 +105,7 @@ class Residuals:
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """(residuals,): (measured - simulated) / sigma, experiment after experiment."""
-        at = self._run(_At(self._checked(x))).at
+        at = self._run(_PointEvaluation(self._checked(x))).at
         if at is None or not at.ok:
             self.reason = "" if at is None else at.reason
             return np.full(self._size, np.nan)
@@ -118,7 +118,7 @@ class Residuals:
         The column of an unknown whose difference fails is 0, so that a method leaves it where
         it is; where x itself fails everything is NaN.
         """
-        found = self._run(_At(self._checked(x), self._differences))
+        found = self._run(_PointEvaluation(self._checked(x), self._differences))
         if found.jacobian is not None:
             return found.jacobian
         self.reason = "" if found.at is None else found.at.reason
@@ -140,7 +140,7 @@ class Residuals:
     ) -> None:
         self.close()
 
-    def _run(self, question: _At) -> Solution:
+    def _run(self, question: _PointEvaluation) -> Solution:
         if not self._open:
             raise ProblemError(
                 "residuals: must be open to be called but is closed; make it again with "
@@ -160,7 +160,7 @@ class Residuals:
 
 
 @dataclass(frozen=True, eq=False)
-class _At(Method):
+class _PointEvaluation(Method):
     """A search that looks at one point, and at its derivatives if it is told how."""
 
     name: ClassVar[str] = "residuals"
@@ -169,7 +169,7 @@ class _At(Method):
     x: FloatArray
     differences: Scheme | None = None
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         (at,) = yield Points(self.x[None, :], "point")
         if self.differences is None or not at.ok:
             return Solution(self.x, at.cost, Ending.CONVERGED, at=at)
@@ -177,7 +177,7 @@ class _At(Method):
         return Solution(self.x, at.cost, Ending.CONVERGED, jacobian=found.matrix, at=at)
 
 
-def _check(space: Space) -> None:
+def _check(space: SearchSpace) -> None:
     """Refuse what residuals cannot say."""
     problem = space.problem
     if space.size == 0:

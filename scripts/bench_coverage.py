@@ -24,7 +24,7 @@ from scipy.signal import lsim
 from cluster_est import Experiment, Input, LeastSquares, Model, Output, Parameter, Problem, Solver
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.methods.base import Solution
-from cluster_est.problem.space import Space, make_space
+from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner, SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap, profiles
 
@@ -77,7 +77,7 @@ def repeated(repetitions: int, experiments: int, samples: int, seed: int) -> tup
 
 def fitted(
     repetitions: int, experiments: int, samples: int, seed: int
-) -> tuple[Runner, list[tuple[Space, Solution]], dict]:
+) -> tuple[Runner, list[tuple[SearchSpace, Solution]], dict]:
     """Every repetition, fitted."""
     problem, truth = repeated(repetitions, experiments, samples, seed)
     spaces = [

@@ -20,15 +20,15 @@ from pathlib import Path
 import numpy as np
 
 from cluster_est.export.fmu import write_fmu
-from cluster_est.export.repair import Repair, gather
+from cluster_est.export.repair import RepairedModel, gather
 from workers.evaluate import Evaluator
 from workers.messages import Model, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 POINTS = 20
 
 
-def loops(repair: Repair, fmu: Path) -> tuple[Callable[[], None], Callable[[], None]]:
+def loops(repair: RepairedModel, fmu: Path) -> tuple[Callable[[], None], Callable[[], None]]:
     """Two functions, each of which simulates the first experiment at many points."""
     problem = repair.problem
     experiment = problem.experiments[0]
@@ -47,7 +47,7 @@ def loops(repair: Repair, fmu: Path) -> tuple[Callable[[], None], Callable[[], N
 def _loop(model: Model, experiment, values, effects) -> Callable[[], None]:  # type: ignore[no-untyped-def]
     evaluator = Evaluator(model, (experiment,), "bench")
     tasks = [Task(i, 0, np.array(values), "residuals", effects) for i in range(POINTS)]
-    batch = Batch.of(tasks)
+    batch = TaskBatch.of(tasks)
 
     def run() -> None:
         outcomes = evaluator.evaluate(batch)

@@ -29,10 +29,10 @@ import numpy as np
 from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Problem, Solver
 from cluster_est.executors.virtual import VirtualExecutor
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
-from cluster_est.problem.space import Space, make_space
+from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.run_folder.evaluation_log import EvaluationLog
 from cluster_est.running.resources import one_blas_thread
-from cluster_est.running.runner import Iteration, Runner, SearchRequest
+from cluster_est.running.runner import Runner, SearchIteration, SearchRequest
 from cluster_est.uncertainty import assess
 from workers.messages import FloatArray, Task
 
@@ -91,7 +91,7 @@ def fit_many(count: int) -> None:
     executor = VirtualExecutor(residuals, lambda task, generator: 1.0, 64, clock=time.process_time)
     spent: list[tuple[float, int]] = []
 
-    def note(line: Iteration) -> None:
+    def note(line: SearchIteration) -> None:
         before = spent[-1] if spent else (0.0, 0)
         spent.append((executor.coordinator, line.evaluations))
         tasks = (line.evaluations - before[1]) * count
@@ -128,7 +128,7 @@ class Wave(Method):
 
     points: int
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         yield Points(space.start + generator.normal(size=(self.points, space.size)), "wave")
         return Solution(space.start, np.nan, Ending.CONVERGED)
 

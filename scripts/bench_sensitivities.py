@@ -28,7 +28,7 @@ from cluster_est.results.result import Result
 from cluster_est.running.resources import Resources
 from workers.evaluate import Evaluator
 from workers.messages import Model, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 RATES = tuple(f"{kind}{i}" for kind in "ab" for i in range(1, 6))
 TRUTH = np.array([1.0, 0.8, 0.6, 0.5, 0.4, 0.10, 0.15, 0.20, 0.25, 0.30])
@@ -75,7 +75,7 @@ def make_problem(archive: bytes, times: int, experiments: int) -> ce.Problem:
         blank = tuple(ce.Output(name, grid, 0.0 * grid, 0.01) for name in STATES)
         run = ce.Experiment(f"run{number}", 0.0, 20.0, (given,), blank)
         evaluator = Evaluator(model, (run,), "truth")
-        (outcome,) = evaluator.evaluate(Batch.of([Task(0, 0, TRUTH)]))
+        (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, TRUTH)]))
         evaluator.close()
         exact = np.split(-0.01 * outcome.residuals, len(STATES))
         noisy = (y + 0.01 * chance.standard_normal(times) for y in exact)

@@ -17,7 +17,7 @@ import numpy as np
 from cluster_est.config.build import build_method, build_problem, build_resources
 from cluster_est.config.reader import read_config
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import Space, make_space
+from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.resources import open_executor
 from cluster_est.running.runner import Runner, SearchRequest
 
@@ -45,7 +45,7 @@ def main() -> None:
     print(f"{same} of {len(costs)} starts reach the best minimum, cost {best:.8g}, to 1e-6")
 
 
-def random_start(problem: Problem, generator: np.random.Generator) -> Space:
+def random_start(problem: Problem, generator: np.random.Generator) -> SearchSpace:
     """The training space of the problem from a random point within its bounds."""
     parameters = []
     for parameter in problem.parameters:

@@ -31,11 +31,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.errors import ModelError
-from workers.fmu.description import Description, describe
-from workers.fmu.variable import Variable
+from workers.fmu.description import ModelDescription, describe
+from workers.fmu.variable import ModelVariable
 from workers.messages import Experiment, Interface, Limits, Model, Outcome, Output, Solver, Task
-from workers.process.supervisor import Guard
-from workers.wire import Batch
+from workers.process.supervisor import SupervisedEvaluator
+from workers.wire import TaskBatch
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class Trial:
     """What is simulated: an FMU in one interface. `step` is that of communication."""
 
     file: Path
-    description: Description
+    description: ModelDescription
     interface: Interface
     outputs: tuple[str, ...]
     times: Array
@@ -78,7 +78,7 @@ def main() -> int:
     return int(differ)
 
 
-def trial(file: Path, description: Description, interface: Interface, points: int) -> Trial:
+def trial(file: Path, description: ModelDescription, interface: Interface, points: int) -> Trial:
     """An FMU's default experiment, or a second of its time."""
     start = description.default_start or 0.0
     stop = description.default_stop
@@ -91,13 +91,13 @@ def trial(file: Path, description: Description, interface: Interface, points: in
     return Trial(file, description, interface, recorded(description), times, step)
 
 
-def recorded(description: Description) -> tuple[str, ...]:
+def recorded(description: ModelDescription) -> tuple[str, ...]:
     known = [v for v in description.variables.values() if v.kind in NUMBERS and v.alias_of is None]
     outputs = [v.name for v in known if v.causality == "output"]
     if outputs:
         return tuple(outputs[:MOST_OUTPUTS])
 
-    def moves(variable: Variable) -> bool:
+    def moves(variable: ModelVariable) -> bool:
         return variable.causality == "local" and variable.variability in ("continuous", "discrete")
 
     return tuple([v.name for v in known if moves(v)][:MOST_LOCALS])
@@ -138,11 +138,11 @@ def simulated(given: Trial, seconds: float) -> tuple[Array | str, Array | str]:
         solver = Solver(name, rtol=TOLERANCE, atol=TOLERANCE) if exchange else Solver("fmu")
         model = Model(given.file.name, given.file.read_bytes(), given.interface, solver, ())
         try:
-            guard = Guard(model, (run,), "w", Limits(seconds))
+            guard = SupervisedEvaluator(model, (run,), "w", Limits(seconds))
         except ModelError as error:
             return str(error), str(error)
         task = Task(0, 0, np.zeros(0), "trajectory")
-        found = [values(guard.evaluate(Batch.of([task]))[0], given.times) for _ in range(2)]
+        found = [values(guard.evaluate(TaskBatch.of([task]))[0], given.times) for _ in range(2)]
         guard.close()
         if not isinstance(found[0], str) or "stiff" not in found[0]:
             break
@@ -183,7 +183,7 @@ def referred(given: Trial, seconds: float) -> Array | str:
     return on_times(np.array(json.loads(answers[-1])), given)
 
 
-def _whole(variable: Variable) -> str:
+def _whole(variable: ModelVariable) -> str:
     """The name of an array for one of its elements."""
     return variable.name.rpartition("[")[0] if variable.shape else variable.name
 

@@ -22,13 +22,13 @@ from workers.messages import (
     Trajectory,
     Want,
 )
-from workers.residuals.base import Simulated
-from workers.residuals.experiment import ExperimentComparison, Judged
+from workers.residuals.base import SimulatedBatch
+from workers.residuals.experiment import BatchComparison, ExperimentComparison
 from workers.residuals.reduce import reduce_residuals
-from workers.simulation.bind_experiment import Installed
-from workers.simulation.integrator import Record
+from workers.simulation.bind_experiment import BoundExperiment
+from workers.simulation.integrator import SimulationBatch
 from workers.simulation.simulator import Simulator
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 MAX_VALUES = 4_000_000
 """Simulated values that are kept at once: 32 MB, however long the experiments are."""
@@ -87,7 +87,7 @@ class Evaluator:
         """
         self._simulator.load()
 
-    def evaluate(self, batch: Batch) -> list[Outcome]:
+    def evaluate(self, batch: TaskBatch) -> list[Outcome]:
         """Answer every task of a batch, in its order."""
         answers: dict[int, Outcome] = {}
         for experiment in np.unique(batch.experiments):
@@ -110,7 +110,7 @@ class Evaluator:
         return [chosen[first : first + most] for first in range(0, len(chosen), most)]
 
     def _simulate(
-        self, experiment: int, ids: IntArray, values: FloatArray, batch: Batch
+        self, experiment: int, ids: IntArray, values: FloatArray, batch: TaskBatch
     ) -> list[Outcome]:
         ready = self._simulator.installed(experiment)
         begin = time.perf_counter()
@@ -119,7 +119,7 @@ class Evaluator:
             "sensitivities": self._simulator.sensitivities,
         }
         record = ways.get(batch.want, self._simulator.run)(experiment, values, batch.effects)
-        simulated = Simulated(ready.grid.times, ready.outputs, record.outputs, values)
+        simulated = SimulatedBatch(ready.grid.times, ready.outputs, record.outputs, values)
         judged = self._comparisons[experiment].judge(simulated)
         seconds = (time.perf_counter() - begin) / len(ids)
         outcomes = [
@@ -136,7 +136,12 @@ class Evaluator:
         return [_reduced(self._experiments[experiment], o, batch.want) for o in outcomes]
 
     def _with_slopes(
-        self, experiment: int, simulated: Simulated, record: Record, p: int, outcome: Outcome
+        self,
+        experiment: int,
+        simulated: SimulatedBatch,
+        record: SimulationBatch,
+        p: int,
+        outcome: Outcome,
     ) -> Outcome:
         """The same with derivatives by the parameters, or why it has none."""
         if not outcome.ok:
@@ -151,10 +156,10 @@ class Evaluator:
     def _outcome(
         self,
         task: int,
-        ready: Installed,
-        record: Record,
+        ready: BoundExperiment,
+        record: SimulationBatch,
         p: int,
-        judged: Judged,
+        judged: BatchComparison,
         want: Want,
         seconds: float,
     ) -> Outcome:
@@ -193,7 +198,7 @@ def _reduced(experiment: Experiment, outcome: Outcome, want: Want) -> Outcome:
     return replace(outcome, residuals=reduce_residuals(outcome.residuals, experiment.counts, want))
 
 
-def _where_not_finite(ready: Installed, outputs: FloatArray) -> str:
+def _where_not_finite(ready: BoundExperiment, outputs: FloatArray) -> str:
     if np.isfinite(outputs).all():
         return "the outputs are finite but too large for their residuals or constraints"
     row, column = np.argwhere(~np.isfinite(outputs))[0]

@@ -21,7 +21,7 @@ from workers.messages import (
 
 
 @dataclass(frozen=True)
-class Batch:
+class TaskBatch:
     """Tasks on their way to a worker, as columns: cheap to send.
 
     Attributes
@@ -39,7 +39,7 @@ class Batch:
     effects: tuple[Effect, ...] = ()
 
     @classmethod
-    def of(cls, tasks: Sequence[Task]) -> Batch:
+    def of(cls, tasks: Sequence[Task]) -> TaskBatch:
         """Pack tasks that all want the same, with the same effects."""
         return cls(
             ids=np.array([task.id for task in tasks], np.int64),
@@ -57,7 +57,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Answers:
+class OutcomeColumns:
     """Outcomes on their way back, as columns: one array to send instead of one for each outcome.
 
     Attributes
@@ -86,7 +86,7 @@ class Answers:
     worker: str
 
     @classmethod
-    def of(cls, outcomes: Sequence[Outcome]) -> Answers:
+    def of(cls, outcomes: Sequence[Outcome]) -> OutcomeColumns:
         """Pack the outcomes of one worker."""
         kept = [o.residuals for o in outcomes if o.residuals is not None]
         pairs = list(enumerate(outcomes))

@@ -39,7 +39,7 @@ from cluster_est.errors import BudgetError, ConfigError, ModelError, ProblemErro
 from cluster_est.fit import check_search
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
-from cluster_est.preflight import SECONDS, Finding, Page, bare_problem, examine
+from cluster_est.preflight import SECONDS, CheckFinding, CheckPage, bare_problem, examine
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.results.curves import residual_table, trajectory_table
@@ -102,10 +102,10 @@ def check(path: Path, overrides: list[str], *, allow_code: bool, seconds: float 
     return _verdict(page)
 
 
-def _units(config: Config, problem: Problem) -> list[Finding]:
+def _units(config: Config, problem: Problem) -> list[CheckFinding]:
     """A line for each column whose name says another unit than its variable has."""
     return [
-        Finding(
+        CheckFinding(
             "problem",
             "units",
             f"column '{m.column}' is given to {m.variable}, which is in {m.wanted}, as it is",
@@ -116,7 +116,7 @@ def _units(config: Config, problem: Problem) -> list[Finding]:
     ]
 
 
-def _verdict(page: Page) -> int:
+def _verdict(page: CheckPage) -> int:
     if not page.loads:
         raise ModelError(page.findings[0].found)
     return DONE if page.good else NO_SOLUTION
@@ -340,10 +340,10 @@ def export(
     allow_code: bool,
 ) -> int:
     """Write what a run has found, in the forms that are asked for."""
-    from cluster_est.export.write import Wanted
+    from cluster_est.export.write import ExportRequest
     from cluster_est.export.write import export as run_export  # SymPy takes long to import
 
-    wanted = Wanted(fmu, ssv, modelica, text)
+    wanted = ExportRequest(fmu, ssv, modelica, text)
     written = run_export(run_folder, config, experiment, wanted, allow_code=allow_code)
     for printed in written.printed:
         say(Console(), printed)

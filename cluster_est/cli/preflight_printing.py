@@ -5,10 +5,10 @@ from __future__ import annotations
 from rich.console import Console
 
 from cluster_est.cli.printing import say
-from cluster_est.preflight import Page
+from cluster_est.preflight import CheckPage
 
 
-def print_page(console: Console, page: Page) -> None:
+def print_page(console: Console, page: CheckPage) -> None:
     """A line for each check, and below it what can be done."""
     if not page.findings:
         return

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from cluster_est.running.runner import Budget, Snapshot
+from cluster_est.running.runner import Budget, RunSnapshot
 
 SECONDS_BETWEEN = 0.1
 STARTING = "starting; the first use of a solver compiles it, for up to half a minute"
@@ -49,7 +49,7 @@ class ProgressLine:
         if self._enabled:
             self._live.stop()
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: RunSnapshot) -> None:
         """Refresh, at most ten times a second."""
         now = time.monotonic()
         if self._enabled and now - self._shown > SECONDS_BETWEEN:
@@ -60,7 +60,7 @@ class ProgressLine:
         self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
 
 
-def line(snapshot: Snapshot, budget: Budget) -> str:
+def line(snapshot: RunSnapshot, budget: Budget) -> str:
     """The text of the line."""
     progress = snapshot.progress
     rate = snapshot.evaluations / max(snapshot.seconds, 1e-9)
@@ -77,7 +77,7 @@ def line(snapshot: Snapshot, budget: Budget) -> str:
     return " | ".join(part for part in parts if part)
 
 
-def _left(snapshot: Snapshot, budget: Budget, rate: float) -> str:
+def _left(snapshot: RunSnapshot, budget: Budget, rate: float) -> str:
     """Time left of the budget: nobody knows how long a search still takes."""
     limits = []
     if budget.seconds is not None:

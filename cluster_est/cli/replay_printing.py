@@ -8,11 +8,11 @@ from rich.console import Console
 
 from cluster_est.cli.printing import number, print_table, say
 from cluster_est.run_folder.log_format import logged_cost
-from cluster_est.run_folder.replay import Logged, Question, comparison, read_failures
+from cluster_est.run_folder.replay import LoggedSimulation, ReplayRequest, comparison, read_failures
 from workers.messages import Outcome
 
 
-def print_question(console: Console, logged: Logged, question: Question) -> None:
+def print_question(console: Console, logged: LoggedSimulation, question: ReplayRequest) -> None:
     """Who asked for it, its values and effects, and what came of it then."""
     say(console, f"evaluation {logged.number}: experiment {logged.experiment}")
     say(
@@ -35,14 +35,14 @@ def print_question(console: Console, logged: Logged, question: Question) -> None
     say(console, "what the FMU says, if anything:")
 
 
-def print_answer(console: Console, logged: Logged, outcome: Outcome) -> None:
+def print_answer(console: Console, logged: LoggedSimulation, outcome: Outcome) -> None:
     """What came of it now, and whether that is the same."""
     cost = logged_cost(outcome, logged.want)
     say(console, f"now: {_ending(str(outcome.status), outcome.message, logged, cost)}")
     say(console, comparison(logged, outcome))
 
 
-def _ending(status: str, message: str, logged: Logged, cost: float) -> str:
+def _ending(status: str, message: str, logged: LoggedSimulation, cost: float) -> str:
     return f"{status}: {message}" if message else f"{status}, sum of {logged.summed} {number(cost)}"
 
 

@@ -20,10 +20,10 @@ from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.folder import RunFolder, check_free
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.resume import check_resumable, is_finished, open_folder
-from cluster_est.running.reset_policy import Chosen, recorded
+from cluster_est.running.reset_policy import ResetDecision, recorded
 from cluster_est.running.resources import Resources
-from cluster_est.running.runner import Iteration, Origin, Show, Snapshot
-from cluster_est.running.sensitivity_policy import Carried, recorded_slopes
+from cluster_est.running.runner import RunSnapshot, SearchIteration, Show, TaskOrigin
+from cluster_est.running.sensitivity_policy import SensitivityDecision, recorded_slopes
 from workers.messages import Outcome
 
 STEPS = {
@@ -65,10 +65,10 @@ class Keeper:
         self._searches: dict[str, None] = {}
         self.folder: RunFolder | None = None
         self.logged: LoggedOutcomes | None = None
-        self.chosen: Chosen | None = None
-        self.carried: Carried | None = None
-        self._renew: Chosen | None = None
-        self._carry: Carried | None = None
+        self.chosen: ResetDecision | None = None
+        self.carried: SensitivityDecision | None = None
+        self._renew: ResetDecision | None = None
+        self._carry: SensitivityDecision | None = None
         self.finished = False
         if not resume:
             check_free(out, overwrite=overwrite)
@@ -105,12 +105,12 @@ class Keeper:
             slopes=self._take,
         )
 
-    def _choose(self, chosen: Chosen) -> None:
+    def _choose(self, chosen: ResetDecision) -> None:
         self.chosen = chosen
         if not chosen.plain:
             say(Console(stderr=True), f"cluster-est: {chosen.sentence}")
 
-    def _take(self, carried: Carried) -> None:
+    def _take(self, carried: SensitivityDecision) -> None:
         self.carried = carried
         if carried.carry:
             say(Console(stderr=True), f"cluster-est: sensitivities are used: {carried.sentence}")
@@ -121,7 +121,7 @@ class Keeper:
         *done, last = dict.fromkeys(STEPS.get(name, name) for name in self._searches)
         return f"stopped while {last}" + (f", after {', '.join(done)}" if done else "")
 
-    def record(self, origin: Origin, outcome: Outcome) -> None:
+    def record(self, origin: TaskOrigin, outcome: Outcome) -> None:
         if self.folder is None:
             self.folder = self._open()
         self._searches.pop(origin.search, None)
@@ -131,14 +131,14 @@ class Keeper:
     def shown(self, show: Show) -> Show:
         """Show on this terminal, and to who watches the folder."""
 
-        def both(snapshot: Snapshot) -> None:
+        def both(snapshot: RunSnapshot) -> None:
             show(snapshot)
             if self.folder is not None:
                 self.folder.show(snapshot)
 
         return both
 
-    def note(self, iteration: Iteration) -> None:
+    def note(self, iteration: SearchIteration) -> None:
         if self.folder is not None:
             self.folder.note(iteration)
 

@@ -8,25 +8,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.scales import Scales
-from cluster_est.closed_loop.findings.result import Finding
+from cluster_est.closed_loop.candidates.scales import SignalScales
+from cluster_est.closed_loop.findings.result import CandidateEvidence
 from cluster_est.closed_loop.prepare import open_bench
-from cluster_est.closed_loop.screening.screen import Screening, findings, screen
+from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, screen
 from cluster_est.closed_loop.selection.declared_model import fit_declared
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.statistics.noise import estimate_noise
-from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.config.effects import build_effects
 from cluster_est.config.reader import CoefficientSection, EffectSection
 from cluster_est.problem.problem import Problem
 from cluster_est.running.resources import Resources
-from workers.effects.forms import Coefficient, Form
+from workers.effects.forms import EffectForm, FormCoefficient
 from workers.effects.forms import form as find_form
-from workers.effects.site import Site, check_site, parse_site
+from workers.effects.site import EffectSite, check_site, parse_site
 
 
 @dataclass(frozen=True)
-class Detection:
+class DetectionResult:
     """Whether something is missing from a fitted model.
 
     Attributes
@@ -79,7 +79,7 @@ def detect(
     resources: Resources | None = None,
     settings: LoopSettings | None = None,
     seed: int = 0,
-) -> Detection:
+) -> DetectionResult:
     """Fit a problem and ask whether its residual is more than noise.
 
     Parameters
@@ -98,7 +98,7 @@ def detect(
         records = bench.records
         parts = [fitted.residuals[records.of_output(o)] for o in range(len(records.outputs))]
         rms = np.array([np.sqrt(np.mean(part**2)) if len(part) else np.nan for part in parts])
-        return Detection(
+        return DetectionResult(
             p=screening.p,
             p_white=screening.p_white,
             p_structure=screening.omnibus.p,
@@ -114,7 +114,7 @@ def locate(
     resources: Resources | None = None,
     settings: LoopSettings | None = None,
     seed: int = 0,
-) -> tuple[Finding, ...]:
+) -> tuple[CandidateEvidence, ...]:
     """Fit a problem and rank what could be missing, and where, by a first small step.
 
     The ranking is a hint, not a decision: a large effect changes what its own first step looks
@@ -202,17 +202,17 @@ def add_effect(
 @contextmanager
 def _screened(
     problem: Problem, resources: Resources | None, settings: LoopSettings | None, seed: int
-) -> Iterator[tuple[Workbench, Fitted, Screening]]:
+) -> Iterator[tuple[LoopWorkbench, FittedModel, ScreeningResult]]:
     """The declared model fitted, and every candidate against its residual."""
     given = settings or LoopSettings()
     with open_bench(problem, resources or Resources(), given, seed, None, None) as bench:
-        fitted = fit_declared(bench, Start(bench.problem, {}))
+        fitted = fit_declared(bench, FitStart(bench.problem, {}))
         yield bench, fitted, screen(bench, fitted, 1)
 
 
 def _unstarted(
     problem: Problem, site: str, name: str, effect: str, starts: Mapping[str, float]
-) -> list[Coefficient]:
+) -> list[FormCoefficient]:
     """Coefficients of a form without a start, given or by nature."""
     where = f"effect {effect!r}"
     place = parse_site(site, f"{where}: site")
@@ -226,22 +226,22 @@ def _sized(
     site: str,
     name: str,
     variables: tuple[str, ...],
-    missing: Sequence[Coefficient],
+    missing: Sequence[FormCoefficient],
 ) -> dict[str, float]:
     """Starts from the middle of the grids that a search would look at, where there are any."""
     place = parse_site(site, "site")
     chosen = find_form(place.kind, name, "form")
     about = variables or _own(place, chosen)
     with open_bench(problem, Resources(), LoopSettings(), 0, None, None) as bench:
-        space = bench.space(Start(bench.problem, {}))
+        space = bench.space(FitStart(bench.problem, {}))
         nothing = np.zeros(0)
-        courses = bench.courses(Fitted(space, space.start, nothing, nothing))
-        scales = Scales(courses, ())
+        courses = bench.courses(FittedModel(space, space.start, nothing, nothing))
+        scales = SignalScales(courses, ())
         grids = {c.name: scales.grid(c, place, about) for c in missing}
     return {name: grid[len(grid) // 2] for name, grid in grids.items() if grid}
 
 
-def _own(site: Site, chosen: Form) -> tuple[str, ...]:
+def _own(site: EffectSite, chosen: EffectForm) -> tuple[str, ...]:
     """What a form at a derivative is a function of by itself."""
     return (" - ".join(site.targets),) if chosen.variables == 1 and site.at_rates else ()
 

@@ -14,12 +14,12 @@ import numpy as np
 
 from cluster_est.closed_loop.findings.effect_curves import draw_effects
 from cluster_est.closed_loop.findings.result import LoopResult, Verdict
-from cluster_est.closed_loop.findings.verdict import Judgement, judge
+from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.prepare import open_bench
-from cluster_est.closed_loop.selection.forward_selection import Search, search
+from cluster_est.closed_loop.selection.forward_selection import SelectionResult, search
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.fit import complete, simulate_all
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Problem
@@ -65,14 +65,14 @@ def close_loop(
     begin = time.monotonic()
     settings = settings or LoopSettings()
     with open_bench(problem, resources or Resources(), settings, seed, record, show, note) as bench:
-        found = search(bench, Start(bench.problem, {}))
+        found = search(bench, FitStart(bench.problem, {}))
         judgement = judge(bench, found)
         report = _report(bench, found, judgement, begin)
     return replace(report, seconds=time.monotonic() - begin)
 
 
 @dataclass(frozen=True)
-class _Fits:
+class _FittedModels:
     """The declared and the final model, fitted to convergence and simulated everywhere."""
 
     before: Result
@@ -85,15 +85,17 @@ class _Fits:
         return bool(np.isfinite(old) and not new <= old)
 
 
-def _report(bench: Workbench, found: Search, judgement: Judgement, begin: float) -> LoopResult:
+def _report(
+    bench: LoopWorkbench, found: SelectionResult, judgement: ReasonedVerdict, begin: float
+) -> LoopResult:
     """Final fits, the held-out veto, and everything in words."""
     before = _final(bench, found.base, begin)
     keep = judgement.verdict in (Verdict.FOUND, Verdict.PARTIAL)
     grown = _final(bench, found.current, begin) if found.current.added else before
-    fits = _Fits(before, grown)
+    fits = _FittedModels(before, grown)
     if keep and fits.worse:
         old, new = before.rmse("test"), grown.rmse("test")
-        judgement = Judgement(
+        judgement = ReasonedVerdict(
             Verdict.UNEXPLAINED,
             f"{judgement.reason}; but the held-out error would grow from {old:.4g} to {new:.4g} "
             "sigma, so nothing was added",
@@ -129,7 +131,7 @@ def _report(bench: Workbench, found: Search, judgement: Judgement, begin: float)
     )
 
 
-def _final(bench: Workbench, fitted: Fitted, begin: float) -> Result:
+def _final(bench: LoopWorkbench, fitted: FittedModel, begin: float) -> Result:
     """Fit to convergence from where the search ended, and simulate every experiment."""
     space = bench.space(fitted.start)
     (solution,) = bench.runner.run([SearchRequest("final", FINAL, space, bench.seed)])

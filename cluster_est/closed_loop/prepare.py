@@ -13,17 +13,23 @@ from cluster_est.closed_loop.selection.synthetic_experiments import enlarged, sh
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.statistics.noise import estimate_noise
 from cluster_est.closed_loop.statistics.records import make_records
-from cluster_est.closed_loop.workbench import ENLARGED, HORIZONS, Meter, Start, Workbench
+from cluster_est.closed_loop.workbench import (
+    ENLARGED,
+    HORIZONS,
+    FitStart,
+    LoopWorkbench,
+    SimulationMeter,
+)
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.running.resources import Resources, one_blas_thread, open_executor
-from cluster_est.running.runner import Note, Origin, Record, Runner, Show
+from cluster_est.running.runner import Note, Record, Runner, Show, TaskOrigin
 from workers.effects.forms import FORMS
-from workers.effects.site import Site, open_pairs, open_sites, parse_site
-from workers.fmu.description import Description, nearest
+from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
+from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment, Outcome
 
 LEAST_SAMPLES_PER_UNKNOWN = 4
@@ -38,7 +44,7 @@ def open_bench(
     record: Record | None,
     show: Show | None,
     note: Note | None = None,
-) -> Iterator[Workbench]:
+) -> Iterator[LoopWorkbench]:
     """Start the workers and install the experiments with their rehearsals.
 
     Where several outputs have no sigma, a first fit gives each its own from its noise, or one
@@ -49,7 +55,7 @@ def open_bench(
     weights: tuple[str, ...] = ()
     if _unweighted(problem):
         with _opened(problem, resources, settings, seed, description, record, show, note) as bench:
-            (fitted,) = bench.fit("weights", [Start(problem, {})], BRIEF)
+            (fitted,) = bench.fit("weights", [FitStart(problem, {})], BRIEF)
             if fitted is not None:
                 noise = estimate_noise(fitted.residuals, bench.records)
                 problem = _weighted(problem, dict(zip(bench.records.outputs, noise, strict=True)))
@@ -64,11 +70,11 @@ def _opened(
     resources: Resources,
     settings: LoopSettings,
     seed: int,
-    description: Description,
+    description: ModelDescription,
     record: Record | None,
     show: Show | None,
     note: Note | None,
-) -> Iterator[Workbench]:
+) -> Iterator[LoopWorkbench]:
     train = problem.indices("train")
     runs = [problem.experiments[e] for e in train]
     installed = list(problem.experiments)
@@ -77,9 +83,9 @@ def _opened(
         rehearsals[f"{horizon:.0%}"] = _install(installed, [shortened(r, horizon) for r in runs])
     rehearsals["enlarged"] = _install(installed, [enlarged(r, ENLARGED) for r in runs])
     everything = replace(problem, experiments=tuple(installed))
-    meter = Meter(everything.experiments, _named(everything.experiments, record))
+    meter = SimulationMeter(everything.experiments, _named(everything.experiments, record))
     with one_blas_thread(), open_executor(everything, resources) as executor:
-        yield Workbench(
+        yield LoopWorkbench(
             runner=Runner(executor, resources.budget, meter, show, note, whole=True),
             problem=problem,
             description=description,
@@ -101,7 +107,7 @@ def _named(experiments: Sequence[Experiment], record: Record | None) -> Record |
         return None
     names = [(e.id, e.key) for e in experiments]
 
-    def named(origin: Origin, outcome: Outcome) -> None:
+    def named(origin: TaskOrigin, outcome: Outcome) -> None:
         record(replace(origin, installed=names[origin.experiment]), outcome)
 
     return named
@@ -113,7 +119,7 @@ def _install(installed: list[Experiment], copies: list[Experiment]) -> tuple[int
     return tuple(range(first, len(installed)))
 
 
-def _check(problem: Problem, settings: LoopSettings, description: Description) -> None:
+def _check(problem: Problem, settings: LoopSettings, description: ModelDescription) -> None:
     """Refuse what the loop cannot work with.
 
     Raises
@@ -185,10 +191,10 @@ def _weight_note(problem: Problem) -> str:
     )
 
 
-def _sites(problem: Problem, description: Description) -> tuple[str, ...]:
+def _sites(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     interface = problem.model.interface
     pairs = open_pairs(description, interface)
-    pairs += [Site("pair", *reversed(site.targets)) for site in pairs]
+    pairs += [EffectSite("pair", *reversed(site.targets)) for site in pairs]
     return tuple(str(site) for site in [*open_sites(description, interface), *pairs])
 
 

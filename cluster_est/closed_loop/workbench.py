@@ -7,17 +7,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.make import Candidate
-from cluster_est.closed_loop.candidates.trajectory import Course, make_course
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, make_course
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.statistics.records import Records
+from cluster_est.closed_loop.statistics.records import StackedRecords
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation, Method
-from cluster_est.methods.given_points import Look
+from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import Space, make_space
-from cluster_est.running.runner import Origin, Record, Runner, SearchRequest
-from workers.fmu.description import Description
+from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.running.runner import Record, Runner, SearchRequest, TaskOrigin
+from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Outcome
 
 HORIZONS = (0.15, 0.4)
@@ -27,7 +27,7 @@ ENLARGED = 1.25
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedModel:
     """A model with effects, fitted to the training experiments.
 
     Attributes
@@ -41,22 +41,22 @@ class Fitted:
         The effects that the loop has added, in order.
     """
 
-    space: Space = field(repr=False)
+    space: SearchSpace = field(repr=False)
     x: FloatArray
     residuals: FloatArray = field(repr=False)
     jacobian: FloatArray = field(repr=False)
-    added: tuple[Candidate, ...] = ()
+    added: tuple[EffectCandidate, ...] = ()
 
     @property
     def problem(self) -> Problem:
         return self.space.problem
 
     @property
-    def start(self) -> Start:
+    def start(self) -> FitStart:
         """The same model, to be fitted again from here."""
-        return Start(self.problem, self.estimates, self.added)
+        return FitStart(self.problem, self.estimates, self.added)
 
-    def moved(self, position: int) -> Fitted:
+    def moved(self, position: int) -> FittedModel:
         """The same model, with its last effect counted at another position."""
         kept, last = self.added[:-1], self.added[-1]
         return replace(self, added=(*kept[:position], last, *kept[position:]))
@@ -70,7 +70,7 @@ class Fitted:
         """Physical values by label."""
         return self.space.estimates(self.x)
 
-    def likelihood(self, records: Records) -> float:
+    def likelihood(self, records: StackedRecords) -> float:
         """-2 log likelihood, with the variance of each output's noise estimated along."""
         total = 0.0
         for output in range(len(records.outputs)):
@@ -79,29 +79,29 @@ class Fitted:
                 total += len(part) * np.log(max(float(np.mean(part**2)), 1e-300))
         return float(total)
 
-    def criterion(self, records: Records) -> float:
+    def criterion(self, records: StackedRecords) -> float:
         """Bayesian information criterion (G. Schwarz, Ann. Stat. 6 (1978) 461-464)."""
         return float(self.likelihood(records) + self.space.size * np.log(len(self.residuals)))
 
 
 @dataclass(frozen=True)
-class Start:
+class FitStart:
     """A model to be fitted, and from where."""
 
     problem: Problem
     values: Mapping[str, float]
-    added: tuple[Candidate, ...] = ()
+    added: tuple[EffectCandidate, ...] = ()
 
-    def plus(self, candidate: Candidate, values: Sequence[float]) -> Start:
+    def plus(self, candidate: EffectCandidate, values: Sequence[float]) -> FitStart:
         """With one more effect, whose coefficients start from these values."""
         problem = replace(
             self.problem,
             effects=(*self.problem.effects, candidate.effect),
             parameters=(*self.problem.parameters, *candidate.parameters(values)),
         )
-        return Start(problem, self.values, (*self.added, candidate))
+        return FitStart(problem, self.values, (*self.added, candidate))
 
-    def minus(self, position: int) -> Start:
+    def minus(self, position: int) -> FitStart:
         """Without one of the effects that were added."""
         gone = self.added[position].effect.name
         problem = replace(
@@ -112,10 +112,10 @@ class Start:
             ),
         )
         kept = tuple(c for i, c in enumerate(self.added) if i != position)
-        return Start(problem, self.values, kept)
+        return FitStart(problem, self.values, kept)
 
 
-class Meter:
+class SimulationMeter:
     """Counts simulations in units of a whole experiment, and hands them on to a record.
 
     Parameters
@@ -132,14 +132,14 @@ class Meter:
         self._record = record
         self.full = 0.0
 
-    def __call__(self, origin: Origin, outcome: Outcome) -> None:
+    def __call__(self, origin: TaskOrigin, outcome: Outcome) -> None:
         self.full += self._parts[origin.experiment]
         if self._record is not None:
             self._record(origin, outcome)
 
 
 @dataclass(frozen=True)
-class Workbench:
+class LoopWorkbench:
     """The queue with everything that the steps of the loop share.
 
     Attributes
@@ -168,14 +168,14 @@ class Workbench:
 
     runner: Runner
     problem: Problem
-    description: Description
+    description: ModelDescription
     settings: LoopSettings
     seed: int
     train: tuple[int, ...]
-    records: Records
+    records: StackedRecords
     rehearsals: Mapping[str, tuple[int, ...]]
     everything: Problem
-    meter: Meter
+    meter: SimulationMeter
     sites: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -206,7 +206,7 @@ class Workbench:
         """A generator of its own for each use, so that no use moves another."""
         return np.random.default_rng([self.seed, stream])
 
-    def space(self, start: Start, rehearsal: str = "") -> Space:
+    def space(self, start: FitStart, rehearsal: str = "") -> SearchSpace:
         """The unknowns of a model on the training experiments, or on their rehearsals."""
         if not rehearsal:
             return make_space(start.problem, self.train, starts=start.values)
@@ -221,32 +221,36 @@ class Workbench:
         return make_space(problem, experiments, starts=values)
 
     def fit(
-        self, name: str, starts: Sequence[Start], method: Method, rehearsal: str = ""
-    ) -> list[Fitted | None]:
+        self, name: str, starts: Sequence[FitStart], method: Method, rehearsal: str = ""
+    ) -> list[FittedModel | None]:
         """Fit models, all in one queue. None where one cannot be simulated."""
         spaces = [self.space(start, rehearsal) for start in starts]
         requests = [SearchRequest(name, method, space, self.seed) for space in spaces]
         solutions = self.runner.run(requests)
-        fitted: list[Fitted | None] = []
+        fitted: list[FittedModel | None] = []
         for start, space, solution in zip(starts, spaces, solutions, strict=True):
             if solution.at is None or solution.jacobian is None or not solution.at.ok:
                 fitted.append(None)
                 continue
             fitted.append(
-                Fitted(space, solution.x, solution.at.residuals, solution.jacobian, start.added)
+                FittedModel(
+                    space, solution.x, solution.at.residuals, solution.jacobian, start.added
+                )
             )
         return fitted
 
-    def look(self, name: str, asked: Sequence[tuple[Space, FloatArray]]) -> list[list[Evaluation]]:
+    def look(
+        self, name: str, asked: Sequence[tuple[SearchSpace, FloatArray]]
+    ) -> list[list[Evaluation]]:
         """Evaluate points of several spaces, all in one queue."""
-        looks = [Look(points, name) for _, points in asked]
+        looks = [GivenPoints(points, name) for _, points in asked]
         requests = [
             SearchRequest(name, look, space) for look, (space, _) in zip(looks, asked, strict=True)
         ]
         self.runner.run(requests)
         return [look.seen for look in looks]
 
-    def courses(self, fitted: Fitted) -> list[Course]:
+    def courses(self, fitted: FittedModel) -> list[LinearisedTrajectory]:
         """What the training experiments do at a fit."""
         want = "linearisation" if self.exchange else "trajectory"
         outcomes = self.runner.simulate(

@@ -15,10 +15,10 @@ from cluster_est.config.experiments import build_experiments
 from cluster_est.config.messages import shown
 from cluster_est.config.reader import Config, ParameterSection, read_config
 from cluster_est.config.reading import find_file
-from cluster_est.config.user_code import Code
+from cluster_est.config.user_code import UserCode
 from cluster_est.costs import ALIASES as COST_ALIASES
 from cluster_est.costs import COSTS, Cost
-from cluster_est.costs.total import Total
+from cluster_est.costs.total import TotalCost
 from cluster_est.errors import ConfigError, EffectError, ModelError
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.problem.problem import Parameter, Problem
@@ -27,8 +27,8 @@ from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Budget
 from cluster_est.uncertainty import UncertaintySettings
 from workers.effects.site import parse_site
-from workers.fmu.description import Description, describe, nearest
-from workers.fmu.variable import Variable
+from workers.fmu.description import ModelDescription, describe, nearest
+from workers.fmu.variable import ModelVariable
 from workers.messages import (
     Interface,
     Limits,
@@ -96,7 +96,7 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
             )
     effects, coefficients = build_effects(tuple(config.effects))
     model = _model(config, base, tuple(targets))
-    code = Code(base, allowed=allow_code)
+    code = UserCode(base, allowed=allow_code)
     experiments = build_experiments(config, base, code)
     every = (*parameters, *coefficients)
     constraints = parameter_constraints(config, tuple(p.name for p in every))
@@ -120,7 +120,7 @@ def build_method(config: Config) -> Method:
 def build_cost(config: Config) -> Cost:
     """The cost with its options; likewise."""
     name = COST_ALIASES.get(config.cost.name, config.cost.name)
-    if name == Total.name and not config.cost.function:
+    if name == TotalCost.name and not config.cost.function:
         raise ConfigError(
             f'cost.name: "{name}" needs a function that returns one number but cost.function is '
             "missing; add it, or choose another cost"
@@ -261,7 +261,7 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     )
 
 
-def _interface(config: Config, description: Description) -> Interface:
+def _interface(config: Config, description: ModelDescription) -> Interface:
     wanted = config.model.interface
     offered = description.interfaces
     if wanted == "auto":
@@ -289,7 +289,7 @@ def _solver(config: Config, interface: Interface) -> Solver:
     return Solver(name, section.step, section.rtol, section.atol, section.max_steps)
 
 
-def _check_roles(problem: Problem, description: Description) -> None:
+def _check_roles(problem: Problem, description: ModelDescription) -> None:
     """Refuse variables that are given twice, and values that their type cannot hold."""
     targets = {p.target: p.name for p in problem.parameters}
     for experiment in problem.experiments:
@@ -318,7 +318,7 @@ def _check_roles(problem: Problem, description: Description) -> None:
                 )
 
 
-def _check_value(where: str, variable: Variable, value: Value) -> None:
+def _check_value(where: str, variable: ModelVariable, value: Value) -> None:
     truth, text, kind = isinstance(value, bool), isinstance(value, str), variable.kind
     number = not truth and not text
     low, high, called = _whole_numbers(variable.type)

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.config.reader import Config, ConstraintSection, StepSection, TrackingSection
-from cluster_est.config.user_code import Code
+from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ConfigError
 from cluster_est.problem.formulas import ParameterConstraint, parse_constraint
-from workers.fmu.description import Description, nearest
-from workers.messages import FloatArray, Function, Output, SignalBound
+from workers.fmu.description import ModelDescription, nearest
+from workers.messages import FloatArray, Output, SignalBound, UserFunction
 
 _SIGNAL_KEYS = (
     *("lower", "upper", "step_response", "tracking", "final"),
@@ -48,7 +48,7 @@ def parameter_constraints(
     return tuple(found)
 
 
-def check_signals(config: Config, description: Description) -> None:
+def check_signals(config: Config, description: ModelDescription) -> None:
     """Refuse constraints on signals that the FMU does not have.
 
     Raises
@@ -92,7 +92,9 @@ def signal_bounds(
     return tuple(found)
 
 
-def constraint_functions(config: Config, experiment: str, code: Code) -> tuple[Function, ...]:
+def constraint_functions(
+    config: Config, experiment: str, code: UserCode
+) -> tuple[UserFunction, ...]:
     """Those that are Python functions, for one experiment."""
     return tuple(
         replace(

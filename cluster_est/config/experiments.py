@@ -9,17 +9,17 @@ import numpy as np
 
 from cluster_est.config.constraints import constraint_functions, signal_bounds
 from cluster_est.config.reader import Config, ExperimentSection
-from cluster_est.config.reading import Reader, find_file
+from cluster_est.config.reading import ExperimentReader, find_file
 from cluster_est.config.sections.types import MOST_TIMES
 from cluster_est.config.time_base import compared_at, counted, snapped, weighted
-from cluster_est.config.user_code import Code
+from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ConfigError
-from cluster_est.problem.data import Table, read_table
+from cluster_est.problem.data import MeasuredTable, read_table
 from workers.fmu.description import nearest
 from workers.messages import Curve, Experiment, FloatArray, Input, Output
 
 
-def build_experiments(config: Config, base: Path, code: Code) -> tuple[Experiment, ...]:
+def build_experiments(config: Config, base: Path, code: UserCode) -> tuple[Experiment, ...]:
     """Read every experiment.
 
     Parameters
@@ -37,12 +37,16 @@ def build_experiments(config: Config, base: Path, code: Code) -> tuple[Experimen
         If a file is missing or wrong, or names do not fit together.
     """
     _check_weights(config)
-    tables: dict[Path, Table] = {}
+    tables: dict[Path, MeasuredTable] = {}
     return tuple(_experiment(section, config, base, code, tables) for section in config.experiments)
 
 
 def _experiment(
-    section: ExperimentSection, config: Config, base: Path, code: Code, tables: dict[Path, Table]
+    section: ExperimentSection,
+    config: Config,
+    base: Path,
+    code: UserCode,
+    tables: dict[Path, MeasuredTable],
 ) -> Experiment:
     where = f"experiment {section.id!r}"
     reader, times = _read(section, config, base, tables, where)
@@ -79,16 +83,16 @@ def _read(
     section: ExperimentSection,
     config: Config,
     base: Path,
-    tables: dict[Path, Table],
+    tables: dict[Path, MeasuredTable],
     where: str,
-) -> tuple[Reader | None, FloatArray]:
+) -> tuple[ExperimentReader | None, FloatArray]:
     """The experiment's table and its times; none where nothing is measured over time."""
     if section.data is None:
         return None, np.zeros(0)
     path = find_file(section.data, base, config.data_folders, f"{where}.data")
     if path not in tables:
         tables[path] = read_table(path, where)
-    reader = Reader(tables[path], section, where)
+    reader = ExperimentReader(tables[path], section, where)
     timed = section.outputs or section.inputs or section.signals
     return reader, reader.times() if timed else np.zeros(0)
 
@@ -156,7 +160,7 @@ def _simulated(config: Config, start: float, stop: float) -> FloatArray:
 
 
 def _curve(
-    section: ExperimentSection, reader: Reader, start: float, stop: float, where: str
+    section: ExperimentSection, reader: ExperimentReader, start: float, stop: float, where: str
 ) -> Curve | None:
     given = section.curve
     if given is None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from cluster_est.config.reader import ExperimentSection, InputSection
 from cluster_est.errors import ConfigError, DataError
-from cluster_est.problem.data import Table
+from cluster_est.problem.data import MeasuredTable
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Input, Output
 
@@ -43,7 +43,7 @@ def find_file(name: str, base: Path, folders: list[str], where: str) -> Path:
     )
 
 
-class Reader:
+class ExperimentReader:
     """Columns of one experiment: the rows that it uses, scaled as it says.
 
     Parameters
@@ -56,7 +56,7 @@ class Reader:
         Opens each message.
     """
 
-    def __init__(self, table: Table, section: ExperimentSection, where: str) -> None:
+    def __init__(self, table: MeasuredTable, section: ExperimentSection, where: str) -> None:
         self._table, self._section, self._where = table, section, where
         self._first = section.rows[0] if section.rows else 0
         for name in section.columns:

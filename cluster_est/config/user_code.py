@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cluster_est.errors import ConfigError
-from workers.messages import Function
+from workers.messages import UserFunction
 from workers.residuals.functions import load
 
 _NAMED = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 @dataclass(frozen=True)
-class Code:
+class UserCode:
     """Finds functions.
 
     Attributes
@@ -28,7 +28,7 @@ class Code:
     base: Path
     allowed: bool
 
-    def function(self, text: str, where: str, *, equality: bool = False) -> Function:
+    def function(self, text: str, where: str, *, equality: bool = False) -> UserFunction:
         """Find "module:name": in MODULE.py beside the config, whose text goes to the workers, or
         in a module that is installed on each of them.
 
@@ -54,6 +54,6 @@ class Code:
                 source = file.read_text(encoding="utf-8")
             except (OSError, UnicodeDecodeError) as error:
                 raise ConfigError(f"{where}: {file} cannot be read ({error}); mend it") from error
-        found = Function(module, name, source, equality)
+        found = UserFunction(module, name, source, equality)
         load(found)
         return found

@@ -7,19 +7,19 @@ from __future__ import annotations
 
 from cluster_est.costs.base import Cost
 from cluster_est.costs.likelihood import GaussianLikelihood
-from cluster_est.costs.robust import Cauchy, Huber, SoftL1
+from cluster_est.costs.robust import CauchyCost, HuberCost, SoftL1
 from cluster_est.costs.sum_absolute import SumAbsolute
 from cluster_est.costs.sum_squared import SumSquared
-from cluster_est.costs.total import Total
+from cluster_est.costs.total import TotalCost
 
 COSTS: dict[str, type[Cost]] = {
     SumSquared.name: SumSquared,
     SumAbsolute.name: SumAbsolute,
-    Huber.name: Huber,
+    HuberCost.name: HuberCost,
     SoftL1.name: SoftL1,
-    Cauchy.name: Cauchy,
+    CauchyCost.name: CauchyCost,
     GaussianLikelihood.name: GaussianLikelihood,
-    Total.name: Total,
+    TotalCost.name: TotalCost,
 }
 
 ALIASES = {"SSE": SumSquared.name, "residuals": SumSquared.name, "SAE": SumAbsolute.name}

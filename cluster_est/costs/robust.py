@@ -19,7 +19,7 @@ from workers.messages import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
-class _Robust(Cost):
+class _RobustCost(Cost):
     """What the robust costs share: only rho differs."""
 
     scale: float = field(default=1.0, metadata={"least": 1e-100})
@@ -42,7 +42,7 @@ class _Robust(Cost):
 
 
 @dataclass(frozen=True)
-class Huber(_Robust):
+class HuberCost(_RobustCost):
     """Squares up to `scale`, from there on a straight line: rho(z) = z, then 2 sqrt(z) - 1.
 
     The first robust cost to try: it has one minimum where the sum of squares has one.
@@ -64,7 +64,7 @@ class Huber(_Robust):
 
 
 @dataclass(frozen=True)
-class SoftL1(_Robust):
+class SoftL1(_RobustCost):
     """A smooth passage from squares to absolute values: rho(z) = 2 (sqrt(1 + z) - 1).
 
     Attributes
@@ -85,7 +85,7 @@ class SoftL1(_Robust):
 
 
 @dataclass(frozen=True)
-class Cauchy(_Robust):
+class CauchyCost(_RobustCost):
     """Large residuals hardly count: rho(z) = ln(1 + z).
 
     For gross outliers. It may have several minima: start close, or from several starts.

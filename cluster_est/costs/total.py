@@ -12,7 +12,7 @@ from workers.messages import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
-class Total(Cost):
+class TotalCost(Cost):
     """F = sum of the numbers that the experiments' cost functions return.
 
     For a cost function that returns one number. One that returns residuals wants `sse` or another

@@ -1,7 +1,7 @@
 """A first config for an FMU and measured tables: what `cluster-est init` writes."""
 
-from cluster_est.drafting.draft import Draft, draft
+from cluster_est.drafting.draft import ConfigDraft, draft
 from cluster_est.drafting.mismatches import unit_mismatches
-from cluster_est.drafting.writing import Text, write
+from cluster_est.drafting.writing import ConfigText, write
 
-__all__ = ["Draft", "Text", "draft", "unit_mismatches", "write"]
+__all__ = ["ConfigDraft", "ConfigText", "draft", "unit_mismatches", "write"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from workers.fmu.description import Description
-from workers.fmu.variable import Variable
+from workers.fmu.description import ModelDescription
+from workers.fmu.variable import ModelVariable
 
 MOST_ACTIVE = 6
 """Parameters estimated at once in a first config: more are seldom determined by a few tables."""
@@ -24,7 +24,7 @@ _KELVINS = 50.0
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ParameterCandidate:
     """A parameter that could be estimated.
 
     Attributes
@@ -39,7 +39,7 @@ class Candidate:
         "experiment" if each is likely to have a value of its own; else "".
     """
 
-    variable: Variable
+    variable: ModelVariable
     start: float
     bounds: tuple[float, float] | None
     origin: str
@@ -47,7 +47,7 @@ class Candidate:
     per: str = ""
 
 
-def candidates(description: Description) -> list[Candidate]:
+def candidates(description: ModelDescription) -> list[ParameterCandidate]:
     """Every real parameter with a start value, in the FMU's order; the likely ones active."""
     found = []
     active = 0
@@ -60,22 +60,22 @@ def candidates(description: Description) -> list[Candidate]:
             why_not = f"{MOST_ACTIVE} are enough to begin with; check says which ones matter"
         active += not why_not
         per = "experiment" if _INITIAL.search(variable.name) else ""
-        found.append(Candidate(variable, variable.start, bounds, origin, why_not, per))
+        found.append(ParameterCandidate(variable, variable.start, bounds, origin, why_not, per))
     return found
 
 
-def initial_states(description: Description) -> list[Variable]:
+def initial_states(description: ModelDescription) -> list[ModelVariable]:
     """States whose start can be set."""
     states = (description.variables[name] for name in description.states)
     return [v for v in states if v.settable and v.kind == "real"]
 
 
-def _can_be_estimated(variable: Variable) -> bool:
+def _can_be_estimated(variable: ModelVariable) -> bool:
     own = variable.alias_of is None and variable.kind == "real"
     return own and variable.causality == "parameter" and variable.settable
 
 
-def _why_not(variable: Variable, start: float) -> str:
+def _why_not(variable: ModelVariable, start: float) -> str:
     """Why a parameter is none of the likely ones; "" if it is one."""
     if variable.size > 1:
         return "one element of an array"
@@ -90,7 +90,7 @@ def _why_not(variable: Variable, start: float) -> str:
     return ""
 
 
-def _bounds(variable: Variable, start: float) -> tuple[tuple[float, float] | None, str]:
+def _bounds(variable: ModelVariable, start: float) -> tuple[tuple[float, float] | None, str]:
     low, high = variable.low, variable.high
     inside = (low is None or low <= start) and (high is None or start <= high)
     if not inside:
@@ -108,7 +108,7 @@ def _bounds(variable: Variable, start: float) -> tuple[tuple[float, float] | Non
     return guess, f"bounds: a guess, {how}{said}"
 
 
-def _guess(variable: Variable, start: float) -> tuple[tuple[float, float], str]:
+def _guess(variable: ModelVariable, start: float) -> tuple[tuple[float, float], str]:
     if variable.unit in ("K", "degC"):
         ends, how = (start - _KELVINS, start + _KELVINS), f"{_KELVINS:g} K around the start"
     else:

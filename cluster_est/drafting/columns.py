@@ -11,7 +11,7 @@ import numpy as np
 
 from cluster_est.drafting.units import conversion
 from cluster_est.errors import DataError
-from cluster_est.problem.data import Table, read_table
+from cluster_est.problem.data import MeasuredTable, read_table
 from workers.messages import FloatArray
 
 TIMES = ("time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp")
@@ -27,7 +27,7 @@ _AFTER_SLASH = re.compile(r"(.*\S)\s+(?:/|in)\s+(\S+)\s*")
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """One column of numbers.
 
     Attributes
@@ -51,7 +51,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Columns:
+class TableColumns:
     """What a table offers.
 
     Attributes
@@ -69,8 +69,8 @@ class Columns:
     """
 
     path: Path
-    signals: tuple[Column, ...]
-    time: Column | None
+    signals: tuple[TableColumn, ...]
+    time: TableColumn | None
     increasing: tuple[str, ...]
     unusable: tuple[str, ...]
 
@@ -80,7 +80,7 @@ def fold(name: str) -> str:
     return "".join(letter for letter in name.casefold() if letter.isalnum())
 
 
-def read_columns(path: Path) -> Columns:
+def read_columns(path: Path) -> TableColumns:
     """Read a table and sort its columns.
 
     Raises
@@ -95,17 +95,17 @@ def read_columns(path: Path) -> Columns:
             f"init: {path} must have columns of numbers but has none; check what separates its "
             "columns, and that its first row holds their names"
         )
-    columns = [Column(name, *split_unit(name), _noise(v)) for name, v in numbers.items()]
+    columns = [TableColumn(name, *split_unit(name), _noise(v)) for name, v in numbers.items()]
     time = next((c for c in columns if _is_time(c)), None)
     rows = Counter(len(values) for values in numbers.values()).most_common(1)[0][0]
     if time is not None:
         rows = len(numbers[time.name])
     kept = [c for c in columns if c is not time and len(numbers[c.name]) == rows]
     rising = [] if time is not None else [c.name for c in kept if _increases(numbers[c.name])]
-    return Columns(path, tuple(kept), time, tuple(rising), tuple(unusable))
+    return TableColumns(path, tuple(kept), time, tuple(rising), tuple(unusable))
 
 
-def _numbers(table: Table) -> tuple[dict[str, FloatArray], list[str]]:
+def _numbers(table: MeasuredTable) -> tuple[dict[str, FloatArray], list[str]]:
     """Columns in which numbers were measured by name, and the names of the others."""
     found, others = {}, list(table.unusable)
     for name in table.columns:
@@ -140,7 +140,7 @@ def _noise(values: FloatArray) -> float:
     return max(spread, LEAST_NOISE * float(np.std(known)))
 
 
-def _is_time(column: Column) -> bool:
+def _is_time(column: TableColumn) -> bool:
     if column.folded not in TIMES:
         return False
     return not column.unit or conversion(column.unit, "s") is not None

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cluster_est.drafting.candidates import Candidate, candidates, initial_states
-from cluster_est.drafting.columns import Columns, read_columns
-from cluster_est.drafting.matching import Match, match, same
+from cluster_est.drafting.candidates import ParameterCandidate, candidates, initial_states
+from cluster_est.drafting.columns import TableColumns, read_columns
+from cluster_est.drafting.matching import ColumnMatch, match, same
 from cluster_est.errors import DataError, ModelError
-from workers.fmu.description import Description, describe
-from workers.fmu.variable import Variable
+from workers.fmu.description import ModelDescription, describe
+from workers.fmu.variable import ModelVariable
 from workers.messages import Role
 
 
 @dataclass(frozen=True)
-class Run:
+class DraftExperiment:
     """One measured table as an experiment.
 
     Attributes
@@ -31,11 +31,11 @@ class Run:
     """
 
     id: str
-    columns: Columns
+    columns: TableColumns
     role: Role
-    inputs: tuple[Match, ...]
-    outputs: tuple[Match, ...]
-    further: tuple[Match, ...]
+    inputs: tuple[ColumnMatch, ...]
+    outputs: tuple[ColumnMatch, ...]
+    further: tuple[ColumnMatch, ...]
 
     @property
     def unfed(self) -> tuple[str, ...]:
@@ -44,17 +44,17 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Draft:
+class ConfigDraft:
     """All that a first config is written from."""
 
     fmu: Path
-    description: Description
-    parameters: tuple[Candidate, ...]
-    states: tuple[Variable, ...]
-    runs: tuple[Run, ...]
+    description: ModelDescription
+    parameters: tuple[ParameterCandidate, ...]
+    states: tuple[ModelVariable, ...]
+    runs: tuple[DraftExperiment, ...]
 
 
-def draft(fmu: Path, data: Sequence[Path]) -> Draft:
+def draft(fmu: Path, data: Sequence[Path]) -> ConfigDraft:
     """Look at an FMU and at measured tables.
 
     Parameters
@@ -85,7 +85,7 @@ def draft(fmu: Path, data: Sequence[Path]) -> Draft:
         _run(name, columns, role, description)
         for name, columns, role in zip(_ids(data), tables, roles, strict=True)
     ]
-    return Draft(
+    return ConfigDraft(
         fmu,
         description,
         tuple(candidates(description)),
@@ -94,7 +94,9 @@ def draft(fmu: Path, data: Sequence[Path]) -> Draft:
     )
 
 
-def _run(name: str, columns: Columns, role: Role, description: Description) -> Run:
+def _run(
+    name: str, columns: TableColumns, role: Role, description: ModelDescription
+) -> DraftExperiment:
     inputs = [v for v in description.inputs() if v.kind in ("real", "integer", "boolean")]
     outputs = [description.variables[n] for n in description.outputs]
     numbers = [v for v in outputs if v.kind in ("real", "integer", "boolean")]
@@ -103,8 +105,10 @@ def _run(name: str, columns: Columns, role: Role, description: Description) -> R
     left = [column for column in columns.signals if column not in given]
     own = {v.name for v in (*inputs, *numbers)}
     others = [v for v in description.variables.values() if _computed(v) and v.name not in own]
-    further = [Match(description.variables[n], column) for n, column in same(others, left).items()]
-    return Run(
+    further = [
+        ColumnMatch(description.variables[n], column) for n, column in same(others, left).items()
+    ]
+    return DraftExperiment(
         name,
         columns,
         role,
@@ -114,7 +118,7 @@ def _run(name: str, columns: Columns, role: Role, description: Description) -> R
     )
 
 
-def _computed(variable: Variable) -> bool:
+def _computed(variable: ModelVariable) -> bool:
     return variable.causality == "local" and variable.kind == "real" and variable.alias_of is None
 
 

@@ -8,8 +8,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from cluster_est.drafting.columns import Column, fold
-from workers.fmu.variable import Variable
+from cluster_est.drafting.columns import TableColumn, fold
+from workers.fmu.variable import ModelVariable
 
 SIMILAR = 0.6
 """Ratio of `difflib` from which two names look alike."""
@@ -19,7 +19,7 @@ _PARTS = re.compile(r"[A-Z]?[a-z0-9]+|[A-Z0-9]+")
 
 
 @dataclass(frozen=True)
-class Match:
+class ColumnMatch:
     """A variable and what the table has for it.
 
     Attributes
@@ -30,12 +30,12 @@ class Match:
         One that it may be; None if there is none, or `column` is known.
     """
 
-    variable: Variable
-    column: Column | None = None
-    similar: Column | None = None
+    variable: ModelVariable
+    column: TableColumn | None = None
+    similar: TableColumn | None = None
 
 
-def match(variables: Sequence[Variable], columns: Sequence[Column]) -> list[Match]:
+def match(variables: Sequence[ModelVariable], columns: Sequence[TableColumn]) -> list[ColumnMatch]:
     """Give each variable its column: the same name, then the same but for case, blanks,
     underscores and brackets. Where neither decides, a similar column is a suggestion, or the only
     one that is left.
@@ -50,11 +50,13 @@ def match(variables: Sequence[Variable], columns: Sequence[Column]) -> list[Matc
         similar = None if column is not None else _most_similar(variable, left)
         if similar is not None:
             left.remove(similar)
-        found.append(Match(variable, column, similar))
+        found.append(ColumnMatch(variable, column, similar))
     return _last_one(found, left)
 
 
-def same(variables: Sequence[Variable], columns: Sequence[Column]) -> dict[str, Column]:
+def same(
+    variables: Sequence[ModelVariable], columns: Sequence[TableColumn]
+) -> dict[str, TableColumn]:
     """The columns that are certain, by the variable's name."""
     sure = _same([(v, v.name) for v in variables], [(c, c.name) for c in columns])
     sure |= _same([(v, v.name) for v in variables], [(c, c.plain) for c in columns], sure)
@@ -62,7 +64,7 @@ def same(variables: Sequence[Variable], columns: Sequence[Column]) -> dict[str, 
     return sure | _same(folded, [(c, c.folded) for c in columns], sure)
 
 
-def _last_one(found: list[Match], left: list[Column]) -> list[Match]:
+def _last_one(found: list[ColumnMatch], left: list[TableColumn]) -> list[ColumnMatch]:
     """Where one variable and one column are left over, the column is a suggestion for it."""
     open_ = [i for i, m in enumerate(found) if m.column is None and m.similar is None]
     if len(open_) == len(left) == 1:
@@ -71,10 +73,10 @@ def _last_one(found: list[Match], left: list[Column]) -> list[Match]:
 
 
 def _same(
-    variables: list[tuple[Variable, str]],
-    columns: list[tuple[Column, str]],
-    taken: dict[str, Column] | None = None,
-) -> dict[str, Column]:
+    variables: list[tuple[ModelVariable, str]],
+    columns: list[tuple[TableColumn, str]],
+    taken: dict[str, TableColumn] | None = None,
+) -> dict[str, TableColumn]:
     """Columns by variable where a key is the same, and on each side there once."""
     taken = taken or {}
     free = [(c, key) for c, key in columns if c not in taken.values()]
@@ -85,14 +87,14 @@ def _same(
     return {v.name: known[key] for v, key in open_ if key in known and wanted[key] == 1}
 
 
-def _most_similar(variable: Variable, columns: list[Column]) -> Column | None:
+def _most_similar(variable: ModelVariable, columns: list[TableColumn]) -> TableColumn | None:
     """The column that looks most like the variable's name, its last part or its description."""
     scores = [(_score(variable, column), -i) for i, column in enumerate(columns)]
     score, place = max(scores, default=(0.0, 0))
     return columns[-place] if score >= SIMILAR else None
 
 
-def _score(variable: Variable, column: Column) -> float:
+def _score(variable: ModelVariable, column: TableColumn) -> float:
     names = [fold(variable.name), fold(variable.name.split(".")[-1])]
     ratios = [difflib.SequenceMatcher(None, name, column.folded).ratio() for name in names]
     parts = {fold(part) for part in _PARTS.findall(column.plain)}

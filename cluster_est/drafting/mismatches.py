@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from cluster_est.config.reader import Config
 from cluster_est.drafting.columns import split_unit
-from cluster_est.drafting.units import Conversion, conversion, same_unit
-from workers.fmu.description import Description
+from cluster_est.drafting.units import UnitConversion, conversion, same_unit
+from workers.fmu.description import ModelDescription
 
 
 @dataclass(frozen=True)
-class Mismatch:
+class UnitMismatch:
     """A column that a config takes as it is, though it seems to be in another unit.
 
     Attributes
@@ -29,10 +29,10 @@ class Mismatch:
     unit: str
     variable: str
     wanted: str
-    change: Conversion
+    change: UnitConversion
 
 
-def unit_mismatches(config: Config, description: Description) -> list[Mismatch]:
+def unit_mismatches(config: Config, description: ModelDescription) -> list[UnitMismatch]:
     """Each such column once, whatever the number of experiments that have it.
 
     A column that the config has an entry for under `columns` is not looked at, nor one whose unit
@@ -52,8 +52,8 @@ def unit_mismatches(config: Config, description: Description) -> list[Mismatch]:
 
 
 def _mismatches(
-    pairs: dict[tuple[str, str | None], None], description: Description
-) -> Iterator[Mismatch]:
+    pairs: dict[tuple[str, str | None], None], description: ModelDescription
+) -> Iterator[UnitMismatch]:
     for variable, column in pairs:
         known = description.variables.get(variable)
         wanted = "s" if known is None else known.unit
@@ -61,5 +61,5 @@ def _mismatches(
         if not unit or not wanted or same_unit(unit, wanted):
             continue
         change = conversion(unit, wanted)
-        if change is not None and change != Conversion(1.0):
-            yield Mismatch(column or "", unit, variable, wanted, change)
+        if change is not None and change != UnitConversion(1.0):
+            yield UnitMismatch(column or "", unit, variable, wanted, change)

@@ -15,7 +15,7 @@ SPELLINGS = {
 
 
 @dataclass(frozen=True)
-class Conversion:
+class UnitConversion:
     """`factor` times the number, plus `offset`, is the number in the other unit."""
 
     factor: float
@@ -23,7 +23,7 @@ class Conversion:
 
 
 @dataclass(frozen=True)
-class _Unit:
+class _BaseUnit:
     """A number in the base unit is `factor` times the number, plus `offset`."""
 
     base: str
@@ -32,34 +32,34 @@ class _Unit:
 
 
 _KNOWN = {
-    "cm": _Unit("m", 1e-2),
-    "min": _Unit("s", 60.0),
-    "h": _Unit("s", 3600.0),
-    "kg": _Unit("kg"),
-    "g": _Unit("kg", 1e-3),
-    "t": _Unit("kg", 1e3),
-    "hPa": _Unit("Pa", 1e2),
-    "Wh": _Unit("J", 3600.0),
-    "kWh": _Unit("J", 3.6e6),
-    "degC": _Unit("K", 1.0, 273.15),
-    "rad": _Unit("rad"),
-    "deg": _Unit("rad", math.pi / 180.0),
-    "rad/s": _Unit("rad/s"),
-    "deg/s": _Unit("rad/s", math.pi / 180.0),
-    "rpm": _Unit("rad/s", math.pi / 30.0),
-    "m/s": _Unit("m/s"),
-    "mm/s": _Unit("m/s", 1e-3),
-    "km/h": _Unit("m/s", 1.0 / 3.6),
-    "m3/s": _Unit("m3/s"),
-    "m3/h": _Unit("m3/s", 1.0 / 3600.0),
-    "l/s": _Unit("m3/s", 1e-3),
-    "l/min": _Unit("m3/s", 1e-3 / 60.0),
-    "kg/s": _Unit("kg/s"),
-    "kg/h": _Unit("kg/s", 1.0 / 3600.0),
-    "1": _Unit("1"),
-    "%": _Unit("1", 1e-2),
+    "cm": _BaseUnit("m", 1e-2),
+    "min": _BaseUnit("s", 60.0),
+    "h": _BaseUnit("s", 3600.0),
+    "kg": _BaseUnit("kg"),
+    "g": _BaseUnit("kg", 1e-3),
+    "t": _BaseUnit("kg", 1e3),
+    "hPa": _BaseUnit("Pa", 1e2),
+    "Wh": _BaseUnit("J", 3600.0),
+    "kWh": _BaseUnit("J", 3.6e6),
+    "degC": _BaseUnit("K", 1.0, 273.15),
+    "rad": _BaseUnit("rad"),
+    "deg": _BaseUnit("rad", math.pi / 180.0),
+    "rad/s": _BaseUnit("rad/s"),
+    "deg/s": _BaseUnit("rad/s", math.pi / 180.0),
+    "rpm": _BaseUnit("rad/s", math.pi / 30.0),
+    "m/s": _BaseUnit("m/s"),
+    "mm/s": _BaseUnit("m/s", 1e-3),
+    "km/h": _BaseUnit("m/s", 1.0 / 3.6),
+    "m3/s": _BaseUnit("m3/s"),
+    "m3/h": _BaseUnit("m3/s", 1.0 / 3600.0),
+    "l/s": _BaseUnit("m3/s", 1e-3),
+    "l/min": _BaseUnit("m3/s", 1e-3 / 60.0),
+    "kg/s": _BaseUnit("kg/s"),
+    "kg/h": _BaseUnit("kg/s", 1.0 / 3600.0),
+    "1": _BaseUnit("1"),
+    "%": _BaseUnit("1", 1e-2),
 } | {
-    prefix + base: _Unit("Pa", factor * 1e5) if base == "bar" else _Unit(base, factor)
+    prefix + base: _BaseUnit("Pa", factor * 1e5) if base == "bar" else _BaseUnit(base, factor)
     for base in PREFIXED
     for prefix, factor in PREFIXES.items()
 }
@@ -79,12 +79,12 @@ def same_unit(one: str, other: str) -> bool:
     return spelled(one) == spelled(other)
 
 
-def conversion(given: str, wanted: str) -> Conversion | None:
+def conversion(given: str, wanted: str) -> UnitConversion | None:
     """How numbers in one unit become numbers in another; None if that is not known."""
     a, b = _KNOWN.get(spelled(given)), _KNOWN.get(spelled(wanted))
     if a is None or b is None or a.base != b.base:
         return None
-    return Conversion(_tidy(a.factor / b.factor), _tidy((a.offset - b.offset) / b.factor))
+    return UnitConversion(_tidy(a.factor / b.factor), _tidy((a.offset - b.offset) / b.factor))
 
 
 def _tidy(number: float) -> float:

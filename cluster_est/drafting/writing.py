@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cluster_est.config.toml import dotted, inline
-from cluster_est.drafting.candidates import MOST_LISTED, Candidate
-from cluster_est.drafting.columns import TIMES, Column, fold, split_unit
-from cluster_est.drafting.draft import Draft, Run
-from cluster_est.drafting.matching import Match
+from cluster_est.drafting.candidates import MOST_LISTED, ParameterCandidate
+from cluster_est.drafting.columns import TIMES, TableColumn, fold, split_unit
+from cluster_est.drafting.draft import ConfigDraft, DraftExperiment
+from cluster_est.drafting.matching import ColumnMatch
 from cluster_est.drafting.units import conversion, same_unit
-from workers.fmu.description import Description
-from workers.fmu.variable import Variable
+from workers.fmu.description import ModelDescription
+from workers.fmu.variable import ModelVariable
 
 MOST_OPEN = 20
 """Outputs that are looked at for a comment where no column is like them."""
@@ -23,7 +23,7 @@ FILL_IN = "FILL IN"
 
 
 @dataclass(frozen=True)
-class Text:
+class ConfigText:
     """A first config as text.
 
     Attributes
@@ -41,7 +41,7 @@ class Text:
         return tuple((i, line) for i, line in lines if FILL_IN in line and line[0] != "#")
 
 
-def write(draft: Draft, folder: Path) -> Text:
+def write(draft: ConfigDraft, folder: Path) -> ConfigText:
     """Write a draft for a config that will stand in a folder; its paths start from there."""
     lines = [
         f"# A first config for {draft.fmu.name}, made by cluster-est init. Names on the left are",
@@ -53,10 +53,10 @@ def write(draft: Draft, folder: Path) -> Text:
     ]
     for run in draft.runs:
         lines += ["", *_experiment(run, folder)]
-    return Text("\n".join(_clean(line) for line in lines) + "\n")
+    return ConfigText("\n".join(_clean(line) for line in lines) + "\n")
 
 
-def _model(draft: Draft, folder: Path) -> Iterator[str]:
+def _model(draft: ConfigDraft, folder: Path) -> Iterator[str]:
     description = draft.description
     yield "[model]"
     yield f"fmu = {inline(_relative(draft.fmu, folder))}"
@@ -74,13 +74,13 @@ def _model(draft: Draft, folder: Path) -> Iterator[str]:
     yield f"# step = {inline(step or 0.01)}  # {said}"
 
 
-def _why(description: Description, chosen: str) -> str:
+def _why(description: ModelDescription, chosen: str) -> str:
     if len(description.interfaces) == 1:
         return "the only one that the FMU offers"
     return f"of {' and '.join(description.interfaces)}: every effect can be tried in it"
 
 
-def _parameters(draft: Draft) -> Iterator[str]:
+def _parameters(draft: ConfigDraft) -> Iterator[str]:
     yield "# What is estimated, from all experiments together. Remove the # of what you doubt, and"
     yield "# put one before what you know; its value is then the FMU's own."
     yield "[parameters]"
@@ -99,7 +99,7 @@ def _parameters(draft: Draft) -> Iterator[str]:
         yield f"# {dotted(state.name)} = {value}{_said(state)}"
 
 
-def _parameter(candidate: Candidate) -> str:
+def _parameter(candidate: ParameterCandidate) -> str:
     variable = candidate.variable
     per = {"per": candidate.per} if candidate.per else {}
     value = {"start": candidate.start, "bounds": candidate.bounds, **per}
@@ -107,7 +107,7 @@ def _parameter(candidate: Candidate) -> str:
     return f"# {line}; not estimated: {candidate.why_not}" if candidate.why_not else line
 
 
-def _said(variable: Variable, more: str = "") -> str:
+def _said(variable: ModelVariable, more: str = "") -> str:
     """A comment: unit and description of a variable."""
     unit = f"[{variable.unit}]" if variable.unit else ""
     parts = [" ".join(part for part in (unit, variable.description) if part), more]
@@ -115,7 +115,7 @@ def _said(variable: Variable, more: str = "") -> str:
     return f"  # {text}" if text else ""
 
 
-def _experiment(run: Run, folder: Path) -> Iterator[str]:
+def _experiment(run: DraftExperiment, folder: Path) -> Iterator[str]:
     columns = run.columns
     yield "[[experiments]]"
     yield f"id = {inline(run.id)}"
@@ -139,7 +139,7 @@ def _experiment(run: Run, folder: Path) -> Iterator[str]:
         yield f"# columns that hold no numbers: {', '.join(columns.unusable)}"
 
 
-def _time(run: Run) -> Iterator[str]:
+def _time(run: DraftExperiment) -> Iterator[str]:
     time = run.columns.time
     if time is not None:
         yield f"time = {inline(time.name)}"
@@ -153,7 +153,7 @@ def _time(run: Run) -> Iterator[str]:
         yield f"# time = {inline(name)}  # instead, if that is it: it increases from row to row"
 
 
-def _input(match: Match, columns: tuple[Column, ...]) -> Iterator[str]:
+def _input(match: ColumnMatch, columns: tuple[TableColumn, ...]) -> Iterator[str]:
     variable = match.variable
     key = dotted("inputs", variable.name)
     if match.column is not None:
@@ -166,7 +166,7 @@ def _input(match: Match, columns: tuple[Column, ...]) -> Iterator[str]:
         yield f'# {key} = "COLUMN"{_said(variable, kept)}'
 
 
-def _outputs(run: Run) -> Iterator[str]:
+def _outputs(run: DraftExperiment) -> Iterator[str]:
     known = [m for m in (*run.outputs, *run.further) if m.column is not None]
     for match in run.outputs:
         variable = match.variable
@@ -188,7 +188,7 @@ def _outputs(run: Run) -> Iterator[str]:
         yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
 
 
-def _open_outputs(run: Run) -> Iterator[str]:
+def _open_outputs(run: DraftExperiment) -> Iterator[str]:
     """Outputs that one of the columns that are left may be, though its name does not say so."""
     known = any(m.column is not None for m in (*run.outputs, *run.further))
     first = run.outputs[:1]
@@ -200,7 +200,7 @@ def _open_outputs(run: Run) -> Iterator[str]:
             yield f'# {dotted("outputs", variable.name)} = "COLUMN"{said}'
 
 
-def _open_conversions(run: Run, idle: list[Column]) -> Iterator[str]:
+def _open_conversions(run: DraftExperiment, idle: list[TableColumn]) -> Iterator[str]:
     """How the columns that are left are converted, if one of the open variables is theirs."""
     open_ = [m.variable.unit for m in (*run.inputs, *run.outputs) if m.column is None]
     for column in idle:
@@ -211,13 +211,13 @@ def _open_conversions(run: Run, idle: list[Column]) -> Iterator[str]:
                 yield from (f"# {line}" for line in _conversion(column, unit, why))
 
 
-def _compared(run: Run) -> list[tuple[Variable, Column]]:
+def _compared(run: DraftExperiment) -> list[tuple[ModelVariable, TableColumn]]:
     """Outputs that are written with a column, those among them that must be confirmed."""
     known = [(m.variable, m.column) for m in (*run.outputs, *run.further) if m.column is not None]
     return known or [(m.variable, m.similar) for m in run.outputs if m.similar is not None]
 
 
-def _sigmas(run: Run) -> Iterator[str]:
+def _sigmas(run: DraftExperiment) -> Iterator[str]:
     """The noise of each output, as its samples suggest it: what several outputs are weighted by."""
     compared = _compared(run)
     guesses = [_in_unit(column.noise, column, variable) for variable, column in compared]
@@ -229,13 +229,13 @@ def _sigmas(run: Run) -> Iterator[str]:
         yield line if several else f"# {line}  # standard deviation of its noise, a guess"
 
 
-def _in_unit(noise: float, column: Column, variable: Variable) -> float:
+def _in_unit(noise: float, column: TableColumn, variable: ModelVariable) -> float:
     """A column's noise in the unit of its variable, to two digits."""
     known = conversion(column.unit, variable.unit)
     return float(f"{noise * (1.0 if known is None else known.factor):.2g}")
 
 
-def _conversions(run: Run) -> Iterator[str]:
+def _conversions(run: DraftExperiment) -> Iterator[str]:
     """Lines for columns whose unit is not that of their variable."""
     if run.columns.time is not None and run.columns.time.unit:
         yield from _conversion(run.columns.time, "s", "times are in seconds")
@@ -245,7 +245,7 @@ def _conversions(run: Run) -> Iterator[str]:
             yield from _conversion(column, variable.unit, f"{variable.name} is in {variable.unit}")
 
 
-def _conversion(column: Column, wanted: str, why: str) -> Iterator[str]:
+def _conversion(column: TableColumn, wanted: str, why: str) -> Iterator[str]:
     if same_unit(column.unit, wanted):
         return
     known = conversion(column.unit, wanted)
@@ -259,11 +259,11 @@ def _conversion(column: Column, wanted: str, why: str) -> Iterator[str]:
     yield f"{line}  # from {column.unit}: {why}"
 
 
-def _guess(column: Column) -> str:
+def _guess(column: TableColumn) -> str:
     return inline(f"{FILL_IN}: {column.name}?")
 
 
-def _choices(columns: tuple[Column, ...]) -> str:
+def _choices(columns: tuple[TableColumn, ...]) -> str:
     return "columns: " + ", ".join(column.name for column in columns[:12])
 
 

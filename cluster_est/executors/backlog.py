@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Collection, Iterable, Sequence
 
 from workers.messages import Outcome, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 BATCH_SECONDS = 0.1
 LEAST_SECONDS = 0.005
@@ -16,7 +16,7 @@ MEMORY = 0.2
 """Weight of the newest observation in the running mean of a simulation's seconds."""
 
 
-class Backlog:
+class TaskBacklog:
     """A queue of tasks that knows how long a simulation of each experiment takes.
 
     Parameters
@@ -41,7 +41,7 @@ class Backlog:
         """Queue a task before all others: it has waited once already."""
         self._tasks.appendleft(task)
 
-    def expected(self, batch: Batch) -> float:
+    def expected(self, batch: TaskBatch) -> float:
         """Seconds that a batch usually takes."""
         return sum(self._seconds.get(e, FIRST_GUESS) for e in batch.experiments.tolist())
 
@@ -61,7 +61,7 @@ class Backlog:
             self._tasks = deque(task for task in self._tasks if task.id not in wanted)
         return found
 
-    def take(self) -> Batch:
+    def take(self) -> TaskBatch:
         """Remove the next batch: about 0.1 s of work, all of it wanting the same."""
         most = max(1, -(-len(self._tasks) // self._shares))
         batch: list[Task] = []
@@ -72,9 +72,9 @@ class Backlog:
             task = self._tasks.popleft()
             batch.append(task)
             seconds += self._seconds.get(task.experiment, FIRST_GUESS)
-        return Batch.of(batch)
+        return TaskBatch.of(batch)
 
-    def learn(self, batch: Batch, outcomes: Sequence[Outcome]) -> None:
+    def learn(self, batch: TaskBatch, outcomes: Sequence[Outcome]) -> None:
         """Remember how long the simulations of a batch took."""
         for experiment, outcome in zip(batch.experiments.tolist(), outcomes, strict=True):
             known = self._seconds.get(experiment, outcome.seconds)

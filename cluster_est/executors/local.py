@@ -8,22 +8,22 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import ClassVar, Protocol, Self
 
 from cluster_est.errors import ExecutorError
-from cluster_est.executors.backlog import Backlog
+from cluster_est.executors.backlog import TaskBacklog
 from cluster_est.executors.base import WorkerPool
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe_model
 from workers.messages import Experiment, Limits, Model, Outcome, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 SLOW_SECONDS = 0.5
 """What an interrupt may wait for a simulation that runs in the caller's thread."""
 CLOSE_SECONDS = 1.0
 
 
-class _Evaluates(Protocol):
+class _EvaluatorProtocol(Protocol):
     """An evaluator, or what stands before one."""
 
-    def evaluate(self, batch: Batch) -> list[Outcome]: ...
+    def evaluate(self, batch: TaskBatch) -> list[Outcome]: ...
 
     def close(self) -> None: ...
 
@@ -40,15 +40,15 @@ class LocalExecutor(WorkerPool):
 
     name: ClassVar[str] = "local"
 
-    def __init__(self, evaluators: Sequence[_Evaluates]) -> None:
+    def __init__(self, evaluators: Sequence[_EvaluatorProtocol]) -> None:
         self.workers = len(evaluators)
         self._evaluators = list(evaluators)
-        self._idle: queue.SimpleQueue[_Evaluates] = queue.SimpleQueue()
+        self._idle: queue.SimpleQueue[_EvaluatorProtocol] = queue.SimpleQueue()
         for evaluator in evaluators:
             self._idle.put(evaluator)
-        self._backlog = Backlog(shares=2 * self.workers)
+        self._backlog = TaskBacklog(shares=2 * self.workers)
         self._threads = ThreadPoolExecutor(self.workers)
-        self._running: dict[Future[list[Outcome]], Batch] = {}
+        self._running: dict[Future[list[Outcome]], TaskBatch] = {}
 
     @classmethod
     def open(
@@ -72,7 +72,7 @@ class LocalExecutor(WorkerPool):
     def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
         evaluator, outcomes = self._evaluators[0], []
         for task in tasks:  # in a thread, so that an interrupt comes through
-            batch = Batch.of([task])
+            batch = TaskBatch.of([task])
             running = self._threads.submit(evaluator.evaluate, batch)
             self._running[running] = batch
             outcomes += running.result()
@@ -133,7 +133,7 @@ class LocalExecutor(WorkerPool):
         self._backlog.learn(batch, outcomes)
         return outcomes
 
-    def _evaluate(self, batch: Batch) -> list[Outcome]:
+    def _evaluate(self, batch: TaskBatch) -> list[Outcome]:
         evaluator = self._idle.get()
         try:
             return evaluator.evaluate(batch)

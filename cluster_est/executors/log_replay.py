@@ -11,7 +11,7 @@ from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from workers.messages import Experiment, Model, Outcome, Task
 
 
-class Recall(Executor):
+class LogReplayExecutor(Executor):
     """Answers tasks that stand in a log, and lets another executor do the others.
 
     The run is done again from its start. What it asks and the log answers is *held* and given back

@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 from cluster_est.executors.base import WorkerPool
 from cluster_est.executors.local import LocalExecutor
 from workers.messages import Experiment, Limits, Model, Outcome, Task
-from workers.process.supervisor import Guard
+from workers.process.supervisor import SupervisedEvaluator
 
 
 class ProcessExecutor(WorkerPool):
@@ -21,7 +21,7 @@ class ProcessExecutor(WorkerPool):
 
     name: ClassVar[str] = "processes"
 
-    def __init__(self, guards: Sequence[Guard]) -> None:
+    def __init__(self, guards: Sequence[SupervisedEvaluator]) -> None:
         self.workers = len(guards)
         self._guards = list(guards)
         self._threads = LocalExecutor(guards)
@@ -38,7 +38,9 @@ class ProcessExecutor(WorkerPool):
         count = workers or 1
         with ThreadPoolExecutor(count) as starters:
             starting = [
-                starters.submit(Guard, model, experiments, f"process-{i}", limits or Limits())
+                starters.submit(
+                    SupervisedEvaluator, model, experiments, f"process-{i}", limits or Limits()
+                )
                 for i in range(count)
             ]
         failed = [each.exception() for each in starting if each.exception() is not None]

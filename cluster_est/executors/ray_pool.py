@@ -18,12 +18,12 @@ import ray
 from ray.exceptions import RayError, RayTaskError
 
 from cluster_est.errors import ExecutorError
-from cluster_est.executors.backlog import Backlog
+from cluster_est.executors.backlog import TaskBacklog
 from cluster_est.executors.base import WorkerPool
 from cluster_est.executors.ray_cluster import connect, cores, disconnect, why_not_started
-from workers.actor import Worker
+from workers.actor import FmuActor
 from workers.messages import Experiment, Limits, Model, Outcome, Status, Task
-from workers.wire import Answers, Batch
+from workers.wire import OutcomeColumns, TaskBatch
 
 IN_FLIGHT = 2
 LOOK_SECONDS = 0.5
@@ -40,11 +40,11 @@ FAILED_FIRST_STARTS, FAILED_STARTS = 3, 50
 """Workers in a row that may be lost while they start: the first ones, and later ones."""
 
 
-class _Flight(NamedTuple):
+class _BatchInFlight(NamedTuple):
     """A batch on an actor. If `alone`, nothing else is in flight there and it has one task."""
 
     actor: str
-    batch: Batch
+    batch: TaskBatch
     alone: bool
     begin: float
 
@@ -66,10 +66,10 @@ class RayPool(WorkerPool):
         self._fixed = workers
         self._owns_ray = owns_ray
         self._installation = ray.put(model), ray.put(experiments), limits
-        self._backlog = Backlog(shares=IN_FLIGHT * self.workers)
+        self._backlog = TaskBacklog(shares=IN_FLIGHT * self.workers)
         self._starting: dict[Any, tuple[str, Any]] = {}
         self._actors: dict[str, Any] = {}
-        self._flying: dict[Any, _Flight] = {}
+        self._flying: dict[Any, _BatchInFlight] = {}
         self._suspects: deque[Task] = deque()
         self._open: set[int] = set()
         self._twice: set[int] = set()
@@ -104,7 +104,7 @@ class RayPool(WorkerPool):
 
     def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
         actor = next(iter(self._actors.values()))
-        asked = [actor.evaluate.remote(Batch.of([task])) for task in tasks]
+        asked = [actor.evaluate.remote(TaskBatch.of([task])) for task in tasks]
         try:
             return [outcome for answers in ray.get(asked) for outcome in answers.outcomes()]
         except RayError:
@@ -163,7 +163,7 @@ class RayPool(WorkerPool):
         for _ in range(self.workers - len(self._actors) - len(self._starting)):
             name = f"ray-{self._started}"
             self._started += 1
-            actor = Worker.remote(*self._installation, name)  # type: ignore[attr-defined]
+            actor = FmuActor.remote(*self._installation, name)  # type: ignore[attr-defined]
             self._starting[actor.ready.remote()] = name, actor
 
     def _join(self, reference: Any) -> None:
@@ -200,7 +200,7 @@ class RayPool(WorkerPool):
                 return
             if ids and now - flight.begin > GRACE_SECONDS + LATE * usual:
                 self._twice |= ids
-                again = Batch.of([task for task in flight.batch.tasks() if task.id in ids])
+                again = TaskBatch.of([task for task in flight.batch.tasks() if task.id in ids])
                 self._send(idle.pop(), again, alone=flight.alone)
 
     def _fill(self) -> None:
@@ -208,7 +208,7 @@ class RayPool(WorkerPool):
         load = Counter(flight.actor for flight in self._flying.values())
         for name in self._actors:
             if self._suspects and not load[name]:
-                self._send(name, Batch.of([self._suspects.popleft()]), alone=True)
+                self._send(name, TaskBatch.of([self._suspects.popleft()]), alone=True)
                 load[name] += 1
         reserved = {flight.actor for flight in self._flying.values() if flight.alone}
         for level in range(IN_FLIGHT):
@@ -217,15 +217,15 @@ class RayPool(WorkerPool):
                     self._send(name, self._backlog.take(), alone=False)
                     load[name] += 1
 
-    def _send(self, name: str, batch: Batch, *, alone: bool) -> None:
+    def _send(self, name: str, batch: TaskBatch, *, alone: bool) -> None:
         reference = self._actors[name].evaluate.remote(batch)
-        self._flying[reference] = _Flight(name, batch, alone, time.monotonic())
+        self._flying[reference] = _BatchInFlight(name, batch, alone, time.monotonic())
 
     def _collect(self, reference: Any) -> list[Outcome]:
         """Outcomes that nobody else has given yet."""
         flight = self._flying.pop(reference)
         try:
-            answers: Answers = ray.get(reference)
+            answers: OutcomeColumns = ray.get(reference)
         except RayTaskError as error:
             line = str(error).strip().splitlines()[-1]
             raise ExecutorError(f"executor: a worker failed unexpectedly ({line})") from error
@@ -243,7 +243,7 @@ class RayPool(WorkerPool):
             self._lost.pop(outcome.task, None)
         return first
 
-    def _recover(self, flight: _Flight, error: RayError) -> list[Outcome]:
+    def _recover(self, flight: _BatchInFlight, error: RayError) -> list[Outcome]:
         """Replace a lost worker and ask again for what it had; outcomes of what is given up."""
         self._replace(flight.actor)
         given_up = []

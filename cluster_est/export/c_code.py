@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 import sympy as sp
 from sympy.printing.c import C99CodePrinter
 
-from cluster_est.export.layout import Layout
-from workers.effects.definition import SIGNAL, TIME, Definition, known_rates, variable_symbol
-from workers.effects.source import Assignment
+from cluster_est.export.layout import WrapperLayout
+from workers.effects.definition import SIGNAL, TIME, EffectDefinition, known_rates, variable_symbol
+from workers.effects.source import CAssignment
 
 Places = Mapping[sp.Symbol, tuple[str, int]]
 
 
-class _Printer(C99CodePrinter):  # type: ignore[misc]
+class _CPrinter(C99CodePrinter):  # type: ignore[misc]
     """C99; small powers are products, as compilers make them of what a run compiles."""
 
     def _print_Pow(self, expr: sp.Expr) -> str:  # noqa: N802 - SymPy's name
@@ -29,7 +29,7 @@ class _Printer(C99CodePrinter):  # type: ignore[misc]
         return f"((double)(({value} > 0.0) - ({value} < 0.0)))"
 
 
-def effects_source(layout: Layout) -> str:
+def effects_source(layout: WrapperLayout) -> str:
     """The file effects.c."""
     made = layout.equations
     begin = "void effects_begin(double t, double *states, const double *raw, "
@@ -52,7 +52,7 @@ def effects_source(layout: Layout) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _function(header: str, places: Places, assignments: Sequence[Assignment]) -> str:
+def _function(header: str, places: Places, assignments: Sequence[CAssignment]) -> str:
     return f"{header} {{\n{_unused(header)}{_body(places, assignments)}}}"
 
 
@@ -61,7 +61,7 @@ def _unused(header: str) -> str:
     return "".join(f"    (void){name};\n" for name in re.findall(r"(\w+)[,)]", header))
 
 
-def _body(places: Places, assignments: Sequence[Assignment], indent: str = "    ") -> str:
+def _body(places: Places, assignments: Sequence[CAssignment], indent: str = "    ") -> str:
     """Statements: the symbols that are used, common parts, and what is assigned in the end."""
     used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
     meaning: dict[sp.Symbol, sp.Symbol] = {TIME: sp.Symbol("t", real=True)}
@@ -90,19 +90,19 @@ def _comment(symbol: sp.Symbol) -> str:
 
 
 def _inline(value: sp.Expr) -> str:
-    return " ".join(_Printer().doprint(value).split())
+    return " ".join(_CPrinter().doprint(value).split())
 
 
-def _inside_rate(layout: Layout) -> str:
+def _inside_rate(layout: WrapperLayout) -> str:
     """The fastest rate of own states, as far as it depends on coefficients alone."""
     rates = [abs(rate) for i in layout.inside for rate in known_rates(layout.effect(i), ())]
-    fastest = Assignment("fastest", -1, sp.Max(sp.Integer(0), *rates))
+    fastest = CAssignment("fastest", -1, sp.Max(sp.Integer(0), *rates))
     head = "double effects_rate(const double *coefficients)"
     body = _body(layout.equations.places, [fastest])
     return f"{head} {{\n    double fastest;\n{_unused(head)}{body}    return fastest;\n}}"
 
 
-def _outputs(layout: Layout) -> list[str]:
+def _outputs(layout: WrapperLayout) -> list[str]:
     """A function that chooses one of the effects at outputs, for each thing to be known of them."""
     row = "const double *row, const double *raw, const double *coefficients"
     heads = {
@@ -128,26 +128,28 @@ def _outputs(layout: Layout) -> list[str]:
 
 
 def _output(
-    layout: Layout, index: int, what: str
-) -> tuple[dict[sp.Symbol, tuple[str, int]], list[Assignment]]:
+    layout: WrapperLayout, index: int, what: str
+) -> tuple[dict[sp.Symbol, tuple[str, int]], list[CAssignment]]:
     definition = layout.effect(index)
     places = _output_places(layout, definition, layout.repair.positions[index])
     first = layout.first_output_state(index)
     places |= {s: ("states", first + i) for i, s in enumerate(definition.states)}
     if what == "begin":
-        return places, [Assignment("states", first + i, e) for i, e in enumerate(definition.starts)]
+        return places, [
+            CAssignment("states", first + i, e) for i, e in enumerate(definition.starts)
+        ]
     if what == "inside":
         return places, [
-            Assignment("slopes", first + i, e) for i, e in enumerate(definition.derivatives)
+            CAssignment("slopes", first + i, e) for i, e in enumerate(definition.derivatives)
         ]
     if what == "after":
-        return places, [Assignment("result", -1, definition.parts[0][1])]
+        return places, [CAssignment("result", -1, definition.parts[0][1])]
     rates = [abs(rate) for rate in known_rates(definition, definition.uses)]
-    return places, [Assignment("result", -1, sp.Max(sp.Integer(0), *rates))]
+    return places, [CAssignment("result", -1, sp.Max(sp.Integer(0), *rates))]
 
 
 def _output_places(
-    layout: Layout, definition: Definition, position: int
+    layout: WrapperLayout, definition: EffectDefinition, position: int
 ) -> dict[sp.Symbol, tuple[str, int]]:
     places: dict[sp.Symbol, tuple[str, int]] = {
         variable_symbol(name): ("raw", i) for i, name in enumerate(layout.columns)

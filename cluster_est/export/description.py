@@ -6,9 +6,9 @@ import xml.etree.ElementTree as ET
 from xml.etree.ElementTree import Element, SubElement
 
 from cluster_est.export.fmi3_document import as_fmi_2
-from cluster_est.export.layout import Layout, Own
+from cluster_est.export.layout import AddedVariable, WrapperLayout
 from workers.fmu.archive import open_archive
-from workers.fmu.xml import XML, Notes, parse
+from workers.fmu.xml import XML, ReadingNotes, parse
 from workers.messages import Value
 
 _FLAGS = (
@@ -20,13 +20,15 @@ _FLAGS = (
 )
 
 
-def identifier(layout: Layout) -> str:
+def identifier(layout: WrapperLayout) -> str:
     """What the exported FMU's library is called."""
     interface = layout.repair.problem.model.interface
     return f"{layout.repair.description.offer(interface).identifier}_repaired"
 
 
-def model_description(layout: Layout, guid: str, sources: tuple[str, ...], tool: str) -> bytes:
+def model_description(
+    layout: WrapperLayout, guid: str, sources: tuple[str, ...], tool: str
+) -> bytes:
     """The document.
 
     Parameters
@@ -40,7 +42,7 @@ def model_description(layout: Layout, guid: str, sources: tuple[str, ...], tool:
     """
     model = layout.repair.problem.model
     with open_archive(model.name, model.archive) as opened:
-        root = parse(model.name, opened.read(XML), Notes(model.name))
+        root = parse(model.name, opened.read(XML), ReadingNotes(model.name))
     if layout.repair.description.version == "3.0":
         root = as_fmi_2(root, layout.repair.description)
     old = {tag: root.find(tag) for tag in ("ModelExchange", "CoSimulation")}
@@ -66,7 +68,7 @@ def model_description(layout: Layout, guid: str, sources: tuple[str, ...], tool:
     return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
 
 
-def _interfaces(layout: Layout, old: Element, sources: tuple[str, ...]) -> list[Element]:
+def _interfaces(layout: WrapperLayout, old: Element, sources: tuple[str, ...]) -> list[Element]:
     kept = {flag: old.get(flag, "false") for flag in _FLAGS}
     kept = {flag: text for flag, text in kept.items() if text in ("true", "1")}
     kept = {"modelIdentifier": identifier(layout), **kept}
@@ -100,7 +102,7 @@ def _child(root: Element, tag: str, after: tuple[str, ...]) -> Element:
     return found
 
 
-def _add_units(root: Element, layout: Layout) -> None:
+def _add_units(root: Element, layout: WrapperLayout) -> None:
     values = [own.value for own in layout.own if own.value is not None]
     missing = {value.unit for value in values if value.unit}
     units = root.find("UnitDefinitions")
@@ -112,7 +114,7 @@ def _add_units(root: Element, layout: Layout) -> None:
             SubElement(units, "Unit", name=name)
 
 
-def _set_starts(root: Element, layout: Layout) -> None:
+def _set_starts(root: Element, layout: WrapperLayout) -> None:
     """Estimates become the start values; of several names of a value, that which has a start."""
     description = layout.repair.description
     found = {description.variables[f.name].reference: f.value for f in layout.repair.parameters}
@@ -137,7 +139,7 @@ def _text(tag: str, given: Value) -> str:
     return str(int(given)) if tag in ("Integer", "Enumeration") else str(given)
 
 
-def _add_variables(root: Element, layout: Layout) -> dict[str, int]:
+def _add_variables(root: Element, layout: WrapperLayout) -> dict[str, int]:
     """Append what the original does not have. Returns the index of each, which counts from 1."""
     variables = root.find("ModelVariables")
     assert variables is not None
@@ -156,7 +158,7 @@ def _add_variables(root: Element, layout: Layout) -> dict[str, int]:
     return indices
 
 
-def _describe(own: Own, scalar: Element, real: Element) -> None:
+def _describe(own: AddedVariable, scalar: Element, real: Element) -> None:
     if own.kind == "COEFFICIENT":
         assert own.value is not None
         scalar.attrib.update(causality="parameter", variability="tunable", initial="exact")
@@ -170,7 +172,7 @@ def _describe(own: Own, scalar: Element, real: Element) -> None:
         scalar.attrib.update(causality="local", variability="continuous", initial="calculated")
 
 
-def _extend_structure(root: Element, layout: Layout, indices: dict[str, int]) -> None:
+def _extend_structure(root: Element, layout: WrapperLayout, indices: dict[str, int]) -> None:
     """List the new derivatives; what effects touch may depend on anything from now on."""
     structure = root.find("ModelStructure")
     variables = root.find("ModelVariables")

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement
 
 from cluster_est.export.fmi3_variables import fits
-from workers.fmu.description import Description
-from workers.fmu.variable import Variable
+from workers.fmu.description import ModelDescription
+from workers.fmu.variable import ModelVariable
 from workers.fmu.xml import flag, whole
 
 _ROOT = (
@@ -40,7 +40,7 @@ _NOTHING = {
 """Start values where the original names none."""
 
 
-def as_fmi_2(root: Element, description: Description) -> Element:
+def as_fmi_2(root: Element, description: ModelDescription) -> Element:
     """The document of the original, in the words of FMI 2.0.
 
     What FMI 2.0 does not have (clocks, terminals, annotations) is left out.
@@ -67,13 +67,13 @@ def as_fmi_2(root: Element, description: Description) -> Element:
         section.extend(Element("Category", each.attrib) for each in categories)
     if (usual := root.find("DefaultExperiment")) is not None:
         SubElement(made, "DefaultExperiment", usual.attrib)
-    variables = _Variables(description, types, inverse).section(root)
+    variables = _VariableWriter(description, types, inverse).section(root)
     made.append(variables)
     made.append(_structure(description, variables))
     return made
 
 
-def _interface(tag: str, old: Element, description: Description) -> Element:
+def _interface(tag: str, old: Element, description: ModelDescription) -> Element:
     made = Element(tag, {key: old.get(key, "") for key in _KEPT if old.get(key) is not None})
     made.attrib.update({new: old.get(key, "false") for key, new in _RENAMED.items()})
     if any(v.kind == "real" and v.size > 1 for v in description.variables.values()):
@@ -138,10 +138,10 @@ def _limited(old: Element, tag: str, inverse: set[str]) -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class _Variables:
+class _VariableWriter:
     """Writes the variables."""
 
-    description: Description
+    description: ModelDescription
     types: dict[str, Element]
     inverse: set[str]
 
@@ -166,7 +166,7 @@ class _Variables:
                 value.set("derivative", str(places[variable.derivative_of]))
         return made
 
-    def _value(self, variable: Variable, raw: Element) -> Element:
+    def _value(self, variable: ModelVariable, raw: Element) -> Element:
         tag, declared = _TAGS[variable.kind], raw.get("declaredType", "")
         if variable.type == "Enumeration" and declared in self.types:
             tag = "Enumeration"
@@ -178,12 +178,12 @@ class _Variables:
         return value
 
 
-def _places(description: Description) -> dict[str, int]:
+def _places(description: ModelDescription) -> dict[str, int]:
     """Where each variable stands in the document, which counts from 1."""
     return {name: i for i, name in enumerate(description.variables, 1)}
 
 
-def _role(variable: Variable, raw: Element) -> dict[str, str]:
+def _role(variable: ModelVariable, raw: Element) -> dict[str, str]:
     """Causality, variability and initial; what they are by default is said too."""
     causality, variability = variable.causality, variable.variability
     alias = variable.alias_of is not None
@@ -202,7 +202,7 @@ def _role(variable: Variable, raw: Element) -> dict[str, str]:
     return {**found, "initial": "calculated" if alias else raw.get("initial", "calculated")}
 
 
-def _start(variable: Variable, raw: Element, tag: str) -> str:
+def _start(variable: ModelVariable, raw: Element, tag: str) -> str:
     """As the original has it; structural parameters as the run has chosen them."""
     given = raw.get("start")
     if variable.kind == "string":
@@ -215,7 +215,7 @@ def _start(variable: Variable, raw: Element, tag: str) -> str:
     return texts[variable.element if len(texts) > 1 else 0]
 
 
-def _structure(description: Description, section: Element) -> Element:
+def _structure(description: ModelDescription, section: Element) -> Element:
     made, places = Element("ModelStructure"), _places(description)
     rates = {
         v.derivative_of: name for name, v in description.variables.items() if v.alias_of is None

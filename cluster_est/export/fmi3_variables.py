@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from workers.fmu.description import Description
-from workers.fmu.variable import Type, Variable
+from workers.fmu.description import ModelDescription
+from workers.fmu.variable import ModelVariable, Type
 
 _SAME: tuple[Type, ...] = ("Float64", "Int32", "Boolean", "String")
 """Types that FMI 2.0 has under another name."""
@@ -15,7 +15,7 @@ _LEAST, _MOST = -(2.0**31), 2.0**31 - 1.0
 
 
 @dataclass(frozen=True)
-class Place:
+class TranslatedVariable:
     """A variable of the original that FMI 2.0 knows otherwise.
 
     Attributes
@@ -36,7 +36,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Flat:
+class FlatDescription:
     """A description in which each variable is one of FMI 2.0.
 
     Attributes
@@ -49,12 +49,12 @@ class Flat:
         Names of what FMI 2.0 cannot say.
     """
 
-    description: Description
-    places: tuple[Place, ...] = ()
+    description: ModelDescription
+    places: tuple[TranslatedVariable, ...] = ()
     left_out: tuple[str, ...] = ()
 
 
-def flatten(description: Description, structure: Mapping[str, int]) -> Flat:
+def flatten(description: ModelDescription, structure: Mapping[str, int]) -> FlatDescription:
     """Give each element of an array a reference, and leave out what FMI 2.0 has no type for.
 
     A description of FMI 2.0 stays as it is.
@@ -65,12 +65,12 @@ def flatten(description: Description, structure: Mapping[str, int]) -> Flat:
         Values of structural parameters that differ from their start values.
     """
     if description.version == "2.0":
-        return Flat(description)
-    groups: dict[int, list[Variable]] = {}
+        return FlatDescription(description)
+    groups: dict[int, list[ModelVariable]] = {}
     for variable in description.variables.values():
         groups.setdefault(variable.reference, []).append(variable)
     free = 1 + max(groups, default=0)
-    kept: dict[str, Variable] = {}
+    kept: dict[str, ModelVariable] = {}
     places, left_out = [], list[str]()
     for reference, group in groups.items():
         own = [v for v in group if v.alias_of is None]
@@ -82,16 +82,16 @@ def flatten(description: Description, structure: Mapping[str, int]) -> Flat:
         free += one.size if one.size > 1 else 0
         if one.size > 1 or one.type not in _SAME:
             starts = tuple(v.start or 0.0 for v in own) if one.size > 1 and one.settable else ()
-            places.append(Place(first, one.size, one.type, reference, starts))
+            places.append(TranslatedVariable(first, one.size, one.type, reference, starts))
         for v in group:
             start = structure.get(v.name, v.start)
             kept[v.name] = replace(v, reference=first + v.element, start=start)
     ordered = {name: kept[name] for name in description.variables if name in kept}
     places.sort(key=lambda place: place.first)
-    return Flat(replace(description, variables=ordered), tuple(places), tuple(left_out))
+    return FlatDescription(replace(description, variables=ordered), tuple(places), tuple(left_out))
 
 
-def _expressible(elements: list[Variable]) -> bool:
+def _expressible(elements: list[ModelVariable]) -> bool:
     """Whether FMI 2.0 can say it, as far as its start values show."""
     kind, size = elements[0].kind, elements[0].size
     if kind == "integer":

@@ -14,8 +14,8 @@ from cluster_est.export.c_code import effects_source
 from cluster_est.export.compiler import compile_library, find_compiler
 from cluster_est.export.description import identifier, model_description
 from cluster_est.export.header import header
-from cluster_est.export.layout import Layout, lay_out
-from cluster_est.export.repair import Repair
+from cluster_est.export.layout import WrapperLayout, lay_out
+from cluster_est.export.repair import RepairedModel
 from cluster_est.export.text import describe_effects
 from cluster_est.run_folder.run_identity import versions
 from workers.fmu.archive import open_archive
@@ -41,7 +41,7 @@ run."""
 _MOST_NAMED = 8
 
 
-def write_fmu(repair: Repair, path: Path) -> tuple[str, ...]:
+def write_fmu(repair: RepairedModel, path: Path) -> tuple[str, ...]:
     """Write the repaired FMU and return sentences on what a user should know of it.
 
     Raises
@@ -67,7 +67,7 @@ def write_fmu(repair: Repair, path: Path) -> tuple[str, ...]:
     return _notes(layout)
 
 
-def archive_files(layout: Layout, command: tuple[str, ...]) -> dict[str, bytes]:
+def archive_files(layout: WrapperLayout, command: tuple[str, ...]) -> dict[str, bytes]:
     """Everything in the archive by its name; the same for the same run, sources and compiler."""
     name, model = identifier(layout), layout.repair.problem.model
     sources = wrapper_sources() | {"effects.c": effects_source(layout).encode()}
@@ -102,7 +102,7 @@ def wrapper_sources() -> dict[str, bytes]:
     return {name: text for name, text in sorted(found.items()) if name.endswith((".c", ".h"))}
 
 
-def _readme(layout: Layout, name: str, tool: str) -> str:
+def _readme(layout: WrapperLayout, name: str, tool: str) -> str:
     model = layout.repair.problem.model
     solver = "dormand_prince" if model.solver.name == "cvode" else model.solver.name
     how = _EXCHANGE.format(solver=solver) if layout.exchange else _SIMULATION
@@ -112,7 +112,7 @@ def _readme(layout: Layout, name: str, tool: str) -> str:
     )  # fmt: skip
 
 
-def _notes(layout: Layout) -> tuple[str, ...]:
+def _notes(layout: WrapperLayout) -> tuple[str, ...]:
     notes = []
     if layout.repair.problem.model.solver.name == "cvode":
         notes.append(

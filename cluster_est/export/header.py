@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from cluster_est.export.layout import Layout
+from cluster_est.export.layout import WrapperLayout
 from workers.messages import Value
 from workers.simulation.integrator import DEFAULT_RTOL
 
 
-def header(layout: Layout, guid: str) -> str:
+def header(layout: WrapperLayout, guid: str) -> str:
     """The text of model.h."""
     lines = ["/* Written for one run; see documentation/README.md. */", "#ifndef MODEL_H"]
     lines += ["#define MODEL_H", "", "#include <math.h>", ""]
@@ -19,7 +19,7 @@ def header(layout: Layout, guid: str) -> str:
     return "\n".join([*lines, "", "#endif", ""])
 
 
-def _identity(layout: Layout, guid: str) -> dict[str, object]:
+def _identity(layout: WrapperLayout, guid: str) -> dict[str, object]:
     model, description = layout.repair.problem.model, layout.repair.description
     return {
         "MODEL_GUID": _text(guid),
@@ -30,7 +30,7 @@ def _identity(layout: Layout, guid: str) -> dict[str, object]:
     }
 
 
-def _counts(layout: Layout) -> dict[str, object]:
+def _counts(layout: WrapperLayout) -> dict[str, object]:
     repair, made = layout.repair, layout.equations
     description = repair.description
     return {
@@ -54,7 +54,7 @@ def _counts(layout: Layout) -> dict[str, object]:
     }
 
 
-def _solver(layout: Layout) -> dict[str, object]:
+def _solver(layout: WrapperLayout) -> dict[str, object]:
     model, description = layout.repair.problem.model, layout.repair.description
     solver = model.solver
     rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
@@ -76,7 +76,7 @@ def _solver(layout: Layout) -> dict[str, object]:
     }
 
 
-def _tables(layout: Layout) -> dict[str, object]:
+def _tables(layout: WrapperLayout) -> dict[str, object]:
     repair, variables = layout.repair, layout.repair.description.variables
     nominals = [variables[name].nominal for name in layout.states]
     nominals += [1.0] * len(layout.equations.begin)
@@ -111,7 +111,7 @@ def _tables(layout: Layout) -> dict[str, object]:
     }
 
 
-def _others(layout: Layout) -> dict[str, object]:
+def _others(layout: WrapperLayout) -> dict[str, object]:
     """Values of the run that are no reals, but structural parameters, which come first."""
     variables = layout.repair.description.variables
     found: dict[str, object] = {}
@@ -125,7 +125,7 @@ def _others(layout: Layout) -> dict[str, object]:
     return found
 
 
-def _places(layout: Layout) -> dict[str, object]:
+def _places(layout: WrapperLayout) -> dict[str, object]:
     """What an original of FMI 3.0 has that FMI 2.0 has not; nothing for one of FMI 2.0."""
     variables = layout.repair.description.variables
     rows, elements = [], list[float]()
@@ -146,14 +146,14 @@ def _places(layout: Layout) -> dict[str, object]:
     }
 
 
-def _memory(layout: Layout, index: int) -> str:
+def _memory(layout: WrapperLayout, index: int) -> str:
     effect = layout.effect(index)
     column = layout.columns.index(effect.site.target)
     backlash = int(effect.form.memory == "backlash")
     return f"{{{backlash}, {column}, {layout.repair.positions[index]}}}"
 
 
-def _output(layout: Layout, index: int) -> str:
+def _output(layout: WrapperLayout, index: int) -> str:
     effect = layout.effect(index)
     column = layout.row.index(effect.site.target)
     delay = layout.repair.positions[index] if effect.form.memory else -1

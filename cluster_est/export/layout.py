@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from cluster_est.errors import ModelError
-from cluster_est.export.fmi3_variables import Place, fits, flatten
-from cluster_est.export.repair import Found, Repair
-from workers.effects.compiled import Equations, equations
-from workers.effects.definition import Definition
-from workers.fmu.description import Description
-from workers.fmu.variable import Variable
+from cluster_est.export.fmi3_variables import TranslatedVariable, fits, flatten
+from cluster_est.export.repair import EstimatedValue, RepairedModel
+from workers.effects.compiled import CompiledEquations, equations
+from workers.effects.definition import EffectDefinition
+from workers.fmu.description import ModelDescription
+from workers.fmu.variable import ModelVariable
 
 Kind = Literal["INPUT", "SIGNAL", "COEFFICIENT", "BASE", "START", "RATE", "OUTPUT", "STATE"]
 
 
 @dataclass(frozen=True)
-class Own:
+class AddedVariable:
     """A variable that the original does not have.
 
     Attributes
@@ -36,12 +36,12 @@ class Own:
     kind: Kind
     index: int
     description: str
-    value: Found | None = None
+    value: EstimatedValue | None = None
     state: str = ""
 
 
 @dataclass(frozen=True)
-class Special:
+class AnsweredReference:
     """A reference of a real variable that the wrapper answers for."""
 
     reference: int
@@ -50,7 +50,7 @@ class Special:
 
 
 @dataclass(frozen=True)
-class Layout:
+class WrapperLayout:
     """Where everything stands.
 
     Attributes
@@ -84,21 +84,21 @@ class Layout:
         What FMI 2.0 knows otherwise than an original of FMI 3.0, and what it cannot say.
     """
 
-    repair: Repair
+    repair: RepairedModel
     exchange: bool
-    inputs: tuple[Variable, ...]
+    inputs: tuple[ModelVariable, ...]
     moving: int
     signals: tuple[str, ...]
     memories: tuple[int, ...]
     inside: tuple[int, ...]
     outputs: tuple[int, ...]
-    equations: Equations
+    equations: CompiledEquations
     row: tuple[str, ...]
-    starts: tuple[Found, ...]
-    own: tuple[Own, ...]
-    specials: tuple[Special, ...]
+    starts: tuple[EstimatedValue, ...]
+    own: tuple[AddedVariable, ...]
+    specials: tuple[AnsweredReference, ...]
     touched: tuple[int, ...]
-    places: tuple[Place, ...] = ()
+    places: tuple[TranslatedVariable, ...] = ()
     left_out: tuple[str, ...] = ()
 
     @property
@@ -111,7 +111,7 @@ class Layout:
         """Inputs, then signals."""
         return (*(v.name for v in self.inputs), *self.signals)
 
-    def effect(self, index: int) -> Definition:
+    def effect(self, index: int) -> EffectDefinition:
         return self.repair.effects[index]
 
     def reference(self, name: str) -> int:
@@ -123,7 +123,7 @@ class Layout:
         return len(self.states) + sum(len(self.effect(i).states) for i in before)
 
 
-def lay_out(repair: Repair) -> Layout:
+def lay_out(repair: RepairedModel) -> WrapperLayout:
     """Lay out the exported FMU.
 
     Raises
@@ -157,7 +157,7 @@ def lay_out(repair: Repair) -> Layout:
     order = sorted(inside, key=lambda i: effects[i].site.at_rates)
     own = _own(repair, signals, [*order, *outputs], exchange=exchange)
     row = tuple(dict.fromkeys(n for n in needed if n not in columns))
-    layout = Layout(
+    layout = WrapperLayout(
         repair, exchange, inputs, sum(v.moves for v in inputs), signals, tuple(memories),
         tuple(inside), tuple(outputs), made, row, tuple(known), own, (), (),
     )  # fmt: skip
@@ -167,7 +167,7 @@ def lay_out(repair: Repair) -> Layout:
     )
 
 
-def _check_needed(repair: Repair, left_out: tuple[str, ...]) -> None:
+def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
     """Refuse what could not be told of this run in FMI 2.0, which the wrapper is of."""
     problem = repair.problem
     named = [found.name for found in repair.parameters] + [name for name, _ in repair.known]
@@ -188,14 +188,14 @@ def _check_needed(repair: Repair, left_out: tuple[str, ...]) -> None:
             )
 
 
-def _inputs(description: Description) -> tuple[Variable, ...]:
+def _inputs(description: ModelDescription) -> tuple[ModelVariable, ...]:
     real = {v.reference: v for v in reversed(description.inputs()) if v.kind == "real"}
     chosen = [v for v in description.inputs() if real.get(v.reference) is v]
     return tuple(sorted(chosen, key=lambda v: not v.moves))
 
 
 def _check_inputs(
-    effects: tuple[Definition, ...], description: Description, columns: tuple[str, ...]
+    effects: tuple[EffectDefinition, ...], description: ModelDescription, columns: tuple[str, ...]
 ) -> None:
     for effect in effects:
         named = (*effect.uses, *((effect.site.target,) if effect.site.kind == "input" else ()))
@@ -208,24 +208,24 @@ def _check_inputs(
                 )
 
 
-def _starts(repair: Repair) -> list[Found]:
+def _starts(repair: RepairedModel) -> list[EstimatedValue]:
     """Real values that the original begins with."""
     description = repair.description
     found = list(repair.parameters)
     for name, value in repair.known:
         if description.variables[name].kind == "real":
-            found.append(Found(name, description.variables[name].unit, float(value)))
+            found.append(EstimatedValue(name, description.variables[name].unit, float(value)))
     return found
 
 
 def _own(
-    repair: Repair, signals: tuple[str, ...], stateful: list[int], *, exchange: bool
-) -> tuple[Own, ...]:
+    repair: RepairedModel, signals: tuple[str, ...], stateful: list[int], *, exchange: bool
+) -> tuple[AddedVariable, ...]:
     """The new variables, their references behind those of the original's real ones."""
     variables = repair.description.variables.values()
     reference = 1 + max((v.reference for v in variables if v.kind == "real"), default=0)
     inputs = sum(v.kind == "real" for v in _inputs(repair.description))
-    made: list[tuple[str, Kind, int, str, Found | None, str]] = [
+    made: list[tuple[str, Kind, int, str, EstimatedValue | None, str]] = [
         (name, "SIGNAL", inputs + i, "a measured signal that an effect depends on", None, "")
         for i, name in enumerate(signals)
     ]
@@ -246,17 +246,19 @@ def _own(
                 made.append((f"der({name})", "RATE", at, f"derivative of {name}", None, name))
             at += 1
     return tuple(
-        Own(name, reference + i, kind, index, text, value, state)
+        AddedVariable(name, reference + i, kind, index, text, value, state)
         for i, (name, kind, index, text, value, state) in enumerate(made)
     )
 
 
-def _specials(layout: Layout) -> tuple[tuple[Special, ...], tuple[int, ...]]:
+def _specials(layout: WrapperLayout) -> tuple[tuple[AnsweredReference, ...], tuple[int, ...]]:
     description = layout.repair.description
-    found = {own.reference: Special(own.reference, own.kind, own.index) for own in layout.own}
+    found = {
+        own.reference: AnsweredReference(own.reference, own.kind, own.index) for own in layout.own
+    }
 
     def add(reference: int, kind: Kind, index: int) -> None:
-        found.setdefault(reference, Special(reference, kind, index))
+        found.setdefault(reference, AnsweredReference(reference, kind, index))
 
     for i, variable in enumerate(layout.inputs):
         add(variable.reference, "INPUT", i)

@@ -9,13 +9,13 @@ import sympy as sp
 from sympy.printing.precedence import precedence
 from sympy.printing.str import StrPrinter
 
-from cluster_est.export.repair import Found, Repair
-from workers.effects.definition import SIGNAL, TIME, Definition, variable_symbol
+from cluster_est.export.repair import EstimatedValue, RepairedModel
+from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
 
 _FUNCTIONS = {"Abs": "abs", "sign": "sign", "Min": "min", "Max": "max", "sqrt": "sqrt"}
 
 
-class _Printer(StrPrinter):  # type: ignore[misc]
+class _ModelicaPrinter(StrPrinter):  # type: ignore[misc]
     """Expressions of Modelica."""
 
     def _print_Pow(self, expr: sp.Expr) -> str:  # noqa: N802 - SymPy's name
@@ -58,7 +58,7 @@ class _Printer(StrPrinter):  # type: ignore[misc]
         return f"{expr.p}/{expr.q}"
 
 
-def modelica(repair: Repair) -> str:
+def modelica(repair: RepairedModel) -> str:
     """The effects as declarations and equations, and the parameters as modifiers."""
     lines = [f"// {repair.description.file} with what run {repair.run} has found"]
     if repair.parameters:
@@ -73,7 +73,7 @@ def modelica(repair: Repair) -> str:
     return "\n".join([*lines, *declared, "equation", *equations, ""])
 
 
-def _comment(found: Found) -> str:
+def _comment(found: EstimatedValue) -> str:
     unit = f" [{found.unit}]" if found.unit else ""
     return unit + (f", {found.interval}" if found.interval else "")
 
@@ -83,7 +83,7 @@ def _name(*parts: str) -> str:
     return re.sub(r"\W+", "_", "_".join(parts)).strip("_")
 
 
-def _declarations(effect: Definition, values: tuple[Found, ...]) -> Iterator[str]:
+def _declarations(effect: EffectDefinition, values: tuple[EstimatedValue, ...]) -> Iterator[str]:
     for value in values:
         unit = f'(unit="{value.unit}")' if value.unit else ""
         said = f' "{value.interval}"' if value.interval else ""
@@ -94,11 +94,11 @@ def _declarations(effect: Definition, values: tuple[Found, ...]) -> Iterator[str
         yield f"  Real {_result(effect, target)};"
 
 
-def _result(effect: Definition, target: str) -> str:
+def _result(effect: EffectDefinition, target: str) -> str:
     return _name(effect.effect.name, "at", target)
 
 
-def _equations(effect: Definition) -> Iterator[str]:
+def _equations(effect: EffectDefinition) -> Iterator[str]:
     name = effect.effect.name
     meaning = {s: sp.Symbol(_name(str(s))) for s in effect.coefficients}
     pairs = zip(effect.states, effect.form.states, strict=True)
@@ -107,7 +107,7 @@ def _equations(effect: Definition) -> Iterator[str]:
     meaning |= {TIME: sp.Symbol("time"), SIGNAL: sp.Symbol(effect.site.target)}
 
     def text(expression: sp.Expr) -> str:
-        return str(_Printer().doprint(expression.xreplace(meaning)))
+        return str(_ModelicaPrinter().doprint(expression.xreplace(meaning)))
 
     for target, equation in effect.parts:
         result, site = _result(effect, target), effect.site

@@ -19,16 +19,16 @@ from cluster_est.errors import RunFolderError
 from cluster_est.problem.parameter_constraints import label_of
 from cluster_est.problem.problem import Parameter, Problem
 from cluster_est.run_folder.replay import config_base
-from workers.effects.definition import Definition, define
+from workers.effects.definition import EffectDefinition, define
 from workers.effects.units import UNKNOWN, coefficient_units
-from workers.fmu.description import Description, nearest
+from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment, Value
 
 Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Found:
+class EstimatedValue:
     """One estimated value.
 
     Attributes
@@ -56,7 +56,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Repair:
+class RepairedModel:
     """A model with what a run has found for it.
 
     Attributes
@@ -79,10 +79,10 @@ class Repair:
 
     run: str
     problem: Problem
-    description: Description
-    effects: tuple[Definition, ...]
-    coefficients: tuple[tuple[Found, ...], ...]
-    parameters: tuple[Found, ...]
+    description: ModelDescription
+    effects: tuple[EffectDefinition, ...]
+    coefficients: tuple[tuple[EstimatedValue, ...], ...]
+    parameters: tuple[EstimatedValue, ...]
     known: tuple[tuple[str, Value], ...]
     notes: tuple[str, ...]
 
@@ -94,7 +94,7 @@ class Repair:
 
 def gather(
     run_folder: Path, config: Path | None, experiment: str | None, *, allow_code: bool
-) -> Repair:
+) -> RepairedModel:
     """Read what a run was made from and what it has found.
 
     Parameters
@@ -125,7 +125,7 @@ def gather(
     chosen = _experiment(problem, experiment)
     rows = {row["label"]: row for row in read_run_table(table)}
     description = problem.describe()
-    reader = _Reader(problem, description, rows, chosen)
+    reader = _ParameterReader(problem, description, rows, chosen)
     return reader.repair(run_folder.resolve().name)
 
 
@@ -165,15 +165,15 @@ def _experiment(problem: Problem, name: str | None) -> Experiment | None:
 
 
 @dataclass(frozen=True)
-class _Reader:
+class _ParameterReader:
     """Looks up values in a run's table of parameters."""
 
     problem: Problem
-    description: Description
+    description: ModelDescription
     rows: Mapping[str, Row]
     experiment: Experiment | None
 
-    def repair(self, run: str) -> Repair:
+    def repair(self, run: str) -> RepairedModel:
         problem = self.problem
         count = len(problem.model.parameters)
         named = [p for p in problem.parameters if not p.auxiliary]
@@ -190,7 +190,7 @@ class _Reader:
                 f"{'keeps its' if one else 'keep their'} start; choose the values of one with "
                 "--experiment"
             )
-        return Repair(
+        return RepairedModel(
             run,
             problem,
             self.description,
@@ -203,7 +203,7 @@ class _Reader:
 
     def _effects(
         self, parameters: list[Parameter]
-    ) -> tuple[tuple[Definition, ...], tuple[tuple[Found, ...], ...], list[str]]:
+    ) -> tuple[tuple[EffectDefinition, ...], tuple[tuple[EstimatedValue, ...], ...], list[str]]:
         interface = self.problem.model.interface
         named = [given.variable for e in self.problem.experiments for given in e.signals]
         signals = tuple(dict.fromkeys(named))
@@ -214,7 +214,7 @@ class _Reader:
             at += len(own)
             units = coefficient_units(definition, self.description)
             values = tuple(
-                self._find(p, unit) or Found(p.name, unit, p.start)
+                self._find(p, unit) or EstimatedValue(p.name, unit, p.start)
                 for p, unit in zip(own, units, strict=True)
             )
             if definition.neutral(np.array([value.value for value in values])):
@@ -224,7 +224,7 @@ class _Reader:
             coefficients.append(values)
         return tuple(kept), tuple(coefficients), notes
 
-    def _find(self, parameter: Parameter, unit: str = "") -> Found | None:
+    def _find(self, parameter: Parameter, unit: str = "") -> EstimatedValue | None:
         """The value of a parameter, None if it has one for each experiment and none was chosen."""
         label = parameter.name
         if self.experiment is not None:
@@ -233,11 +233,11 @@ class _Reader:
             label = label if label in self.rows else parameter.name
         row = self.rows.get(label)
         if row is None and (parameter.fixed and not parameter.expression):
-            return Found(parameter.target, parameter.unit or unit, parameter.start)
+            return EstimatedValue(parameter.target, parameter.unit or unit, parameter.start)
         if row is None:
             return None
         unit = row["unit"] or parameter.unit or unit
-        return Found(
+        return EstimatedValue(
             parameter.target,
             "" if UNKNOWN in unit else unit,
             row["value"],

@@ -5,14 +5,14 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from xml.etree.ElementTree import Element, SubElement
 
-from cluster_est.export.repair import Repair
+from cluster_est.export.repair import RepairedModel
 from workers.messages import Value
 
 VALUES = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 COMMON = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 
 
-def parameter_set(repair: Repair) -> bytes:
+def parameter_set(repair: RepairedModel) -> bytes:
     """The document: estimates, known values, and the coefficients of the effects.
 
     Each unit has a name and an empty base unit: what it is made of, the run does not know.

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from cluster_est.closed_loop.candidates.equation import equation_text
-from cluster_est.export.repair import Found, Repair
-from workers.effects.definition import Definition
+from cluster_est.export.repair import EstimatedValue, RepairedModel
+from workers.effects.definition import EffectDefinition
 
 
-def describe_repair(repair: Repair) -> str:
+def describe_repair(repair: RepairedModel) -> str:
     """All that a run has found, as plain text."""
     lines = ["Parameters", *(_line(found) for found in repair.parameters)]
     lines = lines if repair.parameters else []
     return "\n".join([*lines, *([""] if lines else []), describe_effects(repair)])
 
 
-def describe_effects(repair: Repair) -> str:
+def describe_effects(repair: RepairedModel) -> str:
     """The effects: site, equation and coefficients of each."""
     if not repair.effects:
         return "No effects were added.\n"
@@ -27,7 +27,7 @@ def describe_effects(repair: Repair) -> str:
     return "\n".join(lines) + "\n"
 
 
-def effect_equation(effect: Definition) -> str:
+def effect_equation(effect: EffectDefinition) -> str:
     """The equation as a person reads it."""
     if not effect.effect.equation:
         return equation_text(effect.effect, effect.form, effect.site)
@@ -36,7 +36,7 @@ def effect_equation(effect: Definition) -> str:
     return f"{left} {sign} {effect.effect.equation}"
 
 
-def _line(found: Found, prefix: str = "") -> str:
+def _line(found: EstimatedValue, prefix: str = "") -> str:
     unit = f" {found.unit}" if found.unit not in ("", "1") else ""
     interval = f"  ({found.interval})" if found.interval else ""
     return f"  {found.name.removeprefix(prefix)} = {found.value:.6g}{unit}{interval}"

@@ -15,7 +15,7 @@ from cluster_est.export.text import describe_repair
 
 
 @dataclass(frozen=True)
-class Wanted:
+class ExportRequest:
     """Which forms are asked for: files to write, and what to print."""
 
     fmu: Path | None = None
@@ -25,7 +25,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Written:
+class ExportResult:
     """What was made: files, texts to print, and sentences on what a user should know."""
 
     files: tuple[Path, ...]
@@ -37,10 +37,10 @@ def export(
     run_folder: Path,
     config: Path | None,
     experiment: str | None,
-    wanted: Wanted,
+    wanted: ExportRequest,
     *,
     allow_code: bool = False,
-) -> Written:
+) -> ExportResult:
     """Write what a run has found.
 
     Parameters
@@ -55,7 +55,7 @@ def export(
     ClusterEstError
         If nothing is asked for, the run cannot be read, or a file cannot be written.
     """
-    if wanted == Wanted():
+    if wanted == ExportRequest():
         raise ConfigError(
             "export: must be told what to write; add --fmu, --ssv, --modelica or --text"
         )
@@ -80,7 +80,7 @@ def export(
         printed.append(modelica(repair))
     if wanted.text:
         printed.append(describe_repair(repair))
-    return Written(tuple(files), tuple(printed), tuple(notes))
+    return ExportResult(tuple(files), tuple(printed), tuple(notes))
 
 
 def _check_not_original(path: Path | None, original: str) -> None:

@@ -12,7 +12,7 @@ from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternS
 from cluster_est.methods.pattern_search.method import PatternSearch
 from cluster_est.methods.populations.cmaes import Cmaes
 from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
-from cluster_est.methods.populations.genetic import Genetic
+from cluster_est.methods.populations.genetic import GeneticAlgorithm
 from cluster_est.methods.populations.isres import Isres
 from cluster_est.methods.populations.nsga2 import Nsga2
 from cluster_est.methods.populations.particle_swarm import ParticleSwarm
@@ -28,7 +28,7 @@ METHODS: dict[str, type[Method]] = {
     DifferentialEvolution.name: DifferentialEvolution,
     Cmaes.name: Cmaes,
     ParticleSwarm.name: ParticleSwarm,
-    Genetic.name: Genetic,
+    GeneticAlgorithm.name: GeneticAlgorithm,
     Isres.name: Isres,
     Nsga2.name: Nsga2,
     ScipyLeastSquares.name: ScipyLeastSquares,

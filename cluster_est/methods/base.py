@@ -5,13 +5,13 @@
     return Solution(...)
 
 A method does not know where simulations run, in which order they end, or how many workers there
-are. Everything in one `Points` may run at the same time; the evaluations come back in the order of
-the rows. Resuming a run needs nothing from a method either: it is run again from the start and
-answered from the log.
+are. Everything in one `Points` may run at the same time; the evaluations come back in the
+order of the rows. Resuming a run needs nothing from a method either: it is run again from the
+start and answered from the log.
 
-An asynchronous method asks with `Points(..., asynchronous=True)` and is sent whatever has come back
-since, at least one evaluation, each with its `index`: the number of the point among all that the
-search has asked for. It may ask for no points, only to wait.
+An asynchronous method asks with `Points(..., asynchronous=True)` and is sent whatever has
+come back since, at least one evaluation, each with its `index`: the number of the point among all
+that the search has asked for. It may ask for no points, only to wait.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray, Outcome
 
 
@@ -188,7 +188,7 @@ class Ending(enum.StrEnum):
 
 
 @dataclass(frozen=True)
-class Other:
+class OtherPoint:
     """A point that a search found besides its solution; `objectives` are costs kept apart."""
 
     x: FloatArray
@@ -232,7 +232,7 @@ class Solution:
     block_jacobian: BlockMatrix | None = field(default=None, repr=False)
     difference_steps: FloatArray | None = field(default=None, repr=False)
     at: Evaluation | None = field(default=None, repr=False)
-    others: tuple[Other, ...] = field(default=(), repr=False)
+    others: tuple[OtherPoint, ...] = field(default=(), repr=False)
 
 
 class Method(ABC):
@@ -255,7 +255,7 @@ class Method(ABC):
     asynchronous: ClassVar[bool] = False
     """Whether its result may depend on the order in which simulations end."""
 
-    def check(self, space: Space) -> None:  # noqa: B027 - a method may have nothing to refuse
+    def check(self, space: SearchSpace) -> None:  # noqa: B027 - a method may have nothing to refuse
         """Refuse, before anything is simulated, a space that this method cannot search.
 
         Raises
@@ -265,7 +265,7 @@ class Method(ABC):
         """
 
     @abstractmethod
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         """Start a search.
 
         Parameters

@@ -17,7 +17,7 @@ Ask = Callable[[Points], list[Evaluation]]
 T = TypeVar("T")
 
 
-class Abandoned(BaseException):
+class SearchAbandoned(BaseException):
     """Raised inside the library's thread when the search is closed."""
 
 
@@ -36,13 +36,13 @@ def search_in_thread(solve: Callable[[Ask], Solution]) -> Search:
         asked.put(points)
         evaluations = answered.get()
         if evaluations is None:
-            raise Abandoned
+            raise SearchAbandoned
         return evaluations
 
     def run() -> None:
         try:
             asked.put(solve(ask))
-        except Abandoned:
+        except SearchAbandoned:
             pass
         except BaseException as error:  # handed to the coordinator's thread
             asked.put(error)

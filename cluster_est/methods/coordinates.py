@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 EXACT = 1e-9
@@ -21,7 +21,7 @@ WITH_GIVEN_SLOPES = 4
 
 
 @dataclass(frozen=True)
-class Near:
+class NearbyNormals:
     """What a point lies next to, as directions of unit length that lead out.
 
     Attributes
@@ -37,10 +37,10 @@ class Near:
 
 
 @dataclass(frozen=True)
-class Frame:
+class ScaledCoordinates:
     """The unknowns of a space in units of a noticeable change, counted from the start."""
 
-    space: Space
+    space: SearchSpace
 
     @cached_property
     def unit(self) -> FloatArray:
@@ -109,7 +109,7 @@ class Frame:
             u = self.clip(moved)
         return u if self.allowed(u) else None
 
-    def near(self, u: FloatArray, reach: float) -> tuple[Near, FloatArray]:
+    def near(self, u: FloatArray, reach: float) -> tuple[NearbyNormals, FloatArray]:
         """What lies within `reach` of u, and the slopes of the constraints on parameters there."""
         axes = np.eye(len(u))
         sides = [axes[self.upper - u <= reach], -axes[u - self.lower <= reach]]
@@ -122,4 +122,4 @@ class Frame:
             close = (rates > 0.0) & ~self._equality & (slack <= reach * rates)
             sides.append(normals[close])
             equal = normals[self._equality & (rates > 0.0)]
-        return Near(np.concatenate(sides), equal), slopes
+        return NearbyNormals(np.concatenate(sides), equal), slopes

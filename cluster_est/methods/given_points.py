@@ -8,12 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Search, Solution
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 
 @dataclass(frozen=True)
-class Look(Method):
+class GivenPoints(Method):
     """Evaluate points, and end at the best of them.
 
     Attributes
@@ -35,7 +35,7 @@ class Look(Method):
     purpose: str
     seen: list[Evaluation] = field(default_factory=list)
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         self.seen.extend((yield Points(self.points, self.purpose)))
         ok = [i for i, evaluation in enumerate(self.seen) if evaluation.ok]
         if not ok:

@@ -9,8 +9,8 @@ import numpy as np
 
 from cluster_est.errors import ModelError
 from cluster_est.problem.problem import Parameter, Problem
-from workers.fmu.description import Description, describe
-from workers.fmu.variable import Variable
+from workers.fmu.description import ModelDescription, describe
+from workers.fmu.variable import ModelVariable
 from workers.messages import Experiment, Interface, Model, Output, Solver
 
 MOST_PARAMETERS, MOST_OUTPUTS = 12, 50
@@ -40,7 +40,7 @@ def bare_problem(path: Path) -> Problem:
     return Problem(model, parameters, (_experiment(description),))
 
 
-def _parameters(description: Description) -> list[Variable]:
+def _parameters(description: ModelDescription) -> list[ModelVariable]:
     found = [
         v
         for v in description.variables.values()
@@ -49,11 +49,11 @@ def _parameters(description: Description) -> list[Variable]:
     return [v for v in found if v.alias_of is None][:MOST_PARAMETERS]
 
 
-def _parameter(variable: Variable) -> Parameter:
+def _parameter(variable: ModelVariable) -> Parameter:
     return Parameter(variable.name, variable.start or 0.0)
 
 
-def _experiment(description: Description) -> Experiment:
+def _experiment(description: ModelDescription) -> Experiment:
     names = [*description.outputs, *description.states]
     numbers = [n for n in dict.fromkeys(names) if _is_number(description.variables[n])]
     if not numbers:
@@ -75,5 +75,5 @@ def _experiment(description: Description) -> Experiment:
     return Experiment("default", start, stop, (), outputs)
 
 
-def _is_number(variable: Variable) -> bool:
+def _is_number(variable: ModelVariable) -> bool:
     return variable.kind in ("real", "integer", "boolean")

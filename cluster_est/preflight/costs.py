@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 
 from cluster_est.executors.backlog import BATCH_SECONDS
-from cluster_est.preflight.findings import Finding
-from cluster_est.preflight.subject import Subject, unanswered
-from workers.probes.probes import Cost, Costs
-from workers.process.trial import Stopped
+from cluster_est.preflight.findings import CheckFinding
+from cluster_est.preflight.subject import CheckSubject, unanswered
+from workers.probes.probes import CostProbe, SimulationCost
+from workers.process.trial import NoAnswer
 
 SECONDS = 1.0
 """How long it is measured."""
@@ -20,20 +20,20 @@ LEAK = 1024.0
 """Bytes: less for each simulation harms nobody."""
 
 
-def costs(subject: Subject) -> list[Finding]:
+def costs(subject: CheckSubject) -> list[CheckFinding]:
     """The median time of a simulation, and what each leaves in memory."""
-    probe = Costs(*subject.where, min(SECONDS, subject.clock.left / 3.0))
+    probe = CostProbe(*subject.where, min(SECONDS, subject.clock.left / 3.0))
     found = subject.ask(probe, 10)
-    if isinstance(found, Stopped):
+    if isinstance(found, NoAnswer):
         return [_known(subject), unanswered("memory", found)] if subject.one else []
     return [_time(subject, found.seconds, found.count), _memory(subject, found)]
 
 
-def _known(subject: Subject) -> Finding:
+def _known(subject: CheckSubject) -> CheckFinding:
     return _time(subject, subject.one, 1)
 
 
-def _time(subject: Subject, seconds: float, count: int) -> Finding:
+def _time(subject: CheckSubject, seconds: float, count: int) -> CheckFinding:
     cores = os.cpu_count() or 1
     said = f"{_shown(seconds)} a simulation (median of {count})"
     together = round(BATCH_SECONDS / max(seconds, 1e-6))
@@ -46,7 +46,7 @@ def _time(subject: Subject, seconds: float, count: int) -> Finding:
         do = f'executor.name = "processes" and executor.workers = {cores}, or "ray" for a cluster'
     else:
         do = ""
-    return Finding("ok", "cost", said, do)
+    return CheckFinding("ok", "cost", said, do)
 
 
 def _shown(seconds: float) -> str:
@@ -55,20 +55,20 @@ def _shown(seconds: float) -> str:
     return f"{1e3 * seconds:.3g} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.3g} us"
 
 
-def _memory(subject: Subject, found: Cost) -> Finding:
+def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
     if found.leak is None or (found.count < MANY and found.leak < 50.0 * LEAK):
         said = f"{found.count} simulations are too few to see a leak"
-        return Finding("ok", "memory", said) if found.leak is not None else _few(said)
+        return CheckFinding("ok", "memory", said) if found.leak is not None else _few(said)
     if found.leak < LEAK:
-        return Finding("ok", "memory", f"no leak in {found.count} simulations")
+        return CheckFinding("ok", "memory", f"no leak in {found.count} simulations")
     said = f"leaks {found.leak / 1024:.3g} kB a simulation"
     lasts = subject.growth / found.leak
     if subject.executor == "local":
         do = 'executor.name = "processes", whose processes are replaced as they grow'
-        return Finding("note", "memory", said, do)
+        return CheckFinding("note", "memory", said, do)
     said += f"; its process is replaced after about {lasts:.3g} of them (executor.growth)"
-    return Finding("note", "memory", said)
+    return CheckFinding("note", "memory", said)
 
 
-def _few(said: str) -> Finding:
-    return Finding("not done", "memory", said, "give it more time with --seconds")
+def _few(said: str) -> CheckFinding:
+    return CheckFinding("not done", "memory", said, "give it more time with --seconds")

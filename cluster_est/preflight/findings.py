@@ -11,7 +11,7 @@ Verdict = Literal["ok", "note", "problem", "not done"]
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckFinding:
     """The result of one check.
 
     Attributes
@@ -33,7 +33,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Page:
+class CheckPage:
     """All that a preflight found.
 
     Attributes
@@ -44,7 +44,7 @@ class Page:
         Of the experiments at the start values, as far as there was time.
     """
 
-    findings: tuple[Finding, ...]
+    findings: tuple[CheckFinding, ...]
     simulations: tuple[Simulation, ...]
     loads: bool = True
 

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.methods.derivatives.differences import relative_noise
-from cluster_est.preflight.findings import Finding
-from cluster_est.preflight.subject import Subject, unanswered
+from cluster_est.preflight.findings import CheckFinding
+from cluster_est.preflight.subject import CheckSubject, unanswered
 from cluster_est.problem.problem import Parameter
 from cluster_est.problem.space import Unknown
 from workers.messages import FloatArray
-from workers.probes.probes import Moves
-from workers.process.trial import Stopped
+from workers.probes.probes import MovementProbe
+from workers.process.trial import NoAnswer
 
 MOVE = 0.01
 """Of the size of a noticeable change."""
@@ -28,15 +28,15 @@ AGREE = 0.02
 """How far slopes may differ that are still the same."""
 
 
-def effects(subject: Subject) -> list[Finding]:
+def effects(subject: CheckSubject) -> list[CheckFinding]:
     """Each parameter moved a little, alone."""
     unknowns = _unknowns(subject)
     if not unknowns:
         return []
     points = np.array([_moved(subject, column, MOVE) for column, _ in unknowns])
-    probe = Moves(*subject.where, points, max(subject.clock.left / 2.0, 0.1))
+    probe = MovementProbe(*subject.where, points, max(subject.clock.left / 2.0, 0.1))
     found = subject.ask(probe, 2, subject.clock.left)
-    if isinstance(found, Stopped):
+    if isinstance(found, NoAnswer):
         return [unanswered("parameters", found)]
     names = [unknown.label for _, unknown in unknowns]
     pairs = list(zip(names, found, strict=False))
@@ -53,15 +53,15 @@ def effects(subject: Subject) -> list[Finding]:
         said = f"{len(alive)} of {len(names)} act on the outputs: moved by 1 % of its size, "
         said += f"{most} changes them by {alive[most]:.2g} of theirs"
         said += f", {least} by {alive[least]:.2g}" if least != most else ""
-        lines.append(Finding("ok", "parameters", said))
+        lines.append(CheckFinding("ok", "parameters", said))
         lines += _steps(subject, unknowns[names.index(most)][0]) if subject.repeats else []
     if len(found) < len(names):
         left = f"{len(names) - len(found)} of {len(names)} were not moved"
-        lines.append(unanswered("parameters", Stopped(left, late=True)))
+        lines.append(unanswered("parameters", NoAnswer(left, late=True)))
     return lines
 
 
-def _unknowns(subject: Subject) -> list[tuple[int, Unknown]]:
+def _unknowns(subject: CheckSubject) -> list[tuple[int, Unknown]]:
     """The first unknown of each of the model's parameters that acts on the experiment."""
     first: dict[str, tuple[int, Unknown]] = {}
     count = len(subject.problem.model.parameters)
@@ -71,22 +71,22 @@ def _unknowns(subject: Subject) -> list[tuple[int, Unknown]]:
     return list(first.values())
 
 
-def _elsewhere(subject: Subject, column: int, unknown: Unknown) -> float:
+def _elsewhere(subject: CheckSubject, column: int, unknown: Unknown) -> float:
     """The largest effect in other experiments; `UNKNOWN` where there is no time to look."""
     for e in unknown.experiments:
         other = replace(subject, experiment=e)
         if e == subject.experiment:
             continue
-        probe = Moves(*other.where, _moved(other, column, MOVE)[None], subject.clock.left)
+        probe = MovementProbe(*other.where, _moved(other, column, MOVE)[None], subject.clock.left)
         found = subject.ask(probe, 2)
-        if isinstance(found, Stopped) or not found or isinstance(found[0], str):
+        if isinstance(found, NoAnswer) or not found or isinstance(found[0], str):
             return UNKNOWN
         if found[0] > 0.0:
             return float(found[0])
     return 0.0
 
 
-def _moved(subject: Subject, column: int, share: float) -> FloatArray:
+def _moved(subject: CheckSubject, column: int, share: float) -> FloatArray:
     """The values with one unknown moved by a share of its size, inside its bounds."""
     space = subject.space
     x = space.start.copy()
@@ -96,51 +96,55 @@ def _moved(subject: Subject, column: int, share: float) -> FloatArray:
     return subject.at(x)
 
 
-def _dead(name: str, *, declared: bool) -> Finding:
+def _dead(name: str, *, declared: bool) -> CheckFinding:
     said = "is dead: the outputs do not depend on it at the start"
     if not declared:
-        return Finding("note", f"parameter {name}", said, "it cannot be estimated from these")
+        return CheckFinding("note", f"parameter {name}", said, "it cannot be estimated from these")
     do = f"parameters.{name}.fixed = true, or remove it, or measure what it acts on"
-    return Finding("problem", f"parameter {name}", said, do)
+    return CheckFinding("problem", f"parameter {name}", said, do)
 
 
-def _faint(name: str, size: float) -> Finding:
+def _faint(name: str, size: float) -> CheckFinding:
     if size == UNKNOWN:
         said = "does not act in one experiment, and there was no time to try all others"
-        return Finding("not done", f"parameter {name}", said, "give it more time with --seconds")
+        return CheckFinding(
+            "not done", f"parameter {name}", said, "give it more time with --seconds"
+        )
     said = f"hardly acts: moved by 1 % of its size it changes the outputs by {size:.2g} of theirs"
-    return Finding("note", f"parameter {name}", said, f"another parameters.{name}.start, or fix it")
+    return CheckFinding(
+        "note", f"parameter {name}", said, f"another parameters.{name}.start, or fix it"
+    )
 
 
-def _failed(name: str, said: str) -> Finding:
+def _failed(name: str, said: str) -> CheckFinding:
     do = f"another parameters.{name}.start or narrower bounds"
-    return Finding("note", f"parameter {name}", f"moved by 1 % of its size: {said}", do)
+    return CheckFinding("note", f"parameter {name}", f"moved by 1 % of its size: {said}", do)
 
 
-def _steps(subject: Subject, column: int) -> list[Finding]:
+def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
     """Down to which relative step differences can be trusted."""
     points = np.array([_moved(subject, column, step) for step in STEPS])
-    probe = Moves(*subject.where, points, max(subject.clock.left / 3.0, 0.1))
+    probe = MovementProbe(*subject.where, points, max(subject.clock.left / 3.0, 0.1))
     found = subject.ask(probe, 1 + len(STEPS))
-    if isinstance(found, Stopped):
+    if isinstance(found, NoAnswer):
         return [unanswered("differences", found)]
     pairs = zip(STEPS, found, strict=False)
     slopes = [each / step for step, each in pairs if not isinstance(each, str)]
     if len(slopes) < len(STEPS):
-        return [unanswered("differences", Stopped("simulations failed or took too long"))]
+        return [unanswered("differences", NoAnswer("simulations failed or took too long"))]
     rule = slopes[1]
     good = [s for s, slope in zip(STEPS, slopes, strict=True) if abs(slope - rule) <= AGREE * rule]
     least = min(good, default=STEPS[0])
     usual = math.sqrt(relative_noise(subject.problem.model.solver))
     if least <= max(usual, STEPS[-1]):
         said = f"slopes hold down to relative steps of {least:.0e}; a fit takes {usual:.0e}"
-        return [Finding("ok", "differences", said)]
+        return [CheckFinding("ok", "differences", said)]
     said = f"slopes by {subject.space.unknowns[column].label} hold down to relative steps of "
     do = f"method.options.relative_step = {10.0 * least:.0e}, or a tighter model.rtol"
-    return [Finding("note", "differences", f"{said}{least:.0e} only", do)]
+    return [CheckFinding("note", "differences", f"{said}{least:.0e} only", do)]
 
 
-def bounds(subject: Subject) -> list[Finding]:
+def bounds(subject: CheckSubject) -> list[CheckFinding]:
     """Start values and bounds against the FMU's minima, maxima and units."""
     lines = []
     for parameter in subject.problem.parameters:
@@ -149,7 +153,7 @@ def bounds(subject: Subject) -> list[Finding]:
     return lines
 
 
-def _outside(subject: Subject, parameter: Parameter) -> list[Finding]:
+def _outside(subject: CheckSubject, parameter: Parameter) -> list[CheckFinding]:
     variable = subject.description.variables[parameter.target]
     low = -math.inf if variable.low is None else variable.low
     high = math.inf if variable.high is None else variable.high
@@ -158,21 +162,21 @@ def _outside(subject: Subject, parameter: Parameter) -> list[Finding]:
     lines = []
     if not parameter.expression and not low <= parameter.start <= high:
         said = f"starts at {parameter.start:g} but {allowed}"
-        lines.append(Finding("problem", where, said, f"another {key}.start"))
+        lines.append(CheckFinding("problem", where, said, f"another {key}.start"))
     if not parameter.fixed and (
         (math.isfinite(parameter.lower) and parameter.lower < low)
         or (math.isfinite(parameter.upper) and parameter.upper > high)
     ):
         said = f"has bounds [{parameter.lower:g}, {parameter.upper:g}] but {allowed}"
-        lines.append(Finding("note", where, said, f"{key}.bounds within those"))
+        lines.append(CheckFinding("note", where, said, f"{key}.bounds within those"))
     if parameter.unit and variable.unit and parameter.unit != variable.unit:
         said = f"is given in {parameter.unit} but the FMU counts in {variable.unit}"
         do = f"check {key}.start and bounds, which are in the FMU's unit"
-        lines.append(Finding("note", where, said, do))
+        lines.append(CheckFinding("note", where, said, do))
     return lines
 
 
-def corners(subject: Subject) -> list[Finding]:
+def corners(subject: CheckSubject) -> list[CheckFinding]:
     """All parameters at their lower, then at their upper bounds, where these are finite."""
     space = subject.space
     named = []
@@ -182,12 +186,12 @@ def corners(subject: Subject) -> list[Finding]:
     if not named:
         return []
     points = np.array([point for _, point in named])
-    probe = Moves(*subject.where, points, max(subject.clock.left / 3.0, 0.1))
+    probe = MovementProbe(*subject.where, points, max(subject.clock.left / 3.0, 0.1))
     found = subject.ask(probe, 1 + len(named))
-    if isinstance(found, Stopped):
+    if isinstance(found, NoAnswer):
         return [unanswered("bounds", found)]
     lines = [
-        Finding(
+        CheckFinding(
             "note",
             "bounds",
             f"with all parameters at their {name} bounds: {each}",
@@ -199,4 +203,4 @@ def corners(subject: Subject) -> list[Finding]:
     if lines:
         return lines
     said = f"it can be simulated with all parameters at their {' and '.join(n for n, _ in named)}"
-    return [Finding("ok", "bounds", f"{said} bounds")]
+    return [CheckFinding("ok", "bounds", f"{said} bounds")]

@@ -4,29 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.preflight.findings import Finding, Verdict
-from cluster_est.preflight.subject import Subject, unanswered
+from cluster_est.preflight.findings import CheckFinding, Verdict
+from cluster_est.preflight.subject import CheckSubject, unanswered
 from workers.messages import Renewal
-from workers.probes.probes import Instances, Leftovers, Repeats, Repetition, difference
-from workers.process.trial import Stopped
+from workers.probes.probes import (
+    InstanceProbe,
+    LeftoverProbe,
+    RepeatProbe,
+    RepetitionResult,
+    difference,
+)
+from workers.process.trial import NoAnswer
 
 MOVED = 1.37
 """What every value is multiplied with, to see whether it stays behind: no round number."""
 
 
-def repeating(subject: Subject) -> tuple[list[Finding], Renewal | None]:
+def repeating(subject: CheckSubject) -> tuple[list[CheckFinding], Renewal | None]:
     """Whether reset equals fresh, and two fresh processes each other.
 
     And what a simulation must begin with, for all further checks; None if nothing helps.
     """
-    probe = Repeats(subject.experiment, subject.start)
+    probe = RepeatProbe(subject.experiment, subject.start)
     found = subject.ask(probe, 2)
-    if isinstance(found, Stopped):
+    if isinstance(found, NoAnswer):
         return [unanswered("repeatable", found)], "reset"
     again = subject.seen
     if again is None or again.tobytes() != found.first.tobytes():  # that was after a reset
         other = subject.ask(probe, 2)
-        if isinstance(other, Stopped):
+        if isinstance(other, NoAnswer):
             return [unanswered("repeatable", other)], "reset"
         again = other.first
     far = difference(again, found.first)
@@ -36,16 +42,16 @@ def repeating(subject: Subject) -> tuple[list[Finding], Renewal | None]:
             "export it without a random generator or clock; else choose a method.name that takes "
             'no differences, such as "pattern_search"'
         )
-        return [Finding("problem", "repeatable", said, do)], None
-    repeatable = Finding("ok", "repeatable", "two fresh processes give the same bits")
+        return [CheckFinding("problem", "repeatable", said, do)], None
+    repeatable = CheckFinding("ok", "repeatable", "two fresh processes give the same bits")
     renew: Renewal = "reset" if found.reset == 0.0 else "instance"
     lines = [repeatable, _reset(subject, found)]
     return lines + (_left(subject) if renew == "reset" else []), renew
 
 
-def _reset(subject: Subject, found: Repetition) -> Finding:
+def _reset(subject: CheckSubject, found: RepetitionResult) -> CheckFinding:
     if found.reset == 0.0:
-        return Finding("ok", "reset", "a reset instance gives the same bits as a fresh one")
+        return CheckFinding("ok", "reset", "a reset instance gives the same bits as a fresh one")
     how = "a simulation after a reset fails"
     if found.reset is not None:
         how = f"a reset instance is {found.reset:.2g} of the outputs' size away from a fresh one"
@@ -55,25 +61,25 @@ def _reset(subject: Subject, found: Repetition) -> Finding:
     do = 'model.reset = "auto" sees to it: a new process for each simulation'
     if subject.executor == "local":
         do = 'executor.name = "processes", for a new process for each simulation'
-        return Finding("problem", "reset", how, do)
+        return CheckFinding("problem", "reset", how, do)
     return _chosen(subject, "process", how, do)
 
 
-def _chosen(subject: Subject, needed: str, how: str, do: str) -> Finding:
+def _chosen(subject: CheckSubject, needed: str, how: str, do: str) -> CheckFinding:
     renew = subject.problem.model.renew
     if renew in ("auto", needed, "process"):
-        return Finding("note", "reset", how, do)
-    return Finding("problem", "reset", how, f'set model.reset = "{needed}" or "auto"')
+        return CheckFinding("note", "reset", how, do)
+    return CheckFinding("problem", "reset", how, f'set model.reset = "{needed}" or "auto"')
 
 
-def _left(subject: Subject) -> list[Finding]:
+def _left(subject: CheckSubject) -> list[CheckFinding]:
     """What harms only where experiments set different values; nothing is said if it is not so."""
     other = np.where(subject.start == 0.0, MOVED, MOVED * subject.start)
-    found = subject.ask(Leftovers(subject.experiment, other), 3)
-    if isinstance(found, Stopped) or found == 0.0:
+    found = subject.ask(LeftoverProbe(subject.experiment, other), 3)
+    if isinstance(found, NoAnswer) or found == 0.0:
         return []
     return [
-        Finding(
+        CheckFinding(
             "note",
             "values",
             "values that were set survive a reset; harmless where each simulation sets them again, "
@@ -84,22 +90,22 @@ def _left(subject: Subject) -> list[Finding]:
     ]
 
 
-def instances(subject: Subject) -> Finding:
+def instances(subject: CheckSubject) -> CheckFinding:
     """How many there can be in one process."""
-    found = subject.ask(Instances(), 0, 3.0)
-    if isinstance(found, Stopped):
+    found = subject.ask(InstanceProbe(), 0, 3.0)
+    if isinstance(found, NoAnswer):
         return unanswered("instances", found)
     declared = subject.description.offer(subject.problem.model.interface).once_per_process
     count, _ = found
     if count > 1 and not declared:
-        return Finding("ok", "instances", f"{count} at once in a process")
+        return CheckFinding("ok", "instances", f"{count} at once in a process")
     says = "and says so" if declared else "and does not say so"
     if count > 1:
         says = "as it says, though more could be made"
     do = 'for several workers: executor.name = "processes" or "ray"'
     verdict: Verdict = "problem" if subject.executor == "local" and _several(subject) else "note"
-    return Finding(verdict, "instances", f"one in a process, {says}", do)
+    return CheckFinding(verdict, "instances", f"one in a process, {says}", do)
 
 
-def _several(subject: Subject) -> bool:
+def _several(subject: CheckSubject) -> bool:
     return (subject.workers or 1) > 1

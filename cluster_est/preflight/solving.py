@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.preflight.findings import Finding
-from cluster_est.preflight.subject import Subject, unanswered
+from cluster_est.preflight.findings import CheckFinding
+from cluster_est.preflight.subject import CheckSubject, unanswered
 from workers.messages import Solver
-from workers.probes.directional import Directional
-from workers.probes.probes import Solves, Stiff
-from workers.process.trial import Stopped
+from workers.probes.directional import DirectionalProbe
+from workers.probes.probes import SolverProbe, StiffnessProbe
+from workers.process.trial import NoAnswer
 from workers.simulation.integrator import DEFAULT_RTOL
 from workers.simulation.jacobian import AGREES
 
@@ -21,7 +21,7 @@ GOOD, BAD = 1e-5, 1e-2
 """Changes of the outputs, of their size, that need not and must concern somebody."""
 
 
-def accuracy(subject: Subject) -> list[Finding]:
+def accuracy(subject: CheckSubject) -> list[CheckFinding]:
     """The same simulation with a tighter tolerance or a shorter step."""
     if not subject.repeats:
         return []
@@ -30,19 +30,19 @@ def accuracy(subject: Subject) -> list[Finding]:
         and not subject.description.variable_steps
     ):
         said = "its communication step is fixed, so that it cannot be halved to compare"
-        return [Finding("ok", "accuracy", said)]
+        return [CheckFinding("ok", "accuracy", said)]
     solver = subject.problem.model.solver
     other, how, key = _finer(subject, solver)
-    found = subject.ask(Solves(*subject.where, other), 6)
-    if isinstance(found, Stopped):
+    found = subject.ask(SolverProbe(*subject.where, other), 6)
+    if isinstance(found, NoAnswer):
         return [unanswered("accuracy", found)]
     said = f"with {how} the outputs change by {found:.2g} of their size"
     if found < GOOD:
-        return [Finding("ok", "accuracy", said)]
-    return [Finding("problem" if found > BAD else "note", "accuracy", said, key)]
+        return [CheckFinding("ok", "accuracy", said)]
+    return [CheckFinding("problem" if found > BAD else "note", "accuracy", said, key)]
 
 
-def _finer(subject: Subject, solver: Solver) -> tuple[Solver, str, str]:
+def _finer(subject: CheckSubject, solver: Solver) -> tuple[Solver, str, str]:
     if solver.name in ("rk4", "fmu"):
         step = solver.step or _usual_step(subject)
         name = "the step" if solver.name == "rk4" else "the communication step"
@@ -55,7 +55,7 @@ def _finer(subject: Subject, solver: Solver) -> tuple[Solver, str, str]:
     return replace(solver, rtol=tight, atol=atol), how, f"model.rtol = {tight:.1g}"
 
 
-def _usual_step(subject: Subject) -> float:
+def _usual_step(subject: CheckSubject) -> float:
     """From one time in the data to the next."""
     experiment = subject.problem.experiments[subject.experiment]
     times = [np.array([experiment.start, experiment.stop])]
@@ -66,21 +66,21 @@ def _usual_step(subject: Subject) -> float:
     return float(np.diff(within).max())
 
 
-def stiffness(subject: Subject) -> list[Finding]:
+def stiffness(subject: CheckSubject) -> list[CheckFinding]:
     """Whether an explicit solver suits a model in model exchange."""
     model = subject.problem.model
     if model.interface != "model_exchange" or model.solver.name == "cvode":
         return []
-    found = subject.ask(Stiff(subject.experiment, subject.start), 1)
-    if isinstance(found, Stopped):
+    found = subject.ask(StiffnessProbe(subject.experiment, subject.start), 1)
+    if isinstance(found, NoAnswer):
         return [unanswered("stiffness", found)]
     if found:
         said = f"the model is stiff: stability shortens the steps of {model.solver.name}"
-        return [Finding("note", "stiffness", said, 'model.solver = "cvode"')]
-    return [Finding("ok", "stiffness", f"not stiff: {model.solver.name} suits it")]
+        return [CheckFinding("note", "stiffness", said, 'model.solver = "cvode"')]
+    return [CheckFinding("ok", "stiffness", f"not stiff: {model.solver.name} suits it")]
 
 
-def derivatives(subject: Subject) -> list[Finding]:
+def derivatives(subject: CheckSubject) -> list[CheckFinding]:
     """Directional derivatives against differences, in model exchange."""
     model = subject.problem.model
     exchange = model.interface == "model_exchange"
@@ -88,15 +88,15 @@ def derivatives(subject: Subject) -> list[Finding]:
     if not offered or not exchange or not subject.description.states:
         return []
     check = "derivatives"
-    found = subject.ask(Directional(subject.experiment, subject.start), 1)
-    if isinstance(found, Stopped):
+    found = subject.ask(DirectionalProbe(subject.experiment, subject.start), 1)
+    if isinstance(found, NoAnswer):
         return [unanswered(check, found)]
     do = "let no fit rely on them; export it again without, or tell its maker"
     if found.zero:
         said = "directional derivatives are offered, but all are silently 0"
-        return [Finding("note", check, said, do)]
+        return [CheckFinding("note", check, said, do)]
     if found.error > AGREES:
         said = f"directional derivatives differ from the model's slopes by {found.error:.2g}"
-        return [Finding("note", check, f"{said} of the largest", do)]
+        return [CheckFinding("note", check, f"{said} of the largest", do)]
     said = f"directional derivatives agree with differences within {found.error:.1g}"
-    return [Finding("ok", check, said)]
+    return [CheckFinding("ok", check, said)]

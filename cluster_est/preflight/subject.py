@@ -9,27 +9,27 @@ from typing import Any
 
 import numpy as np
 
-from cluster_est.preflight.findings import Finding
+from cluster_est.preflight.findings import CheckFinding
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import Space, make_space
-from workers.fmu.description import Description
+from cluster_est.problem.space import SearchSpace, make_space
+from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray, Renewal
-from workers.process.child import Probe
-from workers.process.trial import Bench, Stopped
+from workers.process.child import FmuProbe
+from workers.process.trial import NoAnswer, ProbeBench
 
 LEAST_SECONDS = 0.2
 """With less left nothing more is asked."""
 
 
 @dataclass
-class Clock:
+class TimeBudget:
     """Seconds that all checks share."""
 
     seconds: float
     begun: float
 
     @classmethod
-    def of(cls, seconds: float) -> Clock:
+    def of(cls, seconds: float) -> TimeBudget:
         return cls(seconds, time.monotonic())
 
     @property
@@ -38,7 +38,7 @@ class Clock:
 
 
 @dataclass(frozen=True)
-class Subject:
+class CheckSubject:
     """A problem on a bench.
 
     Attributes
@@ -62,9 +62,9 @@ class Subject:
     """
 
     problem: Problem
-    description: Description
-    bench: Bench
-    clock: Clock
+    description: ModelDescription
+    bench: ProbeBench
+    clock: TimeBudget
     executor: str = "local"
     workers: int | None = None
     growth: float = 256.0 * 2**20
@@ -81,7 +81,7 @@ class Subject:
         return self.experiment, self.start, self.renew
 
     @cached_property
-    def space(self) -> Space:
+    def space(self) -> SearchSpace:
         return make_space(self.problem, tuple(range(len(self.problem.experiments))))
 
     @cached_property
@@ -94,18 +94,18 @@ class Subject:
         count = len(self.problem.model.parameters)
         return np.ascontiguousarray(self.space.physical(x)[self.experiment, :count])
 
-    def ask(self, probe: Probe, simulations: int, most: float = 2.0) -> Any:
-        """Ask, if there is time for so many simulations; `Stopped` if not."""
+    def ask(self, probe: FmuProbe, simulations: int, most: float = 2.0) -> Any:
+        """Ask, if there is time for so many simulations; `NoAnswer` if not."""
         left = self.clock.left
         needed = simulations * self.one
         if left < max(LEAST_SECONDS, needed):
-            return Stopped(f"it would take about {max(needed, LEAST_SECONDS):.2g} s", late=True)
+            return NoAnswer(f"it would take about {max(needed, LEAST_SECONDS):.2g} s", late=True)
         return self.bench.ask(probe, min(left, max(most, 3.0 * needed)))
 
 
-def unanswered(check: str, stopped: Stopped) -> Finding:
+def unanswered(check: str, stopped: NoAnswer) -> CheckFinding:
     """The line of a check that came to nothing."""
     if stopped.late:
         more = "give it more time with --seconds"
-        return Finding("not done", check, f"no time left: {stopped.message}", more)
-    return Finding("note", check, f"could not be found out: {stopped.message}")
+        return CheckFinding("not done", check, f"no time left: {stopped.message}", more)
+    return CheckFinding("note", check, f"could not be found out: {stopped.message}")

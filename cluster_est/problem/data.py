@@ -33,7 +33,7 @@ MISSING = ["", "NaN", "nan", "NAN", "NA", "N/A", "null", "None"]
 
 
 @dataclass(frozen=True)
-class Table:
+class MeasuredTable:
     """A measured file, its columns still as they are in the file.
 
     Attributes
@@ -103,7 +103,7 @@ class Table:
         )
 
 
-def read_table(path: Path, where: str) -> Table:
+def read_table(path: Path, where: str) -> MeasuredTable:
     """Read a measured file; its ending says what it is.
 
     Raises
@@ -132,7 +132,7 @@ def read_table(path: Path, where: str) -> Table:
         ) from error
 
 
-def _read_csv(path: Path) -> Table:
+def _read_csv(path: Path) -> MeasuredTable:
     """Read every column as text: whether it is a number matters only for those that are used."""
     with path.open(encoding="utf-8-sig", errors="replace") as opened:
         header = next((line for line in opened if line.strip("\r\n")), "")
@@ -187,7 +187,7 @@ def _lines(path: Path, delimiter: str) -> Iterator[tuple[int, list[str]]]:
                 yield reader.line_num, cells
 
 
-def _read_parquet(path: Path) -> Table:
+def _read_parquet(path: Path) -> MeasuredTable:
     # read_table would make columns of a folder's name like "run=3"
     with pa.parquet.ParquetFile(path) as opened:
         table = opened.read()
@@ -195,13 +195,13 @@ def _read_parquet(path: Path) -> Table:
     return _named(path, table)
 
 
-def _read_feather(path: Path) -> Table:
+def _read_feather(path: Path) -> MeasuredTable:
     table = pa.feather.read_table(path, memory_map=False)
     table.validate(full=True)
     return _named(path, table)
 
 
-def _read_mat(path: Path) -> Table:
+def _read_mat(path: Path) -> MeasuredTable:
     """Every variable of a MAT file that is a vector of numbers."""
     from scipy.io import loadmat
 
@@ -236,10 +236,10 @@ def _read_mat(path: Path) -> Table:
             unusable[name] = f"must be a vector of numbers but is {shape or 'a'} " + (
                 f"{values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
             )
-    return Table(path, columns, unusable)
+    return MeasuredTable(path, columns, unusable)
 
 
-def _named(path: Path, table: pa.Table, delimiter: str = "") -> Table:
+def _named(path: Path, table: pa.Table, delimiter: str = "") -> MeasuredTable:
     """Columns by name, without the blanks that some programs put around names."""
     names = [name.strip() for name in table.column_names]
     unusable = {
@@ -248,7 +248,7 @@ def _named(path: Path, table: pa.Table, delimiter: str = "") -> Table:
         if count > 1
     }
     columns = {name: table.column(i) for i, name in enumerate(names) if name not in unusable}
-    return Table(path, columns, unusable, delimiter)
+    return MeasuredTable(path, columns, unusable, delimiter)
 
 
 def _is_text(column: pa.ChunkedArray) -> bool:

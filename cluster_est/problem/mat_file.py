@@ -26,14 +26,14 @@ MOST_BYTES = 2**31
 
 
 @dataclass(frozen=True)
-class Contents:
+class MatContents:
     """Names of the arrays of numbers, and what the other variables are, by name."""
 
     numbers: tuple[str, ...]
     others: dict[str, str]
 
 
-def contents(file: bytes) -> Contents | None:
+def contents(file: bytes) -> MatContents | None:
     """Look at every variable; None if the file is of no version that has tags.
 
     Raises
@@ -67,7 +67,7 @@ def contents(file: bytes) -> Contents | None:
             others[name] = what
         else:
             numbers[name] = None
-    return Contents(tuple(numbers), others)
+    return MatContents(tuple(numbers), others)
 
 
 def _variable(body: bytes, order: str) -> tuple[str, str]:

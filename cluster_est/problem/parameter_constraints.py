@@ -19,7 +19,7 @@ from workers.fmu.description import nearest
 from workers.messages import Experiment, FloatArray
 
 
-class Demand(NamedTuple):
+class ConstraintSpec(NamedTuple):
     """A constraint at the values that one experiment, by its position, is simulated with."""
 
     name: str
@@ -27,7 +27,7 @@ class Demand(NamedTuple):
     position: int
 
 
-def expand(problem: Problem, experiments: Sequence[Experiment]) -> tuple[Demand, ...]:
+def expand(problem: Problem, experiments: Sequence[Experiment]) -> tuple[ConstraintSpec, ...]:
     """Every constraint on parameters of a problem, over some of its experiments."""
     found = []
     for constraint in (*problem.constraints, *_bounds_of_derived(problem)):
@@ -40,11 +40,11 @@ def expand(problem: Problem, experiments: Sequence[Experiment]) -> tuple[Demand,
             seen.setdefault(tuple(values), position)
         for position in seen.values():
             where = f" [{experiments[position].id}]" if len(seen) > 1 else ""
-            found.append(Demand(constraint.name + where, constraint, position))
+            found.append(ConstraintSpec(constraint.name + where, constraint, position))
     return tuple(found)
 
 
-def evaluate(demands: Sequence[Demand], problem: Problem, table: FloatArray) -> FloatArray:
+def evaluate(demands: Sequence[ConstraintSpec], problem: Problem, table: FloatArray) -> FloatArray:
     """The constraints from an (experiments, parameters) table of values, over their scales."""
     columns = {p.name: table[:, i] for i, p in enumerate(problem.parameters)}
     with np.errstate(over="ignore"):  # a scale may be tiny

@@ -14,8 +14,8 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.results import notebook
-from workers.fmu.description import Description, describe_model, nearest
-from workers.fmu.variable import Variable
+from workers.fmu.description import ModelDescription, describe_model, nearest
+from workers.fmu.variable import ModelVariable
 from workers.messages import Effect, Experiment, Model, Value
 from workers.simulation.fixed_step import communication_notes
 
@@ -194,7 +194,7 @@ class Problem:
         """Which experiments have this role."""
         return tuple(i for i, e in enumerate(self.experiments) if e.role == role)
 
-    def describe(self) -> Description:
+    def describe(self) -> ModelDescription:
         """Read the FMU's description and check every name against it.
 
         Raises
@@ -232,10 +232,10 @@ class Problem:
         ]
         return notebook.section(
             title,
-            notebook.Table(
+            notebook.DisplayTable(
                 "Parameters", ("name", "start", "lower", "upper", "unit", "kind"), parameters
             ),
-            notebook.Table(
+            notebook.DisplayTable(
                 "Experiments",
                 ("id", "role", "from [s]", "to [s]", "outputs", "residuals"),
                 experiments,
@@ -252,7 +252,7 @@ def _kind(parameter: Parameter) -> str:
     return f"one for each {parameter.per}" if parameter.per else "shared"
 
 
-def check_variables(problem: Problem, description: Description) -> None:
+def check_variables(problem: Problem, description: ModelDescription) -> None:
     """Check that the FMU has every variable and lets it be used as the problem wants."""
     for experiment in problem.experiments:
         _check_signals(experiment, description)
@@ -287,7 +287,7 @@ def check_variables(problem: Problem, description: Description) -> None:
                 )
 
 
-def _check_structure(problem: Problem, variable: Variable, value: Value, where: str) -> None:
+def _check_structure(problem: Problem, variable: ModelVariable, value: Value, where: str) -> None:
     chosen = dict(problem.model.structure).get(variable.name, variable.start)
     if variable.causality == "structuralParameter" and value != chosen:
         raise ProblemError(
@@ -303,7 +303,7 @@ def coefficient_names(effect: Effect) -> list[str]:
     return [c.name for c in coefficients(effect, f"effect {effect.name!r}")]
 
 
-def _check_effects(problem: Problem, description: Description) -> None:
+def _check_effects(problem: Problem, description: ModelDescription) -> None:
     """Resolve every effect against the FMU and the signals of every experiment."""
     if not problem.effects:
         return
@@ -322,7 +322,7 @@ def _check_effects(problem: Problem, description: Description) -> None:
                     )
 
 
-def _check_signals(experiment: Experiment, description: Description) -> None:
+def _check_signals(experiment: Experiment, description: ModelDescription) -> None:
     """Refuse signals whose names mean something else already."""
     where = f"experiment {experiment.id!r}.signals"
     for given in experiment.signals:
@@ -340,7 +340,7 @@ def _check_signals(experiment: Experiment, description: Description) -> None:
     _refuse_repeated(where, [given.variable for given in experiment.signals])
 
 
-def _check_start(description: Description, name: str, where: str, *, real: bool) -> None:
+def _check_start(description: ModelDescription, name: str, where: str, *, real: bool) -> None:
     variable = description.variable(name, where)
     if not variable.settable:
         raise ProblemError(

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.problem.parameter_constraints import Demand, evaluate, expand, label_of
+from cluster_est.problem.parameter_constraints import ConstraintSpec, evaluate, expand, label_of
 from cluster_est.problem.problem import Parameter, Problem
 from cluster_est.problem.reduction import want_of
 from workers.messages import FloatArray, IntArray, Want
@@ -66,7 +66,7 @@ class Unknown:
 
 
 @dataclass(frozen=True)
-class Space:
+class SearchSpace:
     """Some experiments of a problem, and the unknowns that act on them.
 
     Methods see points x of `size` numbers: physical values, or their logarithms where the
@@ -102,7 +102,7 @@ class Space:
         start = np.array([u.to_search(u.start) for u in self.unknowns], np.float64)
         return np.clip(start, self.lower, self.upper)  # a logarithm may lie just outside
 
-    def starting_at(self, x: FloatArray) -> Space:
+    def starting_at(self, x: FloatArray) -> SearchSpace:
         """The same space with another start, in search coordinates."""
         if np.array_equal(x, self.start):
             return self
@@ -186,7 +186,7 @@ class Space:
         return tuple(slice(s.start + first, s.stop + first) for s in _slices(sizes))
 
     @cached_property
-    def _demands(self) -> tuple[Demand, ...]:
+    def _demands(self) -> tuple[ConstraintSpec, ...]:
         chosen = [self.problem.experiments[e] for e in self.experiments]
         return expand(self.problem, chosen)
 
@@ -310,7 +310,7 @@ def make_space(
     experiments: tuple[int, ...],
     known: Mapping[str, float] | None = None,
     starts: Mapping[str, float] | None = None,
-) -> Space:
+) -> SearchSpace:
     """Expand parameters into unknowns, over some of the experiments.
 
     Parameters
@@ -343,7 +343,7 @@ def make_space(
             else:
                 start = starts.get(label, parameter.start)
                 unknowns.append(Unknown(label, parameter, column, tuple(positions), start))
-    return Space(problem, experiments, tuple(unknowns), base)
+    return SearchSpace(problem, experiments, tuple(unknowns), base)
 
 
 def _slices(sizes: list[int]) -> tuple[slice, ...]:

@@ -20,7 +20,7 @@ NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 @dataclass(frozen=True)
-class Failure:
+class FailureGroup:
     """Simulations that failed in the same way, but for the numbers in what is said of them.
 
     `message` is that of the first, and `first` its row in the log, which replay takes.
@@ -34,7 +34,7 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Activity:
+class LogActivity:
     """All simulations of a log.
 
     Attributes
@@ -56,7 +56,7 @@ class Activity:
     worker: IntArray = field(repr=False)
     ended: FloatArray = field(repr=False)
     seconds: FloatArray = field(repr=False)
-    failures: tuple[Failure, ...]
+    failures: tuple[FailureGroup, ...]
 
 
 class FailureCounts:
@@ -86,16 +86,16 @@ class FailureCounts:
         self._found[key] = number + 1, first, said, experiments | {experiment: None}
 
     @property
-    def failures(self) -> tuple[Failure, ...]:
+    def failures(self) -> tuple[FailureGroup, ...]:
         """The most frequent ones first."""
         rows = [
-            Failure(status, message, number, first, tuple(experiments))
+            FailureGroup(status, message, number, first, tuple(experiments))
             for (status, _), (number, first, message, experiments) in self._found.items()
         ]
         return tuple(sorted(rows, key=lambda row: (-row.count, row.first)))
 
 
-def read_activity(folder: Path) -> Activity:
+def read_activity(folder: Path) -> LogActivity:
     """Read the small columns of a log, of one that is still written too."""
     tail = ActivityTail(folder)
     tail.read()
@@ -124,7 +124,7 @@ class ActivityTail:
                 self._parts.append((own, ended, seconds))
 
     @property
-    def activity(self) -> Activity:
+    def activity(self) -> LogActivity:
         """Everything so far."""
         if len(self._parts) > 1:
             worker, ended, seconds = (np.concatenate(p) for p in zip(*self._parts, strict=True))
@@ -132,10 +132,10 @@ class ActivityTail:
         nothing = (np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
         worker, ended, seconds = self._parts[0] if self._parts else nothing
         failures = self.counts.failures
-        return Activity(self.counts.rows, tuple(self._names), worker, ended, seconds, failures)
+        return LogActivity(self.counts.rows, tuple(self._names), worker, ended, seconds, failures)
 
 
-def without_breaks(activity: Activity) -> tuple[Activity, float]:
+def without_breaks(activity: LogActivity) -> tuple[LogActivity, float]:
     """The same without long breaks of all workers, as there are before a run is taken up again.
 
     Returns
@@ -153,7 +153,7 @@ def without_breaks(activity: Activity) -> tuple[Activity, float]:
     return replace(activity, ended=activity.ended - shift), float(removed[-1])
 
 
-def busy_shares(activity: Activity, bins: int) -> tuple[FloatArray, FloatArray]:
+def busy_shares(activity: LogActivity, bins: int) -> tuple[FloatArray, FloatArray]:
     """The share of each stretch of time for which each worker was busy.
 
     Returns

@@ -10,7 +10,7 @@ Tone = Literal["", "good", "bad", "faint"]
 
 
 @dataclass(frozen=True)
-class Text:
+class TextBlock:
     """A paragraph."""
 
     text: str
@@ -19,7 +19,7 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Items:
+class ItemsBlock:
     """Sentences below each other."""
 
     items: tuple[str, ...]
@@ -27,7 +27,7 @@ class Items:
 
 
 @dataclass(frozen=True)
-class Column:
+class ReportColumn:
     """A column of a table; `numeric` ones are aligned to the right."""
 
     name: str
@@ -35,7 +35,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """`code` is set in a fixed width, for names of the FMU and equations."""
 
     text: str
@@ -44,18 +44,18 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Table:
+class TableBlock:
     """`folded` ones open with a click; `caption` stands above, or on what is clicked."""
 
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    columns: tuple[ReportColumn, ...]
+    rows: tuple[tuple[TableCell, ...], ...]
     caption: str = ""
     folded: bool = False
     kind: str = "table"
 
 
 @dataclass(frozen=True)
-class Figure:
+class FigureBlock:
     """A plot: traces and layout as Plotly takes them, drawn when it comes into view.
 
     A text "$name" in them stands for a colour of the page's theme.
@@ -70,7 +70,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Explorer:
+class ExplorerBlock:
     """The curves of all experiments, of which one is shown; `curves` is read by the script."""
 
     experiments: Sequence[Mapping[str, Any]] = field(repr=False)
@@ -78,7 +78,7 @@ class Explorer:
 
 
 @dataclass(frozen=True)
-class Source:
+class SourceBlock:
     """A text as it stands in a file, folded."""
 
     title: str
@@ -86,11 +86,11 @@ class Source:
     kind: str = "source"
 
 
-Block = Text | Items | Table | Figure | Explorer | Source
+Block = TextBlock | ItemsBlock | TableBlock | FigureBlock | ExplorerBlock | SourceBlock
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportSection:
     """A part of the page; nothing of it is shown where it has no blocks."""
 
     id: str
@@ -98,14 +98,14 @@ class Section:
     blocks: tuple[Block, ...]
 
 
-def columns(*names: str) -> tuple[Column, ...]:
+def columns(*names: str) -> tuple[ReportColumn, ...]:
     """Columns by their names; "#name" is a numeric one."""
-    return tuple(Column(name.removeprefix("#"), name.startswith("#")) for name in names)
+    return tuple(ReportColumn(name.removeprefix("#"), name.startswith("#")) for name in names)
 
 
-def cells(*texts: str | Cell) -> tuple[Cell, ...]:
+def cells(*texts: str | TableCell) -> tuple[TableCell, ...]:
     """A row."""
-    return tuple(text if isinstance(text, Cell) else Cell(text) for text in texts)
+    return tuple(text if isinstance(text, TableCell) else TableCell(text) for text in texts)
 
 
 def plain(text: str) -> str:

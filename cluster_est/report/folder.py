@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from cluster_est.cli.printing import read_facts, read_run_table
 from cluster_est.errors import RunFolderError
-from cluster_est.report.activity import Activity, read_activity
+from cluster_est.report.activity import LogActivity, read_activity
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
 
 Row = Mapping[str, Any]
@@ -23,7 +23,7 @@ SMALL = (
 
 
 @dataclass(frozen=True)
-class Run:
+class ReportedRun:
     """What a report is made of.
 
     Attributes
@@ -49,7 +49,7 @@ class Run:
     tables: Mapping[str, tuple[Row, ...]] = field(repr=False)
     residuals: pa.Table | None = field(repr=False)
     trajectories: pa.Table | None = field(repr=False)
-    activity: Activity = field(repr=False)
+    activity: LogActivity = field(repr=False)
 
     @property
     def status(self) -> str:
@@ -70,7 +70,7 @@ class Run:
         return "declared model, fitted" if self.is_loop else "start values"
 
 
-def read_run(path: Path, activity: Activity | None = None) -> Run:
+def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
     """Read a run folder; its log only if `activity` is not known already.
 
     Raises
@@ -89,7 +89,7 @@ def read_run(path: Path, activity: Activity | None = None) -> Run:
         config = (path / "config.toml").read_text(encoding="utf-8", errors="replace")
     except OSError:
         config = ""
-    return Run(
+    return ReportedRun(
         name=path.resolve().name,
         facts=facts,
         config=config,

@@ -17,10 +17,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from cluster_est.errors import RunFolderError
-from cluster_est.report.activity import Activity
-from cluster_est.report.blocks import Explorer, Figure, Section
+from cluster_est.report.activity import LogActivity
+from cluster_est.report.blocks import ExplorerBlock, FigureBlock, ReportSection
 from cluster_est.report.encode import json_text
-from cluster_est.report.folder import Run, read_run
+from cluster_est.report.folder import ReportedRun, read_run
 from cluster_est.report.sections.course import course
 from cluster_est.report.sections.curves import curves
 from cluster_est.report.sections.effects import candidates, effects
@@ -40,7 +40,7 @@ def write_report(
     out: Path | None = None,
     *,
     reload: float | None = None,
-    activity: Activity | None = None,
+    activity: LogActivity | None = None,
 ) -> Path:
     """Write the report of a run, in one step.
 
@@ -86,7 +86,7 @@ def _replace(path: Path, text: str) -> None:
         ) from error
 
 
-def render(run: Run, reload: float | None = None) -> str:
+def render(run: ReportedRun, reload: float | None = None) -> str:
     """The page as text; the same run gives the same page."""
     sections = [section for make in SECTIONS if (section := make(run)).blocks]
     scripts = {"plotly": _plotly(), "own": _asset("report.js")}
@@ -102,13 +102,13 @@ def render(run: Run, reload: float | None = None) -> str:
     )
 
 
-def _data(sections: Sequence[Section]) -> dict[str, Any]:
+def _data(sections: Sequence[ReportSection]) -> dict[str, Any]:
     """What the script draws."""
     blocks = [block for section in sections for block in section.blocks]
     figures = {
-        b.id: {"traces": b.traces, "layout": b.layout} for b in blocks if isinstance(b, Figure)
+        b.id: {"traces": b.traces, "layout": b.layout} for b in blocks if isinstance(b, FigureBlock)
     }
-    explorers = [b.experiments for b in blocks if isinstance(b, Explorer)]
+    explorers = [b.experiments for b in blocks if isinstance(b, ExplorerBlock)]
     return {"figures": figures, "experiments": explorers[0] if explorers else []}
 
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cluster_est.report.blocks import Tone
-from cluster_est.report.folder import Row, Run
+from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import count, digits, duration, percent
 
 
 @dataclass(frozen=True)
-class Figures:
+class HeadlineFigure:
     """A number at the top of the page, with what it is."""
 
     label: str
@@ -21,13 +21,13 @@ class Figures:
 
 
 @dataclass(frozen=True)
-class Summary:
+class ReportSummary:
     """What stands first."""
 
     verdict: str
     tone: Tone
     sentences: tuple[str, ...]
-    figures: tuple[Figures, ...]
+    figures: tuple[HeadlineFigure, ...]
     notes: tuple[str, ...]
 
 
@@ -46,16 +46,16 @@ VERDICTS: dict[str, tuple[str, Tone]] = {
 }
 
 
-def summarise(run: Run) -> Summary:
+def summarise(run: ReportedRun) -> ReportSummary:
     """Put the result of a run into words."""
     known = run.facts.get("verdict") or run.status
     verdict, tone = VERDICTS.get(str(known), (str(known), ""))
     sentences = [*_opening(run), *_costs(run), *_errors(run), *_bounds(run), *_failed(run)]
     notes = tuple(_sentence(note) for note in run.facts.get("notes") or ())
-    return Summary(verdict, tone, tuple(sentences), _figures(run), notes)
+    return ReportSummary(verdict, tone, tuple(sentences), _figures(run), notes)
 
 
-def _opening(run: Run) -> list[str]:
+def _opening(run: ReportedRun) -> list[str]:
     facts = run.facts
     if run.is_loop:
         effects = facts.get("effects") or []
@@ -77,7 +77,7 @@ def _named(effect: Row) -> str:
     return f"{effect['form']}{' of ' + of if of else ''} at {effect['site']}"
 
 
-def _costs(run: Run) -> list[str]:
+def _costs(run: ReportedRun) -> list[str]:
     before, after = run.facts.get("cost_before"), run.facts.get("cost")
     if before is None or after is None:
         if run.finished:
@@ -93,7 +93,7 @@ def _costs(run: Run) -> list[str]:
     return [f"The cost {moved} {what} by {percent(abs(1.0 - share))}."]
 
 
-def _errors(run: Run) -> list[str]:
+def _errors(run: ReportedRun) -> list[str]:
     """How the held-out error moved, which no estimate was made for."""
     rows = [row for row in run.tables["errors"] if row["role"] == "test"]
     before, after = (_pooled(rows, when) for when in ("before", "after"))
@@ -116,7 +116,7 @@ def _pooled(rows: Sequence[Row], when: str) -> float:
     return math.sqrt(squares / samples)
 
 
-def _bounds(run: Run) -> list[str]:
+def _bounds(run: ReportedRun) -> list[str]:
     held = [row["label"] for row in run.tables["parameters"] if row["at_bound"]]
     if not held:
         return []
@@ -126,7 +126,7 @@ def _bounds(run: Run) -> list[str]:
     return [f"{len(held)} parameters stand at a bound: {names}."]
 
 
-def _failed(run: Run) -> list[str]:
+def _failed(run: ReportedRun) -> list[str]:
     failures = sum(each.count for each in run.activity.failures)
     if not failures:
         return []
@@ -135,12 +135,12 @@ def _failed(run: Run) -> list[str]:
     return [f"{count(failures)} of {count(total)} simulations failed ({share})."]
 
 
-def _figures(run: Run) -> tuple[Figures, ...]:
+def _figures(run: ReportedRun) -> tuple[HeadlineFigure, ...]:
     facts = run.facts
     found = []
     if facts.get("cost") is not None:
         found.append(
-            Figures("Cost", digits(facts["cost"]), f"before {digits(facts['cost_before'])}")
+            HeadlineFigure("Cost", digits(facts["cost"]), f"before {digits(facts['cost_before'])}")
         )
     for role, label in (("train", "Error, training"), ("test", "Error, held out")):
         rows = [row for row in run.tables["errors"] if row["role"] == role]
@@ -148,16 +148,16 @@ def _figures(run: Run) -> tuple[Figures, ...]:
         if not math.isnan(after):
             over = facts.get("errors_over") or "sigma"
             before = digits(_pooled(rows, "before"), 3)
-            found.append(Figures(label, digits(after, 3), f"before {before}, over {over}"))
+            found.append(HeadlineFigure(label, digits(after, 3), f"before {before}, over {over}"))
     simulations = run.activity.simulations or facts.get("simulations")
     if simulations:
         failures = sum(each.count for each in run.activity.failures)
         more = f"{count(failures)} failed" if failures else "none failed"
-        found.append(Figures("Simulations", count(simulations), more))
+        found.append(HeadlineFigure("Simulations", count(simulations), more))
     if facts.get("seconds") is not None:
         workers = len(run.tables["workers"]) or 1
         more = f"{workers} worker{'s' if workers > 1 else ''}"
-        found.append(Figures("Time", duration(facts["seconds"]), more))
+        found.append(HeadlineFigure("Time", duration(facts["seconds"]), more))
     return tuple(found)
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from cluster_est.cli.printing import read_facts
 from cluster_est.errors import RunFolderError
-from cluster_est.report.activity import ActivityTail, Failure
+from cluster_est.report.activity import ActivityTail, FailureGroup
 from cluster_est.report.page import write_report
-from cluster_est.run_folder.progress_file import PROGRESS, Line, ProgressTail, State
+from cluster_est.run_folder.progress_file import PROGRESS, IterationLine, ProgressTail, RunState
 
 RUNNING = "running"
 RATE_SECONDS = 15.0
@@ -28,11 +28,11 @@ class SearchView:
     """A search: its best cost so far (NaN if it has none), and its last line."""
 
     best: float
-    last: Line
+    last: IterationLine
 
 
 @dataclass(frozen=True)
-class View:
+class RunView:
     """What is known of a run at a look.
 
     Attributes
@@ -57,10 +57,10 @@ class View:
     message: str
     simulations: int
     failed: int
-    failures: tuple[Failure, ...]
+    failures: tuple[FailureGroup, ...]
     rate: float
     quiet: float
-    state: State | None
+    state: RunState | None
     searches: tuple[SearchView, ...]
     problem: str = ""
 
@@ -69,7 +69,7 @@ class View:
         return self.status != RUNNING
 
 
-class Follower:
+class RunFollower:
     """Looks at a run folder again and again, and reads only what is new.
 
     Parameters
@@ -98,7 +98,7 @@ class Follower:
         self._seen: deque[tuple[float, int]] = deque()
         self._moved = self._clock()
 
-    def look(self) -> View:
+    def look(self) -> RunView:
         """What is known now."""
         started = self._facts.get("started")
         with suppress(RunFolderError):  # it is being replaced: what was known before holds so long
@@ -110,7 +110,7 @@ class Follower:
             self._note(line)
         counts = self.tail.counts
         rate = self._rate(counts.rows)
-        return View(
+        return RunView(
             status=str(self._facts["status"]),
             message=str(self._facts.get("message") or ""),
             simulations=counts.rows,
@@ -122,7 +122,7 @@ class Follower:
             searches=tuple(self._searches.values()),
         )
 
-    def _note(self, line: Line) -> None:
+    def _note(self, line: IterationLine) -> None:
         known = self._searches.pop(line.search, None)
         costs = [line.cost] if known is None else [line.cost, known.best]
         best = min((cost for cost in costs if not math.isnan(cost)), default=math.nan)
@@ -139,7 +139,7 @@ class Follower:
         return (rows - before) / (now - then) if now > then else math.nan
 
 
-def follow(path: Path, every: float, show: Callable[[View], None], *, html: bool) -> None:
+def follow(path: Path, every: float, show: Callable[[RunView], None], *, html: bool) -> None:
     """Show a run until it ends, and keep its report fresh if `html`.
 
     Raises
@@ -147,7 +147,7 @@ def follow(path: Path, every: float, show: Callable[[View], None], *, html: bool
     RunFolderError
         If there is no run.
     """
-    follower = Follower(path)
+    follower = RunFollower(path)
     written, problem = -math.inf, ""
     while True:
         view = follower.look()
@@ -155,13 +155,13 @@ def follow(path: Path, every: float, show: Callable[[View], None], *, html: bool
         if html and (view.ended or now - written >= max(every, HTML_SECONDS)):
             problem = _refresh(follower, max(every, HTML_SECONDS))
             written = time.monotonic()
-        show(view if not problem else View(**{**vars(view), "problem": problem}))
+        show(view if not problem else RunView(**{**vars(view), "problem": problem}))
         if view.ended:
             return
         time.sleep(every)
 
 
-def _refresh(follower: Follower, reload: float) -> str:
+def _refresh(follower: RunFollower, reload: float) -> str:
     """Write the report; why it could not be, or nothing."""
     try:
         write_report(follower.path, reload=reload, activity=follower.tail.activity)

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cluster_est.report.numbers import count, duration
-from cluster_est.report.watch import SearchView, View
+from cluster_est.report.watch import RunView, SearchView
 
 MOST_SEARCHES, MOST_FAILURES = 12, 5
 QUIET_SECONDS = 30.0
@@ -31,7 +31,7 @@ class WatchTable:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._live = Live(console=console, auto_refresh=False)
-        self._last: View | None = None
+        self._last: RunView | None = None
 
     def __enter__(self) -> Self:
         if self._console.is_terminal:
@@ -49,14 +49,14 @@ class WatchTable:
         elif self._last is not None:
             self._console.print(rendered(self._last))
 
-    def show(self, view: View) -> None:
+    def show(self, view: RunView) -> None:
         """Renew the table."""
         self._last = view
         if self._console.is_terminal:
             self._live.update(rendered(view), refresh=True)
 
 
-def rendered(view: View) -> Group:
+def rendered(view: RunView) -> Group:
     """The lines and tables of a view."""
     parts: list[Text | Table] = [Text(_head(view), style="bold"), Text(_numbers(view))]
     if view.message:
@@ -74,13 +74,13 @@ def rendered(view: View) -> Group:
     return Group(*parts)
 
 
-def _head(view: View) -> str:
+def _head(view: RunView) -> str:
     state = view.state
     elapsed = f", {duration(state.seconds)}" if state is not None else ""
     return f"{view.status}{elapsed}"
 
 
-def _numbers(view: View) -> str:
+def _numbers(view: RunView) -> str:
     state = view.state
     parts = [f"{count(view.simulations)} simulations ({count(view.failed)} failed)"]
     if state is not None:
@@ -118,7 +118,7 @@ def _cost(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.6g}"
 
 
-def _failures(view: View) -> Table:
+def _failures(view: RunView) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("failed", justify="right")
     table.add_column("status")

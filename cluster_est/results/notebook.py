@@ -14,7 +14,7 @@ _CELL = "text-align:left;padding:0.15em 0.8em 0.15em 0"
 
 
 @dataclass(frozen=True)
-class Table:
+class DisplayTable:
     """A titled table; numbers are shown to six digits, NaN as nothing."""
 
     title: str
@@ -22,7 +22,7 @@ class Table:
     rows: Sequence[Sequence[str | float]]
 
 
-def section(title: str, *tables: Table) -> str:
+def section(title: str, *tables: DisplayTable) -> str:
     """Tables under a title as HTML. Every text is escaped: names come from files.
 
     No colour is set, so it reads in light and dark notebooks alike.
@@ -31,7 +31,7 @@ def section(title: str, *tables: Table) -> str:
     return f"<div><p><strong>{html.escape(title)}</strong></p>{parts}</div>"
 
 
-def plain(title: str, *tables: Table) -> str:
+def plain(title: str, *tables: DisplayTable) -> str:
     """The same as text, for `print`."""
     lines = [title]
     for table in tables:
@@ -40,7 +40,7 @@ def plain(title: str, *tables: Table) -> str:
     return "\n".join(lines)
 
 
-def _aligned(table: Table) -> list[str]:
+def _aligned(table: DisplayTable) -> list[str]:
     shown, more = table.rows[:MOST_ROWS], len(table.rows) - MOST_ROWS
     cells = [table.head, *([_text(cell) for cell in row] for row in shown)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
@@ -51,7 +51,7 @@ def _aligned(table: Table) -> list[str]:
     return [*lines, f"and {more} more"] if more > 0 else lines
 
 
-def _table(table: Table) -> str:
+def _table(table: DisplayTable) -> str:
     shown, more = table.rows[:MOST_ROWS], len(table.rows) - MOST_ROWS
     rows = "".join(_row("td", [_text(cell) for cell in row]) for row in shown)
     rest = f"<p>and {more} more</p>" if more > 0 else ""

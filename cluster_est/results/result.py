@@ -304,19 +304,19 @@ class Result:
 
 def fit_tables(
     estimates: Sequence[Estimate], errors: Sequence[Any]
-) -> tuple[notebook.Table, notebook.Table]:
+) -> tuple[notebook.DisplayTable, notebook.DisplayTable]:
     """Estimates and errors, of a fit or of a closed loop, as a notebook shows them."""
     values = [
         (e.label, e.value, e.unit, e.std_error, e.lower95, e.upper95, e.at_bound) for e in estimates
     ]
     fits = [(e.experiment, e.role, e.output, e.rmse_before, e.rmse_after, e.unit) for e in errors]
     return (
-        notebook.Table(
+        notebook.DisplayTable(
             "Parameters",
             ("parameter", "value", "unit", "standard error", "95 % from", "to", "at bound"),
             values,
         ),
-        notebook.Table(
+        notebook.DisplayTable(
             "Root mean square errors",
             ("experiment", "role", "output", "before", "after", "unit"),
             fits,

@@ -7,24 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.methods.base import TOLERANCE, Other, Solution
+from cluster_est.methods.base import TOLERANCE, OtherPoint, Solution
 from cluster_est.problem.problem import Parameter, Problem
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.result import ConstraintValue, Estimate, PointValue, StartResult
 from cluster_est.running.evaluation import judge
-from cluster_est.running.multistart import Found
-from cluster_est.uncertainty import Interval, Uncertainty
+from cluster_est.running.multistart import MultistartResult
+from cluster_est.uncertainty import ConfidenceInterval, Uncertainty
 from workers.fmu.description import describe_model
 from workers.messages import FloatArray
 
 
 def estimates(
-    space: Space,
+    space: SearchSpace,
     solution: Solution,
     role: str,
     units: dict[str, str],
-    found: Sequence[Interval],
+    found: Sequence[ConfidenceInterval],
 ) -> list[Estimate]:
     """The values that were searched for, with their intervals."""
     steps = solution.difference_steps
@@ -35,10 +35,10 @@ def estimates(
 
 
 def _estimate(
-    space: Space,
+    space: SearchSpace,
     solution: Solution,
     i: int,
-    interval: Interval,
+    interval: ConfidenceInterval,
     role: str,
     units: dict[str, str],
     difference_step: float,
@@ -67,7 +67,7 @@ def _estimate(
 
 
 def derived(
-    space: Space, solution: Solution, units: dict[str, str], uncertainty: Uncertainty
+    space: SearchSpace, solution: Solution, units: dict[str, str], uncertainty: Uncertainty
 ) -> list[Estimate]:
     """What follows from the estimates, with intervals to first order."""
     rows = []
@@ -114,7 +114,7 @@ def _known(parameter: Parameter, units: dict[str, str], value: float, how: str) 
 
 
 def constraints(
-    space: Space, solution: Solution, before: list[Simulation], after: list[Simulation]
+    space: SearchSpace, solution: Solution, before: list[Simulation], after: list[Simulation]
 ) -> tuple[ConstraintValue, ...]:
     """Every constraint on the training experiments, at the start and at the estimates."""
     if not space.constraint_names:
@@ -132,12 +132,12 @@ def constraints(
     return tuple(rows)
 
 
-def constraints_at_start(space: Space, simulations: list[Simulation]) -> tuple[float, ...]:
+def constraints_at_start(space: SearchSpace, simulations: list[Simulation]) -> tuple[float, ...]:
     """Every constraint on the training experiments at the start, over its scale."""
     return tuple(_judged(space, space.start, simulations).tolist())
 
 
-def _judged(space: Space, x: FloatArray, simulations: list[Simulation]) -> FloatArray:
+def _judged(space: SearchSpace, x: FloatArray, simulations: list[Simulation]) -> FloatArray:
     """The constraints at x, NaN where a simulation failed."""
     outcomes = tuple(simulations[e].outcome for e in space.experiments)
     found = judge(space, x, outcomes, 0).constraints
@@ -145,7 +145,7 @@ def _judged(space: Space, x: FloatArray, simulations: list[Simulation]) -> Float
 
 
 def starts_and_minima(
-    space: Space, found: Found
+    space: SearchSpace, found: MultistartResult
 ) -> tuple[tuple[StartResult, ...], tuple[PointValue, ...]]:
     """What several starts found, as rows; nothing where there was one."""
     if len(found.solutions) < 2:
@@ -155,11 +155,11 @@ def starts_and_minima(
         StartResult(i, s.cost, s.ending.name.lower(), s.iterations, minimum)
         for i, (s, minimum) in numbered
     )
-    minima = [Other(found.solutions[i].x, found.solutions[i].cost) for i in found.minima]
+    minima = [OtherPoint(found.solutions[i].x, found.solutions[i].cost) for i in found.minima]
     return starts, points(space, tuple(minima))
 
 
-def points(space: Space, others: tuple[Other, ...]) -> tuple[PointValue, ...]:
+def points(space: SearchSpace, others: tuple[OtherPoint, ...]) -> tuple[PointValue, ...]:
     """Points worth keeping, value by value."""
     return tuple(
         PointValue(i, label, value, other.cost, other.objectives)

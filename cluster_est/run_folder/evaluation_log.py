@@ -27,7 +27,7 @@ from cluster_est.run_folder.log_format import (
     simulation_key,
     slim,
 )
-from cluster_est.running.runner import Origin
+from cluster_est.running.runner import TaskOrigin
 from workers.messages import Outcome, Trajectory
 
 __all__ = ["SCHEMA", "EvaluationLog", "LogSettings", "read_log"]
@@ -95,7 +95,7 @@ class EvaluationLog:
         self._experiments = experiments
         self._schema = SCHEMA.with_metadata(metadata)
         self._settings = settings or LogSettings()
-        self._rows: list[tuple[Origin, Outcome, float]] = []
+        self._rows: list[tuple[TaskOrigin, Outcome, float]] = []
         self._bytes = 0
         self._written = self._synced = 0.0
         self._segment = first_segment
@@ -108,7 +108,7 @@ class EvaluationLog:
         folder.mkdir(parents=True, exist_ok=True)
         self._lock = lock(folder)
 
-    def record(self, origin: Origin, outcome: Outcome) -> None:
+    def record(self, origin: TaskOrigin, outcome: Outcome) -> None:
         """Add one simulation; a moment later it is safe from the end of this process.
 
         Raises
@@ -215,7 +215,7 @@ class EvaluationLog:
                 total += path.stat().st_size
                 self._slim.add(path.name)
 
-    def _batch(self, rows: list[tuple[Origin, Outcome, float]]) -> pa.RecordBatch:
+    def _batch(self, rows: list[tuple[TaskOrigin, Outcome, float]]) -> pa.RecordBatch:
         origins, outcomes, ended = zip(*rows, strict=True)
         kept = self._settings.residuals
         paths = [outcome.trajectory if kept else None for outcome in outcomes]

@@ -26,9 +26,9 @@ from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
 from cluster_est.run_folder.run_identity import FORMAT, versions
-from cluster_est.running.reset_policy import Chosen
-from cluster_est.running.runner import Iteration, Origin, Snapshot
-from cluster_est.running.sensitivity_policy import Carried
+from cluster_est.running.reset_policy import ResetDecision
+from cluster_est.running.runner import RunSnapshot, SearchIteration, TaskOrigin
+from cluster_est.running.sensitivity_policy import SensitivityDecision
 from workers.messages import Outcome
 
 BEGUN = {"evaluations", "config.toml", ".config.toml", PROGRESS, ".run.json"}
@@ -79,8 +79,8 @@ class RunFolder:
         log_settings: LogSettings | None = None,
         logged: LoggedOutcomes | None = None,
         config_folder: Path | None = None,
-        chosen: Chosen | None = None,
-        carried: Carried | None = None,
+        chosen: ResetDecision | None = None,
+        carried: SensitivityDecision | None = None,
     ) -> None:
         check_free(path, overwrite=overwrite or logged is not None)
         self.path = path
@@ -112,7 +112,7 @@ class RunFolder:
             raise RunFolderError(f"{path}: cannot be written ({error}); choose another") from error
         self._write_status("running", {})
 
-    def record(self, origin: Origin, outcome: Outcome) -> None:
+    def record(self, origin: TaskOrigin, outcome: Outcome) -> None:
         """Log one simulation, unless it stands in the log since before the run was resumed."""
         if self._logged is None or not self._logged.was_answered(outcome.task):
             self._log.record(origin, outcome)
@@ -121,7 +121,7 @@ class RunFolder:
         worker["failures"] += not outcome.ok
         worker["busy_seconds"] += outcome.seconds
 
-    def note(self, iteration: Iteration) -> None:
+    def note(self, iteration: SearchIteration) -> None:
         """Keep the last line that a search shows for each of its iterations, and its end."""
         progress = iteration.progress
         if np.isfinite(progress.cost) or progress.ending:
@@ -130,7 +130,7 @@ class RunFolder:
             self._iterations[key] = row | {"evaluations": iteration.evaluations}
             self._progress.iteration(iteration)
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: RunSnapshot) -> None:
         """Let others see how far it is."""
         self._progress.show(snapshot)
 

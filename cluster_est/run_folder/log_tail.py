@@ -15,7 +15,7 @@ from cluster_est.run_folder.log_format import segments
 
 
 @dataclass
-class _Place:
+class _SegmentPosition:
     """How far a segment has been read."""
 
     file: int = 0
@@ -37,12 +37,12 @@ class LogTail:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._places: dict[str, _Place] = {}
+        self._places: dict[str, _SegmentPosition] = {}
 
     def new(self) -> Iterator[pa.RecordBatch]:
         """The new batches, the oldest first."""
         for path in segments(self._folder):
-            place = self._places.setdefault(path.name, _Place())
+            place = self._places.setdefault(path.name, _SegmentPosition())
             try:
                 found = path.stat()
                 if found.st_size <= place.offset and found.st_ino == place.file:
@@ -51,7 +51,7 @@ class LogTail:
             except OSError:  # it was replaced or removed just now: the next call sees it
                 continue
 
-    def _read(self, path: Path, place: _Place, file: int) -> Iterator[pa.RecordBatch]:
+    def _read(self, path: Path, place: _SegmentPosition, file: int) -> Iterator[pa.RecordBatch]:
         seen = 0
         if file != place.file:  # new, or rewritten without its large columns
             place.file, place.offset, seen = file, 0, place.rows

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cluster_est.running.records import Iteration, Snapshot
+from cluster_est.running.records import RunSnapshot, SearchIteration
 
 PROGRESS = "progress.jsonl"
 SECONDS_BETWEEN = 1.0
@@ -32,7 +32,7 @@ class ProgressFile:
         self._size = 0
         path.write_bytes(b"")
 
-    def iteration(self, iteration: Iteration) -> None:
+    def iteration(self, iteration: SearchIteration) -> None:
         """A new line of a search's iteration table."""
         progress = iteration.progress
         line = _line(
@@ -48,7 +48,7 @@ class ProgressFile:
         self._last[iteration.search] = line
         self._write(line)
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: RunSnapshot) -> None:
         """The state of the whole run, at most once a second."""
         now = time.monotonic()
         if now - self._shown < SECONDS_BETWEEN:
@@ -76,7 +76,7 @@ def _line(row: dict[str, Any]) -> str:
 
 
 @dataclass(frozen=True)
-class State:
+class RunState:
     """The state of a whole run; `search` is one of those under way."""
 
     search: str
@@ -89,7 +89,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Line:
+class IterationLine:
     """One iteration of a search; costs are NaN where there was none."""
 
     search: str
@@ -113,9 +113,9 @@ class ProgressTail:
         self._path = path
         self._offset = 0
         self._torn = b""
-        self.state: State | None = None
+        self.state: RunState | None = None
 
-    def new(self) -> list[Line]:
+    def new(self) -> list[IterationLine]:
         """The iterations since the last call; a line that is half written comes with the next."""
         try:
             with self._path.open("rb") as file:
@@ -130,14 +130,14 @@ class ProgressTail:
         read = [self._read(line) for line in whole]
         return [line for line in read if line is not None]
 
-    def _read(self, text: bytes) -> Line | None:
+    def _read(self, text: bytes) -> IterationLine | None:
         try:
             row = json.loads(text)
             if "now" in row:
-                self.state = State(row.pop("now"), **row)
+                self.state = RunState(row.pop("now"), **row)
                 return None
             for name in ("cost", "violation"):
                 row[name] = math.nan if row[name] is None else float(row[name])
-            return Line(**row)
+            return IterationLine(**row)
         except (ValueError, TypeError, KeyError):  # of another version, or damaged
             return None

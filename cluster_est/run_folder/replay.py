@@ -19,14 +19,14 @@ from cluster_est.run_folder.log_format import logged_cost, simulation_key
 from cluster_est.running.reset_policy import recorded
 from workers.fmu.description import nearest
 from workers.messages import Effect, FloatArray, Limits, Outcome, Status, Task, Want
-from workers.process.supervisor import Guard
+from workers.process.supervisor import SupervisedEvaluator
 
 FACTS = ["search", "evaluation", "purpose", "experiment", "status", "message", "cost"]
 """Columns of the log that are small."""
 
 
 @dataclass(frozen=True)
-class Logged:
+class LoggedSimulation:
     """A row of the log of a run.
 
     Attributes
@@ -70,7 +70,7 @@ class Logged:
 
 
 @dataclass(frozen=True)
-class Question:
+class ReplayRequest:
     """What is to be simulated again.
 
     Attributes
@@ -100,7 +100,7 @@ class Question:
         return list(zip(labels, self.task.values.tolist(), strict=True))
 
 
-def read_logged(run_folder: Path, number: int) -> Logged:
+def read_logged(run_folder: Path, number: int) -> LoggedSimulation:
     """Read one row of a run's log.
 
     Raises
@@ -118,7 +118,7 @@ def read_logged(run_folder: Path, number: int) -> Logged:
     residuals = row["residuals"]
     small: list[Any] = [row[name] for name in FACTS]
     return replace(
-        Logged(number, *small),
+        LoggedSimulation(number, *small),
         key=row["key"],
         want=cast(Want, row.get("want") or "residuals"),
         values=np.array(row["values"], dtype=np.float64),
@@ -127,7 +127,7 @@ def read_logged(run_folder: Path, number: int) -> Logged:
     )
 
 
-def read_failures(run_folder: Path) -> list[Logged]:
+def read_failures(run_folder: Path) -> list[LoggedSimulation]:
     """Read the rows of a run's log that failed, without what was asked.
 
     Raises
@@ -137,7 +137,7 @@ def read_failures(run_folder: Path) -> list[Logged]:
     """
     columns = _read(run_folder).select(FACTS).to_pydict()
     rows = zip(*columns.values(), strict=True)
-    found = (Logged(number, *row) for number, row in enumerate(rows))
+    found = (LoggedSimulation(number, *row) for number, row in enumerate(rows))
     return [logged for logged in found if not logged.ok]
 
 
@@ -148,7 +148,9 @@ def _read(run_folder: Path) -> Any:
         return read_log(run_folder / "evaluations")
 
 
-def prepare(run_folder: Path, logged: Logged, config: Path | None, *, allow_code: bool) -> Question:
+def prepare(
+    run_folder: Path, logged: LoggedSimulation, config: Path | None, *, allow_code: bool
+) -> ReplayRequest:
     """Read again what the run was made from.
 
     Parameters
@@ -192,7 +194,7 @@ def prepare(run_folder: Path, logged: Logged, config: Path | None, *, allow_code
         if chosen is not None:
             problem = replace(problem, model=replace(problem.model, renew=chosen.renew))
     task = Task(0, index, logged.values, logged.want, effects)
-    return Question(problem, build_resources(resolved).limits, task, key == logged.key)
+    return ReplayRequest(problem, build_resources(resolved).limits, task, key == logged.key)
 
 
 def config_base(run_folder: Path, config: Path | None) -> Path:
@@ -215,7 +217,7 @@ def config_base(run_folder: Path, config: Path | None) -> Path:
     return Path(known)
 
 
-def _effects(problem: Problem, logged: Logged, where: str) -> tuple[Effect, ...]:
+def _effects(problem: Problem, logged: LoggedSimulation, where: str) -> tuple[Effect, ...]:
     known = {effect.name: effect for effect in problem.effects}
     for name in logged.effects:
         if name not in known:
@@ -226,7 +228,7 @@ def _effects(problem: Problem, logged: Logged, where: str) -> tuple[Effect, ...]
     return tuple(known[name] for name in logged.effects)
 
 
-def replay(question: Question) -> Outcome:
+def replay(question: ReplayRequest) -> Outcome:
     """Simulate in a process of its own, once; it writes the FMU's messages to stderr as they come.
 
     Raises
@@ -236,14 +238,16 @@ def replay(question: Question) -> Outcome:
     """
     problem, task = question.problem, question.task
     model = replace(problem.model, talks=True)
-    guard = Guard(model, (problem.experiments[task.experiment],), "replay", question.limits)
+    guard = SupervisedEvaluator(
+        model, (problem.experiments[task.experiment],), "replay", question.limits
+    )
     try:
         return guard.once(replace(task, experiment=0))
     finally:
         guard.close()
 
 
-def comparison(logged: Logged, outcome: Outcome) -> str:
+def comparison(logged: LoggedSimulation, outcome: Outcome) -> str:
     """A sentence: whether an outcome is what was logged."""
     if not logged.ok or outcome.residuals is None:
         if logged.ok is outcome.ok:

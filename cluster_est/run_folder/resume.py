@@ -15,8 +15,8 @@ from cluster_est.run_folder.evaluation_log import LogSettings
 from cluster_est.run_folder.folder import RunFolder, check_free
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, hash_config, versions
-from cluster_est.running.reset_policy import Chosen
-from cluster_est.running.sensitivity_policy import Carried
+from cluster_est.running.reset_policy import ResetDecision
+from cluster_est.running.sensitivity_policy import SensitivityDecision
 
 FINISHED = "done"
 
@@ -30,8 +30,8 @@ def open_folder(
     overwrite: bool,
     logged: LoggedOutcomes | None = None,
     base: Path | None = None,
-    chosen: Chosen | None = None,
-    carried: Carried | None = None,
+    chosen: ResetDecision | None = None,
+    carried: SensitivityDecision | None = None,
 ) -> RunFolder:
     """The folder of a run by a config, whose paths start from `base`.
 

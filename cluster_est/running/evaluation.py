@@ -6,11 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.methods.base import Evaluation
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray, Outcome
 
 
-def judge(space: Space, x: FloatArray, outcomes: tuple[Outcome, ...], index: int) -> Evaluation:
+def judge(
+    space: SearchSpace, x: FloatArray, outcomes: tuple[Outcome, ...], index: int
+) -> Evaluation:
     """Join the outcomes of a point's experiments, which stand in their order.
 
     Parameters

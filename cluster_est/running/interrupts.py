@@ -21,7 +21,7 @@ INSISTED = 3
 """Interrupts after which one is raised at once, wherever that is."""
 
 
-class Interrupts:
+class DeferredInterrupts:
     """Notes interrupts while it is entered; raises them as KeyboardInterrupt while `waiting`.
 
     Only the main thread receives signals: in others this does nothing. Where somebody has installed
@@ -37,9 +37,9 @@ class Interrupts:
         if threading.current_thread() is threading.main_thread():
             for number in SIGNALS:
                 before = signal.getsignal(number)
-                if isinstance(before, _Raising):
+                if isinstance(before, _RaisingHandler):
                     self.noted += before.noted
-                if before is signal.default_int_handler or isinstance(before, _Raising):
+                if before is signal.default_int_handler or isinstance(before, _RaisingHandler):
                     self._before[number] = signal.signal(number, self._note)
         return self
 
@@ -74,7 +74,7 @@ class Interrupts:
             raise KeyboardInterrupt
 
 
-class _Raising:
+class _RaisingHandler:
     """A handler that interrupts at once, and remembers it in case nothing could be raised there.
 
     Compiled code of other libraries prints such an exception and goes on.
@@ -94,7 +94,7 @@ def terminations() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    handler = _Raising()
+    handler = _RaisingHandler()
     before: dict[signal.Signals, Any] = {signal.SIGTERM: signal.signal(signal.SIGTERM, handler)}
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         before[signal.SIGINT] = signal.signal(signal.SIGINT, handler)

@@ -17,8 +17,8 @@ from scipy.stats import qmc
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
-from cluster_est.methods.given_points import Look
-from cluster_est.problem.space import Space
+from cluster_est.methods.given_points import GivenPoints
+from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner, SearchRequest
 from cluster_est.running.search_state import suited
 from workers.fmu.description import nearest
@@ -70,7 +70,7 @@ class Multistart:
 
 
 @dataclass(frozen=True)
-class Found:
+class MultistartResult:
     """What the searches found.
 
     Attributes
@@ -100,8 +100,8 @@ class Found:
 
 
 def search_from_starts(
-    runner: Runner, space: Space, method: Method, multistart: Multistart, seed: int
-) -> Found:
+    runner: Runner, space: SearchSpace, method: Method, multistart: Multistart, seed: int
+) -> MultistartResult:
     """Run a method from all starts at the same time.
 
     Raises
@@ -121,10 +121,10 @@ def search_from_starts(
 
     solutions = runner.run(requests, multistart.at_once, enough)
     minima, minimum = cluster(space, solutions, multistart.same)
-    return Found(starts[: len(solutions)], tuple(solutions), minima, minimum)
+    return MultistartResult(starts[: len(solutions)], tuple(solutions), minima, minimum)
 
 
-def check_starts(space: Space, multistart: Multistart) -> None:
+def check_starts(space: SearchSpace, multistart: Multistart) -> None:
     """Refuse starts that this space cannot have, before anything is simulated.
 
     Raises
@@ -139,7 +139,7 @@ def check_starts(space: Space, multistart: Multistart) -> None:
         _check_bounds(space)
 
 
-def make_starts(runner: Runner, space: Space, multistart: Multistart) -> FloatArray:
+def make_starts(runner: Runner, space: SearchSpace, multistart: Multistart) -> FloatArray:
     """(searches, unknowns): the space's own start, the user's, then samples."""
     given = [space.start, *(_named(space, values) for values in multistart.points)]
     missing = multistart.searches - len(given)
@@ -147,7 +147,7 @@ def make_starts(runner: Runner, space: Space, multistart: Multistart) -> FloatAr
         return np.array(given)
     samples = sample(space, missing * multistart.screen, multistart)
     if multistart.screen > 1:
-        look = Look(samples, "screen")
+        look = GivenPoints(samples, "screen")
         runner.run([SearchRequest("screen", look, space)])
         if not look.seen:
             raise KeyboardInterrupt  # the only end that it can have without an answer
@@ -156,7 +156,7 @@ def make_starts(runner: Runner, space: Space, multistart: Multistart) -> FloatAr
     return np.vstack([*given, samples])
 
 
-def sample(space: Space, count: int, multistart: Multistart) -> FloatArray:
+def sample(space: SearchSpace, count: int, multistart: Multistart) -> FloatArray:
     """(count, unknowns): points within the bounds that satisfy the constraints on parameters.
 
     Where those leave too little room, the points that violate them least.
@@ -180,7 +180,7 @@ def sample(space: Space, count: int, multistart: Multistart) -> FloatArray:
     return np.asarray(points[order[:count]])
 
 
-def _check_bounds(space: Space) -> None:
+def _check_bounds(space: SearchSpace) -> None:
     for i, unknown in enumerate(space.unknowns):
         if not (np.isfinite(space.lower[i]) and np.isfinite(space.upper[i])):
             positive = " and positive" if unknown.log else ""
@@ -207,7 +207,7 @@ def _violation(values: FloatArray, equality: npt.NDArray[np.bool_]) -> float:
     return float(np.max(np.where(np.isnan(sizes), np.inf, sizes)))
 
 
-def _named(space: Space, values: Mapping[str, float]) -> FloatArray:
+def _named(space: SearchSpace, values: Mapping[str, float]) -> FloatArray:
     """A start of the user's, in search coordinates."""
     labels = [unknown.label for unknown in space.unknowns]
     names = [unknown.parameter.name for unknown in space.unknowns]
@@ -232,7 +232,7 @@ def _named(space: Space, values: Mapping[str, float]) -> FloatArray:
 
 
 def cluster(
-    space: Space, solutions: Sequence[Solution], same: float
+    space: SearchSpace, solutions: Sequence[Solution], same: float
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Which solutions are one minimum: indices of the best of each, and the number of each one's.
 
@@ -253,13 +253,13 @@ def cluster(
     return tuple(minima), tuple(number)
 
 
-def _same(space: Space, one: Solution, other: Solution, same: float) -> bool:
+def _same(space: SearchSpace, one: Solution, other: Solution, same: float) -> bool:
     width = space.upper - space.lower
     width = np.where(np.isfinite(width), width, space.typical)
     return bool(np.all(np.abs(one.x - other.x) <= same * width))
 
 
-def _nothing_new(space: Space, solutions: Sequence[Solution], multistart: Multistart) -> bool:
+def _nothing_new(space: SearchSpace, solutions: Sequence[Solution], multistart: Multistart) -> bool:
     if multistart.patience == 0 or len(solutions) <= multistart.patience:
         return False
     _, number = cluster(space, solutions, multistart.same)

@@ -10,16 +10,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from cluster_est.executors.base import Executor
-from cluster_est.problem.space import Space
-from cluster_est.running.records import Origin, Record
-from cluster_est.running.search_state import Active, Memory, Question
+from cluster_est.problem.space import SearchSpace
+from cluster_est.running.records import Record, TaskOrigin
+from cluster_est.running.search_state import OutcomeCache, Question, SearchState
 from workers.messages import REDUCTIONS, FloatArray, Outcome, Status, Task, Want
 
-Slot = tuple[Active, int, int]
+Slot = tuple[SearchState, int, int]
 """A search, the index of its point, and the position of the experiment: where an outcome goes."""
 
 
-class Questions:
+class PendingTasks:
     """Stands between searches and an executor.
 
     Parameters
@@ -39,14 +39,14 @@ class Questions:
         self._executor = executor
         self._record = record
         self._next_task = 0
-        self._origins: dict[int, Origin] = {}
+        self._origins: dict[int, TaskOrigin] = {}
         self._waiting: dict[Question, list[Slot]] = {}
-        self._known = Memory()
+        self._known = OutcomeCache()
         self._sizes: dict[tuple[int, bool], int] = {}
         self.simulations = 0
         self.failures = 0
 
-    def task(self, origin: Origin, want: Want) -> Task:
+    def task(self, origin: TaskOrigin, want: Want) -> Task:
         """A new task; the caller submits it."""
         task = Task(self._next_task, origin.experiment, origin.values, want, origin.effects)
         self._next_task += 1
@@ -71,10 +71,10 @@ class Questions:
             return None
         self._waiting[question] = [slot]
         name, purpose = search.request.name, search.purpose
-        origin = Origin(name, index, purpose, experiment, values, effects, want=want)
+        origin = TaskOrigin(name, index, purpose, experiment, values, effects, want=want)
         return self.task(origin, want)
 
-    def receive(self, outcome: Outcome) -> Iterator[Active]:
+    def receive(self, outcome: Outcome) -> Iterator[SearchState]:
         """Fill the slots that wait for an outcome, one by one; after each, whose it was."""
         origin = self._origins.get(outcome.task)
         if origin is None:
@@ -127,11 +127,11 @@ def _place(slot: Slot, outcome: Outcome) -> None:
     search.place(index, e, outcome)
 
 
-def _question(origin: Origin) -> Question:
+def _question(origin: TaskOrigin) -> Question:
     return origin.experiment, origin.values.tobytes(), origin.effects, origin.want
 
 
-def _no_values(space: Space, values: FloatArray) -> Outcome:
+def _no_values(space: SearchSpace, values: FloatArray) -> Outcome:
     """The outcome of a point at which a parameter has no value."""
     named = [p.name for p in space.problem.parameters if not p.auxiliary]
     first = int(np.flatnonzero(~np.isfinite(values))[0])

@@ -18,7 +18,7 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class Origin:
+class TaskOrigin:
     """Who asked for a task: what the log says of it besides its outcome.
 
     `installed` is (id, key) of the experiment where it is none of the problem's own.
@@ -35,7 +35,7 @@ class Origin:
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class RunSnapshot:
     """What a display shows."""
 
     search: str
@@ -49,7 +49,7 @@ class Snapshot:
 
 
 @dataclass(frozen=True)
-class Iteration:
+class SearchIteration:
     """A line of a search's iteration table; `evaluations` are those of this search so far."""
 
     search: str
@@ -57,6 +57,6 @@ class Iteration:
     evaluations: int
 
 
-Record = Callable[[Origin, Outcome], None]
-Show = Callable[[Snapshot], None]
-Note = Callable[[Iteration], None]
+Record = Callable[[TaskOrigin, Outcome], None]
+Show = Callable[[RunSnapshot], None]
+Note = Callable[[SearchIteration], None]

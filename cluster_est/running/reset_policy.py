@@ -31,7 +31,7 @@ BEGINS = {
 
 
 @dataclass(frozen=True)
-class Chosen:
+class ResetDecision:
     """What every simulation of a run begins with, and why.
 
     Attributes
@@ -49,22 +49,22 @@ class Chosen:
     plain: bool = False
 
 
-def recorded(facts: Mapping[str, Any]) -> Chosen | None:
+def recorded(facts: Mapping[str, Any]) -> ResetDecision | None:
     """What every simulation of a run began with, by its run.json; None if that does not say."""
     found = facts.get("renewal") or {}
     if found.get("renew") not in WAYS:
         return None
-    return Chosen(found["renew"], str(found.get("sentence")), bool(found.get("plain")))
+    return ResetDecision(found["renew"], str(found.get("sentence")), bool(found.get("plain")))
 
 
 @dataclass(frozen=True)
-class Question:
+class RepeatabilityTest:
     """What the first worker is asked: the first task again after the others."""
 
     tasks: tuple[Task, ...]
 
     @classmethod
-    def of(cls, problem: Problem) -> Question:
+    def of(cls, problem: Problem) -> RepeatabilityTest:
         """Experiment, another one that sets most of what this one does not, and the first again.
 
         What a reset leaves behind shows there at the latest.
@@ -95,8 +95,8 @@ def open_renewing(
     workers: int | None,
     address: str | None,
     limits: Limits,
-    known: Chosen | None,
-) -> tuple[WorkerPool, Chosen]:
+    known: ResetDecision | None,
+) -> tuple[WorkerPool, ResetDecision]:
     """Start the workers, with what every simulation has to begin with.
 
     Parameters
@@ -121,20 +121,22 @@ def open_renewing(
     declared = problem.model.renew
     if known is None and declared != "auto":
         said = f"each simulation begins with {BEGINS[declared]}, as model.reset says"
-        known = Chosen(declared, said, plain=True)
+        known = ResetDecision(declared, said, plain=True)
     if known is not None:
         return start(name, known.renew, workers), known
     executor = start(name, "reset", workers)
     try:
-        question = Question.of(problem)
+        question = RepeatabilityTest.of(problem)
         same = question.ask(executor)
     except BaseException:
         executor.close()
         raise
     if same is None:
-        return executor, Chosen("reset", _UNKNOWN, plain=True)
+        return executor, ResetDecision("reset", _UNKNOWN, plain=True)
     if same:
-        return executor, Chosen("reset", "a reset instance is as good as a new one", plain=True)
+        return executor, ResetDecision(
+            "reset", "a reset instance is as good as a new one", plain=True
+        )
     executor.close()
     return _other_way(problem.model.name, name, workers, question, start)
 
@@ -149,9 +151,9 @@ def _other_way(
     file: str,
     name: str,
     workers: int | None,
-    question: Question,
+    question: RepeatabilityTest,
     start: Callable[[str, Renewal, int | None], WorkerPool],
-) -> tuple[WorkerPool, Chosen]:
+) -> tuple[WorkerPool, ResetDecision]:
     """The least that lets the question have one answer; a reset if nothing does."""
     for renew in WAYS[1:]:
         elsewhere = renew == "process" and name == "local"
@@ -169,7 +171,7 @@ def _other_way(
                 f"{file} keeps something through a reset: each simulation begins with "
                 f"{BEGINS[renew]}"
             )
-            return executor, Chosen(renew, said)
+            return executor, ResetDecision(renew, said)
         executor.close()
         if same:
             raise ExecutorError(
@@ -181,7 +183,7 @@ def _other_way(
         f"{file} does not repeat itself: the same simulation gives other results each time, even "
         "in a new process, and so may this run"
     )
-    return start(name, "reset", workers), Chosen("reset", said)
+    return start(name, "reset", workers), ResetDecision("reset", said)
 
 
 def _set_by(experiment: Experiment) -> set[str]:

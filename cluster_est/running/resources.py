@@ -9,14 +9,14 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from cluster_est.executors import Executor, WorkerPool
-from cluster_est.executors.log_replay import Recall
+from cluster_est.executors.log_replay import LogReplayExecutor
 from cluster_est.methods.base import Method
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
-from cluster_est.running.reset_policy import Chosen, open_renewing
+from cluster_est.running.reset_policy import ResetDecision, open_renewing
 from cluster_est.running.runner import Budget
-from cluster_est.running.sensitivity_policy import Carried, cheaper_slopes, with_slopes
+from cluster_est.running.sensitivity_policy import SensitivityDecision, cheaper_slopes, with_slopes
 from workers.messages import Limits
 
 
@@ -53,10 +53,12 @@ class Resources:
     budget: Budget = field(default_factory=Budget)
     limits: Limits = field(default_factory=Limits)
     log: LoggedOutcomes | None = field(default=None, repr=False, compare=False)
-    renew: Chosen | None = None
-    carried: Carried | None = None
-    chosen: Callable[[Chosen], None] | None = field(default=None, repr=False, compare=False)
-    slopes: Callable[[Carried], None] | None = field(default=None, repr=False, compare=False)
+    renew: ResetDecision | None = None
+    carried: SensitivityDecision | None = None
+    chosen: Callable[[ResetDecision], None] | None = field(default=None, repr=False, compare=False)
+    slopes: Callable[[SensitivityDecision], None] | None = field(
+        default=None, repr=False, compare=False
+    )
 
 
 def one_blas_thread() -> Any:
@@ -76,12 +78,14 @@ def open_executor(problem: Problem, resources: Resources) -> Executor:
         resources.chosen(chosen)
     if resources.log is None:
         return executor
-    return Recall(executor, problem.model, problem.experiments, resources.log)
+    return LogReplayExecutor(executor, problem.model, problem.experiments, resources.log)
 
 
-def suit_method(method: Method, executor: Executor, space: Space, resources: Resources) -> Method:
+def suit_method(
+    method: Method, executor: Executor, space: SearchSpace, resources: Resources
+) -> Method:
     """The method, with derivatives from where they are cheaper; nothing was simulated yet."""
-    found = resources.carried or Carried(False)
+    found = resources.carried or SensitivityDecision(False)
     if resources.carried is None and isinstance(executor, WorkerPool):
         found = cheaper_slopes(executor, space, method)
     if resources.slopes is not None:

@@ -16,22 +16,30 @@ import numpy as np
 from cluster_est.errors import BudgetError
 from cluster_est.executors.base import Executor
 from cluster_est.methods.base import Ending, Evaluation, Points, Solution
-from cluster_est.running.interrupts import Interrupts, later
-from cluster_est.running.pending_tasks import Questions
-from cluster_est.running.records import Budget, Iteration, Note, Origin, Record, Show, Snapshot
-from cluster_est.running.search_state import Active, Pending, SearchRequest, suited
+from cluster_est.running.interrupts import DeferredInterrupts, later
+from cluster_est.running.pending_tasks import PendingTasks
+from cluster_est.running.records import (
+    Budget,
+    Note,
+    Record,
+    RunSnapshot,
+    SearchIteration,
+    Show,
+    TaskOrigin,
+)
+from cluster_est.running.search_state import PendingPoint, SearchRequest, SearchState, suited
 from workers.messages import Effect, FloatArray, Outcome, Status, Task, Want
 
 __all__ = [
     "Budget",
-    "Iteration",
     "Note",
-    "Origin",
     "Record",
+    "RunSnapshot",
     "Runner",
+    "SearchIteration",
     "SearchRequest",
     "Show",
-    "Snapshot",
+    "TaskOrigin",
 ]
 
 
@@ -72,7 +80,7 @@ class Runner:
     ) -> None:
         self._executor = executor
         self._budget = budget or Budget()
-        self._questions = Questions(executor, record or (lambda origin, outcome: None))
+        self._questions = PendingTasks(executor, record or (lambda origin, outcome: None))
         self._show = show or (lambda snapshot: None)
         self._iteration = note or (lambda iteration: None)
         self._whole = whole
@@ -124,7 +132,7 @@ class Runner:
         searches = [self._open(request) for request in requests]
         try:
             if not self.interrupted:
-                with Interrupts() as interrupts:
+                with DeferredInterrupts() as interrupts:
                     enough = enough or (lambda solutions: False)
                     searches = self._run(searches, at_once, enough, interrupts)
         except KeyboardInterrupt:
@@ -146,8 +154,12 @@ class Runner:
         self._questions.drop_all()
 
     def _run(
-        self, searches: list[Active], at_once: int | None, enough: Enough, interrupts: Interrupts
-    ) -> list[Active]:
+        self,
+        searches: list[SearchState],
+        at_once: int | None,
+        enough: Enough,
+        interrupts: DeferredInterrupts,
+    ) -> list[SearchState]:
         """Run until all have ended, or the first of them are enough; those that count."""
         waiting = searches[::-1]
         counted = 0
@@ -167,7 +179,7 @@ class Runner:
         return searches
 
     def _begin_searches(
-        self, waiting: list[Active], searches: Sequence[Active], at_once: int | None
+        self, waiting: list[SearchState], searches: Sequence[SearchState], at_once: int | None
     ) -> None:
         """Begin the next searches, in order, as many as may be under way."""
         while waiting:
@@ -181,7 +193,7 @@ class Runner:
             else:
                 self._advance(search, None)
 
-    def _give_up(self, searches: Sequence[Active]) -> None:
+    def _give_up(self, searches: Sequence[SearchState]) -> None:
         """End searches whose solutions nobody wants any more."""
         for search in searches:
             self._drop(search, tuple(search.pending))
@@ -210,13 +222,13 @@ class Runner:
         """
         tasks = []
         for row, experiment in zip(values, experiments, strict=True):
-            origin = Origin(name, 0, want, experiment, row, effects, want=want)
+            origin = TaskOrigin(name, 0, want, experiment, row, effects, want=want)
             tasks.append(self._questions.task(origin, want))
         own = {task.id for task in tasks}
         answers: dict[int, Outcome] = {}
         self._executor.submit(tasks)
         try:
-            with Interrupts() as interrupts, self._hurry():
+            with DeferredInterrupts() as interrupts, self._hurry():
                 while len(answers) < len(tasks):
                     with interrupts.waiting():
                         outcomes = self._executor.completed()
@@ -238,12 +250,12 @@ class Runner:
         else:  # left over from a search that was ended from outside
             self._receive(outcome)
 
-    def _open(self, request: SearchRequest) -> Active:
+    def _open(self, request: SearchRequest) -> SearchState:
         generator = np.random.default_rng(request.seed)
         request = replace(request, space=suited(request.space, request.method))
-        return Active(request, request.method.search(request.space, generator))
+        return SearchState(request, request.method.search(request.space, generator))
 
-    def _advance(self, search: Active, answers: list[Evaluation] | None) -> None:
+    def _advance(self, search: SearchState, answers: list[Evaluation] | None) -> None:
         """Send a search its answers and queue what it asks for next."""
         while True:
             try:
@@ -260,12 +272,12 @@ class Runner:
                 return
             answers = search.take_answers()
 
-    def _ask(self, search: Active, points: Points) -> None:
+    def _ask(self, search: SearchState, points: Points) -> None:
         """Queue the tasks of a request, experiment by experiment; skip what is known already."""
         space = search.request.space
         if points.progress is not None and points.progress != search.progress:
             search.progress = points.progress
-            self._iteration(Iteration(search.request.name, points.progress, search.asked))
+            self._iteration(SearchIteration(search.request.name, points.progress, search.asked))
         self._drop(search, points.drop)
         search.asynchronous, search.purpose = points.asynchronous, points.purpose
         search.sensitivities = points.sensitivities
@@ -274,7 +286,7 @@ class Runner:
         self.evaluations += len(points.x)
         count = len(space.experiments)
         for p, x in enumerate(points.x):
-            search.pending[first + p] = Pending(first + p, x.copy(), [None] * count, count)
+            search.pending[first + p] = PendingPoint(first + p, x.copy(), [None] * count, count)
         physical = [space.physical(x) for x in points.x]
         places = [(p, e) for e in range(count) for p in range(len(points.x))]
         if points.asynchronous:  # a point is answered when it is complete, so one after the other
@@ -295,14 +307,14 @@ class Runner:
             if search.ready and search.solution is None:
                 self._advance(search, search.take_answers())
 
-    def _drop(self, search: Active, indices: tuple[int, ...]) -> None:
+    def _drop(self, search: SearchState, indices: tuple[int, ...]) -> None:
         """Forget points that nobody wants; those simulations that have not begun need not."""
         for index in indices:
             search.pending.pop(index, None)
         if indices:
             self._questions.drop_unwanted()
 
-    def _finish(self, search: Active, ending: Ending) -> None:
+    def _finish(self, search: SearchState, ending: Ending) -> None:
         """End a search from outside, with the best point that it has seen."""
         start = search.request.space.start
         x = start if search.best_x is None else search.best_x
@@ -313,7 +325,7 @@ class Runner:
         search.pending.clear()
         self._end(search)
 
-    def _end(self, search: Active) -> None:
+    def _end(self, search: SearchState) -> None:
         """Note how a search ended, as the last line of its table."""
         solution = search.solution
         if solution is None:
@@ -328,7 +340,7 @@ class Runner:
             violation=violation,
             ending=solution.ending.name.lower(),
         )
-        self._iteration(Iteration(search.request.name, last, search.asked))
+        self._iteration(SearchIteration(search.request.name, last, search.asked))
 
     def _exhausted(self) -> bool:
         most, longest = self._budget.evaluations, self._budget.seconds
@@ -337,7 +349,7 @@ class Runner:
             longest is not None and used >= longest
         )
 
-    def _refuse_if_exhausted(self, searches: Sequence[Active]) -> None:
+    def _refuse_if_exhausted(self, searches: Sequence[SearchState]) -> None:
         cut = [s for s in searches if s.solution and s.solution.ending is Ending.BUDGET]
         if self._whole and self._exhausted() and (cut or not searches):
             raise BudgetError(
@@ -346,10 +358,10 @@ class Runner:
                 "budget.seconds, or leave them out"
             )
 
-    def _display(self, searches: Sequence[Active]) -> None:
+    def _display(self, searches: Sequence[SearchState]) -> None:
         running = [s for s in searches if s.solution is None] or list(searches)
         self._show(
-            Snapshot(
+            RunSnapshot(
                 search=running[0].request.name,
                 progress=running[0].progress,
                 evaluations=self.evaluations,
@@ -362,7 +374,7 @@ class Runner:
         )
 
 
-def _solutions(searches: Sequence[Active]) -> list[Solution]:
+def _solutions(searches: Sequence[SearchState]) -> list[Solution]:
     return [search.solution for search in searches if search.solution is not None]
 
 

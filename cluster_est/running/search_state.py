@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.methods.base import Evaluation, Method, Progress, Search, Solution
-from cluster_est.problem.space import Space
+from cluster_est.methods.base import Evaluation, Progress, Method, Search, Solution
+from cluster_est.problem.space import SearchSpace
 from cluster_est.running.evaluation import judge
 from workers.messages import Effect, FloatArray, Outcome, Want
 
@@ -30,17 +30,17 @@ class SearchRequest:
 
     name: str
     method: Method
-    space: Space
+    space: SearchSpace
     seed: int = 0
 
 
-def suited(space: Space, method: Method) -> Space:
+def suited(space: SearchSpace, method: Method) -> SearchSpace:
     """The space as a method is given it: reduced, unless it looks at single residuals."""
     return space if method.needs_every_residual else replace(space, reduced=True)
 
 
 @dataclass
-class Pending:
+class PendingPoint:
     """A point that was asked for, and the outcomes that are there already."""
 
     index: int
@@ -50,12 +50,12 @@ class Pending:
 
 
 @dataclass
-class Active:
+class SearchState:
     """A search in progress and the points that it waits for, by index."""
 
     request: SearchRequest
     steps: Search
-    pending: dict[int, Pending] = field(default_factory=dict)
+    pending: dict[int, PendingPoint] = field(default_factory=dict)
     answers: list[tuple[Evaluation, FloatArray]] = field(default_factory=list)
     asynchronous: bool = False
     purpose: str = ""
@@ -95,7 +95,7 @@ class Active:
         return [evaluation for evaluation, _ in answers]
 
 
-class Memory:
+class OutcomeCache:
     """Outcomes that answer a repeated question without simulating, up to a size."""
 
     def __init__(self) -> None:

@@ -17,7 +17,7 @@ from cluster_est.methods.base import Method
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.methods.sqp.method import Sqp
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import Task, Want
 
 LEAST_SECONDS = 1.0
@@ -30,7 +30,7 @@ REPEATS = 2
 
 
 @dataclass(frozen=True)
-class Carried:
+class SensitivityDecision:
     """Whether sensitivities take the place of differences, and why.
 
     Attributes
@@ -45,13 +45,13 @@ class Carried:
     sentence: str = ""
 
 
-def recorded_slopes(facts: Mapping[str, Any]) -> Carried:
+def recorded_slopes(facts: Mapping[str, Any]) -> SensitivityDecision:
     """What a run had found, by its run.json; differences if that does not say."""
     found = facts.get("sensitivities") or {}
-    return Carried(bool(found.get("carry")), str(found.get("sentence") or ""))
+    return SensitivityDecision(bool(found.get("carry")), str(found.get("sentence") or ""))
 
 
-def cheaper_slopes(executor: WorkerPool, space: Space, method: Method) -> Carried:
+def cheaper_slopes(executor: WorkerPool, space: SearchSpace, method: Method) -> SensitivityDecision:
     """Time both, where there is a choice, and that costs little beside the search.
 
     Parameters
@@ -64,21 +64,21 @@ def cheaper_slopes(executor: WorkerPool, space: Space, method: Method) -> Carrie
         As the config has it.
     """
     if not _is_open(space.problem, method):
-        return Carried(False)
+        return SensitivityDecision(False)
     columns = [len(acting) for acting in space.acting]
     place = max(range(len(columns)), key=columns.__getitem__)
     plain = _seconds(executor, space, place, "residuals")
     if plain is None or plain * sum(columns) < LEAST_SECONDS:
-        return Carried(False)
+        return SensitivityDecision(False)
     carried = _seconds(executor, space, place, "sensitivities")
     if carried is None:
-        return Carried(False)
+        return SensitivityDecision(False)
     part = carried / (plain * columns[place])
     said = f"one simulation with sensitivities takes {part:.2g} of the time that differences take"
-    return Carried(part <= CHEAPER, said)
+    return SensitivityDecision(part <= CHEAPER, said)
 
 
-def with_slopes(method: Method, found: Carried) -> Method:
+def with_slopes(method: Method, found: SensitivityDecision) -> Method:
     """The method, told to take sensitivities if they are cheaper."""
     if found.carry and _has_choice(method):
         return replace(method, differences="sensitivities")
@@ -97,7 +97,7 @@ def _is_open(problem: Problem, method: Method) -> bool:
     return problem.describe().offer("model_exchange").provides_directional_derivatives
 
 
-def _seconds(executor: WorkerPool, space: Space, place: int, want: Want) -> float | None:
+def _seconds(executor: WorkerPool, space: SearchSpace, place: int, want: Want) -> float | None:
     """What one simulation takes at the start; None if there is no answer, or not what is wanted."""
     count = len(space.problem.model.parameters)
     values = space.physical(space.start)[place, :count]

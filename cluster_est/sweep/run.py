@@ -18,7 +18,7 @@ from cluster_est.config.build import (
 from cluster_est.config.reader import Config
 from cluster_est.errors import ExecutorError, RunFolderError
 from cluster_est.executors import Executor
-from cluster_est.executors.log_replay import Recall
+from cluster_est.executors.log_replay import LogReplayExecutor
 from cluster_est.fit import check_search, fit_on
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
@@ -30,7 +30,7 @@ from cluster_est.running.resources import one_blas_thread
 from cluster_est.running.runner import Budget, Runner, Show
 from cluster_est.sweep.matrix import SweepRun
 from cluster_est.sweep.pool import SharedPools, pool_key
-from cluster_est.sweep.state import Planned, clear_torn, fingerprint
+from cluster_est.sweep.state import PlannedRun, clear_torn, fingerprint
 from workers.messages import content_hash
 
 UNUSED = "closed_loop"
@@ -39,7 +39,7 @@ UNDER_WAY = ("running", "interrupted")
 Progress = Callable[[Budget], AbstractContextManager[ProgressLine]]
 
 
-def check_run(run: SweepRun, *, allow_code: bool) -> Planned:
+def check_run(run: SweepRun, *, allow_code: bool) -> PlannedRun:
     """Read all that a run needs, as a fit does before it begins, and keep only what it hashes to.
 
     Raises
@@ -55,7 +55,7 @@ def check_run(run: SweepRun, *, allow_code: bool) -> Planned:
     budget = {k: v for k, v in config.budget.model_dump().items() if v is not None}
     pool = content_hash([repr(pool_key(problem, resources))])
     ray = (resources.workers, resources.address) if resources.executor == "ray" else None
-    return Planned(run, fingerprint(config, problem), budget, pool, ray)
+    return PlannedRun(run, fingerprint(config, problem), budget, pool, ray)
 
 
 def do_run(
@@ -83,7 +83,7 @@ def do_run(
         with progress(build_resources(config).budget) as line:
             executor = pools.open(problem, build_resources(config))
             if logged is not None:
-                executor = Recall(executor, problem.model, problem.experiments, logged)
+                executor = LogReplayExecutor(executor, problem.model, problem.experiments, logged)
             result = _fit_on(executor, problem, config, written, line.show)
         written.write(result)
         if result.interrupted:

@@ -29,7 +29,7 @@ NOT_RUN = "not run"
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlannedRun:
     """A run that was checked.
 
     Attributes
@@ -63,7 +63,7 @@ def fingerprint(config: Config, problem: Problem) -> str:
     )
 
 
-def status(folder: Path, planned: Planned) -> str:
+def status(folder: Path, planned: PlannedRun) -> str:
     """Where a run stands: its own status, or "not run" if it must be run (again).
 
     Raises
@@ -123,7 +123,7 @@ def write_state(out: Path, sweep: Path, states: dict[str, str], *, running: str 
 
 
 def summary_rows(
-    out: Path, plan: Sequence[Planned], states: dict[str, str]
+    out: Path, plan: Sequence[PlannedRun], states: dict[str, str]
 ) -> list[dict[str, Any]]:
     """One row for each run, in the sweep's order: choices, outcome and shared estimates."""
     axes = dict.fromkeys(axis for planned in plan for axis in planned.run.choices)

@@ -17,7 +17,7 @@ from cluster_est.sweep.state import (
     FAILED,
     NOT_RUN,
     SUCCESS,
-    Planned,
+    PlannedRun,
     check_folder,
     status,
     summary_rows,
@@ -29,7 +29,7 @@ Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Swept:
+class SweepResult:
     """What a sweep came to.
 
     Attributes
@@ -60,7 +60,7 @@ def sweep(
     *,
     retry_failed: bool = False,
     allow_code: bool = False,
-) -> Swept:
+) -> SweepResult:
     """Do every run of a sweep that is not done yet.
 
     All runs are checked before the first one starts. They follow one another, each on all workers;
@@ -109,11 +109,11 @@ def sweep(
             write_state(out, path, states)
             rows = summary_rows(out, plan, states)
             write_summary(out, rows)
-    return Swept(rows, ran, interrupted=ran < len(todo))
+    return SweepResult(rows, ran, interrupted=ran < len(todo))
 
 
 def _do_all(
-    todo: list[Planned],
+    todo: list[PlannedRun],
     path: Path,
     out: Path,
     states: dict[str, str],
@@ -140,9 +140,9 @@ def _do_all(
     return len(ordered)
 
 
-def _check_all(runs: list[SweepRun], *, allow_code: bool) -> list[Planned]:
+def _check_all(runs: list[SweepRun], *, allow_code: bool) -> list[PlannedRun]:
     """Check every run; what is wrong in several is said once, with their names."""
-    plan: list[Planned] = []
+    plan: list[PlannedRun] = []
     wrong: dict[str, list[str]] = defaultdict(list)
     for run in runs:
         try:
@@ -158,7 +158,7 @@ def _check_all(runs: list[SweepRun], *, allow_code: bool) -> list[Planned]:
     return plan
 
 
-def _disagreements(plan: list[Planned]) -> dict[str, list[str]]:
+def _disagreements(plan: list[PlannedRun]) -> dict[str, list[str]]:
     """Runs that ask for another Ray than the first one does."""
     with_ray = [planned for planned in plan if planned.ray is not None]
     different = [p.run.name for p in with_ray if p.ray != with_ray[0].ray]

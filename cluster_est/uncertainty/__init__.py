@@ -15,8 +15,12 @@ from cluster_est.uncertainty.bootstrap import (
 )
 from cluster_est.uncertainty.covariance.covariance import assess, intervals
 from cluster_est.uncertainty.covariance.derivatives import examine, linearise, sharpen
-from cluster_est.uncertainty.covariance.directions import Direction
-from cluster_est.uncertainty.covariance.result import DerivedInterval, Interval, Uncertainty
+from cluster_est.uncertainty.covariance.directions import UndeterminedDirection
+from cluster_est.uncertainty.covariance.result import (
+    ConfidenceInterval,
+    DerivedInterval,
+    Uncertainty,
+)
 from cluster_est.uncertainty.profiles.profile import check_profiles, profiles, select
 from cluster_est.uncertainty.profiles.result import ProfilePoint, ProfileResult
 from cluster_est.uncertainty.settings import UncertaintySettings
@@ -24,13 +28,13 @@ from cluster_est.uncertainty.settings import UncertaintySettings
 __all__ = [
     "BootstrapInterval",
     "BootstrapResult",
+    "ConfidenceInterval",
     "DerivedInterval",
-    "Direction",
-    "Interval",
     "ProfilePoint",
     "ProfileResult",
     "Uncertainty",
     "UncertaintySettings",
+    "UndeterminedDirection",
     "assess",
     "bootstrap",
     "check_bootstrap",

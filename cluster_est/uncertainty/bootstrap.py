@@ -21,7 +21,7 @@ from scipy.stats import t as student
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Solution
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner, SearchRequest
 from cluster_est.uncertainty.covariance.layout import is_shared
 from cluster_est.uncertainty.settings import UncertaintySettings
@@ -34,7 +34,7 @@ LEAST_DRAWS = 20
 
 
 @dataclass(frozen=True)
-class Draw:
+class BootstrapDraw:
     """One draw: which experiments, their cost, how the refit ended, and the shared estimates.
 
     An estimate is NaN where none of the drawn experiments depends on it, or the refit failed.
@@ -98,7 +98,7 @@ class BootstrapResult:
 
     labels: tuple[str, ...]
     intervals: tuple[BootstrapInterval, ...]
-    draws: tuple[Draw, ...] = field(repr=False)
+    draws: tuple[BootstrapDraw, ...] = field(repr=False)
     failures: int
     unfinished: int
     confidence: float
@@ -106,7 +106,7 @@ class BootstrapResult:
 
 def bootstrap(
     runner: Runner,
-    space: Space,
+    space: SearchSpace,
     solution: Solution,
     method: Method,
     settings: UncertaintySettings,
@@ -163,7 +163,7 @@ def bootstrap(
     )
 
 
-def check_bootstrap(space: Space) -> None:
+def check_bootstrap(space: SearchSpace) -> None:
     """Refuse a bootstrap over too few experiments.
 
     Raises
@@ -185,9 +185,9 @@ def _usable(solution: Solution) -> bool:
     return bool(np.isfinite(solution.cost)) and solution.ending not in bad and not infeasible
 
 
-def _draw(space: Space, solution: Solution, labels: Sequence[str]) -> Draw:
+def _draw(space: SearchSpace, solution: Solution, labels: Sequence[str]) -> BootstrapDraw:
     known = space.estimates(solution.x) if _usable(solution) else {}
-    return Draw(
+    return BootstrapDraw(
         experiments=tuple(space.problem.experiments[e].id for e in space.experiments),
         cost=solution.cost,
         ending=solution.ending.name.lower(),

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.problem.space import Space, Unknown
+from cluster_est.problem.space import SearchSpace, Unknown
 from workers.messages import FloatArray
 
 
-def moved(space: Space, x: FloatArray) -> Space:
+def moved(space: SearchSpace, x: FloatArray) -> SearchSpace:
     """The same space, from which searches start at x.
 
     The size of a noticeable change stays what it was: it comes from the start that the user gave,
@@ -20,7 +20,7 @@ def moved(space: Space, x: FloatArray) -> Space:
     return _made(space, space.unknowns, space.base, x, np.arange(space.size))
 
 
-def without(space: Space, i: int, x: FloatArray) -> Space:
+def without(space: SearchSpace, i: int, x: FloatArray) -> SearchSpace:
     """The space in which unknown i is kept at its value in x, and the others start there."""
     unknown = space.unknowns[i]
     base = space.base.copy()
@@ -33,7 +33,7 @@ def without(space: Space, i: int, x: FloatArray) -> Space:
     return _made(space, unknowns, base, x, kept)
 
 
-def resampled(space: Space, positions: Sequence[int], x: FloatArray) -> Space:
+def resampled(space: SearchSpace, positions: Sequence[int], x: FloatArray) -> SearchSpace:
     """The space of some of the experiments, of which one may appear several times.
 
     Copies of an experiment share its own unknowns, and each counts.
@@ -49,27 +49,27 @@ def resampled(space: Space, positions: Sequence[int], x: FloatArray) -> Space:
             kept.append(i)
     chosen = list(positions)
     experiments = tuple(space.experiments[p] for p in chosen)
-    made = Space(space.problem, experiments, tuple(unknowns), space.base[chosen])
+    made = SearchSpace(space.problem, experiments, tuple(unknowns), space.base[chosen])
     return _started(made, space, x, np.array(kept, dtype=np.intp))
 
 
 def _made(
-    space: Space,
+    space: SearchSpace,
     unknowns: tuple[Unknown, ...],
     base: FloatArray,
     x: FloatArray,
     kept: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
-) -> Space:
-    made = Space(space.problem, space.experiments, unknowns, base)
+) -> SearchSpace:
+    made = SearchSpace(space.problem, space.experiments, unknowns, base)
     return _started(made, space, x, kept)
 
 
 def _started(
-    made: Space,
-    space: Space,
+    made: SearchSpace,
+    space: SearchSpace,
     x: FloatArray,
     kept: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
-) -> Space:
+) -> SearchSpace:
     """Both are cached properties that would follow from the unknowns' own starts."""
     vars(made)["start"] = np.clip(x[kept], space.lower[kept], space.upper[kept])
     vars(made)["typical"] = space.typical[kept]

@@ -9,7 +9,7 @@ import numpy as np
 
 from cluster_est import LeastSquares, Problem, Resources
 from cluster_est.methods.base import Solution
-from cluster_est.problem.space import Space, make_space
+from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.resources import open_executor
 from cluster_est.running.runner import Runner, SearchRequest
 
@@ -67,7 +67,7 @@ def refit(problem: Problem, starts: Mapping[str, float], held_out: bool = True) 
     return Refit(sse, _rms(problem, training, sse), test, values)
 
 
-def _from(space: Space, starts: Mapping[str, float]) -> Space:
+def _from(space: SearchSpace, starts: Mapping[str, float]) -> SearchSpace:
     """Move the start of every unknown that has one given, into its bounds."""
     unknowns = []
     for unknown in space.unknowns:
@@ -77,12 +77,12 @@ def _from(space: Space, starts: Mapping[str, float]) -> Space:
     return replace(space, unknowns=tuple(unknowns))
 
 
-def _search(runner: Runner, space: Space) -> Solution:
+def _search(runner: Runner, space: SearchSpace) -> Solution:
     (solution,) = runner.run([SearchRequest("refit", METHOD, space)])
     return solution
 
 
-def _follow(runner: Runner, space: Space) -> float:
+def _follow(runner: Runner, space: SearchSpace) -> float:
     """Return the sum of squares on runs whose shared values are known."""
     if space.size:
         return _search(runner, space).cost

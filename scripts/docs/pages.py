@@ -18,7 +18,7 @@ from cluster_est.cli.entry_point import _parser
 from cluster_est.config.reader import Config
 from cluster_est.config.sections.sweep import SweepSections
 from cluster_est.config.toml import inline
-from cluster_est.results.table_columns import BEFORE, TABLES, Column
+from cluster_est.results.table_columns import BEFORE, TABLES, ColumnDescription
 
 REFERENCE = Path(__file__).parents[2] / "configs" / "reference.toml"
 KINDS = {float: "number", int: "whole number", str: "text", bool: "true or false", Any: "value"}
@@ -142,7 +142,7 @@ def _default(field: FieldInfo) -> str:
     return f"`{inline(default)}`" if default not in ({}, [], ()) else ""
 
 
-def _columns(columns: Sequence[Column]) -> str:
+def _columns(columns: Sequence[ColumnDescription]) -> str:
     rows = [(f"`{c.name}`", c.type, c.unit, c.meaning) for c in columns]
     return _table(("column", "type", "unit", "meaning"), rows)
 

@@ -20,11 +20,11 @@ from support.truth.systems_with_missing_effects import (
     unfitted,
 )
 
-from cluster_est.closed_loop.candidates.make import Candidate, make_candidates
-from cluster_est.closed_loop.candidates.trajectory import Course
-from cluster_est.closed_loop.screening.directions import Trial, directions
+from cluster_est.closed_loop.candidates.make import EffectCandidate, make_candidates
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from workers.effects.definition import define
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site
@@ -40,16 +40,16 @@ WAVES_IN_A_RECORD = 5.0
 class Seen:
     """A system, simulated, with all that could be missing from it."""
 
-    bench: Workbench
-    fitted: Fitted
-    trials: list[Trial]
+    bench: LoopWorkbench
+    fitted: FittedModel
+    trials: list[CandidatePoint]
     directions: list[np.ndarray]
 
     @property
-    def candidates(self) -> list[Candidate]:
+    def candidates(self) -> list[EffectCandidate]:
         return [trial.candidate for trial in self.trials]
 
-    def simulated(self, trial: Trial, amounts: list[float]) -> np.ndarray:
+    def simulated(self, trial: CandidatePoint, amounts: list[float]) -> np.ndarray:
         """The same by simulation: central differences, or the whole change of a finite effect."""
         candidate = trial.candidate
         names = [c.name for c in candidate.form.coefficients]
@@ -89,13 +89,13 @@ def systems():
             candidates = make_candidates(
                 fitted.problem, bench.description, courses, [rate], LoopSettings()
             )
-            trials = [Trial(c, c.grid[len(c.grid) // 2]) for c in candidates]
+            trials = [CandidatePoint(c, c.grid[len(c.grid) // 2]) for c in candidates]
             moves = directions(courses, trials, [_known(fitted, course) for course in courses])
             found[name] = Seen(bench, fitted, trials, moves)
         yield found
 
 
-def _known(fitted: Fitted, course: Course) -> np.ndarray:
+def _known(fitted: FittedModel, course: LinearisedTrajectory) -> np.ndarray:
     """Values of the parameters, which are the same in all experiments."""
     assert course.linear is not None
     return np.array([fitted.estimates[name] for name in course.linear.parameter_names])
@@ -150,7 +150,7 @@ def test_candidates_can_be_fitted(systems, system):
     assert len(set(names)) == len(names)
 
 
-def _without(candidate: Candidate) -> str:
+def _without(candidate: EffectCandidate) -> str:
     """The equation without names of the FMU: no placeholder may be left in it."""
     text = candidate.equation
     for name in sorted((*candidate.effect.variables, *candidate.site.targets), key=len)[::-1]:
@@ -158,13 +158,13 @@ def _without(candidate: Candidate) -> str:
     return text
 
 
-def _of(candidates: list[Candidate], kind: str, name: str) -> list[Candidate]:
+def _of(candidates: list[EffectCandidate], kind: str, name: str) -> list[EffectCandidate]:
     own = [c for c in candidates if (c.site.kind, c.form.name) == (kind, name)]
     assert all(parse_site(c.effect.site, "") == c.site for c in own)
     return own
 
 
-def _visible(seen: Seen, kind: str, name: str) -> tuple[Trial, np.ndarray]:
+def _visible(seen: Seen, kind: str, name: str) -> tuple[CandidatePoint, np.ndarray]:
     """Of the form's candidates the one that the outputs show best, and its direction."""
     own = _of(seen.candidates, kind, name)
     pairs = zip(seen.trials, seen.directions, strict=True)

@@ -17,7 +17,7 @@ from cluster_est.executors import EXECUTORS, Executor, executor_class
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.messages import Experiment, Input, Model, Outcome, Output, Solver, Status, Task, Want
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 OPENERS = {
     "local-1": ("local", 1),
@@ -121,7 +121,7 @@ def check(outcomes: dict[int, Outcome], tasks: Sequence[Task]) -> None:
     """Compare with an evaluator's answers to the tasks, one at a time."""
     evaluator = Evaluator(SPRING, EXPERIMENTS, "reference")
     for task in tasks:
-        (expected,) = evaluator.evaluate(Batch.of([task]))
+        (expected,) = evaluator.evaluate(TaskBatch.of([task]))
         assert same(outcomes[task.id], expected), (outcomes[task.id], expected)
     evaluator.close()
 
@@ -217,6 +217,6 @@ def test_task_that_aborts_its_process_is_a_crash_and_spares_all_others(
                     )
                     assert outcome.residuals is None
                 else:
-                    assert same(outcome, evaluator.evaluate(Batch.of([tasks[i]]))[0])
+                    assert same(outcome, evaluator.evaluate(TaskBatch.of([tasks[i]]))[0])
             assert executor.busy == 0
     evaluator.close()

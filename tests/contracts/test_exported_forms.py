@@ -11,7 +11,7 @@ from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M
 from workers.effects.forms import FORMS
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 SOLVERS = {
     "dormand_prince": Solver("dormand_prince"),
@@ -69,7 +69,7 @@ def effects_of(kind, late=False):
 def simulated(solver, effects, values):
     evaluator = Evaluator(model(solver), (experiment(),), "w")
     task = Task(0, 0, np.array([M, K, C, *values]), "trajectory", tuple(effects))
-    (outcome,) = evaluator.evaluate(Batch.of([task]))
+    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
     evaluator.close()
     assert outcome.ok, outcome.message
     return outcome.trajectory.values[:, 0]

@@ -18,7 +18,7 @@ from support.problems.springs import spring_problem
 from cluster_est import Budget, Experiment, LeastSquares, Output, Parameter, Resources, fit
 from cluster_est.costs import COSTS
 from cluster_est.methods import METHODS
-from cluster_est.methods.given_points import Look
+from cluster_est.methods.given_points import GivenPoints
 from cluster_est.methods.pattern_search.method import PatternSearch
 from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
 from cluster_est.methods.populations.nsga2 import Nsga2
@@ -28,9 +28,9 @@ from cluster_est.running.multistart import Multistart, search_from_starts
 from cluster_est.running.runner import Runner, SearchRequest
 from cluster_est.running.search_state import suited
 from workers.evaluate import Evaluator
-from workers.messages import REDUCTIONS, Curve, Function, Outcome, SignalBound, Status, Task
+from workers.messages import REDUCTIONS, Curve, Outcome, SignalBound, Status, Task, UserFunction
 from workers.residuals.reduce import reduce_residuals
-from workers.wire import Answers, Batch
+from workers.wire import OutcomeColumns, TaskBatch
 
 REDUCIBLE = {name: cost for name, cost in COSTS.items() if cost.reduction is not None}
 COUNTS = (7, 0, 1, 13)
@@ -84,7 +84,7 @@ class TestWant:
         assert want_of(experiment(50), COSTS[name]()) == expected
 
     def test_what_a_function_returns_is_left_alone(self):
-        own = experiment(50, cost_function=Function("none", "cost"))
+        own = experiment(50, cost_function=UserFunction("none", "cost"))
         assert want_of(own, COSTS["sse"]()) == "residuals"
 
     def test_the_space_says_what_is_of_which_output(self):
@@ -169,7 +169,7 @@ def test_whole_and_reduced_answers_do_not_stand_in_for_each_other():
     runner = Runner(
         CurveExecutor(curves), record=lambda origin, _: asked.append((origin.search, origin.want))
     )
-    look = Look(curves.space().start[None, :], "whole")
+    look = GivenPoints(curves.space().start[None, :], "whole")
     search = PatternSearch(max_iterations=1)
     for method in (look, search, look, search):
         runner.run([SearchRequest(method.name, method, curves.space())])
@@ -205,7 +205,9 @@ class TestWorker:
         values = np.array([[1.0 + 0.1 * i, 20.0, 0.5, 0.01 * i] for i in range(4)])
         values[2, 0] = -1.0  # a mass that the model refuses
         answers = {
-            each: worker.evaluate(Batch.of([Task(i, 0, row, each) for i, row in enumerate(values)]))
+            each: worker.evaluate(
+                TaskBatch.of([Task(i, 0, row, each) for i, row in enumerate(values)])
+            )
             for each in ("residuals", want)
         }
         assert run.counts == (0, 150, 19)
@@ -220,7 +222,7 @@ class TestWorker:
             truth = [np.linalg.norm(part, norm) for part in parts]
             np.testing.assert_allclose(reduced.residuals, truth, rtol=1e-12)
             assert whole.constraints.tobytes() == reduced.constraints.tobytes()
-        alone = worker.evaluate(Batch.of([Task(3, 0, values[3], want)]))[0]
+        alone = worker.evaluate(TaskBatch.of([Task(3, 0, values[3], want)]))[0]
         assert alone.residuals.tobytes() == answers[want][3].residuals.tobytes()
 
     def test_traffic_shrinks_with_the_samples(self):
@@ -229,7 +231,7 @@ class TestWorker:
         counts = (10_000,) * 20
         for sent in (residuals, reduce_residuals(residuals, counts, "squares")):
             outcomes = [Outcome(i, Status.OK, sent, worker="w") for i in range(10)]
-            sizes.append(len(pickle.dumps(Answers.of(outcomes))))
+            sizes.append(len(pickle.dumps(OutcomeColumns.of(outcomes))))
         assert sizes[0] > 100 * sizes[1]
 
 

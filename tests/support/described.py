@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 
-from workers.fmu.description import Description, describe
+from workers.fmu.description import ModelDescription, describe
 
 HEAD_2 = (
     '<fmiModelDescription fmiVersion="2.0" guid="{g}" modelName="m" numberOfEventIndicators="0">'
@@ -27,7 +27,7 @@ def packed(content: str | bytes, *files: str) -> bytes:
 
 def fmi2(
     variables: str, rest: str = "", *, interfaces: str = BOTH, files: tuple[str, ...] = ()
-) -> Description:
+) -> ModelDescription:
     """Describe an FMU of FMI 2; `rest` is the <ModelStructure> and what else follows."""
     text = f"{HEAD_2}{interfaces}<ModelVariables>{variables}</ModelVariables>{rest}{END}"
     return read(text, *files)
@@ -39,11 +39,11 @@ def fmi3(
     *,
     interfaces: str = BOTH,
     structural: dict[str, int] | None = None,
-) -> Description:
+) -> ModelDescription:
     """Describe an FMU of FMI 3; `rest` is the <ModelStructure> and what else follows."""
     text = f"{HEAD_3}{interfaces}<ModelVariables>{variables}</ModelVariables>{rest}{END}"
     return describe("x.fmu", packed(text), structural)
 
 
-def read(content: str | bytes, *files: str) -> Description:
+def read(content: str | bytes, *files: str) -> ModelDescription:
     return describe("x.fmu", packed(content, *files))

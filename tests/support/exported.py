@@ -21,7 +21,7 @@ from fmpy.fmi2 import (
 
 from cluster_est.export.fmu import archive_files
 from cluster_est.export.layout import lay_out
-from cluster_est.export.repair import Found, Repair
+from cluster_est.export.repair import EstimatedValue, RepairedModel
 from cluster_est.problem.problem import Parameter, Problem
 from workers.effects.definition import define
 from workers.fmu.description import describe_model
@@ -37,7 +37,7 @@ def repair_of(
     values: Sequence[float],
     effects: Sequence[Effect],
     coefficients: Sequence[float],
-) -> Repair:
+) -> RepairedModel:
     """What a run with these values would give."""
     description = describe_model(model)
     signals = tuple(given.variable for given in experiment.signals)
@@ -45,18 +45,18 @@ def repair_of(
     left, found, parameters = list(coefficients), [], []
     for definition in made:
         names = [f"{definition.effect.name}.{c.name}" for c in definition.form.coefficients]
-        own = tuple(Found(name, "", left.pop(0)) for name in names)
+        own = tuple(EstimatedValue(name, "", left.pop(0)) for name in names)
         found.append(own)
         parameters += [Parameter(f.name, f.value) for f in own]
     own_parameters = [Parameter(n, v) for n, v in zip(model.parameters, values, strict=True)]
     problem = Problem(model, (*own_parameters, *parameters), (experiment,), effects=tuple(effects))
-    known = tuple(Found(n, "", v) for n, v in zip(model.parameters, values, strict=True))
-    return Repair(
+    known = tuple(EstimatedValue(n, "", v) for n, v in zip(model.parameters, values, strict=True))
+    return RepairedModel(
         "test", problem, description, tuple(made), tuple(found), known, experiment.values, ()
     )
 
 
-def unpacked(repair: Repair, folder: Path) -> Path:
+def unpacked(repair: RepairedModel, folder: Path) -> Path:
     """The exported FMU as a folder."""
     for name, content in archive_files(lay_out(repair), COMPILER).items():
         path = folder / name

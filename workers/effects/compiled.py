@@ -14,14 +14,14 @@ from typing import Any
 
 import sympy as sp
 
-from workers.effects.definition import SIGNAL, TIME, Definition, variable_symbol
-from workers.effects.source import Assignment, compile_function
+from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
+from workers.effects.source import CAssignment, compile_function
 
 Places = dict[sp.Symbol, tuple[str, int]]
 
 
 @dataclass(frozen=True)
-class Inner:
+class InnerEffects:
     """What acts while a simulation runs.
 
     Attributes
@@ -42,13 +42,13 @@ class Inner:
 
 
 @dataclass(frozen=True)
-class Equations:
-    """What `Inner` is compiled from: also what an exported FMU prints as C.
+class CompiledEquations:
+    """What `InnerEffects` is compiled from: also what an exported FMU prints as C.
 
     Attributes
     ----------
     parameters
-        As in `Inner`.
+        As in `InnerEffects`.
     places
         Where each symbol stands: (array, index).
     begin, before, inside
@@ -57,21 +57,21 @@ class Equations:
 
     parameters: tuple[str, ...]
     places: Places
-    begin: tuple[Assignment, ...]
-    before: tuple[Assignment, ...]
-    inside: tuple[Assignment, ...]
+    begin: tuple[CAssignment, ...]
+    before: tuple[CAssignment, ...]
+    inside: tuple[CAssignment, ...]
 
 
 @lru_cache(maxsize=512)
 def compile_inner(
-    definitions: tuple[Definition, ...],
+    definitions: tuple[EffectDefinition, ...],
     positions: tuple[int, ...],
     states: tuple[str, ...],
     inputs: tuple[str, ...],
-) -> Inner:
+) -> InnerEffects:
     """Compile the effects at derivatives, inputs and parameters; arguments as of `equations`."""
     made = equations(definitions, positions, states, inputs)
-    return Inner(
+    return InnerEffects(
         parameters=made.parameters,
         own_states=len(made.begin),
         begin=_compile(READ, made.places, made.begin),
@@ -81,11 +81,11 @@ def compile_inner(
 
 
 def equations(
-    definitions: tuple[Definition, ...],
+    definitions: tuple[EffectDefinition, ...],
     positions: tuple[int, ...],
     states: tuple[str, ...],
     inputs: tuple[str, ...],
-) -> Equations:
+) -> CompiledEquations:
     """Lay the equations of effects at derivatives, inputs and parameters on arrays.
 
     Parameters
@@ -102,40 +102,40 @@ def equations(
         dict.fromkeys(d.site.target for d in definitions if d.site.kind == "parameter")
     )
     places = _places(definitions, positions, states, inputs, parameters)
-    chain = _Chain(inputs, parameters)
-    begin: list[Assignment] = []
-    inside: list[Assignment] = []
+    chain = _EffectChain(inputs, parameters)
+    begin: list[CAssignment] = []
+    inside: list[CAssignment] = []
     for definition in sorted(definitions, key=lambda d: d.site.at_rates):
         meaning = chain.meaning(definition)
         for symbol, start, slope in zip(
             definition.states, definition.starts, definition.derivatives, strict=True
         ):
             index = places[symbol][1]
-            begin.append(Assignment("states", index, start.xreplace(meaning)))
-            inside.append(Assignment("slopes", index, slope.xreplace(meaning)))
+            begin.append(CAssignment("states", index, start.xreplace(meaning)))
+            inside.append(CAssignment("slopes", index, slope.xreplace(meaning)))
         for target, equation in definition.parts:
             here = equation.xreplace(meaning)
             if definition.site.at_rates:
-                inside.append(Assignment("slopes", states.index(target), here, add=True))
+                inside.append(CAssignment("slopes", states.index(target), here, add=True))
             else:
                 chain.replace(definition, here)
-    before = [Assignment("edited", i, chain.inputs[n]) for i, n in enumerate(inputs)]
-    before += [Assignment("varied", i, chain.parameters[n]) for i, n in enumerate(parameters)]
+    before = [CAssignment("edited", i, chain.inputs[n]) for i, n in enumerate(inputs)]
+    before += [CAssignment("varied", i, chain.parameters[n]) for i, n in enumerate(parameters)]
     if all(d.site.at_rates for d in definitions):
         before = []
-    return Equations(parameters, places, tuple(begin), tuple(before), tuple(inside))
+    return CompiledEquations(parameters, places, tuple(begin), tuple(before), tuple(inside))
 
 
 READ = ("states", "raw", "coefficients", "base")
 """Arrays that every function reads: states, inputs as measured, coefficients, parameters."""
 
 
-def _compile(arrays: tuple[str, ...], places: Places, assignments: Sequence[Assignment]) -> Any:
+def _compile(arrays: tuple[str, ...], places: Places, assignments: Sequence[CAssignment]) -> Any:
     return compile_function(arrays, places, assignments, TIME) if assignments else None
 
 
 def _places(
-    definitions: Sequence[Definition],
+    definitions: Sequence[EffectDefinition],
     positions: Sequence[int],
     states: Sequence[str],
     inputs: Sequence[str],
@@ -155,24 +155,24 @@ def _places(
     return places
 
 
-class _Chain:
+class _EffectChain:
     """What reaches the FMU at each input and parameter after the effects so far."""
 
     def __init__(self, inputs: Sequence[str], parameters: Sequence[str]) -> None:
         self.inputs: dict[str, sp.Expr] = {name: variable_symbol(name) for name in inputs}
         self.parameters: dict[str, sp.Expr] = {name: _base(name) for name in parameters}
 
-    def meaning(self, definition: Definition) -> dict[sp.Symbol, sp.Expr]:
+    def meaning(self, definition: EffectDefinition) -> dict[sp.Symbol, sp.Expr]:
         """What the symbols of an effect's equations stand for at its site."""
         if definition.site.at_rates:
             return {variable_symbol(name): value for name, value in self.inputs.items()}
         return {SIGNAL: self._of(definition)[definition.site.target]}
 
-    def replace(self, definition: Definition, equation: sp.Expr) -> None:
+    def replace(self, definition: EffectDefinition, equation: sp.Expr) -> None:
         """Let an equation take the place of its signal, for the effects that follow."""
         self._of(definition)[definition.site.target] = equation
 
-    def _of(self, definition: Definition) -> dict[str, sp.Expr]:
+    def _of(self, definition: EffectDefinition) -> dict[str, sp.Expr]:
         return self.inputs if definition.site.kind == "input" else self.parameters
 
 

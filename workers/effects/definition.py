@@ -11,10 +11,10 @@ import numpy as np
 import sympy as sp
 
 from workers.effects.expression import parse
-from workers.effects.forms import Coefficient, Form, form, positive
-from workers.effects.site import Site, check_site, parse_site
+from workers.effects.forms import EffectForm, FormCoefficient, form, positive
+from workers.effects.site import EffectSite, check_site, parse_site
 from workers.errors import EffectError
-from workers.fmu.description import Description
+from workers.fmu.description import ModelDescription
 from workers.messages import Effect, FloatArray, Interface
 
 TIME, SIGNAL = sp.Symbol("t", real=True), sp.Symbol("s", real=True)
@@ -29,7 +29,7 @@ MOST_SUBSTEPS = 10_000
 
 
 @dataclass(frozen=True)
-class Definition:
+class EffectDefinition:
     """An effect with its equations.
 
     Attributes
@@ -48,8 +48,8 @@ class Definition:
     """
 
     effect: Effect
-    site: Site
-    form: Form
+    site: EffectSite
+    form: EffectForm
     parts: tuple[tuple[str, sp.Expr], ...]
     coefficients: tuple[sp.Symbol, ...]
     states: tuple[sp.Symbol, ...]
@@ -80,7 +80,7 @@ class Definition:
 
 
 @lru_cache(maxsize=512)
-def _rates(definition: Definition, names: tuple[str, ...]) -> Callable[..., list[FloatArray]]:
+def _rates(definition: EffectDefinition, names: tuple[str, ...]) -> Callable[..., list[FloatArray]]:
     """The rates of the own states, as a function of the coefficients and of variables by name."""
     symbols = (*definition.coefficients, *(variable_symbol(name) for name in names))
     known = known_rates(definition, names)
@@ -88,7 +88,7 @@ def _rates(definition: Definition, names: tuple[str, ...]) -> Callable[..., list
     return function
 
 
-def known_rates(definition: Definition, names: tuple[str, ...]) -> list[sp.Expr]:
+def known_rates(definition: EffectDefinition, names: tuple[str, ...]) -> list[sp.Expr]:
     """The rates of those own states that depend on nothing but coefficients and these variables."""
     symbols = {*definition.coefficients, *(variable_symbol(name) for name in names)}
     pairs = zip(definition.derivatives, definition.states, strict=True)
@@ -98,10 +98,10 @@ def known_rates(definition: Definition, names: tuple[str, ...]) -> list[sp.Expr]
 
 def define(
     effect: Effect,
-    description: Description,
+    description: ModelDescription,
     interface: Interface,
     signals: tuple[str, ...] = (),
-) -> Definition:
+) -> EffectDefinition:
     """Resolve an effect.
 
     Parameters
@@ -137,7 +137,7 @@ def define(
     derivatives = tuple(read(z.derivative) for z in chosen.states)
     starts = tuple(read(z.start) for z in chosen.states)
     used = set().union(*(e.free_symbols for e in (*dict(parts).values(), *derivatives, *starts)))
-    return Definition(
+    return EffectDefinition(
         effect=effect,
         site=site,
         form=chosen,
@@ -150,7 +150,7 @@ def define(
     )
 
 
-def coefficients(effect: Effect, where: str) -> tuple[Coefficient, ...]:
+def coefficients(effect: Effect, where: str) -> tuple[FormCoefficient, ...]:
     """The coefficients of an effect, without an FMU; `positive` is what holds at its site.
 
     Raises
@@ -164,7 +164,7 @@ def coefficients(effect: Effect, where: str) -> tuple[Coefficient, ...]:
     return tuple(replace(c, positive=positive(c, own=own)) for c in chosen.coefficients)
 
 
-def _chosen(effect: Effect, site: Site, where: str) -> Form:
+def _chosen(effect: Effect, site: EffectSite, where: str) -> EffectForm:
     """The form that an effect names, or the one that its own equation makes."""
     if not effect.equation:
         return form(site.kind, effect.form, where)
@@ -176,12 +176,12 @@ def _chosen(effect: Effect, site: Site, where: str) -> Form:
     return _own_form(effect, site)
 
 
-def _own_form(effect: Effect, site: Site) -> Form:
-    own = tuple(Coefficient(name, neutral) for name, neutral in effect.coefficients)
-    return Form("expression", "own", (site.kind,), effect.equation, own)
+def _own_form(effect: Effect, site: EffectSite) -> EffectForm:
+    own = tuple(FormCoefficient(name, neutral) for name, neutral in effect.coefficients)
+    return EffectForm("expression", "own", (site.kind,), effect.equation, own)
 
 
-def _variables(description: Description, site: Site, interface: Interface) -> list[str]:
+def _variables(description: ModelDescription, site: EffectSite, interface: Interface) -> list[str]:
     """What an equation at a site may depend on; states are seen in model exchange, or recorded."""
     names = [v.name for v in description.inputs()]
     if interface == "model_exchange" or site.kind == "output":
@@ -192,7 +192,11 @@ def _variables(description: Description, site: Site, interface: Interface) -> li
 
 
 def _placeholders(
-    effect: Effect, chosen: Form, site: Site, variables: Mapping[str, sp.Symbol], where: str
+    effect: Effect,
+    chosen: EffectForm,
+    site: EffectSite,
+    variables: Mapping[str, sp.Symbol],
+    where: str,
 ) -> dict[str, sp.Expr]:
     """`v` and `w` of a form, or every variable by its own name in an equation of the user's."""
     if effect.equation:

@@ -78,7 +78,7 @@ def parse(text: str, symbols: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         said = getattr(error, "msg", error)
         raise EffectError(f"{where}: must be an equation but {text!r} is not ({said})") from None
-    return sp.sympify(_Reader(symbols, where, text).read(tree.body))
+    return sp.sympify(_ExpressionReader(symbols, where, text).read(tree.body))
 
 
 def _power(base: Any, exponent: Any) -> Any:
@@ -96,7 +96,7 @@ def _dotted(node: ast.expr) -> str:
     return ""
 
 
-class _Reader:
+class _ExpressionReader:
     """Walks a syntax tree."""
 
     def __init__(self, symbols: Mapping[str, sp.Symbol], where: str, text: str) -> None:

@@ -11,11 +11,11 @@ A form of your own is one entry here, or an expression in a config.
 
 from __future__ import annotations
 
-from workers.effects.kinds import Coefficient, Form, OwnState, SiteKind, positive
+from workers.effects.kinds import EffectForm, FormCoefficient, OwnState, SiteKind, positive
 from workers.errors import EffectError
 from workers.fmu.description import nearest
 
-__all__ = ["FORMS", "Coefficient", "Form", "OwnState", "SiteKind", "form", "positive"]
+__all__ = ["FORMS", "EffectForm", "FormCoefficient", "OwnState", "SiteKind", "form", "positive"]
 
 _DER: tuple[SiteKind, ...] = ("derivative",)
 _PAIR: tuple[SiteKind, ...] = ("pair",)
@@ -25,48 +25,48 @@ _SIGNAL: tuple[SiteKind, ...] = ("input", "output")
 _PAR: tuple[SiteKind, ...] = ("parameter",)
 
 
-def _k(unit: str) -> Coefficient:
-    return Coefficient("k", unit=unit)
+def _k(unit: str) -> FormCoefficient:
+    return FormCoefficient("k", unit=unit)
 
 
-def _drag(unit: str, *, name: str = "k", if_own: bool = False) -> Coefficient:
+def _drag(unit: str, *, name: str = "k", if_own: bool = False) -> FormCoefficient:
     """A strength that takes energy out."""
-    return Coefficient(name, positive=True, if_own=if_own, unit=unit)
+    return FormCoefficient(name, positive=True, if_own=if_own, unit=unit)
 
 
-def _shape(name: str, unit: str, scale: str, *grid: float) -> Coefficient:
-    return Coefficient(name, None, positive=True, scale=scale, grid=grid, unit=unit)
+def _shape(name: str, unit: str, scale: str, *grid: float) -> FormCoefficient:
+    return FormCoefficient(name, None, positive=True, scale=scale, grid=grid, unit=unit)
 
 
-def _at(unit: str, scale: str, *grid: float, held: bool = False) -> Coefficient:
+def _at(unit: str, scale: str, *grid: float, held: bool = False) -> FormCoefficient:
     """A place, which may be negative."""
-    return Coefficient("at", None, scale=scale, grid=grid, held=held, unit=unit)
+    return FormCoefficient("at", None, scale=scale, grid=grid, held=held, unit=unit)
 
 
-def _centre(unit: str, scale: str) -> Coefficient:
+def _centre(unit: str, scale: str) -> FormCoefficient:
     """Where a parameter has its own value: a matter of words, so nothing to be fitted."""
     return _at(unit, scale, 1.0, held=True)
 
 
-def _limit(neutral: float, scale: str, *grid: float) -> Coefficient:
-    return Coefficient("limit", neutral, scale=scale, grid=grid, unit="site")
+def _limit(neutral: float, scale: str, *grid: float) -> FormCoefficient:
+    return FormCoefficient("limit", neutral, scale=scale, grid=grid, unit="site")
 
 
-def _tau(*steps: float) -> Coefficient:
+def _tau(*steps: float) -> FormCoefficient:
     return _shape("tau", "second", "step", *steps)
 
 
-_WIDTH = Coefficient(
+_WIDTH = FormCoefficient(
     "width", None, positive=True, scale="rms v", grid=(0.004, 0.0005), held=True, unit="v"
 )
 """Of a switch: as narrow as a solver can still step across."""
 _WAVE = (
-    Coefficient("a", unit="site"),
-    Coefficient("b", unit="site"),
+    FormCoefficient("a", unit="site"),
+    FormCoefficient("b", unit="site"),
     _shape("f", "rad / second", "spectrum", 1.0),
 )
 _BEYOND = _shape("at", "v", "max v", 0.35, 0.55, 0.75)
-_LATE = Coefficient("tau", positive=True, scale="step", grid=(1.0, 4.0, 12.0), unit="second")
+_LATE = FormCoefficient("tau", positive=True, scale="step", grid=(1.0, 4.0, 12.0), unit="second")
 _LAG = OwnState("z", "(v - z) / tau", "v")
 _RESTING = OwnState("z", "(v - z) / tau", "0")
 """A lag of something that was at rest before, like a further branch in an electrical model."""
@@ -79,9 +79,9 @@ _TABLE = " + ".join(
 )
 """Piecewise linear from low to high, constant outside; k1 to k7 are its values at equal steps."""
 _TABLE_COEFFICIENTS = (
-    *(Coefficient(f"k{i + 1}", unit="site") for i in range(_HATS)),
-    Coefficient("low", None, scale="low v", grid=(1.0,), held=True, unit="v"),
-    Coefficient("high", None, scale="high v", grid=(1.0,), held=True, unit="v"),
+    *(FormCoefficient(f"k{i + 1}", unit="site") for i in range(_HATS)),
+    FormCoefficient("low", None, scale="low v", grid=(1.0,), held=True, unit="v"),
+    FormCoefficient("high", None, scale="high v", grid=(1.0,), held=True, unit="v"),
 )
 
 
@@ -90,54 +90,56 @@ def _between(
     family: str,
     equation: str,
     unit: str,
-    *shapes: Coefficient,
+    *shapes: FormCoefficient,
     when: str = "oscillates",
     order: float = 0.0,
-) -> Form:
+) -> EffectForm:
     """A force between two states: what it takes from the first it gives to the second.
 
     Two strengths, because the FMU's states need not have the same inertia.
     """
     strengths = (_drag(f"site{unit}"), _drag(f"other{unit}", name="back"))
-    return Form(name, family, _PAIR, f"-k * {equation}", (*strengths, *shapes), 1,
+    return EffectForm(name, family, _PAIR, f"-k * {equation}", (*strengths, *shapes), 1,
                 reaction=f"back * {equation}", when=when, order=order)  # fmt: skip
 
 
 _RATES = (
     # loads
-    Form("constant", "load", _DER, "k", (_k("site"),)),
-    Form("drift", "load", _DER, "k * t", (_k("site / second"),)),
-    Form("sine", "load", _DER, "a * sin(f * t) + b * cos(f * t)", _WAVE),
+    EffectForm("constant", "load", _DER, "k", (_k("site"),)),
+    EffectForm("drift", "load", _DER, "k * t", (_k("site / second"),)),
+    EffectForm("sine", "load", _DER, "a * sin(f * t) + b * cos(f * t)", _WAVE),
     # friction and drag: they take energy out where v is a velocity
-    Form("viscous", "friction", _DER, "-k * v", (_drag("site / v"),), 1, when="own"),
-    Form("quadratic", "drag", _DER, "-k * v * abs(v)",
+    EffectForm("viscous", "friction", _DER, "-k * v", (_drag("site / v"),), 1, when="own"),
+    EffectForm("quadratic", "drag", _DER, "-k * v * abs(v)",
          (_drag("site / v^2", if_own=True),), 1, when="oscillates"),
-    Form("cubic", "drag", _DER, "-k * v^3", (_drag("site / v^3", if_own=True),), 1, order=0.5),
-    Form("coulomb", "friction", _DER, "-k * tanh(v / width)",
+    EffectForm("cubic", "drag", _DER, "-k * v^3", (_drag("site / v^3", if_own=True),), 1,
+         order=0.5),
+    EffectForm("coulomb", "friction", _DER, "-k * tanh(v / width)",
          (_drag("site"), _WIDTH), 1, when="own oscillates"),
-    Form("stribeck", "friction", _DER, "-(k + peak * exp(-(v / vs)^2)) * tanh(v / width)",
+    EffectForm("stribeck", "friction", _DER, "-(k + peak * exp(-(v / vs)^2)) * tanh(v / width)",
          (_drag("site"), _drag("site", name="peak"), _shape("vs", "v", "rms v", 0.1, 0.3), _WIDTH),
          1, when="own oscillates"),
-    Form("dahl", "friction", _DER, "-k * z",
+    EffectForm("dahl", "friction", _DER, "-k * z",
          (_drag("site"), _shape("x0", "travel", "travel v", 0.02, 0.1, 0.4)), 1, (_BRISTLE,),
          when="own oscillates"),
     # couplings and stiffness
-    Form("linear", "coupling", _DER, "k * v", (_k("site / v"),), 1, order=0.3),
-    Form("square", "stiffness", _DER, "k * v^2", (_k("site / v^2"),), 1, order=0.5),
-    Form("product", "coupling", _DER, "k * v * w", (_k("site / (v w)"),), 2, order=0.7),
-    Form("lagged", "coupling", _DER, "k * z", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1, (_LAG,),
+    EffectForm("linear", "coupling", _DER, "k * v", (_k("site / v"),), 1, order=0.3),
+    EffectForm("square", "stiffness", _DER, "k * v^2", (_k("site / v^2"),), 1, order=0.5),
+    EffectForm("product", "coupling", _DER, "k * v * w", (_k("site / (v w)"),), 2, order=0.7),
+    EffectForm("lagged", "coupling", _DER, "k * z", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1,
+         (_LAG,),
          when="driven", order=0.3),
-    Form("hinge", "end stop", _DER, "k * max(v - at, 0)",
+    EffectForm("hinge", "end stop", _DER, "k * max(v - at, 0)",
          (_k("site / v"), _at("v", "quantile v", 0.5, 0.6, 0.7, 0.8, 0.9)), 1, order=1.0),
-    Form("hinge_below", "end stop", _DER, "k * max(at - v, 0)",
+    EffectForm("hinge_below", "end stop", _DER, "k * max(at - v, 0)",
          (_k("site / v"), _at("v", "quantile v", 0.1, 0.2, 0.3, 0.4, 0.5)), 1, order=1.0),
-    Form("gap", "end stop", _DER, "-k * (max(v - at, 0) - max(-v - at, 0))",
+    EffectForm("gap", "end stop", _DER, "-k * (max(v - at, 0) - max(-v - at, 0))",
          (_drag("site / v"), _BEYOND), 1, when="oscillates"),
-    Form("square_root", "leak", _DER, "-k * sqrt(max(v, 0))", (_k("site / v^0.5"),), 1,
+    EffectForm("square_root", "leak", _DER, "-k * sqrt(max(v, 0))", (_k("site / v^0.5"),), 1,
          when="positive"),
-    Form("signed_root", "leak", _DER, "-k * sign(v) * sqrt(abs(v))",
+    EffectForm("signed_root", "leak", _DER, "-k * sign(v) * sqrt(abs(v))",
          (_drag("site / v^0.5", if_own=True),), 1, when="oscillates"),
-    Form("table", "table", _DER, _TABLE, _TABLE_COEFFICIENTS, 1, order=2.0),
+    EffectForm("table", "table", _DER, _TABLE, _TABLE_COEFFICIENTS, 1, order=2.0),
     # between two states
     _between("joint", "end stop", "max(min(v, at), -at)", " / v", _BEYOND),
     _between("gap", "end stop", "(max(v - at, 0) - max(-v - at, 0))", " / v", _BEYOND),
@@ -152,60 +154,63 @@ _RATES = (
 
 _SIGNALS = (
     # an input that is not what was commanded, a sensor that does not show what it should
-    Form("bias", "offset", _SIGNAL, "s + k", (_k("site"),)),
-    Form("drift", "offset", _SIGNAL, "s + k * t", (_k("site / second"),)),
-    Form("gain", "gain", _SIGNAL, "s * (1 + k)", (_k("1"),)),
-    Form("square", "nonlinearity", _SIGNAL, "s + k * s^2", (_k("1 / site"),), order=0.5),
-    Form("cubic", "nonlinearity", _IN, "s + k * s^3", (_k("1 / site^2"),), order=0.5),
-    Form("asymmetry", "nonlinearity", _IN, "s + k * max(s, 0)", (_k("1"),), when="oscillates"),
-    Form("dead_zone", "nonlinearity", _IN, "where(abs(s) > k, s - k * sign(s), 0)",
-         (Coefficient("k", positive=True, scale="max s", grid=(0.05, 0.12, 0.25), unit="site"),)),
-    Form("backlash", "nonlinearity", _IN, "s",
-         (Coefficient("k", positive=True, scale="max s", grid=(0.05, 0.12, 0.25), unit="site"),),
+    EffectForm("bias", "offset", _SIGNAL, "s + k", (_k("site"),)),
+    EffectForm("drift", "offset", _SIGNAL, "s + k * t", (_k("site / second"),)),
+    EffectForm("gain", "gain", _SIGNAL, "s * (1 + k)", (_k("1"),)),
+    EffectForm("square", "nonlinearity", _SIGNAL, "s + k * s^2", (_k("1 / site"),), order=0.5),
+    EffectForm("cubic", "nonlinearity", _IN, "s + k * s^3", (_k("1 / site^2"),), order=0.5),
+    EffectForm("asymmetry", "nonlinearity", _IN, "s + k * max(s, 0)", (_k("1"),),
+         when="oscillates"),
+    EffectForm("dead_zone", "nonlinearity", _IN, "where(abs(s) > k, s - k * sign(s), 0)",
+         (FormCoefficient("k", positive=True, scale="max s", grid=(0.05, 0.12, 0.25),
+                          unit="site"),)),
+    EffectForm("backlash", "nonlinearity", _IN, "s",
+         (FormCoefficient("k", positive=True, scale="max s", grid=(0.05, 0.12, 0.25),
+                          unit="site"),),
          memory="backlash"),
-    Form("saturation", "limit", _SIGNAL, "max(min(s, limit), -limit)",
-         (Coefficient("limit", float("inf"), positive=True, scale="max s",
+    EffectForm("saturation", "limit", _SIGNAL, "max(min(s, limit), -limit)",
+         (FormCoefficient("limit", float("inf"), positive=True, scale="max s",
                       grid=(0.95, 0.88, 0.8, 0.7, 0.6, 0.45, 0.3),
                       unit="site"),)),
-    Form("clip_above", "limit", _OUT, "min(s, limit)",
+    EffectForm("clip_above", "limit", _OUT, "min(s, limit)",
          (_limit(float("inf"), "range s", 0.95, 0.88, 0.8, 0.7, 0.55),)),
-    Form("clip_below", "limit", _OUT, "max(s, limit)",
+    EffectForm("clip_below", "limit", _OUT, "max(s, limit)",
          (_limit(float("-inf"), "range s", 0.05, 0.12, 0.2, 0.3, 0.45),)),
-    Form("product", "nonlinearity", _IN, "s + k * s * v", (_k("1 / v"),), 1, order=0.7),
-    Form("lag", "lag", _SIGNAL, "z", (_LATE,), 0, (OwnState("z", "(s - z) / tau", "s"),)),
-    Form("delay", "delay", _SIGNAL, "s", (_LATE,), memory="delay"),
-    Form("absolute", "nonlinearity", _OUT, "s + k * abs(s)", (_k("1"),), when="oscillates"),
-    Form("feed_through", "coupling", _OUT, "s + k * v", (_k("site / v"),), 1, order=0.3),
-    Form("lagged_feed_through", "coupling", _OUT, "s + k * z",
+    EffectForm("product", "nonlinearity", _IN, "s + k * s * v", (_k("1 / v"),), 1, order=0.7),
+    EffectForm("lag", "lag", _SIGNAL, "z", (_LATE,), 0, (OwnState("z", "(s - z) / tau", "s"),)),
+    EffectForm("delay", "delay", _SIGNAL, "s", (_LATE,), memory="delay"),
+    EffectForm("absolute", "nonlinearity", _OUT, "s + k * abs(s)", (_k("1"),), when="oscillates"),
+    EffectForm("feed_through", "coupling", _OUT, "s + k * v", (_k("site / v"),), 1, order=0.3),
+    EffectForm("lagged_feed_through", "coupling", _OUT, "s + k * z",
          (_k("site / v"), _tau(4.0, 15.0, 60.0)), 1, (_RESTING,), when="driven", order=0.3),
-    Form("hysteresis", "memory", _OUT, "s + k * z",
+    EffectForm("hysteresis", "memory", _OUT, "s + k * z",
          (_k("site"), _shape("x0", "travel", "travel v", 0.1, 0.4, 1.5)), 1, (_BRISTLE,),
          when="driven oscillates"),
-    Form("hum", "disturbance", _OUT, "s + a * sin(f * t) + b * cos(f * t)", _WAVE),
+    EffectForm("hum", "disturbance", _OUT, "s + a * sin(f * t) + b * cos(f * t)", _WAVE),
 )  # fmt: skip
 
 _VARIATIONS = (
     # a parameter that varies; centred, or it would hide behind the parameter itself
-    Form("drift", "variation", _PAR, "s * (1 + k * (t - at))",
+    EffectForm("drift", "variation", _PAR, "s * (1 + k * (t - at))",
          (_k("1 / second"), _centre("second", "middle t")), order=1.0),
-    Form("linear", "variation", _PAR, "s * (1 + k * (v - at))",
+    EffectForm("linear", "variation", _PAR, "s * (1 + k * (v - at))",
          (_k("1 / v"), _centre("v", "mean v")), 1, order=1.0),
-    Form("magnitude", "variation", _PAR, "s * (1 + k * (abs(v) - at))",
+    EffectForm("magnitude", "variation", _PAR, "s * (1 + k * (abs(v) - at))",
          (_k("1 / v"), _centre("v", "mean |v|")), 1, when="oscillates", order=1.0),
-    Form("square", "variation", _PAR, "s * (1 + k * (v^2 - at))",
+    EffectForm("square", "variation", _PAR, "s * (1 + k * (v^2 - at))",
          (_k("1 / v^2"), _centre("v^2", "mean v^2")), 1, order=1.0),
-    Form("heating", "variation", _PAR, "s * (1 + k * (z - at))",
+    EffectForm("heating", "variation", _PAR, "s * (1 + k * (z - at))",
          (_k("1 / v^2"), _centre("v^2", "mean v^2"), _tau(20.0, 80.0)), 1,
          (OwnState("z", "(v^2 - z) / tau", "0"),), order=1.0),
 )  # fmt: skip
 
-FORMS: dict[tuple[SiteKind, str], Form] = {
+FORMS: dict[tuple[SiteKind, str], EffectForm] = {
     (kind, f.name): f for f in (*_RATES, *_SIGNALS, *_VARIATIONS) for kind in f.kinds
 }
 """By kind of site and name."""
 
 
-def form(kind: SiteKind, name: str, where: str) -> Form:
+def form(kind: SiteKind, name: str, where: str) -> EffectForm:
     """Look up a form.
 
     Raises

@@ -9,7 +9,7 @@ SiteKind = Literal["derivative", "pair", "input", "output", "parameter"]
 
 
 @dataclass(frozen=True)
-class Coefficient:
+class FormCoefficient:
     """A parameter of a form.
 
     Attributes
@@ -60,7 +60,7 @@ class OwnState:
 
 
 @dataclass(frozen=True)
-class Form:
+class EffectForm:
     """One physically named effect.
 
     Attributes
@@ -96,7 +96,7 @@ class Form:
     family: str
     kinds: tuple[SiteKind, ...]
     equation: str
-    coefficients: tuple[Coefficient, ...]
+    coefficients: tuple[FormCoefficient, ...]
     variables: int = 0
     states: tuple[OwnState, ...] = ()
     reaction: str = ""
@@ -105,7 +105,7 @@ class Form:
     order: float = 0.0
 
 
-def positive(coefficient: Coefficient, *, own: bool) -> bool:
+def positive(coefficient: FormCoefficient, *, own: bool) -> bool:
     """Whether physics wants a coefficient positive.
 
     Parameters

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from workers.effects.definition import SIGNAL, TIME, Definition, variable_symbol
+from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
 from workers.effects.memory import MEMORIES
-from workers.effects.source import Assignment, compile_function
+from workers.effects.source import CAssignment, compile_function
 from workers.kernels.record import OutputHooks, OutputWorkspace, edit_record
 from workers.messages import FloatArray
-from workers.simulation.grid import Grid
+from workers.simulation.grid import SignalGrid
 
 READ = ("states", "record", "raw", "coefficients")
 
 
 @dataclass(frozen=True)
-class Compiled:
+class CompiledOutputEffect:
     """The functions of an effect at an output; they must be kept as long as they are called."""
 
     begin: Any
@@ -30,9 +30,9 @@ class Compiled:
 
 
 def act_on_record(
-    definition: Definition,
+    definition: EffectDefinition,
     coefficients: FloatArray,
-    grid: Grid,
+    grid: SignalGrid,
     record: FloatArray,
     recorded: tuple[str, ...],
     inputs: tuple[str, ...],
@@ -76,8 +76,8 @@ def act_on_record(
 
 @lru_cache(maxsize=512)
 def _compile(
-    definition: Definition, recorded: tuple[str, ...], inputs: tuple[str, ...]
-) -> Compiled:
+    definition: EffectDefinition, recorded: tuple[str, ...], inputs: tuple[str, ...]
+) -> CompiledOutputEffect:
     places: dict[sp.Symbol, tuple[str, int]] = {
         variable_symbol(name): ("raw", i) for i, name in enumerate(inputs)
     }
@@ -85,11 +85,11 @@ def _compile(
     places[SIGNAL] = ("record", recorded.index(definition.site.target))
     places |= {s: ("coefficients", i) for i, s in enumerate(definition.coefficients)}
     places |= {s: ("states", i) for i, s in enumerate(definition.states)}
-    begin = [Assignment("states", i, e) for i, e in enumerate(definition.starts)]
-    inside = [Assignment("slopes", i, e) for i, e in enumerate(definition.derivatives)]
-    after = [Assignment("result", 0, equation) for _, equation in definition.parts]
+    begin = [CAssignment("states", i, e) for i, e in enumerate(definition.starts)]
+    inside = [CAssignment("slopes", i, e) for i, e in enumerate(definition.derivatives)]
+    after = [CAssignment("result", 0, equation) for _, equation in definition.parts]
     own = bool(definition.states)
-    return Compiled(
+    return CompiledOutputEffect(
         begin=compile_function(READ, places, begin, TIME) if own else None,
         inside=compile_function((*READ, "slopes"), places, inside, TIME) if own else None,
         after=compile_function((*READ, "result"), places, after, TIME),

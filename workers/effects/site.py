@@ -8,7 +8,7 @@ from itertools import combinations
 
 from workers.effects.kinds import SiteKind
 from workers.errors import EffectError
-from workers.fmu.description import Description, nearest
+from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Interface
 
 _PATTERNS: dict[SiteKind, str] = {
@@ -23,7 +23,7 @@ _COMMA = re.compile(r",(?![^\[]*\])")
 
 
 @dataclass(frozen=True)
-class Site:
+class EffectSite:
     """A state derivative, two of them, an input, an output or a parameter, by the FMU's names.
 
     `other` is the second state of a pair.
@@ -48,7 +48,7 @@ class Site:
         return self.kind in ("derivative", "pair")
 
 
-def parse_site(text: str, where: str) -> Site:
+def parse_site(text: str, where: str) -> EffectSite:
     """Read "der(v)", "pair v,w", "input F", "output y" or "parameter k".
 
     Raises
@@ -59,11 +59,11 @@ def parse_site(text: str, where: str) -> Site:
     for kind, pattern in _PATTERNS.items():
         found = re.fullmatch(pattern, text.strip())
         if found and kind != "pair":
-            return Site(kind, found.group(1).strip())
+            return EffectSite(kind, found.group(1).strip())
         if found:
             names = [name.strip() for name in _COMMA.split(found.group(1))]
             if len(names) == 2 and all(names) and names[0] != names[1]:
-                return Site(kind, *names)
+                return EffectSite(kind, *names)
             raise EffectError(
                 f'{where}: must be "pair STATE,STATE" with two different states but is {text!r}'
             )
@@ -73,18 +73,18 @@ def parse_site(text: str, where: str) -> Site:
     )
 
 
-def open_sites(description: Description, interface: Interface) -> list[Site]:
+def open_sites(description: ModelDescription, interface: Interface) -> list[EffectSite]:
     """Every site that an FMU offers: a co-simulation FMU keeps its state derivatives to itself."""
     variables = [v for v in description.variables.values() if v.alias_of is None]
     exchange = interface == "model_exchange"
-    sites = [Site("derivative", name) for name in description.states] if exchange else []
-    sites += [Site("input", v.name) for v in variables if v.causality == "input"]
-    sites += [Site("output", v.name) for v in variables if v.causality == "output"]
-    sites += [Site("parameter", v.name) for v in variables if v.tunable]
+    sites = [EffectSite("derivative", name) for name in description.states] if exchange else []
+    sites += [EffectSite("input", v.name) for v in variables if v.causality == "input"]
+    sites += [EffectSite("output", v.name) for v in variables if v.causality == "output"]
+    sites += [EffectSite("parameter", v.name) for v in variables if v.tunable]
     return sites
 
 
-def open_pairs(description: Description, interface: Interface) -> list[Site]:
+def open_pairs(description: ModelDescription, interface: Interface) -> list[EffectSite]:
     """Every two states between which a force can be: those with one unit, like two velocities.
 
     An effect at a pair may name any two states; these are the ones that a search should try.
@@ -92,13 +92,15 @@ def open_pairs(description: Description, interface: Interface) -> list[Site]:
     if interface == "co_simulation":
         return []
     return [
-        Site("pair", a, b)
+        EffectSite("pair", a, b)
         for a, b in combinations(description.states, 2)
         if description.variables[a].unit == description.variables[b].unit
     ]
 
 
-def check_site(site: Site, description: Description, interface: Interface, where: str) -> None:
+def check_site(
+    site: EffectSite, description: ModelDescription, interface: Interface, where: str
+) -> None:
     """Refuse a site that the FMU does not offer.
 
     Raises
@@ -107,7 +109,7 @@ def check_site(site: Site, description: Description, interface: Interface, where
         With the sites of that kind that it does offer.
     """
     offered = open_sites(description, interface)
-    parts = [Site("derivative", s) for s in site.targets] if site.kind == "pair" else [site]
+    parts = [EffectSite("derivative", s) for s in site.targets] if site.kind == "pair" else [site]
     missing = [part for part in parts if part not in offered]
     if not missing:
         return

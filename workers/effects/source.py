@@ -13,7 +13,7 @@ from sympy.printing.pycode import pycode
 
 
 @dataclass(frozen=True)
-class Assignment:
+class CAssignment:
     """`target[index] = value`, or `+=`."""
 
     target: str
@@ -25,7 +25,7 @@ class Assignment:
 def compile_function(
     arrays: Sequence[str],
     places: Mapping[sp.Symbol, tuple[str, int]],
-    assignments: Sequence[Assignment],
+    assignments: Sequence[CAssignment],
     time: sp.Symbol,
 ) -> Any:
     """Compile assignments to a C function ``int f(double t, double *a, double *b, ...)``.
@@ -56,7 +56,7 @@ def compile_function(
 def _source(
     arrays: Sequence[str],
     places: Mapping[sp.Symbol, tuple[str, int]],
-    assignments: Sequence[Assignment],
+    assignments: Sequence[CAssignment],
     time: sp.Symbol,
 ) -> str:
     """The function as Python text, common parts computed once."""

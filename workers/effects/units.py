@@ -5,14 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from workers.effects.definition import Definition, split_variable
-from workers.fmu.description import Description
+from workers.effects.definition import EffectDefinition, split_variable
+from workers.fmu.description import ModelDescription
 
 UNKNOWN = "?"
 _WORD = re.compile(r"(site|other|travel|second|v|w|s)(\^[\d.]+)?")
 
 
-def coefficient_units(definition: Definition, description: Description) -> tuple[str, ...]:
+def coefficient_units(
+    definition: EffectDefinition, description: ModelDescription
+) -> tuple[str, ...]:
     """The unit of each coefficient of an effect, such as "N/(m/s)^2".
 
     A form says them in these words: `site` is what its equation gives (at the derivative of a state
@@ -25,7 +27,7 @@ def coefficient_units(definition: Definition, description: Description) -> tuple
     return tuple(_fill(c.unit, units) for c in definition.form.coefficients)
 
 
-def _units(definition: Definition, description: Description) -> dict[str, str]:
+def _units(definition: EffectDefinition, description: ModelDescription) -> dict[str, str]:
     def unit(name: str = "") -> str:
         known = description.variables.get(name)
         return (known.unit if known is not None else "") or UNKNOWN

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from workers.fmu.variable import Variable
-from workers.kernels.fmi.values import TYPES, Access
+from workers.fmu.variable import ModelVariable
+from workers.kernels.fmi.values import TYPES, VariableAccess
 
 _CALLED = {"Enumeration": "Int64"}
 """Types whose values are got and set as those of another one."""
 
 
 def access(
-    variables: Sequence[Variable | None], bases: Callable[[Variable], Sequence[float]]
-) -> Access:
+    variables: Sequence[ModelVariable | None], bases: Callable[[ModelVariable], Sequence[float]]
+) -> VariableAccess:
     """Lay a row of numbers on the FMU's variables.
 
     Parameters
@@ -31,7 +31,7 @@ def access(
         if variable is None or variable.type != "Float64" or variable.size > 1:
             break
         plain += 1
-    whole: list[_Whole] = []
+    whole: list[_ArrayAccess] = []
     for column, variable in enumerate(variables[plain:], plain):
         if variable is not None:
             _place(variable, column, whole)
@@ -42,22 +42,22 @@ def access(
             each.columns, np.array(bases(each.variable), np.float64).view(np.int64), strict=True
         )
     ]
-    return Access(
+    return VariableAccess(
         reals=np.array([v.reference for v in variables[:plain] if v is not None], np.uint32),
         elements=np.array(elements, np.int64).reshape(-1, 5),
     )
 
 
 @dataclass(frozen=True)
-class _Whole:
+class _ArrayAccess:
     """A variable that has a call of its own, and the column of each of its elements, or -1."""
 
     code: int
-    variable: Variable
+    variable: ModelVariable
     columns: list[int]
 
 
-def _place(variable: Variable, column: int, whole: list[_Whole]) -> None:
+def _place(variable: ModelVariable, column: int, whole: list[_ArrayAccess]) -> None:
     """Find the variable's place, or make one; a second name of the same value has its own."""
     code = TYPES.index(_CALLED.get(variable.type, variable.type))
     for each in whole:
@@ -67,4 +67,4 @@ def _place(variable: Variable, column: int, whole: list[_Whole]) -> None:
             return
     columns = [-1] * variable.size
     columns[variable.element] = column
-    whole.append(_Whole(code, variable, columns))
+    whole.append(_ArrayAccess(code, variable, columns))

@@ -9,14 +9,14 @@ from itertools import product
 from xml.etree.ElementTree import Element
 
 from workers.fmu.elements import RawVariable
-from workers.fmu.variable import Variable
-from workers.fmu.xml import Notes, flag, number, whole
+from workers.fmu.variable import ModelVariable
+from workers.fmu.xml import ReadingNotes, flag, number, whole
 
 MAX_ELEMENTS = 1_000_000
 """Elements of all arrays together. What is beyond has no names."""
 
 
-class Sizes:
+class ArraySizes:
     """The dimensions of arrays, which may be numbers or structural parameters."""
 
     def __init__(self, raws: list[RawVariable], structural: Mapping[str, int]) -> None:
@@ -28,7 +28,7 @@ class Sizes:
             if given is not None:
                 self._known.setdefault(raw.reference, given)
 
-    def shape(self, raw: RawVariable, notes: Notes) -> tuple[int, ...] | None:
+    def shape(self, raw: RawVariable, notes: ReadingNotes) -> tuple[int, ...] | None:
         """Its shape, () for a scalar; None, with a note, for an array that must be left out."""
         sizes: list[int] = []
         for dimension in raw.own.findall("Dimension"):
@@ -54,8 +54,8 @@ def _reference(element: Element) -> int:
 
 
 def elements_of(
-    raw: RawVariable, scalar: Variable, shape: tuple[int, ...], notes: Notes
-) -> tuple[Variable, ...]:
+    raw: RawVariable, scalar: ModelVariable, shape: tuple[int, ...], notes: ReadingNotes
+) -> tuple[ModelVariable, ...]:
     """One variable for each element, with its start value."""
     texts = [] if scalar.kind in ("string", "binary", "clock") else _starts(raw, shape)
     starts: list[float | None] = [_start(text, scalar, notes) for text in texts]
@@ -87,13 +87,13 @@ def _starts(raw: RawVariable, shape: tuple[int, ...]) -> list[str]:
     return text.split() if shape else [text]
 
 
-def _start(text: str, scalar: Variable, notes: Notes) -> float | None:
+def _start(text: str, scalar: ModelVariable, notes: ReadingNotes) -> float | None:
     if scalar.kind == "boolean" and text.strip().lower() in ("true", "false"):
         return float(flag(text))
     return number(text, notes, "start", scalar.name)
 
 
-def renamed(elements: tuple[Variable, ...], name: str) -> list[Variable]:
+def renamed(elements: tuple[ModelVariable, ...], name: str) -> list[ModelVariable]:
     return [
         replace(v, name=name + v.name[v.name.rindex("[") :] if v.shape else name, alias_of=v.name)
         for v in elements

@@ -30,7 +30,7 @@ _REFUSAL = re.compile(
 
 
 @dataclass(frozen=True)
-class _Elf:
+class _ElfLibrary:
     """What a library says about itself."""
 
     machine: str
@@ -119,14 +119,14 @@ def _listed(names: tuple[str, ...] | list[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def _read(path: Path) -> _Elf | None:
+def _read(path: Path) -> _ElfLibrary | None:
     try:
         return _parse(path.read_bytes())
     except (OSError, struct.error, ValueError, IndexError, OverflowError):  # damaged in any way
         return None
 
 
-def _parse(data: bytes) -> _Elf | None:
+def _parse(data: bytes) -> _ElfLibrary | None:
     if data[:4] != b"\x7fELF" or data[4] not in (1, 2) or data[5] not in (1, 2):
         return None
     wide, order = data[4] == 2, "<" if data[5] == 1 else ">"
@@ -143,7 +143,7 @@ def _parse(data: bytes) -> _Elf | None:
         return [data[s : data.index(0, s)].decode(errors="replace") for s in starts]
 
     folders = [f for text in texts(_RPATH, _RUNPATH) for f in text.split(":") if f]
-    return _Elf(
+    return _ElfLibrary(
         machine=_MACHINES.get(machine, f"other ({machine})"),
         needed=tuple(texts(_NEEDED)),
         folders=tuple(folders),
@@ -183,7 +183,7 @@ def _offset(address: int, loads: list[_Segment]) -> int:
     raise ValueError("an address that is in no segment")
 
 
-def _beside(path: Path, elf: _Elf, name: str) -> Path | None:
+def _beside(path: Path, elf: _ElfLibrary, name: str) -> Path | None:
     """The library, where the one that needs it says to look."""
     if "/" in name:
         return Path(name) if Path(name).is_file() else None

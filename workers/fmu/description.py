@@ -12,17 +12,17 @@ from xml.etree.ElementTree import Element
 from workers.errors import ModelError
 from workers.fmu.archive import DAMAGED, open_archive
 from workers.fmu.elements import Version
-from workers.fmu.interfaces import Offer, read_offers
+from workers.fmu.interfaces import InterfaceOffer, read_offers
 from workers.fmu.model_variables import read_variables
 from workers.fmu.platforms import platforms_in, why_not_here
-from workers.fmu.structure import Dependency, read_structure
-from workers.fmu.variable import Variable
-from workers.fmu.xml import XML, Notes, first_line, flag, number, parse
+from workers.fmu.structure import VariableDependency, read_structure
+from workers.fmu.variable import ModelVariable
+from workers.fmu.xml import XML, ReadingNotes, first_line, flag, number, parse
 from workers.messages import Interface, Model
 
 
 @dataclass(frozen=True)
-class Description:
+class ModelDescription:
     """What an FMU says about itself.
 
     Attributes
@@ -64,12 +64,12 @@ class Description:
     version: Version
     guid: str
     tool: str
-    offers: tuple[Offer, ...]
-    variables: dict[str, Variable]
+    offers: tuple[InterfaceOffer, ...]
+    variables: dict[str, ModelVariable]
     states: tuple[str, ...]
     event_indicators: int
     outputs: tuple[str, ...]
-    dependencies: tuple[Dependency, ...]
+    dependencies: tuple[VariableDependency, ...]
     files: tuple[str, ...]
     interpolates_inputs: bool
     variable_steps: bool
@@ -96,11 +96,11 @@ class Description:
     def has_sources(self) -> bool:
         return any(name.startswith("sources/") and name.endswith(".c") for name in self.files)
 
-    def offer(self, interface: Interface) -> Offer:
+    def offer(self, interface: Interface) -> InterfaceOffer:
         """What it can do with one of its interfaces."""
         return next(offer for offer in self.offers if offer.interface == interface)
 
-    def variable(self, name: str, where: str) -> Variable:
+    def variable(self, name: str, where: str) -> ModelVariable:
         """Look up a variable; `where` opens the message if there is none of that name."""
         if name not in self.variables:
             first = next((n for n in self.variables if n.startswith(f"{name}[")), None)
@@ -110,7 +110,7 @@ class Description:
             raise ModelError(f"{where}: {self.file} has no variable {name!r}{ending}")
         return self.variables[name]
 
-    def inputs(self) -> list[Variable]:
+    def inputs(self) -> list[ModelVariable]:
         """The inputs, without further names of the same."""
         inputs = (v for v in self.variables.values() if v.causality == "input")
         return [v for v in inputs if v.alias_of is None]
@@ -142,7 +142,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"; it has {listed}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")
 
 
-def describe(file: str, archive: bytes, structural: Mapping[str, int] | None = None) -> Description:
+def describe(
+    file: str, archive: bytes, structural: Mapping[str, int] | None = None
+) -> ModelDescription:
     """Read the model description of an FMU.
 
     Harmless faults are read around and noted in `Description.warnings`.
@@ -159,7 +161,7 @@ def describe(file: str, archive: bytes, structural: Mapping[str, int] | None = N
         If the archive or its model description cannot be read or used, or is of another FMI
         version, or has no such structural parameter.
     """
-    notes = Notes(file)
+    notes = ReadingNotes(file)
     with open_archive(file, archive) as opened:
         names = opened.namelist()
         root = parse(file, _content(file, opened), notes)
@@ -176,7 +178,7 @@ def describe(file: str, archive: bytes, structural: Mapping[str, int] | None = N
     else:
         completes_steps = flag(exchange.get("needsCompletedIntegratorStep"))
     offered = [offer.interface for offer in offers]
-    return Description(
+    return ModelDescription(
         file=file,
         version=version,
         guid=_guid(root, version, file),
@@ -203,7 +205,7 @@ def describe(file: str, archive: bytes, structural: Mapping[str, int] | None = N
     )
 
 
-def describe_model(model: Model) -> Description:
+def describe_model(model: Model) -> ModelDescription:
     """The same for what a worker is sent."""
     return describe(model.name, model.archive, dict(model.structure))
 
@@ -222,7 +224,7 @@ def _content(file: str, opened: zipfile.ZipFile) -> bytes:
         ) from error
 
 
-def _version(root: Element, notes: Notes) -> Version:
+def _version(root: Element, notes: ReadingNotes) -> Version:
     if root.tag != "fmiModelDescription":
         raise ModelError(
             f"{notes.file}: its {XML} must describe a model, as <fmiModelDescription>, but "
@@ -243,7 +245,7 @@ def _version(root: Element, notes: Notes) -> Version:
 
 
 def _check_structural(
-    file: str, variables: Mapping[str, Variable], structural: Mapping[str, int]
+    file: str, variables: Mapping[str, ModelVariable], structural: Mapping[str, int]
 ) -> None:
     known = [v.name for v in variables.values() if v.causality == "structuralParameter"]
     for name, value in structural.items():
@@ -269,5 +271,5 @@ def _section(root: Element, tag: str) -> Element:
     return Element(tag) if found is None else found
 
 
-def _setting(element: Element, key: str, notes: Notes) -> float | None:
+def _setting(element: Element, key: str, notes: ReadingNotes) -> float | None:
     return number(element.get(key), notes, key, element.tag)

@@ -7,7 +7,7 @@ from typing import Literal
 from xml.etree.ElementTree import Element
 
 from workers.fmu.variable import KINDS, Type
-from workers.fmu.xml import Notes, whole
+from workers.fmu.xml import ReadingNotes, whole
 
 Version = Literal["2.0", "3.0"]
 
@@ -38,7 +38,7 @@ class RawVariable:
     reference: int
 
 
-def raw_variables(root: Element, version: Version, notes: Notes) -> list[RawVariable]:
+def raw_variables(root: Element, version: Version, notes: ReadingNotes) -> list[RawVariable]:
     """The variables that can be called; in FMI 2, the others still count for positions."""
     section = root.find("ModelVariables")
     types = TYPES[version]

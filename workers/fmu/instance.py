@@ -21,9 +21,9 @@ from fmpy.fmi3 import FMU3Model, FMU3Slave
 from workers.errors import ModelError
 from workers.fmu.archive import unpack
 from workers.fmu.binary_dependencies import about_licence, why_not_loaded
-from workers.fmu.description import Description
+from workers.fmu.description import ModelDescription
 from workers.fmu.platforms import binary_path
-from workers.kernels.fmi.component import Component, nothing_loaded
+from workers.kernels.fmi.component import FmiComponent, nothing_loaded
 from workers.kernels.fmi.values import TYPES
 from workers.messages import Model
 
@@ -92,7 +92,7 @@ def instances() -> int:
     return _made
 
 
-class Instance:
+class FmuInstance:
     """An instance of an FMU, ready to be reset and simulated again and again.
 
     Parameters
@@ -106,7 +106,7 @@ class Instance:
         If there is no binary for this platform, or it cannot be loaded or instantiated.
     """
 
-    def __init__(self, model: Model, description: Description) -> None:
+    def __init__(self, model: Model, description: ModelDescription) -> None:
         self._model = model
         self._description = description
         description.check_platform(model.interface)
@@ -116,7 +116,7 @@ class Instance:
         self._fmu = self._load()
         self.component = self._addresses()
 
-    def fresh(self) -> Component:
+    def fresh(self) -> FmiComponent:
         """Give an instance that nothing has been simulated with, and that needs no reset.
 
         Raises
@@ -218,7 +218,7 @@ class Instance:
             advice = "Get the licence that it asks for, or export it without the need of one"
         return f"{self._model.name}: cannot be loaded and instantiated ({error}).{said} {advice}"
 
-    def _addresses(self) -> Component:
+    def _addresses(self) -> FmiComponent:
         description, exchange = self._description, self._model.interface == "model_exchange"
         version = 2 if description.version == "2.0" else 3
         used = _ALWAYS | (_IN_2 if version == 2 else _IN_3)
@@ -282,7 +282,7 @@ class Instance:
         return 0 if function is None else ctypes.cast(function, c_void_p).value or 0
 
 
-def _is_eventful(description: Description) -> bool:
+def _is_eventful(description: ModelDescription) -> bool:
     """Whether an input that jumps may be an event for the FMU."""
     if description.event_indicators > 0:
         return True

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 from workers.errors import ModelError
-from workers.fmu.xml import XML, Notes, flag
+from workers.fmu.xml import XML, ReadingNotes, flag
 from workers.messages import Interface
 
 _INTERFACES: dict[str, Interface] = {
@@ -17,7 +17,7 @@ _SAID = {"ModelExchange": "model exchange", "CoSimulation": "co-simulation"}
 
 
 @dataclass(frozen=True)
-class Offer:
+class InterfaceOffer:
     """One of the interfaces that an FMU offers, and what it can do there.
 
     Attributes
@@ -34,7 +34,7 @@ class Offer:
     provides_directional_derivatives: bool
 
 
-def read_offers(root: Element, fault: str, notes: Notes) -> tuple[Offer, ...]:
+def read_offers(root: Element, fault: str, notes: ReadingNotes) -> tuple[InterfaceOffer, ...]:
     """Read the interfaces, model exchange first. One that cannot be used is left out, with a note.
 
     `fault` is why model exchange cannot be used, "" if it can.
@@ -81,11 +81,11 @@ def read_offers(root: Element, fault: str, notes: Notes) -> tuple[Offer, ...]:
     return tuple(found)
 
 
-def _offer(interface: Interface, element: Element, identifier: str) -> Offer:
+def _offer(interface: Interface, element: Element, identifier: str) -> InterfaceOffer:
     def can(*keys: str) -> bool:
         return any(flag(element.get(key)) for key in keys)
 
-    return Offer(
+    return InterfaceOffer(
         interface=interface,
         identifier=identifier,
         needs_execution_tool=can("needsExecutionTool"),

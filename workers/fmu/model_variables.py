@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element
 
-from workers.fmu.arrays import Sizes, elements_of, renamed
+from workers.fmu.arrays import ArraySizes, elements_of, renamed
 from workers.fmu.elements import (
     NOTHING,
     TYPES,
@@ -15,8 +15,8 @@ from workers.fmu.elements import (
     declared_types,
     raw_variables,
 )
-from workers.fmu.variable import KINDS, Kind, Variable
-from workers.fmu.xml import Notes, number, whole
+from workers.fmu.variable import KINDS, Kind, ModelVariable
+from workers.fmu.xml import ReadingNotes, number, whole
 
 _CAUSALITIES = (
     "parameter", "calculatedParameter", "input", "output", "local", "independent",
@@ -27,7 +27,7 @@ _INITIALS = ("exact", "approx", "calculated")
 
 
 @dataclass(frozen=True)
-class Declared:
+class DeclaredVariables:
     """All variables, and which of them a number in the description stands for.
 
     Attributes
@@ -38,13 +38,13 @@ class Declared:
         Position of a variable (FMI 2, from 1) or value reference (FMI 3) -> names of its elements.
     """
 
-    variables: dict[str, Variable]
+    variables: dict[str, ModelVariable]
     behind: dict[int, tuple[str, ...]]
 
 
 def read_variables(
-    root: Element, version: Version, structural: Mapping[str, int], notes: Notes
-) -> Declared:
+    root: Element, version: Version, structural: Mapping[str, int], notes: ReadingNotes
+) -> DeclaredVariables:
     """Read all variables; those without a name, a type or a value reference are left out.
 
     Parameters
@@ -56,8 +56,8 @@ def read_variables(
     """
     raws = raw_variables(root, version, notes)
     types = declared_types(root, version)
-    sizes = Sizes(raws, structural)
-    found: dict[str, Variable] = {}
+    sizes = ArraySizes(raws, structural)
+    found: dict[str, ModelVariable] = {}
     behind: dict[int, tuple[str, ...]] = {}
     for raw in raws:
         scalar = _scalar(raw, version, types, notes)
@@ -72,12 +72,12 @@ def read_variables(
                 notes.add("names that are there twice mean the first variable", variable.name)
     _add_derivatives(raws, found, behind, notes)
     _add_aliases(found, version)
-    return Declared(found, behind)
+    return DeclaredVariables(found, behind)
 
 
 def _scalar(
-    raw: RawVariable, version: Version, types: Mapping[str, Element], notes: Notes
-) -> Variable:
+    raw: RawVariable, version: Version, types: Mapping[str, Element], notes: ReadingNotes
+) -> ModelVariable:
     """The variable as if it were no array and without a start value."""
     own, value, name = raw.own, raw.value, raw.name
     kind = KINDS[TYPES[version][raw.tag]]
@@ -101,7 +101,7 @@ def _scalar(
     nominal = limit("nominal")
     if attribute("nominal") is not None and not nominal:
         notes.add("a nominal value that is 0 or no number counts as 1", name)
-    return Variable(
+    return ModelVariable(
         name=name,
         reference=raw.reference,
         kind=kind,
@@ -118,7 +118,7 @@ def _scalar(
     )
 
 
-def _one_of(own: Element, key: str, known: tuple[str, ...], notes: Notes) -> str | None:
+def _one_of(own: Element, key: str, known: tuple[str, ...], notes: ReadingNotes) -> str | None:
     text = own.get(key)
     if text is None or text in known:
         return text
@@ -126,7 +126,7 @@ def _one_of(own: Element, key: str, known: tuple[str, ...], notes: Notes) -> str
     return None
 
 
-def _variability(own: Element, causality: str, kind: Kind, notes: Notes) -> str:
+def _variability(own: Element, causality: str, kind: Kind, notes: ReadingNotes) -> str:
     text = _one_of(own, "variability", _VARIABILITIES, notes)
     if text is not None:
         return text
@@ -135,7 +135,9 @@ def _variability(own: Element, causality: str, kind: Kind, notes: Notes) -> str:
     return "continuous" if kind == "real" else "discrete"
 
 
-def _settable(own: Element, value: Element, causality: str, variability: str, notes: Notes) -> bool:
+def _settable(
+    own: Element, value: Element, causality: str, variability: str, notes: ReadingNotes
+) -> bool:
     """Whether FMI allows a start value to be set before initialisation."""
     initial = _one_of(own, "initial", _INITIALS, notes)
     if variability == "constant" or causality in ("calculatedParameter", "independent"):
@@ -147,9 +149,9 @@ def _settable(own: Element, value: Element, causality: str, variability: str, no
 
 def _add_derivatives(
     raws: list[RawVariable],
-    found: dict[str, Variable],
+    found: dict[str, ModelVariable],
     behind: Mapping[int, tuple[str, ...]],
-    notes: Notes,
+    notes: ReadingNotes,
 ) -> None:
     for raw in raws:
         text = raw.value.get("derivative")
@@ -165,7 +167,7 @@ def _add_derivatives(
             found[rate] = replace(found[rate], derivative_of=state)
 
 
-def _add_aliases(found: dict[str, Variable], version: Version) -> None:
+def _add_aliases(found: dict[str, ModelVariable], version: Version) -> None:
     """Names that share a value. FMI 2 counts references for each type on its own."""
     sharing: dict[tuple[str, int, int], list[str]] = {}
     for v in found.values():

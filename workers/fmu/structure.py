@@ -8,12 +8,12 @@ from typing import Literal
 from xml.etree.ElementTree import Element
 
 from workers.fmu.elements import Version
-from workers.fmu.model_variables import Declared
-from workers.fmu.xml import Notes, whole
+from workers.fmu.model_variables import DeclaredVariables
+from workers.fmu.xml import ReadingNotes, whole
 
 
 @dataclass(frozen=True)
-class Dependency:
+class VariableDependency:
     """What an output or a state derivative depends on, as the FMU declares it.
 
     Attributes
@@ -30,7 +30,7 @@ class Dependency:
 
 
 @dataclass(frozen=True)
-class Structure:
+class ModelStructure:
     """How the variables hang together.
 
     Attributes
@@ -48,12 +48,12 @@ class Structure:
     states: tuple[str, ...]
     event_indicators: int
     outputs: tuple[str, ...]
-    dependencies: tuple[Dependency, ...]
+    dependencies: tuple[VariableDependency, ...]
     fault: str
 
 
 @dataclass(frozen=True)
-class _Unknown:
+class _StructureUnknown:
     element: Element
     names: tuple[str, ...] | None
     """None if it names no variable."""
@@ -68,14 +68,16 @@ _PLACES = {
 }
 
 
-def read_structure(root: Element, version: Version, declared: Declared, notes: Notes) -> Structure:
+def read_structure(
+    root: Element, version: Version, declared: DeclaredVariables, notes: ReadingNotes
+) -> ModelStructure:
     """Read the structure; where it is missing, derivatives are taken in their variables' order."""
     section = root.find("ModelStructure")
     if section is None:
         section = Element("ModelStructure")
         notes.add("it has no <ModelStructure>: states are those that a variable is derivative of")
         rates = tuple(v.name for v in declared.variables.values() if v.derivative_of is not None)
-        derivatives = [_Unknown(section, (name,)) for name in rates]
+        derivatives = [_StructureUnknown(section, (name,)) for name in rates]
     else:
         derivatives = list(_unknowns(section, version, "derivative", declared))
     outputs = list(_unknowns(section, version, "output", declared))
@@ -83,7 +85,7 @@ def read_structure(root: Element, version: Version, declared: Declared, notes: N
         notes.add("outputs in its <ModelStructure> that name no variable are ignored")
     indicators, wrong = _indicators(root, section, version, declared)
     states, unnamed = _states(derivatives, declared, notes)
-    return Structure(
+    return ModelStructure(
         states=states,
         event_indicators=indicators,
         outputs=_outputs(outputs, declared),
@@ -96,16 +98,16 @@ def read_structure(root: Element, version: Version, declared: Declared, notes: N
 
 
 def _unknowns(
-    section: Element, version: Version, role: str, declared: Declared
-) -> Iterator[_Unknown]:
+    section: Element, version: Version, role: str, declared: DeclaredVariables
+) -> Iterator[_StructureUnknown]:
     key = "index" if version == "2.0" else "valueReference"
     for element in section.iterfind(_PLACES[version, role]):
         at = whole(element.get(key))
-        yield _Unknown(element, None if at is None else declared.behind.get(at))
+        yield _StructureUnknown(element, None if at is None else declared.behind.get(at))
 
 
 def _states(
-    derivatives: list[_Unknown], declared: Declared, notes: Notes
+    derivatives: list[_StructureUnknown], declared: DeclaredVariables, notes: ReadingNotes
 ) -> tuple[tuple[str, ...], str]:
     """The states, and what is wrong with them."""
     states: list[str] = []
@@ -127,7 +129,7 @@ def _states(
 
 
 def _indicators(
-    root: Element, section: Element, version: Version, declared: Declared
+    root: Element, section: Element, version: Version, declared: DeclaredVariables
 ) -> tuple[int, str]:
     if version == "2.0":
         text = root.get("numberOfEventIndicators", "0")
@@ -141,7 +143,7 @@ def _indicators(
     return sum(len(u.names or ()) for u in found), ""
 
 
-def _outputs(listed: list[_Unknown], declared: Declared) -> tuple[str, ...]:
+def _outputs(listed: list[_StructureUnknown], declared: DeclaredVariables) -> tuple[str, ...]:
     """All variables of that causality: those of the structure first, and in its order."""
     known = declared.variables
     names = [name for unknown in listed for name in unknown.names or ()]
@@ -150,8 +152,10 @@ def _outputs(listed: list[_Unknown], declared: Declared) -> tuple[str, ...]:
 
 
 def _dependencies(
-    unknowns: list[_Unknown], role: Literal["output", "derivative"], declared: Declared
-) -> Iterator[Dependency]:
+    unknowns: list[_StructureUnknown],
+    role: Literal["output", "derivative"],
+    declared: DeclaredVariables,
+) -> Iterator[VariableDependency]:
     for unknown in unknowns:
         text = unknown.element.get("dependencies")
         on: tuple[str, ...] | None = None
@@ -160,4 +164,4 @@ def _dependencies(
             if None not in found:  # else it is as good as not declared
                 on = tuple(name for names in found for name in names or ())
         for name in unknown.names or ():
-            yield Dependency(name, role, on)
+            yield VariableDependency(name, role, on)

@@ -31,7 +31,7 @@ KINDS: dict[Type, Kind] = {
 
 
 @dataclass(frozen=True)
-class Variable:
+class ModelVariable:
     """One number (or text) of an FMU: a scalar variable, or one element of an array variable.
 
     Attributes

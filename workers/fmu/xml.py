@@ -24,7 +24,7 @@ _WHOLE = re.compile(r"[+-]?\d{1,20}", re.ASCII)
 _SHOWN = 3
 
 
-class Notes:
+class ReadingNotes:
     """What was read around, as sentences; the same thing on many variables is one sentence."""
 
     def __init__(self, file: str) -> None:
@@ -49,7 +49,7 @@ def _listed(names: list[str]) -> str:
     return f": {shown}" + (f" and {more} more" if more > 0 else "")
 
 
-def parse(file: str, content: bytes, notes: Notes) -> Element:
+def parse(file: str, content: bytes, notes: ReadingNotes) -> Element:
     """Make a tree of elements and attributes; text between tags means nothing in FMI.
 
     Raises
@@ -122,7 +122,7 @@ def first_line(error: BaseException) -> str:
     return lines[0] if lines else type(error).__name__
 
 
-def number(text: str | None, notes: Notes, what: str, name: str) -> float | None:
+def number(text: str | None, notes: ReadingNotes, what: str, name: str) -> float | None:
     """Read a floating-point number of an XML schema; None if there is none or it is not finite.
 
     `what` is the attribute and `name` the variable, for the note about one that cannot be read.

@@ -34,7 +34,7 @@ RELATIVE_STEP = 1e-5
 equally little, some 1e-10 of the derivative."""
 
 
-class Range(NamedTuple):
+class PerturbationRange(NamedTuple):
     """Of each variable that is changed: its usual size, and the bounds that the FMU declares."""
 
     nominals: FloatArray
@@ -42,7 +42,7 @@ class Range(NamedTuple):
     highs: FloatArray
 
 
-class Probe(NamedTuple):
+class PerturbedVariables(NamedTuple):
     """What is changed for the differences.
 
     `references` are those of the tunable parameters, `values` their values in this simulation, and
@@ -50,16 +50,16 @@ class Probe(NamedTuple):
     coefficients that are added to the inputs begin; they are there if there is a hook `before`.
     """
 
-    states: Range
-    inputs: Range
-    parameters: Range
+    states: PerturbationRange
+    inputs: PerturbationRange
+    parameters: PerturbationRange
     references: IntArray
     values: FloatArray
     varied: IntArray
     knobs: int
 
 
-class Found(NamedTuple):
+class LinearisationArrays(NamedTuple):
     """What is filled in: a row for each time, and memory for the two ends of a difference."""
 
     states: FloatArray

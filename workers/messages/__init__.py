@@ -4,7 +4,7 @@ The coordinator installs a `Model` and its `Experiment`s once on every worker an
 (one point, one experiment). The worker answers each with an `Outcome`, failures included.
 """
 
-from workers.messages.experiment import Curve, Experiment, Function, Input, Output, SignalBound
+from workers.messages.experiment import Curve, Experiment, Input, Output, SignalBound, UserFunction
 from workers.messages.hashing import content_hash
 from workers.messages.model import Effect, Model, Solver
 from workers.messages.outcome import Linearisation, Outcome, Status, Trajectory
@@ -31,7 +31,6 @@ __all__ = [
     "Effect",
     "Experiment",
     "FloatArray",
-    "Function",
     "Input",
     "IntArray",
     "Interface",
@@ -50,6 +49,7 @@ __all__ = [
     "Status",
     "Task",
     "Trajectory",
+    "UserFunction",
     "Value",
     "Want",
     "content_hash",

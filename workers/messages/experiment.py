@@ -100,7 +100,7 @@ class SignalBound:
 
 
 @dataclass(frozen=True)
-class Function:
+class UserFunction:
     """A Python function of the user's, which runs on the workers.
 
     Attributes
@@ -163,8 +163,8 @@ class Experiment:
     signals: tuple[Input, ...] = ()
     curve: Curve | None = None
     bounds: tuple[SignalBound, ...] = ()
-    cost_function: Function | None = None
-    constraint_functions: tuple[Function, ...] = ()
+    cost_function: UserFunction | None = None
+    constraint_functions: tuple[UserFunction, ...] = ()
 
     @property
     def size(self) -> int:

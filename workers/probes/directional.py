@@ -8,18 +8,18 @@ from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.kernels.fmi import failure
 from workers.messages import FloatArray
-from workers.process.child import Probe
-from workers.simulation.jacobian import Derivatives, compare, named
+from workers.process.child import FmuProbe
+from workers.simulation.jacobian import StateJacobian, compare, named
 
 
 @dataclass(frozen=True)
-class Directional(Probe):
+class DirectionalProbe(FmuProbe):
     """Asks for them at the end of a simulation, in model exchange."""
 
     experiment: int
     point: FloatArray
 
-    def answer(self, evaluator: Evaluator) -> Derivatives:
+    def answer(self, evaluator: Evaluator) -> StateJacobian:
         simulator, description = evaluator.simulator, evaluator.description
         record = simulator.run(self.experiment, self.point[None])
         if record.codes[0] != failure.FINISHED:

@@ -9,13 +9,13 @@ import numpy as np
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
-from workers.fmu.instance import Instance
+from workers.fmu.instance import FmuInstance
 from workers.kernels.fmi import failure
 from workers.messages import Experiment, FloatArray, Model, Outcome, Renewal, Solver, Task
-from workers.process.child import Probe, resident_bytes
-from workers.simulation.integrator import Record
+from workers.process.child import FmuProbe, resident_bytes
+from workers.simulation.integrator import SimulationBatch
 from workers.simulation.simulator import Simulator
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 WARM = 10
 """Simulations after which a process has all the memory that it will need, if it does not leak."""
@@ -33,20 +33,20 @@ def difference(found: FloatArray, truth: FloatArray) -> float:
 
 
 @dataclass(frozen=True)
-class Simulated(Probe):
+class SimulationProbe(FmuProbe):
     """Asks for the outcome of one task."""
 
     task: Task
 
     def answer(self, evaluator: Evaluator) -> Outcome:
-        found = evaluator.evaluate(Batch.of([self.task]))[0]
+        found = evaluator.evaluate(TaskBatch.of([self.task]))[0]
         if not self.task.effects or not found.ok:
             return found
-        return evaluator.evaluate(Batch.of([self.task]))[0]  # without importing SymPy
+        return evaluator.evaluate(TaskBatch.of([self.task]))[0]  # without importing SymPy
 
 
 @dataclass(frozen=True)
-class Repetition:
+class RepetitionResult:
     """One simulation, begun in several ways: how far the outputs are from those of the first.
 
     Attributes
@@ -64,24 +64,24 @@ class Repetition:
 
 
 @dataclass(frozen=True)
-class Repeats(Probe):
+class RepeatProbe(FmuProbe):
     """Asks whether a simulation can be repeated in a process."""
 
     experiment: int
     point: FloatArray
 
-    def answer(self, evaluator: Evaluator) -> Repetition:
+    def answer(self, evaluator: Evaluator) -> RepetitionResult:
         model, experiment = evaluator.model, evaluator.experiments[self.experiment]
         fresh = _twin(evaluator, replace(model, renew="instance"), experiment)
         reset = _twin(evaluator, replace(model, renew="reset"), experiment)
         first = _outputs(fresh.run(0, self.point[None]))
         after = _distance(reset, self.point, first)
         again = after if after == 0.0 else _distance(fresh, self.point, first)
-        return Repetition(first, after, again)
+        return RepetitionResult(first, after, again)
 
 
 @dataclass(frozen=True)
-class Leftovers(Probe):
+class LeftoverProbe(FmuProbe):
     """Asks how far values that were set survive a reset, in the outputs.
 
     That is how far a simulation with the FMU's own values comes from what it was, once others were
@@ -105,7 +105,7 @@ class Leftovers(Probe):
 
 
 @dataclass(frozen=True)
-class Cost:
+class SimulationCost:
     """What simulations take.
 
     Attributes
@@ -124,7 +124,7 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class Costs(Probe):
+class CostProbe(FmuProbe):
     """Asks what many simulations take, for about some seconds and at most so many of them."""
 
     experiment: int
@@ -133,7 +133,7 @@ class Costs(Probe):
     seconds: float
     most: int = 300
 
-    def answer(self, evaluator: Evaluator) -> Cost:
+    def answer(self, evaluator: Evaluator) -> SimulationCost:
         end = time.monotonic() + self.seconds
         points = np.repeat(self.point[None], AT_ONCE, axis=0)
         simulator = _renewing(evaluator, self.experiment, self.renew)
@@ -149,27 +149,27 @@ class Costs(Probe):
         if len(warm) > 1:
             (first, before), (last, after) = warm[0], warm[-1]
             leak = max(after - before, 0) / (last - first)
-        return Cost(float(np.median(took)), leak, len(took) * AT_ONCE)
+        return SimulationCost(float(np.median(took)), leak, len(took) * AT_ONCE)
 
 
 @dataclass(frozen=True)
-class Instances(Probe):
+class InstanceProbe(FmuProbe):
     """Asks how many instances there can be at once, up to `most`; and what the next one said."""
 
     most: int = 3
 
     def answer(self, evaluator: Evaluator) -> tuple[int, str]:
-        held: list[Instance] = []
+        held: list[FmuInstance] = []
         for count in range(1, self.most):
             try:
-                held.append(Instance(evaluator.model, evaluator.description))
+                held.append(FmuInstance(evaluator.model, evaluator.description))
             except ModelError as error:
                 return count, str(error)
         return self.most, ""
 
 
 @dataclass(frozen=True)
-class Moves(Probe):
+class MovementProbe(FmuProbe):
     """Asks how far each of some points comes from the first one, in the outputs.
 
     Attributes
@@ -204,7 +204,7 @@ class Moves(Probe):
 
 
 @dataclass(frozen=True)
-class Solves(Probe):
+class SolverProbe(FmuProbe):
     """Asks how far another solver, or other settings of it, come from the model's."""
 
     experiment: int
@@ -221,15 +221,15 @@ class Solves(Probe):
 
 
 @dataclass(frozen=True)
-class Compiled(Probe):
-    """Asks for what `Stiff` needs to be compiled and on disk, which takes long once."""
+class CompileProbe(FmuProbe):
+    """Asks for what `StiffnessProbe` needs to be compiled and on disk, which takes long once."""
 
     def answer(self, evaluator: Evaluator) -> None:
         evaluator.simulator.compile_stiff()
 
 
 @dataclass(frozen=True)
-class Stiff(Probe):
+class StiffnessProbe(FmuProbe):
     """Asks whether the model is stiff."""
 
     experiment: int
@@ -252,7 +252,7 @@ def _twin(evaluator: Evaluator, model: Model, experiment: Experiment) -> Simulat
     return twin
 
 
-def _outputs(record: Record) -> FloatArray:
+def _outputs(record: SimulationBatch) -> FloatArray:
     """Of the first simulation.
 
     Raises

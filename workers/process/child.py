@@ -16,7 +16,7 @@ from typing import Any
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.fmu.instance import instances
-from workers.wire import Answers
+from workers.wire import OutcomeColumns
 
 DIES_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of Linux's prctl."""
@@ -25,15 +25,15 @@ FIRST_TO_GO = "1000"
 
 
 @dataclass(frozen=True)
-class Report:
+class BatchReport:
     """Answers to a batch, and what the process has come to: bytes in memory, FMU instances."""
 
-    answers: Answers
+    answers: OutcomeColumns
     resident: int
     instances: int
 
 
-class Probe(ABC):
+class FmuProbe(ABC):
     """Asks for more than a simulation: what `cluster-est check` wants to know of an FMU."""
 
     @abstractmethod
@@ -63,15 +63,15 @@ def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
     with contextlib.suppress(EOFError, OSError):
         while True:
             asked = connection.recv()
-            if isinstance(asked, Probe):
+            if isinstance(asked, FmuProbe):
                 connection.send(_probed(asked, evaluator))
                 continue
-            answers = Answers.of(evaluator.evaluate(asked))
-            connection.send(Report(answers, resident_bytes("self"), instances()))
+            answers = OutcomeColumns.of(evaluator.evaluate(asked))
+            connection.send(BatchReport(answers, resident_bytes("self"), instances()))
     evaluator.close()
 
 
-def _probed(probe: Probe, evaluator: Evaluator) -> Any:
+def _probed(probe: FmuProbe, evaluator: Evaluator) -> Any:
     try:
         return probe.answer(evaluator)
     except ModelError as error:

@@ -1,7 +1,7 @@
 """A process that forks others: each is ready in milliseconds, because all imports are done.
 
 Forking a worker itself would copy locks that its other threads hold; this process never has a
-second thread. It is started by a `Guard`, does what that says over one connection, and ends, with
+second thread. It is started by a `SupervisedEvaluator`, does what that says over one connection, and ends, with
 all that it has forked, when the connection ends.
 """
 

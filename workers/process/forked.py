@@ -15,7 +15,7 @@ from typing import Any
 from workers.process.fork_server import FORK, FORK_FOR_EFFECTS
 
 
-class Forks:
+class ForkClient:
     """Starts processes that serve an installation, and says how they ended.
 
     The process that forks them is started again if somebody has killed it.

@@ -20,9 +20,9 @@ from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
 from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
-from workers.process.child import Report, resident_bytes
-from workers.process.forked import Forks
-from workers.wire import Batch
+from workers.process.child import BatchReport, resident_bytes
+from workers.process.forked import ForkClient
+from workers.wire import TaskBatch
 
 LOOK_SECONDS = 0.1
 """How often the memory of a running simulation is looked at."""
@@ -43,7 +43,7 @@ LOAD_SECONDS = 300.0
 
 
 @dataclass(frozen=True)
-class Failure:
+class ProcessFailure:
     """Why a process did not answer."""
 
     status: Status
@@ -59,7 +59,7 @@ class LostError(Exception):
     """A process was killed from outside while it began; another one may do."""
 
 
-class Guard:
+class SupervisedEvaluator:
     """An evaluator in a process of its own.
 
     Parameters
@@ -85,7 +85,7 @@ class Guard:
         self._base = 0
         self._stopped = False
         self._effects = False
-        self._forks = Forks((model, tuple(experiments), name))
+        self._forks = ForkClient((model, tuple(experiments), name))
         self._child: tuple[int, Connection] | None = None
         try:
             self._begin_at_last()
@@ -93,13 +93,13 @@ class Guard:
             self.close()
             raise
 
-    def evaluate(self, batch: Batch) -> list[Outcome]:
+    def evaluate(self, batch: TaskBatch) -> list[Outcome]:
         """Answer every task of a batch, in its order."""
         failed = 0
         together = self._renew in ("auto", "reset")
         if together and self._careful == 0 and self._is_usual(batch):
             answered = self._ask(batch)
-            if not isinstance(answered, Failure):
+            if not isinstance(answered, ProcessFailure):
                 return answered
             self._careful = CAREFUL
             failed = 0 if answered.from_outside else 1
@@ -107,7 +107,7 @@ class Guard:
 
     def once(self, task: Task) -> Outcome:
         """Answer one task at the first attempt, whatever becomes of it."""
-        found = self._ask(Batch.of([task]))
+        found = self._ask(TaskBatch.of([task]))
         return found[0] if isinstance(found, list) else self._failed(task, found)
 
     def stop(self) -> None:
@@ -129,8 +129,8 @@ class Guard:
         self._careful = max(self._careful - 1, 0)
         lost = 0
         while True:
-            answered = self._ask(Batch.of([task]))
-            if not isinstance(answered, Failure):
+            answered = self._ask(TaskBatch.of([task]))
+            if not isinstance(answered, ProcessFailure):
                 return answered[0]
             self._careful = CAREFUL
             lost += answered.from_outside
@@ -138,23 +138,23 @@ class Guard:
             if failed >= TRIES or lost >= LOST:
                 return self._failed(task, answered)
 
-    def _failed(self, task: Task, failure: Failure) -> Outcome:
+    def _failed(self, task: Task, failure: ProcessFailure) -> Outcome:
         return Outcome(task.id, failure.status, message=failure.message, worker=self._name)
 
-    def _ask(self, batch: Batch) -> list[Outcome] | Failure:
+    def _ask(self, batch: TaskBatch) -> list[Outcome] | ProcessFailure:
         """One attempt: the outcomes, or why there are none."""
         try:
             child, connection = self._child or self._begin()
         except ModelError as error:
-            return Failure(Status.CRASH, str(error))
+            return ProcessFailure(Status.CRASH, str(error))
         except LostError as error:
-            return Failure(Status.LOST_WORKER, str(error))
+            return ProcessFailure(Status.LOST_WORKER, str(error))
         begin = time.monotonic()
         self._effects |= bool(batch.effects)
         try:
             connection.send(batch)
             failure = self._wait(child, connection, begin, self._limit(batch))
-            report: Report | None = None if failure else connection.recv()
+            report: BatchReport | None = None if failure else connection.recv()
         except (EOFError, OSError):
             failure, report = None, None
         except BaseException:  # interrupted: what it would answer is nobody's any more
@@ -173,25 +173,25 @@ class Guard:
 
     def _wait(
         self, child: int, connection: Connection, begin: float, limit: float
-    ) -> Failure | None:
+    ) -> ProcessFailure | None:
         """Wait for an answer; why not, if time or memory ran out."""
         while not connection.poll(min(LOOK_SECONDS, max(begin + limit - time.monotonic(), 0.0))):
             if time.monotonic() - begin >= limit:
-                return Failure(
+                return ProcessFailure(
                     Status.TIMEOUT,
                     f"the simulation did not end within {limit:.3g} s and was stopped; raise "
                     "executor.timeout or executor.patience if it only needs longer",
                 )
             resident = resident_bytes(child)
             if resident > self._limits.memory:
-                return Failure(
+                return ProcessFailure(
                     Status.OUT_OF_MEMORY,
                     f"the simulation took {resident / 2**20:.0f} MB of memory and was stopped; "
                     "raise executor.memory if it needs that much",
                 )
         return None
 
-    def _limit(self, batch: Batch) -> float:
+    def _limit(self, batch: TaskBatch) -> float:
         """Seconds that a batch may take: what one of it may, and some times what is usual."""
         hard = self._limits.seconds
         if self._limits.patience == 0.0 or not self._is_usual(batch):
@@ -201,17 +201,17 @@ class Guard:
         one = min(hard, GRACE_SECONDS + self._limits.patience * longest)
         return one + NEIGHBOURS * (sum(usual) - longest)
 
-    def _is_usual(self, batch: Batch) -> bool:
+    def _is_usual(self, batch: TaskBatch) -> bool:
         """Whether it is known how long these simulations take; a first one goes alone."""
         return batch.want in USUAL and all(e in self._seconds for e in batch.experiments.tolist())
 
-    def _learn(self, batch: Batch, outcomes: Sequence[Outcome]) -> None:
+    def _learn(self, batch: TaskBatch, outcomes: Sequence[Outcome]) -> None:
         if batch.want in USUAL:
             for experiment, outcome in zip(batch.experiments.tolist(), outcomes, strict=True):
                 known = self._seconds.setdefault(experiment, deque(maxlen=REMEMBERED))
                 known.append(outcome.seconds)
 
-    def _has_grown(self, report: Report) -> bool:
+    def _has_grown(self, report: BatchReport) -> bool:
         """Whether the process should be replaced before it fails: the FMU leaks."""
         self._base = self._base or report.resident
         grown = report.resident - self._base > self._limits.growth
@@ -270,16 +270,16 @@ class Guard:
         return self._forks.wait(child)
 
 
-def _ended(code: int | None) -> Failure:
+def _ended(code: int | None) -> ProcessFailure:
     """What became of a process that ended in the middle of a simulation."""
     if code is None or code == -signal.SIGKILL:
         message = "the process was killed from outside, perhaps because memory ran out"
-        return Failure(Status.LOST_WORKER, message)
+        return ProcessFailure(Status.LOST_WORKER, message)
     if code < 0:
         name = _signal_name(-code)
-        return Failure(Status.CRASH, f"the process crashed during this simulation ({name})")
+        return ProcessFailure(Status.CRASH, f"the process crashed during this simulation ({name})")
     message = f"the process was ended by the FMU during this simulation (exit code {code})"
-    return Failure(Status.CRASH, message)
+    return ProcessFailure(Status.CRASH, message)
 
 
 def _signal_name(number: int) -> str:

@@ -14,12 +14,12 @@ from typing import Any, Self
 
 from workers.errors import ModelError
 from workers.messages import Experiment, Model
-from workers.process.child import Probe
-from workers.process.forked import Forks
+from workers.process.child import FmuProbe
+from workers.process.forked import ForkClient
 
 
 @dataclass(frozen=True)
-class Stopped:
+class NoAnswer:
     """Why there is no answer.
 
     Attributes
@@ -37,7 +37,7 @@ class Stopped:
     loading: bool = False
 
 
-class Bench:
+class ProbeBench:
     """Asks probes about an FMU. Whatever it does, only the process that is asked suffers.
 
     Parameters
@@ -47,10 +47,10 @@ class Bench:
     """
 
     def __init__(self, model: Model, experiments: Sequence[Experiment]) -> None:
-        self._forks = Forks((model, tuple(experiments), "check"))
+        self._forks = ForkClient((model, tuple(experiments), "check"))
 
-    def ask(self, probe: Probe | None, seconds: float) -> Any:
-        """Load the FMU in a new process and ask it; `Stopped` if there is no answer.
+    def ask(self, probe: FmuProbe | None, seconds: float) -> Any:
+        """Load the FMU in a new process and ask it; `NoAnswer` if there is no answer.
 
         Parameters
         ----------
@@ -64,15 +64,15 @@ class Bench:
         try:
             said = _receive(connection, end, seconds, loading=True)
             if isinstance(said, ModelError):
-                return Stopped(str(said), loading=True)
-            if isinstance(said, Stopped) or probe is None:
+                return NoAnswer(str(said), loading=True)
+            if isinstance(said, NoAnswer) or probe is None:
                 return said
             connection.send(probe)
             answer = _receive(connection, end, seconds, loading=False)
-            return Stopped(str(answer)) if isinstance(answer, ModelError) else answer
+            return NoAnswer(str(answer)) if isinstance(answer, ModelError) else answer
         except (EOFError, OSError):
             code = self._forks.wait(process)
-            return Stopped(_how(code), loading=probe is None)
+            return NoAnswer(_how(code), loading=probe is None)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
@@ -96,7 +96,7 @@ class Bench:
 def _receive(connection: Connection, end: float, seconds: float, *, loading: bool) -> Any:
     if connection.poll(max(end - time.monotonic(), 0.0)):
         return connection.recv()
-    return Stopped(f"it did not end within {seconds:.2g} s", late=True, loading=loading)
+    return NoAnswer(f"it did not end within {seconds:.2g} s", late=True, loading=loading)
 
 
 def _how(code: int | None) -> str:

@@ -11,7 +11,7 @@ from workers.messages import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
-class Simulated:
+class SimulatedBatch:
     """A batch of simulations of one experiment.
 
     Attributes
@@ -37,7 +37,7 @@ class Simulated:
 
 
 @dataclass
-class Compared:
+class ComparisonResult:
     """What came of a comparison: (points, k) numbers, and sentences for points without them."""
 
     values: FloatArray
@@ -51,7 +51,7 @@ class Comparison(ABC):
     """
 
     @abstractmethod
-    def compare(self, simulated: Simulated) -> Compared:
+    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
         """Compare a batch of simulations with what was measured or is demanded."""
 
 

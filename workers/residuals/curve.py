@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from workers.messages import Curve, FloatArray
-from workers.residuals.base import Compared, Comparison, Simulated, positions
+from workers.residuals.base import Comparison, ComparisonResult, SimulatedBatch, positions
 from workers.residuals.nearest_segment import segment_distances, tolerance_constraints
 
 
@@ -15,10 +15,10 @@ class CurveDistances(Comparison):
     def __init__(self, curve: Curve) -> None:
         self._curve = curve
 
-    def compare(self, simulated: Simulated) -> Compared:
+    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
         points = _points(self._curve, simulated)
         found = [segment_distances(each, self._curve.points) for each in points]
-        return Compared(np.array(found, np.float64).reshape(len(points), -1))
+        return ComparisonResult(np.array(found, np.float64).reshape(len(points), -1))
 
 
 class CurveTolerances(Comparison):
@@ -27,14 +27,14 @@ class CurveTolerances(Comparison):
     def __init__(self, curve: Curve) -> None:
         self._curve = curve
 
-    def compare(self, simulated: Simulated) -> Compared:
+    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
         tolerances = np.array(self._curve.tolerances)
         points = _points(self._curve, simulated)
         found = [tolerance_constraints(each, self._curve.points, tolerances) for each in points]
-        return Compared(np.array(found, np.float64).reshape(len(points), -1))
+        return ComparisonResult(np.array(found, np.float64).reshape(len(points), -1))
 
 
-def _points(curve: Curve, simulated: Simulated) -> FloatArray:
+def _points(curve: Curve, simulated: SimulatedBatch) -> FloatArray:
     """(points, m, d): the simulated curves at the times at which they are sampled."""
     rows = positions(curve.times, simulated.times)
     columns = [simulated.names.index(name) for name in curve.variables]

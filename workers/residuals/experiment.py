@@ -7,16 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.messages import Experiment, FloatArray
-from workers.residuals.base import Comparison, Simulated
+from workers.residuals.base import Comparison, SimulatedBatch
 from workers.residuals.bounds import SignalBounds
 from workers.residuals.curve import CurveDistances, CurveTolerances
-from workers.residuals.functions import UserFunction
+from workers.residuals.functions import FunctionComparison
 from workers.residuals.measured_times import MeasuredTimes
 from workers.residuals.slopes import comparison_slopes
-from workers.simulation.grid import Grid
+from workers.simulation.grid import SignalGrid
 
 
-class Judged(NamedTuple):
+class BatchComparison(NamedTuple):
     """(points, k) residuals, (points, m) constraints, and why a point has none."""
 
     residuals: FloatArray
@@ -40,17 +40,19 @@ class ExperimentComparison:
         If a function of the user's cannot be loaded.
     """
 
-    def __init__(self, experiment: Experiment, grid: Grid, parameters: tuple[str, ...]) -> None:
+    def __init__(
+        self, experiment: Experiment, grid: SignalGrid, parameters: tuple[str, ...]
+    ) -> None:
         self._residuals = _residuals(experiment, grid, parameters)
         self._constraints = _constraints(experiment, parameters)
 
-    def judge(self, simulated: Simulated) -> Judged:
+    def judge(self, simulated: SimulatedBatch) -> BatchComparison:
         """Compare a batch of simulations."""
         failures: dict[int, str] = {}
         residuals = _joined(self._residuals, simulated, failures)
-        return Judged(residuals, _joined(self._constraints, simulated, failures), failures)
+        return BatchComparison(residuals, _joined(self._constraints, simulated, failures), failures)
 
-    def slopes(self, simulated: Simulated, slopes: FloatArray) -> FloatArray:
+    def slopes(self, simulated: SimulatedBatch, slopes: FloatArray) -> FloatArray:
         """(residuals + constraints, parameters): what one simulation's change with each parameter.
 
         `slopes` are the derivatives of its record, (parameters, n, names).
@@ -60,9 +62,11 @@ class ExperimentComparison:
         return np.concatenate([np.zeros((0, len(slopes))), *parts])
 
 
-def _residuals(experiment: Experiment, grid: Grid, parameters: tuple[str, ...]) -> list[Comparison]:
+def _residuals(
+    experiment: Experiment, grid: SignalGrid, parameters: tuple[str, ...]
+) -> list[Comparison]:
     if experiment.cost_function is not None:
-        return [UserFunction(experiment.cost_function, experiment, parameters, single=False)]
+        return [FunctionComparison(experiment.cost_function, experiment, parameters, single=False)]
     found: list[Comparison] = []
     if experiment.outputs or experiment.curve is None:
         found.append(MeasuredTimes(grid))
@@ -78,11 +82,12 @@ def _constraints(experiment: Experiment, parameters: tuple[str, ...]) -> list[Co
     if experiment.bounds:
         found.append(SignalBounds(experiment.bounds))
     functions = experiment.constraint_functions
-    return [*found, *(UserFunction(f, experiment, parameters, single=True) for f in functions)]
+    own = [FunctionComparison(f, experiment, parameters, single=True) for f in functions]
+    return [*found, *own]
 
 
 def _joined(
-    comparisons: list[Comparison], simulated: Simulated, failures: dict[int, str]
+    comparisons: list[Comparison], simulated: SimulatedBatch, failures: dict[int, str]
 ) -> FloatArray:
     parts = []
     for comparison in comparisons:

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from workers.errors import ModelError
-from workers.messages import Experiment, FloatArray, Function
-from workers.residuals.base import Compared, Comparison, Simulated, positions
+from workers.messages import Experiment, FloatArray, UserFunction
+from workers.residuals.base import Comparison, ComparisonResult, SimulatedBatch, positions
 
 
 @dataclass(frozen=True)
-class Run:
+class SimulatedRun:
     """What a user's function is given: one simulation of one experiment.
 
     Attributes
@@ -50,13 +50,13 @@ class Run:
         return (measured - found) / self.sigma[variable]
 
 
-class UserFunction(Comparison):
+class FunctionComparison(Comparison):
     """Calls a function of the user's for each point.
 
     Parameters
     ----------
     function
-        Of one `Run`, returning a number or a vector of numbers.
+        Of one `SimulatedRun`, returning a number or a vector of numbers.
     experiment, parameters
         What the run is of; names of the parameters.
     single
@@ -70,7 +70,7 @@ class UserFunction(Comparison):
 
     def __init__(
         self,
-        function: Function,
+        function: UserFunction,
         experiment: Experiment,
         parameters: tuple[str, ...],
         *,
@@ -81,7 +81,7 @@ class UserFunction(Comparison):
         self._experiment, self._parameters, self._single = experiment, parameters, single
         self._size = 1 if single else -1
 
-    def compare(self, simulated: Simulated) -> Compared:
+    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
         found: dict[int, FloatArray] = {}
         failures: dict[int, str] = {}
         for p in range(len(simulated.record)):
@@ -95,7 +95,7 @@ class UserFunction(Comparison):
         values = np.full((len(simulated.record), max(self._size, 0)), np.nan)
         for p, row in found.items():
             values[p] = row
-        return Compared(values, failures)
+        return ComparisonResult(values, failures)
 
     def _checked(self, answer: Any) -> FloatArray:
         if answer is None or np.iscomplexobj(answer):
@@ -112,9 +112,9 @@ class UserFunction(Comparison):
             raise ValueError(f"it must return finite numbers but returned {bad}")
         return values
 
-    def _run(self, simulated: Simulated, p: int) -> Run:
+    def _run(self, simulated: SimulatedBatch, p: int) -> SimulatedRun:
         outputs = self._experiment.outputs
-        return Run(
+        return SimulatedRun(
             experiment=self._experiment.id,
             times=_lent(simulated.times),
             simulated={n: _lent(simulated.record[p, :, i]) for i, n in enumerate(simulated.names)},
@@ -131,7 +131,7 @@ def _lent(values: FloatArray) -> FloatArray:
     return view
 
 
-def load(function: Function) -> Callable[[Run], Any]:
+def load(function: UserFunction) -> Callable[[SimulatedRun], Any]:
     """Import a function, or make it from the text of its module.
 
     Raises
@@ -150,7 +150,7 @@ def load(function: Function) -> Callable[[Run], Any]:
         ) from error
     if not callable(found):
         raise ModelError(f"{where}: must be a function but is a {type(found).__name__}")
-    called: Callable[[Run], Any] = found
+    called: Callable[[SimulatedRun], Any] = found
     return called
 
 
@@ -158,7 +158,7 @@ def _imported(name: str) -> types.ModuleType:
     return importlib.import_module(name)
 
 
-def _from_source(function: Function) -> types.ModuleType:
+def _from_source(function: UserFunction) -> types.ModuleType:
     name = f"{__name__}.of_the_user.{function.module}"  # it must not hide an installed module
     module = types.ModuleType(name)
     sys.modules[name] = module  # dataclasses look their module up there

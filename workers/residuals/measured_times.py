@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from workers.messages import FloatArray
-from workers.residuals.base import Compared, Comparison, Simulated
-from workers.simulation.grid import Grid
+from workers.residuals.base import Comparison, ComparisonResult, SimulatedBatch
+from workers.simulation.grid import SignalGrid
 
 
 class MeasuredTimes(Comparison):
@@ -16,15 +16,15 @@ class MeasuredTimes(Comparison):
     interpolated.
     """
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: SignalGrid) -> None:
         self._grid = grid
 
-    def compare(self, simulated: Simulated) -> Compared:
+    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
         grid, record = self._grid, simulated.record
         # take keeps each point's row contiguous: sums over strided rows round differently
         taken = np.take(record.reshape(len(record), -1), grid.gather, axis=1)
         with np.errstate(over="ignore"):  # what overflows is said to be not finite
-            return Compared((grid.measured - taken) / grid.sigmas)
+            return ComparisonResult((grid.measured - taken) / grid.sigmas)
 
     def slopes(self, slopes: FloatArray) -> FloatArray:
         """(parameters, residuals): the residuals' derivatives, from those of the record."""

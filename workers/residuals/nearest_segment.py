@@ -28,7 +28,7 @@ MAX_PAIRS = 16_384
 """Pairs of a point and a segment that are worked on at once: few enough for a core's own cache."""
 
 
-class Segments(NamedTuple):
+class ReferenceSegments(NamedTuple):
     """The pieces of a reference; one row a dimension, so that all segments are contiguous.
 
     Attributes
@@ -144,15 +144,17 @@ def _scales(reference: FloatArray) -> FloatArray:
     return np.asarray(largest)
 
 
-def _segments(reference: FloatArray) -> Segments:
+def _segments(reference: FloatArray) -> ReferenceSegments:
     starts = np.ascontiguousarray(reference[:-1].T)
     vectors = np.ascontiguousarray(np.diff(reference, axis=0).T)
     squares = np.add.reduce(vectors * vectors, axis=0)
     weights = np.divide(vectors, squares, out=np.zeros_like(vectors), where=squares > 0.0)
-    return Segments(starts, vectors, weights)
+    return ReferenceSegments(starts, vectors, weights)
 
 
-def _distances(points: FloatArray, segments: Segments) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _distances(
+    points: FloatArray, segments: ReferenceSegments
+) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Give the distances of some points at a time from every segment.
 
     Elementwise throughout: no result depends on how the points are cut.
@@ -175,7 +177,11 @@ def _distances(points: FloatArray, segments: Segments) -> Iterator[tuple[FloatAr
 
 
 def _fill(
-    points: FloatArray, segments: Segments, vectors: FloatArray, sums: FloatArray, work: FloatArray
+    points: FloatArray,
+    segments: ReferenceSegments,
+    vectors: FloatArray,
+    sums: FloatArray,
+    work: FloatArray,
 ) -> None:
     """Write distance vectors, and their squared lengths into `sums`; `work` is scratch."""
     starts, directions, weights = segments

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from workers.messages import FloatArray
-from workers.residuals.base import Comparison, Simulated
+from workers.residuals.base import Comparison, SimulatedBatch
 from workers.residuals.measured_times import MeasuredTimes
 
 RELATIVE_STEP = 1e-6
@@ -16,7 +16,7 @@ all its noise."""
 
 
 def comparison_slopes(
-    comparison: Comparison, simulated: Simulated, slopes: FloatArray
+    comparison: Comparison, simulated: SimulatedBatch, slopes: FloatArray
 ) -> FloatArray:
     """(k, parameters): the derivatives of what a comparison gives.
 
@@ -40,7 +40,7 @@ def comparison_slopes(
     return np.ascontiguousarray(((found[0] - found[1]) / (2.0 * steps[:, None])).T)
 
 
-def _steps(simulated: Simulated, slopes: FloatArray) -> FloatArray:
+def _steps(simulated: SimulatedBatch, slopes: FloatArray) -> FloatArray:
     """A step for each parameter that changes neither it nor any output by much."""
     largest = np.abs(slopes).max(axis=(1, 2), initial=0.0)
     size = np.abs(simulated.record).max(initial=0.0) or 1.0

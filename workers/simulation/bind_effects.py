@@ -7,19 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from workers.effects.compiled import Inner, compile_inner
-from workers.effects.definition import Definition, define
+from workers.effects.compiled import InnerEffects, compile_inner
+from workers.effects.definition import EffectDefinition, define
 from workers.effects.memory import MEMORIES
 from workers.effects.outputs import act_on_record
 from workers.errors import EffectError
-from workers.fmu.description import Description, nearest
-from workers.kernels.fmi.hooks import Hooks, no_hooks
+from workers.fmu.description import ModelDescription, nearest
+from workers.kernels.fmi.hooks import EffectHooks, no_hooks
 from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Model
-from workers.simulation.grid import Grid
+from workers.simulation.grid import SignalGrid
 
 
 @dataclass(frozen=True)
-class Augmentation:
+class BoundEffects:
     """The effects of a task that do something, for one experiment.
 
     Attributes
@@ -35,11 +35,11 @@ class Augmentation:
         The compiled effects at derivatives, inputs and parameters; None if there are none.
     """
 
-    definitions: tuple[Definition, ...]
+    definitions: tuple[EffectDefinition, ...]
     positions: tuple[int, ...]
     experiment: Experiment
     recorded: tuple[str, ...]
-    inner: Inner | None
+    inner: InnerEffects | None
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -52,18 +52,18 @@ class Augmentation:
 
     def hooks(
         self,
-        grid: Grid,
+        grid: SignalGrid,
         points: FloatArray,
         coefficients: FloatArray,
         model: Model,
-        description: Description,
-    ) -> Hooks:
+        description: ModelDescription,
+    ) -> EffectHooks:
         """What the loops call, for a batch of points on a grid."""
         if self.inner is None:
             return no_hooks(len(points))
         base = [self._base(name, points, model, description) for name in self.inner.parameters]
         references = [description.variables[name].reference for name in self.inner.parameters]
-        return Hooks(
+        return EffectHooks(
             begin=self.inner.begin.address if self.inner.begin else 0,
             before=self.inner.before.address if self.inner.before else 0,
             inside=self.inner.inside.address if self.inner.inside else 0,
@@ -91,14 +91,14 @@ class Augmentation:
         """Whether an input is changed as a whole, so that each point has a grid of its own."""
         return any(_remembers(d) for d in self.definitions)
 
-    def act_on(self, grid: Grid, record: FloatArray, coefficients: FloatArray) -> None:
+    def act_on(self, grid: SignalGrid, record: FloatArray, coefficients: FloatArray) -> None:
         """Let the effects at outputs act on one point's record."""
         for definition, position in zip(self.definitions, self.positions, strict=True):
             if definition.site.kind == "output":
                 own = coefficients[position : position + len(definition.coefficients)]
                 act_on_record(definition, own, grid, record, self.recorded, self.columns)
 
-    def _substeps(self, grid: Grid, coefficients: FloatArray) -> IntArray:
+    def _substeps(self, grid: SignalGrid, coefficients: FloatArray) -> IntArray:
         """Of each point, for own states that are integrated between communication points."""
         longest = float(np.diff(grid.times).max())
         counts = np.ones(len(coefficients), np.int64)
@@ -110,7 +110,7 @@ class Augmentation:
         return counts
 
     def _base(
-        self, name: str, points: FloatArray, model: Model, description: Description
+        self, name: str, points: FloatArray, model: Model, description: ModelDescription
     ) -> FloatArray:
         """The value of a parameter without its effects, at each point."""
         if name in model.parameters:
@@ -120,12 +120,12 @@ class Augmentation:
 
 
 def augment(
-    definitions: Sequence[tuple[Definition, int]],
+    definitions: Sequence[tuple[EffectDefinition, int]],
     experiment: Experiment,
-    description: Description,
+    description: ModelDescription,
     *,
     exchange: bool,
-) -> Augmentation:
+) -> BoundEffects:
     """Prepare an experiment for effects that do something.
 
     Parameters
@@ -148,7 +148,7 @@ def augment(
         states = description.states if exchange else ()
         chosen, positions = zip(*acting, strict=True)
         inner = compile_inner(chosen, positions, states, _columns(widened))
-    return Augmentation(
+    return BoundEffects(
         definitions=tuple(known),
         positions=tuple(p for _, p in definitions),
         experiment=widened,
@@ -157,7 +157,7 @@ def augment(
     )
 
 
-def _remembers(definition: Definition) -> bool:
+def _remembers(definition: EffectDefinition) -> bool:
     """Whether it changes an input as a whole."""
     return definition.site.kind == "input" and bool(definition.form.memory)
 
@@ -166,7 +166,7 @@ def _columns(experiment: Experiment) -> tuple[str, ...]:
     return tuple(given.variable for given in (*experiment.inputs, *experiment.signals))
 
 
-def _needed(definition: Definition) -> tuple[str, ...]:
+def _needed(definition: EffectDefinition) -> tuple[str, ...]:
     """What an effect depends on, with the signal that it takes the place of."""
     if definition.site.kind in ("input", "output"):
         return (*definition.uses, definition.site.target)
@@ -174,7 +174,7 @@ def _needed(definition: Definition) -> tuple[str, ...]:
 
 
 def _widened(
-    definitions: Sequence[Definition], experiment: Experiment, description: Description
+    definitions: Sequence[EffectDefinition], experiment: Experiment, description: ModelDescription
 ) -> Experiment:
     """The experiment with all that effects depend on, and no signal beside."""
     needed = dict.fromkeys(name for d in definitions for name in _needed(d))
@@ -197,7 +197,7 @@ def _widened(
     )
 
 
-def _constant(name: str, experiment: Experiment, description: Description) -> Input:
+def _constant(name: str, experiment: Experiment, description: ModelDescription) -> Input:
     """An input that the data do not drive, as a signal."""
     known = dict(experiment.values).get(name, description.variables[name].start)
     if known is None:
@@ -209,13 +209,13 @@ def _constant(name: str, experiment: Experiment, description: Description) -> In
     return Input(name, times, np.full(2, float(known)), "hold")
 
 
-class Effects:
+class EffectBatch:
     """The effects of a batch of tasks, resolved against one FMU and the measured signals."""
 
     def __init__(
         self,
         effects: Sequence[Effect],
-        description: Description,
+        description: ModelDescription,
         model: Model,
         signals: tuple[str, ...] = (),
     ) -> None:
@@ -225,7 +225,7 @@ class Effects:
 
     def groups(
         self, coefficients: FloatArray
-    ) -> Iterator[tuple[IntArray, list[tuple[Definition, int]]]]:
+    ) -> Iterator[tuple[IntArray, list[tuple[EffectDefinition, int]]]]:
         """Points in groups with the same effects doing something, in order of first appearance.
 
         An effect whose coefficients are neutral is left out of the simulation altogether, which is

@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from workers.fmu.access import access
-from workers.fmu.description import Description
-from workers.fmu.variable import Variable
-from workers.kernels.fmi.component import References, Starts
+from workers.fmu.description import ModelDescription
+from workers.fmu.variable import ModelVariable
+from workers.kernels.fmi.component import StartValues, VariableReferences
 from workers.messages import Experiment, FloatArray, Input, IntArray, Model
-from workers.simulation.fixed_step import Communication, communicate
-from workers.simulation.grid import Grid, build_grid
+from workers.simulation.fixed_step import CommunicationPoints, communicate
+from workers.simulation.grid import SignalGrid, build_grid
 
 
 @dataclass(frozen=True)
-class Installed:
+class BoundExperiment:
     """An experiment made ready for one model.
 
     Attributes
@@ -28,26 +28,26 @@ class Installed:
         The memory that strings stand in.
     """
 
-    grid: Grid
-    communication: Communication | None
+    grid: SignalGrid
+    communication: CommunicationPoints | None
     outputs: tuple[str, ...]
-    starts: Starts
-    references: References
+    starts: StartValues
+    references: VariableReferences
     known: FloatArray
     held: IntArray
 
     @property
-    def running(self) -> Grid:
+    def running(self) -> SignalGrid:
         """What the loops go along."""
         return self.grid if self.communication is None else self.communication.grid
 
 
 def install(
     model: Model,
-    description: Description,
+    description: ModelDescription,
     experiment: Experiment,
     recorded: tuple[str, ...] | None = None,
-) -> Installed:
+) -> BoundExperiment:
     """Lay an experiment on its grid and look up the FMU's references for it.
 
     `recorded` are the variables to record; the experiment's own if None.
@@ -70,7 +70,7 @@ def install(
     )
     grid = build_grid(experiment, outputs)
 
-    def bases(variable: Variable) -> list[float]:
+    def bases(variable: ModelVariable) -> list[float]:
         if variable.size == 1:
             return [variable.start or 0.0]
         own = (variable.reference, variable.type)
@@ -78,23 +78,23 @@ def install(
         starts = {v.element: v.start or 0.0 for v in found}
         return [starts.get(e, 0.0) for e in range(variable.size)]
 
-    def at(names: Sequence[str]) -> list[Variable]:
+    def at(names: Sequence[str]) -> list[ModelVariable]:
         return [description.variable(n, where) for n in names]
 
     inputs = at([each.variable for each in experiment.inputs])
     moving = [v if v.moves else None for v in inputs]
     first = len(model.parameters) + len(known)
-    return Installed(
+    return BoundExperiment(
         grid=grid,
         communication=communicate(model, description, experiment, outputs, grid.times),
         outputs=outputs,
-        starts=Starts(
+        starts=StartValues(
             structure=access([*[None] * first, *structure], bases),
             numbers=access([*at(model.parameters), *known], bases),
             strings=np.array([chosen[n].reference for n in texts], np.uint32),
             texts=(held := _texts(list(texts.values())))[0],
         ),
-        references=References(
+        references=VariableReferences(
             inputs=access(inputs, bases),
             moving=access(moving, bases),
             outputs=access(at(outputs), bases),
@@ -104,7 +104,7 @@ def install(
     )
 
 
-def _held(description: Description, given: Input) -> Input:
+def _held(description: ModelDescription, given: Input) -> Input:
     """An input whose variable changes at events alone cannot be in between two samples."""
     variable = description.variables.get(given.variable)
     if variable is None or variable.moves:

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from workers.errors import ModelError
-from workers.fmu.description import Description
+from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, IntArray, Model
-from workers.simulation.grid import Grid, build_grid, on_times
+from workers.simulation.grid import SignalGrid, build_grid, on_times
 
 ON_GRID = 1e-6
 """Of a step: a time that is nearer to a communication point than this stands on it."""
 
 
 @dataclass(frozen=True)
-class Communication:
+class CommunicationPoints:
     """The communication points around the times of an experiment, for a step of fixed length.
 
     Attributes
@@ -37,7 +37,7 @@ class Communication:
         Which variables are interpolated. Others change at events alone, and keep their value.
     """
 
-    grid: Grid
+    grid: SignalGrid
     step: float
     longest: float
     before: IntArray
@@ -58,11 +58,11 @@ class Communication:
 
 def communicate(
     model: Model,
-    description: Description,
+    description: ModelDescription,
     experiment: Experiment,
     recorded: tuple[str, ...],
     times: FloatArray,
-) -> Communication | None:
+) -> CommunicationPoints | None:
     """Return when the FMU communicates in an experiment; None if it does so at all of its times.
 
     Steps begin at the start of the experiment. Their length is `Solver.step`, else the one that the
@@ -93,7 +93,7 @@ def communicate(
     sampled = points.copy()  # an input that jumps at such a time has jumped, however it is rounded
     sampled[np.searchsorted(counts, nearest[stands])] = times[stands]
     most = float(np.diff(counts).max(initial=1.0))
-    return Communication(
+    return CommunicationPoints(
         grid=on_times(experiment, sampled)._replace(times=points),
         step=step,
         longest=step * (1.0 + 0.5 / most),
@@ -105,7 +105,7 @@ def communicate(
 
 
 def communication_notes(
-    model: Model, description: Description, experiments: Sequence[Experiment]
+    model: Model, description: ModelDescription, experiments: Sequence[Experiment]
 ) -> tuple[str, ...]:
     """Say of which experiments values are interpolated, for a user.
 
@@ -135,7 +135,7 @@ def _note(file: str, step: float, names: Sequence[str]) -> str:
 
 
 def _step(
-    model: Model, description: Description, experiment: Experiment, times: FloatArray
+    model: Model, description: ModelDescription, experiment: Experiment, times: FloatArray
 ) -> float:
     where = f"experiment {experiment.id!r}"
     own = (description.fixed_internal_step, description.default_step)
@@ -159,6 +159,6 @@ def _step(
     return step
 
 
-def _moves(description: Description, name: str) -> bool:
+def _moves(description: ModelDescription, name: str) -> bool:
     variable = description.variables.get(name)
     return variable is not None and variable.moves

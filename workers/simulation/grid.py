@@ -13,7 +13,7 @@ import numpy as np
 from workers.messages import Experiment, FloatArray, Input, IntArray
 
 
-class Grid(NamedTuple):
+class SignalGrid(NamedTuple):
     """An experiment as the kernels see it.
 
     Attributes
@@ -43,7 +43,7 @@ class Grid(NamedTuple):
     sigmas: FloatArray
 
 
-def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Grid:
+def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> SignalGrid:
     """Lay an experiment's inputs, signals, measured times and constraints' times on one grid.
 
     `recorded` are the variables that a record has columns for; the experiment's own if empty.
@@ -71,7 +71,7 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Grid:
     )
 
 
-def on_times(experiment: Experiment, times: FloatArray) -> Grid:
+def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
     """Lay an experiment's inputs and signals on any times, with nothing measured."""
     driving = (*experiment.inputs, *experiment.signals)
     inputs = [_sample(given, times) for given in driving]
@@ -79,7 +79,7 @@ def on_times(experiment: Experiment, times: FloatArray) -> Grid:
     for given, (at, _) in zip(experiment.inputs, inputs, strict=False):
         if given.interpolation == "hold":
             jumps[1:] |= at[1:] != at[:-1]
-    return Grid(
+    return SignalGrid(
         times=times,
         inputs=_columns([value for value, _ in inputs], len(times)),
         slopes=_columns([slope for _, slope in inputs], len(times)),

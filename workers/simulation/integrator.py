@@ -8,23 +8,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from workers.errors import ModelError
-from workers.fmu.description import Description
-from workers.fmu.instance import Instance
+from workers.fmu.description import ModelDescription
+from workers.fmu.instance import FmuInstance
 from workers.kernels import linearise
 from workers.kernels.fmi import failure
-from workers.kernels.fmi.arguments import Asked
-from workers.kernels.fmi.component import Component, Workspace, nothing_loaded, workspace
-from workers.kernels.fmi.hooks import Hooks, no_hooks
-from workers.kernels.fmi.initialise import Settings
+from workers.kernels.fmi.arguments import KernelArguments
+from workers.kernels.fmi.component import FmiComponent, KernelWorkspace, nothing_loaded, workspace
+from workers.kernels.fmi.hooks import EffectHooks, no_hooks
+from workers.kernels.fmi.initialise import SolverSettings
 from workers.kernels.solvers.co_simulation import co_simulate_batch
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.dormand_prince import dormand_prince_batch
 from workers.kernels.solvers.rk4 import rk4_batch
 from workers.messages import FloatArray, IntArray, Linearisation, Model
-from workers.simulation.bind_experiment import Installed
+from workers.simulation.bind_experiment import BoundExperiment
 from workers.simulation.jacobian import AGREES, compare, named
 
-Batch = Callable[[Asked], int]
+Batch = Callable[[KernelArguments], int]
 """Simulates many points and returns how many of them: up to the first that failed."""
 BATCHES: dict[str, Batch] = {
     "fmu": lambda asked: int(co_simulate_batch(*asked)),
@@ -37,7 +37,7 @@ DEFAULT_RTOL = 1e-8
 
 
 @dataclass(frozen=True)
-class Record:
+class SimulationBatch:
     """What a batch of simulations gave.
 
     Attributes
@@ -61,14 +61,14 @@ class Record:
     slopes: dict[int, FloatArray] = field(default_factory=dict)
 
     @classmethod
-    def empty(cls, points: int, times: int, outputs: int) -> Record:
+    def empty(cls, points: int, times: int, outputs: int) -> SimulationBatch:
         """Nothing simulated yet."""
         return cls(
             np.full((points, times, outputs), np.nan), [""] * points, np.zeros(points, np.int64)
         )
 
 
-class Loop:
+class FmuIntegrator:
     """One instance of an FMU, and the solver's loop that takes it along an experiment.
 
     It must be loaded before it can simulate anything.
@@ -79,17 +79,17 @@ class Loop:
         The FMU; the description must be of the same archive.
     """
 
-    instance: Instance
+    instance: FmuInstance
 
-    def __init__(self, model: Model, description: Description) -> None:
+    def __init__(self, model: Model, description: ModelDescription) -> None:
         self._model, self._description = model, description
         name = model.solver.name
         self.batch: Batch = CvodeBatch() if name == "cvode" else BATCHES[name]
         self._asks_for_jacobian = name == "cvode" and _may_give_jacobian(model, description)
-        self._workspaces: dict[tuple[int, ...], Workspace] = {}
+        self._workspaces: dict[tuple[int, ...], KernelWorkspace] = {}
         self._widest = max((v.size for v in description.variables.values()), default=1)
 
-    def load(self, instance: Instance | None = None) -> None:
+    def load(self, instance: FmuInstance | None = None) -> None:
         """Load the FMU and instantiate it, unless another's instance is to be used.
 
         Raises
@@ -97,23 +97,28 @@ class Loop:
         ModelError
             If that does not work on this machine.
         """
-        self.instance = Instance(self._model, self._description) if instance is None else instance
+        self.instance = (
+            FmuInstance(self._model, self._description) if instance is None else instance
+        )
 
-    def warm_up(self, ready: Installed) -> None:
+    def warm_up(self, ready: BoundExperiment) -> None:
         """Have the loop compiled, or read from disk, before there is an FMU to run it on."""
         rows = np.empty((0, len(self._model.parameters) + len(ready.known)))
         sizes = len(ready.grid.times), len(ready.outputs)
-        nowhere, record = nothing_loaded(self._description.version), Record.empty(0, *sizes)
+        nowhere, record = (
+            nothing_loaded(self._description.version),
+            SimulationBatch.empty(0, *sizes),
+        )
         self._call(self.batch, nowhere, ready, no_hooks(0), 0, rows, record, np.empty(0))
 
     def run(
         self,
-        ready: Installed,
+        ready: BoundExperiment,
         values: FloatArray,
-        hooks: Hooks,
+        hooks: EffectHooks,
         own_states: int = 0,
         batch: Batch | None = None,
-    ) -> Record:
+    ) -> SimulationBatch:
         """Simulate an experiment for many points.
 
         Parameters
@@ -130,7 +135,7 @@ class Loop:
         known = np.broadcast_to(ready.known, (len(values), len(ready.known)))
         # hstack keeps columns together if its parts do; the loops need rows
         rows = np.ascontiguousarray(np.hstack([values, known]))
-        record = Record.empty(len(rows), len(ready.running.times), len(ready.outputs))
+        record = SimulationBatch.empty(len(rows), len(ready.running.times), len(ready.outputs))
         stopped_at = np.zeros(len(rows))
         batch = self.batch if batch is None else batch
         tried = 0
@@ -171,7 +176,7 @@ class Loop:
             record = replace(record, outputs=ready.communication.read(record.outputs))
         return record
 
-    def find_jacobian(self, ready: Installed) -> None:
+    def find_jacobian(self, ready: BoundExperiment) -> None:
         """Let CVODE have the FMU's directional derivatives, if they are right where it starts.
 
         That is at the FMU's own start values, so that all workers find the same.
@@ -197,18 +202,18 @@ class Loop:
         """Whether CVODE takes its Jacobian from the FMU, as far as it has simulated anything."""
         return isinstance(self.batch, CvodeBatch) and len(self.batch.jacobian.states) > 0
 
-    def component(self) -> Component:
+    def component(self) -> FmiComponent:
         """What the next simulation runs on."""
         return self.instance.fresh() if self._renews else self.instance.component
 
-    def settings(self, own_states: int = 0) -> Settings:
+    def settings(self, own_states: int = 0) -> SolverSettings:
         """What the loop is told about accuracy, with states of effects."""
         solver = self._model.solver
         rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
         atol = rtol if solver.atol is None else solver.atol
         nominals = [self._description.variables[name].nominal for name in self._description.states]
         nominals += [1.0] * own_states
-        return Settings(
+        return SolverSettings(
             step=solver.step or 0.0,
             rtol=rtol,
             atol=atol,
@@ -217,7 +222,9 @@ class Loop:
             fmu_tolerance=solver.rtol or 0.0,
         )
 
-    def workspace(self, ready: Installed, hooks: Hooks, own_states: int = 0) -> Workspace:
+    def workspace(
+        self, ready: BoundExperiment, hooks: EffectHooks, own_states: int = 0
+    ) -> KernelWorkspace:
         states = own_states
         if self._model.interface == "model_exchange":
             states += len(self._description.states)
@@ -241,12 +248,12 @@ class Loop:
     def _call(
         self,
         batch: Batch,
-        component: Component,
-        ready: Installed,
-        hooks: Hooks,
+        component: FmiComponent,
+        ready: BoundExperiment,
+        hooks: EffectHooks,
         own_states: int,
         rows: FloatArray,
-        record: Record,
+        record: SimulationBatch,
         stopped_at: FloatArray,
         first: int = 0,
     ) -> int:
@@ -260,7 +267,7 @@ class Loop:
         settings = self.settings(own_states)
         if (fixed := ready.communication) is not None:
             settings = settings._replace(step=fixed.longest, fixed=fixed.step)
-        asked = Asked(
+        asked = KernelArguments(
             component,
             ready.references,
             ready.starts,
@@ -284,7 +291,7 @@ class Loop:
         return f"{sentence}; it said: {said}" if said else sentence
 
 
-def _may_give_jacobian(model: Model, description: Description) -> bool:
+def _may_give_jacobian(model: Model, description: ModelDescription) -> bool:
     """Whether an FMU offers it, and may be started only to be asked whether it is right."""
     offered = description.offer(model.interface).provides_directional_derivatives
     renewed = model.renew == "process"

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from workers.errors import ModelError
-from workers.fmu.description import Description
-from workers.kernels.solvers.sundials import Jacobian
+from workers.fmu.description import ModelDescription
+from workers.kernels.solvers.sundials import DirectionalJacobian
 from workers.messages import FloatArray
 
 STEP = float(np.cbrt(np.finfo(np.float64).eps))
@@ -23,7 +23,7 @@ AGREES = 1e-4
 
 
 @dataclass(frozen=True)
-class Derivatives:
+class StateJacobian:
     """Directional derivatives of the state derivatives by the states, against differences.
 
     Attributes
@@ -38,19 +38,21 @@ class Derivatives:
     zero: bool
 
 
-def named(description: Description) -> Jacobian:
+def named(description: ModelDescription) -> DirectionalJacobian:
     """The references that a Jacobian is asked for with; none where the FMU does not say enough."""
     variables = description.variables
     slopes = {v.derivative_of: v for v in variables.values() if v.derivative_of}
     if any(name not in slopes for name in description.states):
-        return Jacobian.of()
+        return DirectionalJacobian.of()
     asked = [(variables[name], slopes[name]) for name in description.states]
     if any(v.type != "Float64" or v.size > 1 for pair in asked for v in pair):
-        return Jacobian.of()
-    return Jacobian.of([x.reference for x, _ in asked], [dx.reference for _, dx in asked])
+        return DirectionalJacobian.of()
+    return DirectionalJacobian.of(
+        [x.reference for x, _ in asked], [dx.reference for _, dx in asked]
+    )
 
 
-def compare(fmu: Any, version: str, jacobian: Jacobian) -> Derivatives:
+def compare(fmu: Any, version: str, jacobian: DirectionalJacobian) -> StateJacobian:
     """Compare them where the FMU stands, in continuous-time mode.
 
     Parameters
@@ -73,8 +75,8 @@ def compare(fmu: Any, version: str, jacobian: Jacobian) -> Derivatives:
         raise ModelError(f"asked for one, it failed ({error})") from error
 
 
-def _compare(fmu: Any, version: str, unknowns: list[int], knowns: list[int]) -> Derivatives:
-    vectors = _Vectors(fmu, len(knowns), version)
+def _compare(fmu: Any, version: str, unknowns: list[int], knowns: list[int]) -> StateJacobian:
+    vectors = _StateVectors(fmu, len(knowns), version)
     states = vectors.states()
     given, taken = np.zeros((2, len(unknowns), len(knowns)))
     for column, known in enumerate(knowns):
@@ -87,10 +89,10 @@ def _compare(fmu: Any, version: str, unknowns: list[int], knowns: list[int]) -> 
         taken[:, column] = (high - low) / (moved[0, column] - moved[1, column])
     sizes = np.maximum(np.abs(taken).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
     zero = not given.any() and bool(taken.any())
-    return Derivatives(float((np.abs(given - taken) / sizes).max(initial=0.0)), zero)
+    return StateJacobian(float((np.abs(given - taken) / sizes).max(initial=0.0)), zero)
 
 
-class _Vectors:
+class _StateVectors:
     """States and their derivatives, through the calls of either version."""
 
     def __init__(self, fmu: Any, count: int, version: str) -> None:

@@ -7,13 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from workers.effects.definition import Definition, define
-from workers.fmu.description import Description
-from workers.fmu.variable import Variable
-from workers.kernels.fmi.arguments import Asked
+from workers.effects.definition import EffectDefinition, define
+from workers.fmu.description import ModelDescription
+from workers.fmu.variable import ModelVariable
+from workers.kernels.fmi.arguments import KernelArguments
 from workers.kernels.fmi.failure import FINISHED
-from workers.kernels.fmi.hooks import Hooks
-from workers.kernels.linearise import ADAPTIVE, FIXED, GIVEN, Found, Probe, Range, linearise
+from workers.kernels.fmi.hooks import EffectHooks
+from workers.kernels.linearise import (
+    ADAPTIVE,
+    FIXED,
+    GIVEN,
+    LinearisationArrays,
+    PerturbationRange,
+    PerturbedVariables,
+    linearise,
+)
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.messages import (
     Effect,
@@ -23,12 +31,12 @@ from workers.messages import (
     Linearisation,
     Model,
 )
-from workers.simulation.bind_effects import Augmentation, augment
-from workers.simulation.bind_experiment import Installed, install
+from workers.simulation.bind_effects import BoundEffects, augment
+from workers.simulation.bind_experiment import BoundExperiment, install
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedExperiment:
     """An experiment with the effects that act on it, ready to be linearised.
 
     Attributes
@@ -42,12 +50,12 @@ class Prepared:
     """
 
     model: Model
-    description: Description
-    augmentation: Augmentation
-    probing: Augmentation | None
+    description: ModelDescription
+    augmentation: BoundEffects
+    probing: BoundEffects | None
     knobs: int
 
-    def at(self, point: FloatArray, cvode: CvodeBatch | None = None) -> Pass:
+    def at(self, point: FloatArray, cvode: CvodeBatch | None = None) -> LinearisationPass:
         """Make ready for one point: values of the model's parameters, then coefficients.
 
         `cvode` is the solver if that is the one.
@@ -64,7 +72,9 @@ class Prepared:
             probing = self.probing.hooks(ready.grid, values, widened, self.model, self.description)
         probe = self._probe(values[0])
         found = _allocate(probe, len(ready.grid.times), len(ready.outputs))
-        return Pass(self, ready, values, coefficients[0], hooks, probing, probe, found, cvode)
+        return LinearisationPass(
+            self, ready, values, coefficients[0], hooks, probing, probe, found, cvode
+        )
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -82,12 +92,12 @@ class Prepared:
         """The parameters that may change while a simulation runs."""
         return tuple(n for n in self.model.parameters if self.description.variables[n].tunable)
 
-    def _probe(self, values: FloatArray) -> Probe:
+    def _probe(self, values: FloatArray) -> PerturbedVariables:
         known, inner = self.description.variables, self.augmentation.inner
-        states: list[Variable | None] = [known[name] for name in self.description.states]
+        states: list[ModelVariable | None] = [known[name] for name in self.description.states]
         states += [None] * len(self.own_states)
         varied = inner.parameters if inner is not None else ()
-        return Probe(
+        return PerturbedVariables(
             states=_range(states),
             inputs=_range([known[name] for name in self.inputs]),
             parameters=_range([known[name] for name in self.tunable]),
@@ -101,20 +111,20 @@ class Prepared:
 
 
 @dataclass(frozen=True)
-class Pass:
+class LinearisationPass:
     """One point of a prepared experiment. Takes the place of a solver's batch function."""
 
-    prepared: Prepared
-    ready: Installed
+    prepared: PreparedExperiment
+    ready: BoundExperiment
     values: FloatArray
     coefficients: FloatArray
-    hooks: Hooks
-    probing: Hooks
-    probe: Probe
-    found: Found
+    hooks: EffectHooks
+    probing: EffectHooks
+    probe: PerturbedVariables
+    found: LinearisationArrays
     cvode: CvodeBatch | None
 
-    def __call__(self, asked: Asked) -> int:
+    def __call__(self, asked: KernelArguments) -> int:
         """Simulate one point. Always returns 1."""
         way = ADAPTIVE if self.prepared.model.solver.name == "dormand_prince" else FIXED
         if self.cvode is not None:  # it goes ahead, because nobody may call the FMU in between
@@ -128,7 +138,7 @@ class Pass:
         )  # fmt: skip
         return 1
 
-    def result(self, outputs: FloatArray, plain: Installed) -> Linearisation:
+    def result(self, outputs: FloatArray, plain: BoundExperiment) -> Linearisation:
         """What was found at the times of the experiment's own grid; `outputs` are as recorded."""
         found, made = self.found, self.prepared.augmentation
         kept = np.searchsorted(self.ready.grid.times, plain.grid.times)
@@ -158,11 +168,11 @@ class Pass:
 
 def prepare(
     model: Model,
-    description: Description,
+    description: ModelDescription,
     experiment: Experiment,
-    active: Sequence[tuple[Definition, int]],
+    active: Sequence[tuple[EffectDefinition, int]],
     knobs: int,
-) -> Prepared:
+) -> PreparedExperiment:
     """Prepare an experiment to be linearised with the effects that act on it.
 
     Parameters
@@ -181,7 +191,7 @@ def prepare(
             for j, name in enumerate(given.variable for given in made.experiment.inputs)
         ]
         probing = augment([*active, *added], run, description, exchange=True)
-    return Prepared(model, description, made, probing, knobs)
+    return PreparedExperiment(model, description, made, probing, knobs)
 
 
 def _knob(name: str) -> Effect:
@@ -189,7 +199,7 @@ def _knob(name: str) -> Effect:
 
 
 def _every_input_driven(
-    model: Model, description: Description, experiment: Experiment
+    model: Model, description: ModelDescription, experiment: Experiment
 ) -> Experiment:
     """The experiment with a constant signal for each real input that nothing sets.
 
@@ -206,19 +216,19 @@ def _every_input_driven(
     return replace(experiment, inputs=(*experiment.inputs, *added))
 
 
-def _range(variables: Sequence[Variable | None]) -> Range:
+def _range(variables: Sequence[ModelVariable | None]) -> PerturbationRange:
     """None stands for a state of an effect, which says nothing about its size."""
-    return Range(
+    return PerturbationRange(
         nominals=np.array([1.0 if v is None else v.nominal for v in variables]),
         lows=np.array([-np.inf if v is None or v.low is None else v.low for v in variables]),
         highs=np.array([np.inf if v is None or v.high is None else v.high for v in variables]),
     )
 
 
-def _allocate(probe: Probe, n: int, outputs: int) -> Found:
+def _allocate(probe: PerturbedVariables, n: int, outputs: int) -> LinearisationArrays:
     states, inputs = len(probe.states.nominals), len(probe.inputs.nominals)
     parameters = len(probe.references)
-    return Found(
+    return LinearisationArrays(
         states=np.zeros((n, states)),
         slopes=np.zeros((n, states)),
         edited=np.zeros((n, inputs)),

@@ -8,20 +8,25 @@ from typing import Literal
 import numpy as np
 
 from workers.errors import ModelError
-from workers.fmu.description import Description
-from workers.fmu.instance import Instance
-from workers.fmu.variable import Variable
-from workers.kernels.fmi.arguments import Asked
-from workers.kernels.fmi.component import Workspace
+from workers.fmu.description import ModelDescription
+from workers.fmu.instance import FmuInstance
+from workers.fmu.variable import ModelVariable
+from workers.kernels.fmi.arguments import KernelArguments
+from workers.kernels.fmi.component import KernelWorkspace
 from workers.kernels.fmi.failure import FATAL, FINISHED
-from workers.kernels.fmi.hooks import Hooks
-from workers.kernels.fmi.initialise import Settings
+from workers.kernels.fmi.hooks import EffectHooks
+from workers.kernels.fmi.initialise import SolverSettings
 from workers.kernels.fmi.values import DISCARD
-from workers.kernels.model_exchange.forward_sensitivities import AT_START, KNOWN, TWINS, Forward
+from workers.kernels.model_exchange.forward_sensitivities import (
+    AT_START,
+    KNOWN,
+    TWINS,
+    ForwardSensitivities,
+)
 from workers.kernels.sensitivities import simulate_forward, takes_as_known
 from workers.kernels.solvers.dormand_prince import NODES, WEIGHTS
 from workers.messages import FloatArray, IntArray, Model
-from workers.simulation.bind_experiment import Installed
+from workers.simulation.bind_experiment import BoundExperiment
 
 TABLEAUS = {
     "dormand_prince": (NODES[:6].copy(), WEIGHTS[:6].copy(), WEIGHTS[6].copy()),
@@ -39,13 +44,13 @@ UNKNOWN = -1
 
 
 @dataclass(frozen=True)
-class Along:
+class SensitivityPass:
     """One point of an experiment. Takes the place of a solver's batch function."""
 
     fixed: Literal[True] | None
-    forward: Forward
+    forward: ForwardSensitivities
 
-    def __call__(self, asked: Asked) -> int:
+    def __call__(self, asked: KernelArguments) -> int:
         """Simulate one point. Always returns 1."""
         asked.codes[0], asked.stopped_at[0] = simulate_forward(
             self.fixed, *asked[:6], asked.points[0], asked.work, self.forward, asked.outputs[0]
@@ -53,7 +58,7 @@ class Along:
         return 1
 
 
-class Sensing:
+class SensitivitySource:
     """How sensitivities are had of one FMU; found out at the first simulation, then kept.
 
     Parameters
@@ -62,12 +67,12 @@ class Sensing:
         The FMU.
     """
 
-    def __init__(self, model: Model, description: Description) -> None:
+    def __init__(self, model: Model, description: ModelDescription) -> None:
         self._model, self._description = model, description
         self._kinds: IntArray | None = None
-        self._twins: list[Instance] = []
+        self._twins: list[FmuInstance] = []
 
-    def why_not(self, ready: Installed) -> str:
+    def why_not(self, ready: BoundExperiment) -> str:
         """Why there are none for an experiment; "" where there may be."""
         known, solver = self._description.variables, self._model.solver.name
         if self._model.interface != "model_exchange":
@@ -86,7 +91,9 @@ class Sensing:
             return "the FMU does not name the derivative of every state"
         return ""
 
-    def along(self, ready: Installed, point: FloatArray, kinds: IntArray, handle: int) -> Along:
+    def along(
+        self, ready: BoundExperiment, point: FloatArray, kinds: IntArray, handle: int
+    ) -> SensitivityPass:
         """Make ready for one point: the values of the model's parameters.
 
         `kinds` are those that `find_kinds` gave; `handle` is that of the instance that simulates.
@@ -106,7 +113,7 @@ class Sensing:
         for row in np.flatnonzero(kinds[chosen] == TWINS):
             handles[row] = [next(twins).component.handle for _ in range(2)]
         widest = max(n, len(places))
-        forward = Forward(
+        forward = ForwardSensitivities(
             kinds=kinds[chosen],
             references=parameters[chosen],
             columns=chosen,
@@ -129,16 +136,16 @@ class Sensing:
             point=np.zeros(len(point) + len(ready.known)),
             record=np.zeros((len(ready.grid.times), len(chosen), y)),
         )
-        return Along(True if self._model.solver.name == "rk4" else None, forward)
+        return SensitivityPass(True if self._model.solver.name == "rk4" else None, forward)
 
     def find_kinds(
         self,
-        instance: Instance,
-        ready: Installed,
-        settings: Settings,
-        hooks: Hooks,
+        instance: FmuInstance,
+        ready: BoundExperiment,
+        settings: SolverSettings,
+        hooks: EffectHooks,
         row: FloatArray,
-        work: Workspace,
+        work: KernelWorkspace,
     ) -> IntArray | str:
         """How each of the model's parameters acts; a sentence where the FMU does not even start."""
         if self._kinds is not None:
@@ -179,10 +186,10 @@ class Sensing:
         """Two more instances, where there may be some. Returns the kind of the parameter then."""
         if self._description.once_per_process:
             return UNKNOWN
-        made: list[Instance] = []
+        made: list[FmuInstance] = []
         try:
             for _ in range(2):
-                made.append(Instance(self._model, self._description))  # noqa: PERF401
+                made.append(FmuInstance(self._model, self._description))  # noqa: PERF401
         except ModelError:  # there may be one only, though the FMU does not say so
             for twin in made:
                 twin.free()
@@ -200,7 +207,7 @@ class Sensing:
         below = np.minimum(np.maximum(point - RELATIVE_STEP * sizes, lows), point)
         return np.column_stack([above, below])
 
-    def _rates(self) -> dict[str, Variable]:
+    def _rates(self) -> dict[str, ModelVariable]:
         """The derivative of each state."""
         found = {v.derivative_of: v for v in self._description.variables.values()}
         return {name: found[name] for name in self._description.states if name in found}
@@ -209,5 +216,5 @@ class Sensing:
         return np.array([self._description.variables[n].reference for n in names], np.uint32)
 
 
-def _is_plain(variable: Variable) -> bool:
+def _is_plain(variable: ModelVariable) -> bool:
     return variable.type == "Float64" and variable.size == 1

@@ -9,21 +9,21 @@ import numpy as np
 from numba import typeof
 
 from workers.errors import ModelError
-from workers.fmu.description import Description
-from workers.fmu.instance import Instance
+from workers.fmu.description import ModelDescription
+from workers.fmu.instance import FmuInstance
 from workers.kernels.fmi import failure
 from workers.kernels.fmi.hooks import no_hooks
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.stiffness import stiffness
 from workers.messages import Effect, Experiment, FloatArray, Input, Model
-from workers.simulation.bind_experiment import Installed, install
-from workers.simulation.integrator import Loop, Record
-from workers.simulation.sensitivities import Sensing
+from workers.simulation.bind_experiment import BoundExperiment, install
+from workers.simulation.integrator import FmuIntegrator, SimulationBatch
+from workers.simulation.sensitivities import SensitivitySource
 
 if TYPE_CHECKING:
-    from workers.effects.definition import Definition
-    from workers.simulation.bind_effects import Augmentation, Effects
-    from workers.simulation.linearise import Prepared
+    from workers.effects.definition import EffectDefinition
+    from workers.simulation.bind_effects import BoundEffects, EffectBatch
+    from workers.simulation.linearise import PreparedExperiment
 
 
 class Simulator:
@@ -45,7 +45,7 @@ class Simulator:
     """
 
     def __init__(
-        self, model: Model, description: Description, experiments: tuple[Experiment, ...]
+        self, model: Model, description: ModelDescription, experiments: tuple[Experiment, ...]
     ) -> None:
         self._model, self._description = model, description
         self._experiments = tuple(_moving_first(description, e) for e in experiments)
@@ -54,15 +54,18 @@ class Simulator:
         ]  # they act through effects alone
         self._installed = [install(model, description, e) for e in plain]
         self._signals = tuple(dict.fromkeys(s.variable for e in experiments for s in e.signals))
-        self._effects: dict[tuple[Effect, ...], Effects] = {}
+        self._effects: dict[tuple[Effect, ...], EffectBatch] = {}
         self._augmented: dict[
-            tuple[int, tuple[tuple[Definition, int], ...]], tuple[Augmentation, Installed]
+            tuple[int, tuple[tuple[EffectDefinition, int], ...]],
+            tuple[BoundEffects, BoundExperiment],
         ] = {}
-        self._prepared: dict[tuple[int, tuple[tuple[Definition, int], ...], int], Prepared] = {}
-        self._sensing = Sensing(model, description)
-        self._loop = Loop(model, description)
+        self._prepared: dict[
+            tuple[int, tuple[tuple[EffectDefinition, int], ...], int], PreparedExperiment
+        ] = {}
+        self._sensing = SensitivitySource(model, description)
+        self._loop = FmuIntegrator(model, description)
 
-    def load(self, instance: Instance | None = None) -> None:
+    def load(self, instance: FmuInstance | None = None) -> None:
         """Load the FMU and instantiate it, unless another's instance is to be used.
 
         Raises
@@ -73,7 +76,7 @@ class Simulator:
         self._loop.load(instance)
 
     @property
-    def instance(self) -> Instance:
+    def instance(self) -> FmuInstance:
         return self._loop.instance
 
     @property
@@ -85,10 +88,12 @@ class Simulator:
         """Have the loop compiled, or read from disk, before there is an FMU to run it on."""
         self._loop.warm_up(self._installed[0])
 
-    def installed(self, experiment: int) -> Installed:
+    def installed(self, experiment: int) -> BoundExperiment:
         return self._installed[experiment]
 
-    def run(self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()) -> Record:
+    def run(
+        self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
+    ) -> SimulationBatch:
         """Simulate one experiment for many points.
 
         Parameters
@@ -111,7 +116,7 @@ class Simulator:
         values, coefficients = points[:, :count], points[:, count:]
         if not effects:
             return self._loop.run(ready, values, no_hooks(len(points)))
-        record = Record.empty(len(points), len(ready.grid.times), len(ready.outputs))
+        record = SimulationBatch.empty(len(points), len(ready.grid.times), len(ready.outputs))
         for rows, active in self._resolved(effects).groups(coefficients):
             part = self._run_augmented(experiment, values[rows], coefficients[rows], active)
             record.outputs[rows], record.codes[rows] = part.outputs, part.codes
@@ -121,7 +126,7 @@ class Simulator:
 
     def linearise(
         self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
-    ) -> Record:
+    ) -> SimulationBatch:
         """Do the same, and take the derivatives of the model and its effects on the way.
 
         Raises
@@ -142,7 +147,7 @@ class Simulator:
                 'set model.solver to "dormand_prince" or "rk4"'
             )
         plain = self._installed[experiment]
-        record = Record.empty(len(points), len(plain.grid.times), len(plain.outputs))
+        record = SimulationBatch.empty(len(points), len(plain.grid.times), len(plain.outputs))
         for p, point in enumerate(points):
             prepared = self._prepare(experiment, point, effects)
             made = prepared.at(point, cvode)
@@ -156,14 +161,14 @@ class Simulator:
 
     def sensitivities(
         self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
-    ) -> Record:
+    ) -> SimulationBatch:
         """Do as `run` does, and take the outputs' derivatives by the parameters along.
 
         A point without them has a message that says why, though its simulation may have reached its
         end.
         """
         ready = self._installed[experiment]
-        record = Record.empty(len(points), len(ready.grid.times), len(ready.outputs))
+        record = SimulationBatch.empty(len(points), len(ready.grid.times), len(ready.outputs))
         for p, point in enumerate(points):
             part, why = self._sense(ready, point) if not effects else (None, "there are effects")
             if part is None:
@@ -175,7 +180,9 @@ class Simulator:
                 record.slopes[p] = part.slopes[0]
         return record
 
-    def _sense(self, ready: Installed, point: FloatArray) -> tuple[Record | None, str]:
+    def _sense(
+        self, ready: BoundExperiment, point: FloatArray
+    ) -> tuple[SimulationBatch | None, str]:
         """One simulation with sensitivities, or why there are none."""
         why = self._sensing.why_not(ready)
         if why:
@@ -231,14 +238,20 @@ class Simulator:
         self._sensing.close()
         self.instance.free()
 
-    def _resolved(self, effects: tuple[Effect, ...]) -> Effects:
-        from workers.simulation.bind_effects import Effects  # SymPy takes half a second to import
+    def _resolved(self, effects: tuple[Effect, ...]) -> EffectBatch:
+        from workers.simulation.bind_effects import (
+            EffectBatch,  # SymPy takes half a second to import
+        )
 
         if effects not in self._effects:
-            self._effects[effects] = Effects(effects, self._description, self._model, self._signals)
+            self._effects[effects] = EffectBatch(
+                effects, self._description, self._model, self._signals
+            )
         return self._effects[effects]
 
-    def _prepare(self, experiment: int, point: FloatArray, effects: tuple[Effect, ...]) -> Prepared:
+    def _prepare(
+        self, experiment: int, point: FloatArray, effects: tuple[Effect, ...]
+    ) -> PreparedExperiment:
         """Prepare an experiment to be linearised with the effects that act at a point, once."""
         from workers.simulation.linearise import prepare
 
@@ -256,15 +269,15 @@ class Simulator:
         experiment: int,
         values: FloatArray,
         coefficients: FloatArray,
-        active: list[tuple[Definition, int]],
-    ) -> Record:
+        active: list[tuple[EffectDefinition, int]],
+    ) -> SimulationBatch:
         """A group of points on which the same effects act."""
         plain = self._installed[experiment]
         if not active:
             return self._loop.run(plain, values, no_hooks(len(values)))
         augmentation, ready = self._augment(experiment, active)
         own = augmentation.inner.own_states if augmentation.inner is not None else 0
-        record = Record.empty(len(values), len(plain.grid.times), len(plain.outputs))
+        record = SimulationBatch.empty(len(values), len(plain.grid.times), len(plain.outputs))
         chunks = [slice(p, p + 1) for p in range(len(values))]
         for chunk in chunks if augmentation.remembers else [slice(None)]:
             if augmentation.remembers:
@@ -283,8 +296,8 @@ class Simulator:
         return record
 
     def _augment(
-        self, experiment: int, active: list[tuple[Definition, int]]
-    ) -> tuple[Augmentation, Installed]:
+        self, experiment: int, active: list[tuple[EffectDefinition, int]]
+    ) -> tuple[BoundEffects, BoundExperiment]:
         """Prepare an experiment for the effects that act on it, once."""
         key = (experiment, tuple(active))
         if key not in self._augmented:
@@ -298,7 +311,7 @@ class Simulator:
         return self._augmented[key]
 
 
-def _moving_first(description: Description, experiment: Experiment) -> Experiment:
+def _moving_first(description: ModelDescription, experiment: Experiment) -> Experiment:
     """The same with inputs that may move between events first: those are set together."""
 
     def is_discrete(given: Input) -> bool:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 
-from workers.effects.forms import Form
-from workers.effects.site import Site
+from workers.effects.forms import EffectForm
+from workers.effects.site import EffectSite
 from workers.messages import Effect
 
 
-def equation_text(effect: Effect, form: Form, site: Site) -> str:
+def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
     """What an effect adds to its site, or makes of the signal there.
 
     "der(v) += -k * tanh(v / width)", "F -> F + k * F^2", "u -> delay(u, tau)". A coefficient that

@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.closed_loop.candidates.equation import equation_text
-from cluster_est.closed_loop.candidates.scales import Scales
+from cluster_est.closed_loop.candidates.scales import SignalScales
 from cluster_est.closed_loop.candidates.shapes import shape_of
-from cluster_est.closed_loop.candidates.trajectory import Course, pooled
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.problem.problem import Parameter, Problem
-from workers.effects.forms import FORMS, Coefficient, Form, positive
-from workers.effects.site import Site, open_pairs, open_sites, parse_site
-from workers.fmu.description import Description
+from workers.effects.forms import FORMS, EffectForm, FormCoefficient, positive
+from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
+from workers.fmu.description import ModelDescription
 from workers.messages import Effect
 
 NARROWEST, WIDEST = 20.0, 50.0
@@ -27,7 +27,7 @@ KINEMATIC = 1e-6
 
 
 @dataclass(frozen=True)
-class Candidate:
+class EffectCandidate:
     """An effect that could be missing.
 
     Attributes
@@ -43,8 +43,8 @@ class Candidate:
     """
 
     effect: Effect
-    form: Form
-    site: Site
+    form: EffectForm
+    site: EffectSite
     own: bool
     grid: tuple[tuple[float, ...], ...]
     lowest: tuple[float, ...] = field(repr=False)
@@ -80,11 +80,11 @@ class Candidate:
 
 def make_candidates(
     problem: Problem,
-    description: Description,
-    courses: Sequence[Course],
+    description: ModelDescription,
+    courses: Sequence[LinearisedTrajectory],
     frequencies: Sequence[float],
     settings: LoopSettings,
-) -> list[Candidate]:
+) -> list[EffectCandidate]:
     """List the candidates that the data can say something about.
 
     Parameters
@@ -98,7 +98,7 @@ def make_candidates(
     settings
         Which forms and sites to try.
     """
-    scales = Scales(courses, frequencies)
+    scales = SignalScales(courses, frequencies)
     exchange = problem.model.interface == "model_exchange"
     known = {_identity(effect) for effect in problem.effects if effect.form}
     taken = {effect.name for effect in problem.effects}
@@ -128,7 +128,9 @@ def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:
     return str(site), form.name, tuple(sorted(variables))  # those of two are products
 
 
-def _sites(problem: Problem, description: Description, courses: Sequence[Course]) -> Iterator[Site]:
+def _sites(
+    problem: Problem, description: ModelDescription, courses: Sequence[LinearisedTrajectory]
+) -> Iterator[EffectSite]:
     """Where something could be missing and would be seen."""
     interface = problem.model.interface
     train = [problem.experiments[e] for e in problem.indices("train")]
@@ -147,14 +149,14 @@ def _sites(problem: Problem, description: Description, courses: Sequence[Course]
             yield site
     for name in sorted(measured):
         if description.variables[name].causality == "output":  # no local variable that is measured
-            yield Site("output", name)
+            yield EffectSite("output", name)
     for site in open_pairs(description, interface):
         if set(site.targets) <= moving:
             yield site
-            yield Site("pair", *reversed(site.targets))
+            yield EffectSite("pair", *reversed(site.targets))
 
 
-def kinematic_states(courses: Sequence[Course]) -> set[str]:
+def kinematic_states(courses: Sequence[LinearisedTrajectory]) -> set[str]:
     """States whose derivative is another state: nothing can be missing there."""
     found: set[str] = set()
     for course in courses[:1]:
@@ -173,11 +175,11 @@ def kinematic_states(courses: Sequence[Course]) -> set[str]:
 
 
 def _variables(
-    form: Form,
-    site: Site,
+    form: EffectForm,
+    site: EffectSite,
     problem: Problem,
-    description: Description,
-    courses: Sequence[Course],
+    description: ModelDescription,
+    courses: Sequence[LinearisedTrajectory],
 ) -> Iterator[tuple[str, ...]]:
     """What a form at a site may be a function of."""
     if form.variables == 0:
@@ -207,7 +209,7 @@ def _variables(
 
 
 def _of_pair(
-    form: Form, site: Site, states: Sequence[str], description: Description
+    form: EffectForm, site: EffectSite, states: Sequence[str], description: ModelDescription
 ) -> Iterator[tuple[str, ...]]:
     """Differences of states of one unit, and single states: the twist of a shaft may be one.
 
@@ -225,8 +227,12 @@ def _of_pair(
 
 
 def _candidate(
-    form: Form, site: Site, variables: tuple[str, ...], scales: Scales, taken: Container[str]
-) -> Candidate | None:
+    form: EffectForm,
+    site: EffectSite,
+    variables: tuple[str, ...],
+    scales: SignalScales,
+    taken: Container[str],
+) -> EffectCandidate | None:
     """A candidate with its grid; None where the form makes no sense on this data."""
     if not scales.allow(form, site, variables):
         return None
@@ -251,15 +257,15 @@ def _candidate(
     if not np.isfinite(grid).all():
         return None
     effect = Effect(name, str(site), form.name, variables)
-    return Candidate(effect, form, site, own, grid, tuple(lows), tuple(highs))
+    return EffectCandidate(effect, form, site, own, grid, tuple(lows), tuple(highs))
 
 
 def _bounds(
-    coefficient: Coefficient,
+    coefficient: FormCoefficient,
     own: bool,
     strengths: Sequence[str],
     values: Sequence[float],
-    scales: Scales,
+    scales: SignalScales,
     variables: tuple[str, ...],
 ) -> tuple[float, float]:
     """What a refit may make of a coefficient."""

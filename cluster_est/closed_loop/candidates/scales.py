@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.trajectory import Course, pooled
-from workers.effects.forms import Coefficient, Form
-from workers.effects.site import Site
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
+from workers.effects.forms import EffectForm, FormCoefficient
+from workers.effects.site import EffectSite
 from workers.messages import FloatArray
 
 BOTH_SIGNS = 0.15
@@ -17,13 +17,13 @@ BOTH_SIGNS = 0.15
 
 
 @dataclass(frozen=True)
-class Scales:
+class SignalScales:
     """Sizes of all signals over all training experiments."""
 
-    courses: Sequence[Course]
+    courses: Sequence[LinearisedTrajectory]
     frequencies: Sequence[float]
 
-    def allow(self, form: Form, site: Site, variables: tuple[str, ...]) -> bool:
+    def allow(self, form: EffectForm, site: EffectSite, variables: tuple[str, ...]) -> bool:
         """Whether a form makes sense for these signals."""
         about = self._about(site, variables)
         signals = [pooled(self.courses, name) for name in variables]
@@ -35,11 +35,11 @@ class Scales:
         if "positive" in words and not (about is not None and _positive(about)):
             return False
         spread = [c.scale for c in form.coefficients if c.scale in ("low v", "high v")]
-        ends = {self.grid(Coefficient("", scale=scale), site, variables) for scale in spread}
+        ends = {self.grid(FormCoefficient("", scale=scale), site, variables) for scale in spread}
         return len(ends) == len(spread)
 
     def grid(
-        self, coefficient: Coefficient, site: Site, variables: tuple[str, ...]
+        self, coefficient: FormCoefficient, site: EffectSite, variables: tuple[str, ...]
     ) -> tuple[float, ...]:
         """Values of a coefficient to look at."""
         if coefficient.scale == "spectrum":
@@ -80,11 +80,11 @@ class Scales:
             value = np.abs(signal).max() if kind == "max" else np.sqrt(np.mean(signal**2))
         return list(rates * value)
 
-    def _about(self, site: Site, variables: tuple[str, ...]) -> FloatArray | None:
+    def _about(self, site: EffectSite, variables: tuple[str, ...]) -> FloatArray | None:
         """The signal that a form bends: its variable, else what passes the site."""
         return pooled(self.courses, variables[0]) if variables else self._signal(site)
 
-    def _signal(self, site: Site) -> FloatArray | None:
+    def _signal(self, site: EffectSite) -> FloatArray | None:
         if site.kind in ("input", "output"):
             return pooled(self.courses, site.target)
         return None

@@ -15,7 +15,7 @@ import numpy as np
 import sympy as sp
 
 from workers.effects.expression import parse
-from workers.effects.forms import Form
+from workers.effects.forms import EffectForm
 from workers.effects.memory import MEMORIES
 from workers.messages import FloatArray
 
@@ -24,7 +24,7 @@ Function = Callable[..., Any]
 
 
 @dataclass(frozen=True)
-class Signals:
+class FormArguments:
     """What a form is evaluated on: time, the signal at the site, and its variables; all (n,)."""
 
     t: FloatArray
@@ -47,7 +47,7 @@ class _OwnState:
 
 
 @dataclass(frozen=True)
-class Shape:
+class ArrayForm:
     """A form made ready for numpy.
 
     Attributes
@@ -59,12 +59,12 @@ class Shape:
         where the effect can only be switched on by a finite amount, like a dead zone.
     """
 
-    form: Form
+    form: EffectForm
     strengths: tuple[str, ...]
     _change: tuple[Function, ...]
     _states: tuple[_OwnState, ...]
 
-    def directions(self, signals: Signals, values: Mapping[str, float]) -> FloatArray:
+    def directions(self, signals: FormArguments, values: Mapping[str, float]) -> FloatArray:
         """(n, d): what is added per unit of each strength, or the whole finite change."""
         if self.form.memory:
             amount = next(iter(values.values()))
@@ -78,7 +78,7 @@ class Shape:
 
 
 @cache
-def shape_of(form: Form) -> Shape:
+def shape_of(form: EffectForm) -> ArrayForm:
     """The numpy functions of a form of the library."""
     names = [*_ARGUMENTS, *(z.name for z in form.states), *(c.name for c in form.coefficients)]
     symbols = {name: sp.Symbol(name, real=True) for name in names}
@@ -90,7 +90,7 @@ def shape_of(form: Form) -> Shape:
     added = equation + reaction  # no strength is in both
     linear = bool(neutral) and all(_linear_in(added, k, neutral) for k in neutral)
     changes = [sp.diff(added, k) for k in neutral] if linear else [equation - symbols["s"]]
-    return Shape(
+    return ArrayForm(
         form=form,
         strengths=tuple(str(k) for k in neutral) if linear else (),
         _change=tuple(sp.lambdify(order, change, "numpy") for change in changes),
@@ -108,7 +108,9 @@ def _linear_in(equation: sp.Expr, strength: sp.Symbol, others: list[sp.Symbol]) 
     return slope != 0 and not (slope.free_symbols & set(others))
 
 
-def _own_state(state: Any, form: Form, symbols: Mapping[str, sp.Symbol], where: str) -> _OwnState:
+def _own_state(
+    state: Any, form: EffectForm, symbols: Mapping[str, sp.Symbol], where: str
+) -> _OwnState:
     """Split an own state's derivative into drive and rate; those of the library are linear."""
     derivative = parse(state.derivative, symbols, where)
     z = symbols[state.name]
@@ -120,7 +122,7 @@ def _own_state(state: Any, form: Form, symbols: Mapping[str, sp.Symbol], where: 
     return _OwnState(*(sp.lambdify(order, sp.simplify(e), "numpy") for e in (drive, rate, start)))
 
 
-def _follow(state: _OwnState, signals: Signals, values: Mapping[str, float]) -> FloatArray:
+def _follow(state: _OwnState, signals: FormArguments, values: Mapping[str, float]) -> FloatArray:
     """Integrate an own state: exact where the drive is linear and the rate constant in a step."""
     size = len(signals.t)
     numbers = tuple(values.values())

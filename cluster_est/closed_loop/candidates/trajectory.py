@@ -12,7 +12,7 @@ from workers.simulation.grid import build_grid
 
 
 @dataclass(frozen=True)
-class Course:
+class LinearisedTrajectory:
     """One experiment along the current fit.
 
     Attributes
@@ -62,7 +62,9 @@ class Course:
         return first, second
 
 
-def make_course(experiment: Experiment, outcome: Outcome, states: Sequence[str]) -> Course:
+def make_course(
+    experiment: Experiment, outcome: Outcome, states: Sequence[str]
+) -> LinearisedTrajectory:
     """From the answer to "linearisation", or to "trajectory" in co-simulation.
 
     `states` are the FMU's: those that effects bring along are nothing to depend on.
@@ -86,7 +88,7 @@ def make_course(experiment: Experiment, outcome: Outcome, states: Sequence[str])
     grid = build_grid(experiment)
     width = len(experiment.outputs)
     at = np.searchsorted(times, grid.times[grid.gather // width])
-    return Course(
+    return LinearisedTrajectory(
         times=times,
         signals=signals | own,
         outputs=plain,
@@ -98,7 +100,7 @@ def make_course(experiment: Experiment, outcome: Outcome, states: Sequence[str])
     )
 
 
-def pooled(courses: Sequence[Course], name: str) -> FloatArray:
+def pooled(courses: Sequence[LinearisedTrajectory], name: str) -> FloatArray:
     """A signal of all experiments that have it, one behind the other."""
     return np.concatenate([course.signal(name) for course in courses if course.has(name)])
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import sympy as sp
 
-from cluster_est.closed_loop.candidates.make import Candidate
-from cluster_est.closed_loop.candidates.trajectory import Course, pooled
-from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.results.result import Estimate, Result
 from workers.effects.expression import parse
@@ -56,7 +56,9 @@ class DrawnEffect:
     why_not: str = ""
 
 
-def draw_effects(bench: Workbench, fitted: Fitted, result: Result) -> tuple[DrawnEffect, ...]:
+def draw_effects(
+    bench: LoopWorkbench, fitted: FittedModel, result: Result
+) -> tuple[DrawnEffect, ...]:
     """The shapes of all effects that the loop has added.
 
     Parameters
@@ -78,12 +80,15 @@ def draw_effects(bench: Workbench, fitted: Fitted, result: Result) -> tuple[Draw
     return tuple(each for c in fitted.added for each in _draw(bench, c, courses, result))
 
 
-def _none(candidate: Candidate, why: str) -> DrawnEffect:
+def _none(candidate: EffectCandidate, why: str) -> DrawnEffect:
     return DrawnEffect(candidate.effect.name, str(candidate.site), why_not=why)
 
 
 def _draw(
-    bench: Workbench, candidate: Candidate, courses: Sequence[Course], result: Result
+    bench: LoopWorkbench,
+    candidate: EffectCandidate,
+    courses: Sequence[LinearisedTrajectory],
+    result: Result,
 ) -> list[DrawnEffect]:
     form, site = candidate.form, candidate.site
     if form.memory or form.states:
@@ -120,7 +125,7 @@ def _draw(
 
 def _curve(
     known: DrawnEffect,
-    candidate: Candidate,
+    candidate: EffectCandidate,
     shape: Shape,
     target: str,
     units: Mapping[str, str],
@@ -145,7 +150,9 @@ def _curve(
     )
 
 
-def _visited(candidate: Candidate, courses: Sequence[Course], symbol: str, name: str) -> FloatArray:
+def _visited(
+    candidate: EffectCandidate, courses: Sequence[LinearisedTrajectory], symbol: str, name: str
+) -> FloatArray:
     """Where the training experiments were; of an output, before effects act on it."""
     if symbol == "t":
         return np.concatenate([course.times for course in courses])
@@ -155,7 +162,7 @@ def _visited(candidate: Candidate, courses: Sequence[Course], symbol: str, name:
     return pooled(courses, name)
 
 
-def _variable(candidate: Candidate, text: str) -> tuple[str, str] | None:
+def _variable(candidate: EffectCandidate, text: str) -> tuple[str, str] | None:
     """The only thing that an equation depends on: its symbol there, and its name."""
     site = candidate.site
     equation = _parsed(candidate, text)
@@ -175,13 +182,13 @@ def _used(equation: sp.Expr) -> set[str]:
     return {str(symbol) for symbol in equation.free_symbols} & set("tsvw")
 
 
-def _parsed(candidate: Candidate, text: str) -> sp.Expr:
+def _parsed(candidate: EffectCandidate, text: str) -> sp.Expr:
     names = [*"tsvw", *(c.name for c in candidate.form.coefficients)]
     symbols = {name: sp.Symbol(name, real=True) for name in names}
     return parse(text, symbols, f"form {candidate.form.name}")
 
 
-def _function(candidate: Candidate, text: str, over: str, signal: float) -> Shape:
+def _function(candidate: EffectCandidate, text: str, over: str, signal: float) -> Shape:
     """What the effect adds, or makes of its signal, over x and the coefficients."""
     equation = _parsed(candidate, text)
     s = sp.Symbol("s", real=True)

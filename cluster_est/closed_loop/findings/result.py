@@ -28,7 +28,7 @@ class Verdict(enum.StrEnum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class CandidateEvidence:
     """One candidate and its evidence, a row of findings.parquet.
 
     Attributes
@@ -70,7 +70,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Alternative:
+class AlternativeEffect:
     """An effect that cannot be told apart from the one chosen on this data.
 
     Attributes
@@ -119,7 +119,7 @@ class NamedEffect:
     family: str
     equation: str
     coefficients: tuple[Estimate, ...]
-    alternatives: tuple[Alternative, ...] = ()
+    alternatives: tuple[AlternativeEffect, ...] = ()
     evidence: tuple[str, ...] = ()
 
     @property
@@ -196,7 +196,7 @@ class LoopResult:
     before: Result = field(repr=False)
     after: Result = field(repr=False)
     errors: tuple[ErrorChange, ...]
-    findings: tuple[Finding, ...] = field(repr=False)
+    findings: tuple[CandidateEvidence, ...] = field(repr=False)
     rejected: tuple[NamedEffect, ...]
     noise: dict[str, float]
     sites: tuple[str, ...]
@@ -314,9 +314,9 @@ class LoopResult:
         return f"Closed loop: {self.verdict}. {self.summary}"
 
     @property
-    def _tables(self) -> tuple[notebook.Table, ...]:
+    def _tables(self) -> tuple[notebook.DisplayTable, ...]:
         effects = [(e.name, e.family, e.equation) for e in self.effects]
         return (
-            notebook.Table("Effects", ("name", "family", "equation"), effects),
+            notebook.DisplayTable("Effects", ("name", "family", "equation"), effects),
             *fit_tables(self.after.estimates, self.errors),
         )

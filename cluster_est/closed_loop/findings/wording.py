@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.make import Candidate
-from cluster_est.closed_loop.findings.result import Alternative, ErrorChange, NamedEffect
-from cluster_est.closed_loop.selection.forward_selection import Search
-from cluster_est.closed_loop.selection.refine import Contender
-from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.findings.result import AlternativeEffect, ErrorChange, NamedEffect
+from cluster_est.closed_loop.selection.forward_selection import SelectionResult
+from cluster_est.closed_loop.selection.refine import RefittedCandidate
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.results.result import Estimate, Result
 from workers.messages import FloatArray
 
@@ -16,13 +16,15 @@ WINDOWS = 20
 """Into how many parts a record is cut to say when most of its residual lives."""
 
 
-def describe_effects(bench: Workbench, found: Search, result: Result) -> tuple[NamedEffect, ...]:
+def describe_effects(
+    bench: LoopWorkbench, found: SelectionResult, result: Result
+) -> tuple[NamedEffect, ...]:
     """The effects of the final model, with what each cannot be told apart from."""
     return tuple(_describe(bench, found, candidate, result) for candidate in found.current.added)
 
 
 def error_changes(
-    bench: Workbench, found: Search, before: Result, after: Result
+    bench: LoopWorkbench, found: SelectionResult, before: Result, after: Result
 ) -> tuple[ErrorChange, ...]:
     """The errors of the declared and of the final model, side by side."""
     noise = bench.noise_in_units(found.noise)
@@ -53,7 +55,7 @@ def _over(error: float, sigma: float) -> float:
     return error / sigma if sigma > 0.0 else np.nan
 
 
-def where_left(bench: Workbench, fitted: Fitted) -> str:
+def where_left(bench: LoopWorkbench, fitted: FittedModel) -> str:
     """Where and when most of a residual lives, in a sentence."""
     total = max(fitted.sse, 1e-300)
     best: tuple[float, str] = (0.0, "")
@@ -73,7 +75,9 @@ def where_left(bench: Workbench, fitted: Fitted) -> str:
     return f"of what is left, the largest part ({best[0] / total:.0%}) is in {best[1]}"
 
 
-def _describe(bench: Workbench, found: Search, candidate: Candidate, result: Result) -> NamedEffect:
+def _describe(
+    bench: LoopWorkbench, found: SelectionResult, candidate: EffectCandidate, result: Result
+) -> NamedEffect:
     name = candidate.effect.name
     won, rivals = found.rivals.get(name, (None, []))
     return NamedEffect(
@@ -93,12 +97,12 @@ def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
 
 
 def _alternative(
-    bench: Workbench, won: Contender, rival: Contender, noise: FloatArray
-) -> Alternative:
+    bench: LoopWorkbench, won: RefittedCandidate, rival: RefittedCandidate, noise: FloatArray
+) -> AlternativeEffect:
     """A rival, and where an experiment would tell it from the winner best."""
     candidate = rival.candidate
     where, when, output, size = _largest_difference(bench, won.fitted, rival.fitted, noise)
-    return Alternative(
+    return AlternativeEffect(
         site=str(candidate.site),
         form=candidate.form.name,
         family=candidate.form.family,
@@ -113,7 +117,7 @@ def _alternative(
 
 
 def _largest_difference(
-    bench: Workbench, one: Fitted, other: Fitted, noise: FloatArray
+    bench: LoopWorkbench, one: FittedModel, other: FittedModel, noise: FloatArray
 ) -> tuple[str, float, str, float]:
     """Experiment, time, output and size of the largest difference of two models' predictions.
 
@@ -131,7 +135,7 @@ def _largest_difference(
     return "", np.nan, "", float(gap[row])
 
 
-def _evidence(found: Search, candidate: Candidate) -> tuple[str, ...]:
+def _evidence(found: SelectionResult, candidate: EffectCandidate) -> tuple[str, ...]:
     """Why it was added, in sentences."""
     sentences = []
     for finding in found.findings:

@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
-from cluster_est.closed_loop.candidates.make import Candidate
-from cluster_est.closed_loop.candidates.shapes import Signals, shape_of
-from cluster_est.closed_loop.candidates.trajectory import Course
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.candidates.shapes import FormArguments, shape_of
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.screening.linear_kernel import run_linear
 from workers.messages import FloatArray, Linearisation
 
@@ -30,10 +30,10 @@ BLOCK_VALUES = 2_000_000
 
 
 @dataclass(frozen=True)
-class Trial:
+class CandidatePoint:
     """A candidate at one point of its grid."""
 
-    candidate: Candidate
+    candidate: EffectCandidate
     values: tuple[float, ...]
 
     @property
@@ -43,7 +43,9 @@ class Trial:
 
 
 def directions(
-    courses: Sequence[Course], trials: Sequence[Trial], known: Sequence[FloatArray]
+    courses: Sequence[LinearisedTrajectory],
+    trials: Sequence[CandidatePoint],
+    known: Sequence[FloatArray],
 ) -> list[FloatArray]:
     """The directions of trials, each (residuals, width), from the courses alone.
 
@@ -66,13 +68,15 @@ def directions(
     return [joined[:, a:b] for a, b in pairwise(ends)]
 
 
-def _of_course(course: Course, trials: Sequence[Trial], known: FloatArray) -> FloatArray:
+def _of_course(
+    course: LinearisedTrajectory, trials: Sequence[CandidatePoint], known: FloatArray
+) -> FloatArray:
     """(residuals of one experiment, columns of all trials)."""
     steps = discretise(course.linear) if course.linear is not None else None
     width = len(course.times) * max(course.outputs.shape[1], _order(course))
     most = max(1, BLOCK_VALUES // max(1, width))
     found: list[FloatArray] = []
-    block: list[Trial] = []
+    block: list[CandidatePoint] = []
     columns = 0
     for trial in trials:
         if block and columns + trial.width > most:
@@ -85,12 +89,15 @@ def _of_course(course: Course, trials: Sequence[Trial], known: FloatArray) -> Fl
     return np.hstack(found)
 
 
-def _order(course: Course) -> int:
+def _order(course: LinearisedTrajectory) -> int:
     return course.linear.A.shape[1] if course.linear is not None else 0
 
 
 def _of_block(
-    course: Course, steps: Steps | None, trials: Sequence[Trial], known: FloatArray
+    course: LinearisedTrajectory,
+    steps: DiscreteSystem | None,
+    trials: Sequence[CandidatePoint],
+    known: FloatArray,
 ) -> FloatArray:
     count = sum(trial.width for trial in trials)
     n, outputs = course.outputs.shape
@@ -110,7 +117,7 @@ def _of_block(
     return course.residual_change(change)
 
 
-def added_at(course: Course, trial: Trial, known: FloatArray) -> FloatArray:
+def added_at(course: LinearisedTrajectory, trial: CandidatePoint, known: FloatArray) -> FloatArray:
     """(n, width): what the effect adds at its site; relative at a parameter in co-simulation."""
     candidate = trial.candidate
     site, zero = candidate.site, np.zeros(len(course.times))
@@ -124,11 +131,15 @@ def added_at(course: Course, trial: Trial, known: FloatArray) -> FloatArray:
     values = {
         c.name: value for c, value in zip(candidate.form.coefficients, trial.values, strict=True)
     }
-    return shape_of(candidate.form).directions(Signals(course.times, s, v, w), values)
+    return shape_of(candidate.form).directions(FormArguments(course.times, s, v, w), values)
 
 
 def _place(
-    course: Course, trial: Trial, added: FloatArray, forcing: FloatArray, change: FloatArray
+    course: LinearisedTrajectory,
+    trial: CandidatePoint,
+    added: FloatArray,
+    forcing: FloatArray,
+    change: FloatArray,
 ) -> None:
     """Let what is added act on the linear system: on its states, its outputs, or both."""
     site, linear = trial.candidate.site, course.linear
@@ -153,7 +164,7 @@ def _place(
 
 
 @dataclass(frozen=True)
-class Steps:
+class DiscreteSystem:
     """A linear time-varying system in discrete time, for forcing that is linear within each step.
 
     x' = keep x + from_first f + from_last f', each (n - 1, x, x).
@@ -164,7 +175,7 @@ class Steps:
     from_last: FloatArray
 
 
-def discretise(linear: Linearisation) -> Steps:
+def discretise(linear: Linearisation) -> DiscreteSystem:
     """Step matrices, exact where A is constant within each step.
 
     C. F. Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404, doi:10.1109/TAC.1978.1101743.
@@ -180,10 +191,10 @@ def discretise(linear: Linearisation) -> Steps:
     powers = expm(joined)
     last = powers[:, :x, 2 * x :]
     parts = powers[:, :x, :x], powers[:, :x, x : 2 * x] - last, last
-    return Steps(*(np.ascontiguousarray(part) for part in parts))
+    return DiscreteSystem(*(np.ascontiguousarray(part) for part in parts))
 
 
-def propagate(steps: Steps, forcing: FloatArray) -> FloatArray:
+def propagate(steps: DiscreteSystem, forcing: FloatArray) -> FloatArray:
     """Integrate d(dx)/dt = A dx + f from dx = 0.
 
     Parameters

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.trajectory import Course, pooled
-from cluster_est.closed_loop.screening.directions import Trial, added_at
-from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
+from cluster_est.closed_loop.screening.directions import CandidatePoint, added_at
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.problem.space import Unknown
 from workers.messages import FloatArray
 
@@ -17,7 +17,10 @@ AMOUNT = 0.01
 
 
 def probe(
-    bench: Workbench, fitted: Fitted, courses: Sequence[Course], trials: Sequence[Trial]
+    bench: LoopWorkbench,
+    fitted: FittedModel,
+    courses: Sequence[LinearisedTrajectory],
+    trials: Sequence[CandidatePoint],
 ) -> list[FloatArray]:
     """The direction of each trial, (residuals, width), all in one queue.
 
@@ -42,7 +45,9 @@ def probe(
     return found
 
 
-def _switched(trial: Trial, courses: Sequence[Course]) -> tuple[list[FloatArray], list[float]]:
+def _switched(
+    trial: CandidatePoint, courses: Sequence[LinearisedTrajectory]
+) -> tuple[list[FloatArray], list[float]]:
     """Coefficients for each column, and what its change is to be divided by."""
     candidate = trial.candidate
     values = np.array(trial.values)
@@ -59,7 +64,7 @@ def _switched(trial: Trial, courses: Sequence[Course]) -> tuple[list[FloatArray]
     return rows, steps
 
 
-def _size(trial: Trial, courses: Sequence[Course]) -> float:
+def _size(trial: CandidatePoint, courses: Sequence[LinearisedTrajectory]) -> float:
     """How large a strength is that changes its signal by as much as the signal itself."""
     candidate = trial.candidate
     added = np.concatenate([added_at(course, trial, np.zeros(0)) for course in courses])
@@ -71,7 +76,7 @@ def _size(trial: Trial, courses: Sequence[Course]) -> float:
 
 
 def _point(
-    fitted: Fitted, unknowns: Sequence[Unknown], trial: Trial, row: FloatArray
+    fitted: FittedModel, unknowns: Sequence[Unknown], trial: CandidatePoint, row: FloatArray
 ) -> FloatArray:
     """The fit's point with the effect's coefficients behind it."""
     names = [c.name for c in trial.candidate.form.coefficients]

@@ -8,16 +8,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.candidates.trajectory import Course
-from cluster_est.closed_loop.findings.result import Finding
-from cluster_est.closed_loop.screening.directions import Trial, directions
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.findings.result import CandidateEvidence
+from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
 from cluster_est.closed_loop.screening.probe import probe
-from cluster_est.closed_loop.statistics.omnibus import Omnibus, omnibus
-from cluster_est.closed_loop.statistics.projection import Projection
-from cluster_est.closed_loop.statistics.records import Records, thinned
-from cluster_est.closed_loop.statistics.score import Scores, family_wise, score
+from cluster_est.closed_loop.statistics.omnibus import OmnibusTest, omnibus
+from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
+from cluster_est.closed_loop.statistics.records import StackedRecords, thinned
+from cluster_est.closed_loop.statistics.score import ScoreTests, family_wise, score
 from cluster_est.closed_loop.statistics.whitening import fit_autoregression, whiten
-from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.errors import DataError
 from workers.messages import FloatArray, IntArray
 
@@ -29,7 +29,7 @@ COLUMN_PENALTY = 8.0
 
 
 @dataclass(frozen=True)
-class Screening:
+class ScreeningResult:
     """All candidates against the residual of a fit.
 
     Attributes
@@ -48,13 +48,13 @@ class Screening:
         Family-wise p-values.
     """
 
-    trials: tuple[Trial, ...]
+    trials: tuple[CandidatePoint, ...]
     columns: tuple[FloatArray, ...] = field(repr=False)
     rows: IntArray = field(repr=False)
-    plain: Scores = field(repr=False)
-    white: Scores = field(repr=False)
-    omnibus: Omnibus
-    omnibus_white: Omnibus
+    plain: ScoreTests = field(repr=False)
+    white: ScoreTests = field(repr=False)
+    omnibus: OmnibusTest
+    omnibus_white: OmnibusTest
     p: float
     p_white: float
 
@@ -69,7 +69,7 @@ class Screening:
         """Share of the residual that the best candidate carries."""
         return float(self.plain.explained.max(initial=0.0))
 
-    def leaders(self, scores: Scores, most: int, *, tables: bool = True) -> list[int]:
+    def leaders(self, scores: ScoreTests, most: int, *, tables: bool = True) -> list[int]:
         """The best trial of each candidate, best candidate first."""
         rank = scores.statistics - COLUMN_PENALTY * np.maximum(scores.df - 1, 0)
         best: dict[str, int] = {}
@@ -80,7 +80,7 @@ class Screening:
         return list(best.values())[:most]
 
 
-def screen(bench: Workbench, fitted: Fitted, step: int) -> Screening:
+def screen(bench: LoopWorkbench, fitted: FittedModel, step: int) -> ScreeningResult:
     """Rank every candidate at a fit."""
     courses = bench.courses(fitted)
     frequencies = _peaks(bench.records, fitted.residuals)
@@ -93,19 +93,19 @@ def screen(bench: Workbench, fitted: Fitted, step: int) -> Screening:
             f"there are candidates, but have {bench.size} for {len(candidates)}; add data, or "
             "name fewer in closed_loop.effects or closed_loop.sites"
         )
-    trials = tuple(Trial(c, values) for c in candidates for values in c.grid)
+    trials = tuple(CandidatePoint(c, values) for c in candidates for values in c.grid)
     records, rows = thinned(bench.records, MOST_ROWS)
     columns = tuple(column[rows] for column in _columns(bench, fitted, courses, trials))
     matrix, residuals = fitted.jacobian[rows], fitted.residuals[rows]
-    projection = Projection(matrix)
+    projection = OrthogonalProjection(matrix)
     plain = score(projection, residuals, columns)
     coefficients = fit_autoregression(projection.remove(residuals), records)
     white_columns = [whiten(column, records, coefficients) for column in columns]
-    white_projection = Projection(whiten(matrix, records, coefficients))
+    white_projection = OrthogonalProjection(whiten(matrix, records, coefficients))
     white_residuals = whiten(residuals, records, coefficients)
     white = score(white_projection, white_residuals, white_columns)
     draws = bench.settings.draws
-    return Screening(
+    return ScreeningResult(
         trials=trials,
         columns=columns,
         rows=rows,
@@ -120,9 +120,11 @@ def screen(bench: Workbench, fitted: Fitted, step: int) -> Screening:
     )
 
 
-def findings(screening: Screening, fitted: Fitted, step: int) -> dict[str, Finding]:
+def findings(
+    screening: ScreeningResult, fitted: FittedModel, step: int
+) -> dict[str, CandidateEvidence]:
     """The best trial of each candidate as a finding, by the effect's name."""
-    found: dict[str, Finding] = {}
+    found: dict[str, CandidateEvidence] = {}
     scores = screening.plain
     matrix = fitted.jacobian[screening.rows]
     for i in np.argsort(-scores.statistics, kind="stable").tolist():
@@ -130,7 +132,7 @@ def findings(screening: Screening, fitted: Fitted, step: int) -> dict[str, Findi
         if candidate.effect.name in found:
             continue
         aside = scores.df[i] == 0
-        found[candidate.effect.name] = Finding(
+        found[candidate.effect.name] = CandidateEvidence(
             step=step,
             site=str(candidate.site),
             form=candidate.form.name,
@@ -148,7 +150,10 @@ def findings(screening: Screening, fitted: Fitted, step: int) -> dict[str, Findi
 
 
 def _columns(
-    bench: Workbench, fitted: Fitted, courses: Sequence[Course], trials: Sequence[Trial]
+    bench: LoopWorkbench,
+    fitted: FittedModel,
+    courses: Sequence[LinearisedTrajectory],
+    trials: Sequence[CandidatePoint],
 ) -> list[FloatArray]:
     """Directions of all trials: from the linear systems, or where there are none by simulation."""
     known = fitted.space.physical(fitted.x)
@@ -166,7 +171,7 @@ def _columns(
     return [found[id(trial)] for trial in trials]
 
 
-def _peaks(records: Records, residuals: FloatArray) -> list[float]:
+def _peaks(records: StackedRecords, residuals: FloatArray) -> list[float]:
     """Angular frequencies at which the residual of some record is strongest."""
     best: list[tuple[float, float]] = []
     for record in records.items:
@@ -185,7 +190,7 @@ def _peaks(records: Records, residuals: FloatArray) -> list[float]:
     return found[:PEAKS]
 
 
-def _imitator(matrix: FloatArray, column: FloatArray, fitted: Fitted) -> str:
+def _imitator(matrix: FloatArray, column: FloatArray, fitted: FittedModel) -> str:
     """The declared parameter whose sensitivity is most like a direction."""
     direction = column[:, 0]
     norms = np.linalg.norm(matrix, axis=0) * np.linalg.norm(direction)
@@ -195,6 +200,8 @@ def _imitator(matrix: FloatArray, column: FloatArray, fitted: Fitted) -> str:
     return fitted.space.unknowns[int(np.argmax(cosines))].label
 
 
-def refreshed(finding: Finding, stage: str, criterion: float = np.nan) -> Finding:
+def refreshed(
+    finding: CandidateEvidence, stage: str, criterion: float = np.nan
+) -> CandidateEvidence:
     """A finding that has come a stage further."""
     return replace(finding, stage=stage, criterion=criterion)

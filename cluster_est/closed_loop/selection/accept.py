@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from workers.messages import FloatArray, IntArray, Output
 
 CV_STEPS = (1.0, 0.4)
@@ -23,7 +23,7 @@ UNPREDICTED = 4.0
 
 
 @dataclass(frozen=True)
-class Prediction:
+class LeaveOneOutPrediction:
     """Leave-one-out prediction: a sum of squares for each part that was left out."""
 
     squares: FloatArray
@@ -33,7 +33,7 @@ class Prediction:
         return float(self.squares.sum())
 
 
-def predict(bench: Workbench, fitted: Fitted) -> Prediction:
+def predict(bench: LoopWorkbench, fitted: FittedModel) -> LeaveOneOutPrediction:
     """Predict each training experiment from the others.
 
     The fit to the others is one Gauss-Newton step away, since all but one experiment were in it
@@ -55,10 +55,10 @@ def predict(bench: Workbench, fitted: Fitted) -> Prediction:
             if float(np.sum(at.residuals**2)) - here <= GUARD * (fitted.sse - own):
                 squares[number] = here
                 break
-    return Prediction(squares)
+    return LeaveOneOutPrediction(squares)
 
 
-def _parts(bench: Workbench) -> list[IntArray]:
+def _parts(bench: LoopWorkbench) -> list[IntArray]:
     """The residuals that are left out together."""
     records = bench.records
     count = len(bench.train)
@@ -76,7 +76,7 @@ def _parts(bench: Workbench) -> list[IntArray]:
     return parts
 
 
-def stays_bounded(bench: Workbench, fitted: Fitted, trusted: Fitted) -> bool:
+def stays_bounded(bench: LoopWorkbench, fitted: FittedModel, trusted: FittedModel) -> bool:
     """Whether no output runs away when the training inputs swing a quarter further.
 
     It may go as far as several times what was measured, or what the trusted model makes of the
@@ -110,7 +110,7 @@ def _reach(output: Output, residuals: FloatArray, mean: float) -> float:
     return float(np.abs(output.values - output.sigma * residuals - mean).max())
 
 
-def _left_out(fitted: Fitted, part: IntArray) -> FloatArray:
+def _left_out(fitted: FittedModel, part: IntArray) -> FloatArray:
     """Points towards the fit without some residuals, longest step first."""
     others = np.ones(len(fitted.residuals), bool)
     others[part] = False

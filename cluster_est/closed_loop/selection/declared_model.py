@@ -13,10 +13,10 @@ import numpy as np
 from scipy.stats import qmc
 
 from cluster_est.closed_loop.statistics.noise import estimate_noise
-from cluster_est.closed_loop.workbench import HORIZONS, Fitted, Start, Workbench
+from cluster_est.closed_loop.workbench import HORIZONS, FitStart, FittedModel, LoopWorkbench
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 AT_NOISE = 1.05
@@ -30,7 +30,7 @@ THOROUGH = LeastSquares(trials=2, max_iterations=25, ftol=1e-7, xtol=1e-8, diffe
 BRIEF = LeastSquares(trials=2, max_iterations=8, ftol=1e-4, xtol=1e-5, differences="forward")
 
 
-def fit_declared(bench: Workbench, start: Start) -> Fitted:
+def fit_declared(bench: LoopWorkbench, start: FitStart) -> FittedModel:
     """Fit from the user's start, and from others unless that reaches the noise.
 
     Raises
@@ -51,7 +51,7 @@ def fit_declared(bench: Workbench, start: Start) -> Fitted:
     return min(best, key=lambda fitted: fitted.sse)
 
 
-def at_noise(bench: Workbench, fitted: Fitted) -> bool:
+def at_noise(bench: LoopWorkbench, fitted: FittedModel) -> bool:
     """Whether the residual is as small as its own roughness says it can be."""
     noise = estimate_noise(fitted.residuals, bench.records)
     for output, sigma in enumerate(noise.tolist()):
@@ -61,20 +61,20 @@ def at_noise(bench: Workbench, fitted: Fitted) -> bool:
     return True
 
 
-def _grow(bench: Workbench, start: Start) -> list[Fitted | None]:
+def _grow(bench: LoopWorkbench, start: FitStart) -> list[FittedModel | None]:
     """Several starts through the horizons to the full records."""
     starts = _spread(bench, start)
     for horizon, survivors in zip(HORIZONS, SURVIVORS, strict=True):
         fits = bench.fit("base", starts, BRIEF, rehearsal=f"{horizon:.0%}")
         alive = sorted((f for f in fits if f is not None), key=lambda f: f.sse)
         starts = [
-            Start(start.problem, _own_labels(bench, f, f"{horizon:.0%}"), start.added)
+            FitStart(start.problem, _own_labels(bench, f, f"{horizon:.0%}"), start.added)
             for f in _distinct(alive)[:survivors]
         ]
     return bench.fit("base", starts, THOROUGH)
 
 
-def _spread(bench: Workbench, start: Start) -> list[Start]:
+def _spread(bench: LoopWorkbench, start: FitStart) -> list[FitStart]:
     """The user's start, and points of a Sobol sequence around it for the shared values."""
     space = bench.space(start)
     shared = [i for i, unknown in enumerate(space.unknowns) if "[" not in unknown.label]
@@ -83,21 +83,21 @@ def _spread(bench: Workbench, start: Start) -> list[Start]:
     cube = 2.0 * sampler.random(1 << (count - 1).bit_length())[:count] - 1.0
     cube[0] = 0.0
     return [
-        Start(start.problem, space.estimates(_moved(space, shared, row)), start.added)
+        FitStart(start.problem, space.estimates(_moved(space, shared, row)), start.added)
         for row in cube
     ]
 
 
-def _moved(space: Space, shared: Sequence[int], row: FloatArray) -> FloatArray:
+def _moved(space: SearchSpace, shared: Sequence[int], row: FloatArray) -> FloatArray:
     x = space.start.copy()
     for i, way in zip(shared, row.tolist(), strict=False):
         x[i] += SPREAD * way * (1.0 if space.unknowns[i].log else space.typical[i])
     return np.asarray(np.clip(x, space.lower, space.upper))
 
 
-def _distinct(fits: Sequence[Fitted]) -> list[Fitted]:
+def _distinct(fits: Sequence[FittedModel]) -> list[FittedModel]:
     """Fits at different points, the best of each."""
-    kept: list[Fitted] = []
+    kept: list[FittedModel] = []
     for fit in fits:
         log = np.array([unknown.log for unknown in fit.space.unknowns], bool)
         sizes = np.where(log, 1.0, np.maximum(np.abs(fit.x), fit.space.typical))
@@ -106,7 +106,7 @@ def _distinct(fits: Sequence[Fitted]) -> list[Fitted]:
     return kept
 
 
-def _own_labels(bench: Workbench, fitted: Fitted, rehearsal: str) -> dict[str, float]:
+def _own_labels(bench: LoopWorkbench, fitted: FittedModel, rehearsal: str) -> dict[str, float]:
     """Estimates with the labels of the experiments themselves instead of their rehearsals'."""
     experiments = bench.everything.experiments
     names = {

@@ -7,20 +7,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.result import Finding
-from cluster_est.closed_loop.screening.screen import Screening, findings, refreshed, screen
-from cluster_est.closed_loop.selection.accept import Prediction, predict, stays_bounded
+from cluster_est.closed_loop.findings.result import CandidateEvidence
+from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, refreshed, screen
+from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, predict, stays_bounded
 from cluster_est.closed_loop.selection.declared_model import fit_declared
 from cluster_est.closed_loop.selection.pairs import refit_pairs
 from cluster_est.closed_loop.selection.refine import (
-    Contender,
+    RefittedCandidate,
     alternatives,
     plainest,
     refit,
 )
 from cluster_est.closed_loop.selection.revise import Rivals, revise
 from cluster_est.closed_loop.statistics.noise import estimate_noise
-from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
 
 SOLO_GAIN = 30.0
@@ -36,21 +36,21 @@ AGAIN = LeastSquares(trials=2, max_iterations=15, ftol=1e-6, xtol=1e-7, differen
 
 
 @dataclass(frozen=True)
-class Step:
+class SelectionRound:
     """One round: what was seen at a model, and what came of it.
 
     `why` says why nothing was added; empty where something was.
     """
 
-    screening: Screening = field(repr=False)
-    contenders: tuple[Contender, ...] = field(repr=False)
+    screening: ScreeningResult = field(repr=False)
+    contenders: tuple[RefittedCandidate, ...] = field(repr=False)
     why: str
     gain: float = np.nan
     closed: float = np.nan
 
 
 @dataclass(frozen=True)
-class Search:
+class SelectionResult:
     """Where the search ended.
 
     Attributes
@@ -67,28 +67,28 @@ class Search:
         Of each output, in units of its residual.
     """
 
-    base: Fitted = field(repr=False)
-    current: Fitted = field(repr=False)
-    base_prediction: Prediction = field(repr=False)
-    prediction: Prediction = field(repr=False)
+    base: FittedModel = field(repr=False)
+    current: FittedModel = field(repr=False)
+    base_prediction: LeaveOneOutPrediction = field(repr=False)
+    prediction: LeaveOneOutPrediction = field(repr=False)
     rivals: Rivals = field(repr=False)
-    steps: tuple[Step, ...] = field(repr=False)
-    findings: tuple[Finding, ...] = field(repr=False)
+    steps: tuple[SelectionRound, ...] = field(repr=False)
+    findings: tuple[CandidateEvidence, ...] = field(repr=False)
     noise: np.ndarray
 
     @property
-    def last(self) -> Step:
+    def last(self) -> SelectionRound:
         return self.steps[-1]
 
 
-def search(bench: Workbench, declared: Start, *, again: bool = True) -> Search:
+def search(bench: LoopWorkbench, declared: FitStart, *, again: bool = True) -> SelectionResult:
     """Fit the declared model and add effects to it while they earn it."""
     base = fit_declared(bench, declared)
     noise = estimate_noise(base.residuals, bench.records)
     current, prediction = base, predict(bench, base)
     base_prediction = prediction
-    steps: list[Step] = []
-    seen: list[Finding] = []
+    steps: list[SelectionRound] = []
+    seen: list[CandidateEvidence] = []
     rivals: Rivals = {}
     passed = {frozenset(c.effect.name for c in base.added)}
     while True:
@@ -101,7 +101,7 @@ def search(bench: Workbench, declared: Start, *, again: bool = True) -> Search:
         if won is None or better is None:
             break
         if again and not current.added and _was_local(bench, base, won):
-            restart = Start(declared.problem, _declared_only(won, declared), declared.added)
+            restart = FitStart(declared.problem, _declared_only(won, declared), declared.added)
             return search(bench, restart, again=False)
         grown = won.fitted
         for candidate in grown.added[len(current.added) :]:
@@ -114,27 +114,27 @@ def search(bench: Workbench, declared: Start, *, again: bool = True) -> Search:
             break
         passed.add(names)
         current, prediction = grown, better
-    return Search(
+    return SelectionResult(
         base, current, base_prediction, prediction, rivals, tuple(steps), tuple(seen), noise
     )
 
 
 def _round(
-    bench: Workbench,
-    current: Fitted,
-    before: Prediction,
-    screening: Screening,
+    bench: LoopWorkbench,
+    current: FittedModel,
+    before: LeaveOneOutPrediction,
+    screening: ScreeningResult,
     noise: np.ndarray,
     full: bool,
-) -> tuple[Step, Contender | None, Prediction | None]:
+) -> tuple[SelectionRound, RefittedCandidate | None, LeaveOneOutPrediction | None]:
     """Try to add something to a model."""
     significance = bench.settings.significance
     if screening.p > significance:
-        return Step(screening, (), "nothing significant"), None, None
+        return SelectionRound(screening, (), "nothing significant"), None, None
     if screening.p_white > significance:
-        return Step(screening, (), "coloured noise"), None, None
+        return SelectionRound(screening, (), "coloured noise"), None, None
     if full:
-        return Step(screening, (), "limit of effects"), None, None
+        return SelectionRound(screening, (), "limit of effects"), None, None
     contenders = refit(bench, current, screening, bench.noise_floor(noise))
     named = [c for c in contenders if c.candidate.form.family != "table"]
     step, won, better = _best_of(bench, current, before, screening, named, noise)
@@ -156,13 +156,13 @@ def _round(
 
 
 def _best_of(
-    bench: Workbench,
-    current: Fitted,
-    before: Prediction,
-    screening: Screening,
-    contenders: Sequence[Contender],
+    bench: LoopWorkbench,
+    current: FittedModel,
+    before: LeaveOneOutPrediction,
+    screening: ScreeningResult,
+    contenders: Sequence[RefittedCandidate],
     noise: np.ndarray,
-) -> tuple[Step, Contender | None, Prediction | None]:
+) -> tuple[SelectionRound, RefittedCandidate | None, LeaveOneOutPrediction | None]:
     """The best contender that stays bounded, if it passes the gates."""
     left = [c for c in contenders if c.criterion < current.criterion(bench.records)]
     while left:
@@ -172,21 +172,21 @@ def _best_of(
         left = [c for c in left if c is not chosen]
     if not left:
         why = "no candidate improves the fit and stays bounded"
-        return Step(screening, tuple(contenders), why), None, None
+        return SelectionRound(screening, tuple(contenders), why), None, None
     contenders = tuple(left)
     after = predict(bench, chosen.fitted)
     gain, closed, why = _gates(bench, current, chosen, before, after, screening, noise)
-    step = Step(screening, contenders, why, gain, closed)
+    step = SelectionRound(screening, contenders, why, gain, closed)
     return (step, None, None) if why else (step, chosen, after)
 
 
 def _gates(
-    bench: Workbench,
-    current: Fitted,
-    chosen: Contender,
-    before: Prediction,
-    after: Prediction,
-    screening: Screening,
+    bench: LoopWorkbench,
+    current: FittedModel,
+    chosen: RefittedCandidate,
+    before: LeaveOneOutPrediction,
+    after: LeaveOneOutPrediction,
+    screening: ScreeningResult,
     noise: np.ndarray,
 ) -> tuple[float, float, str]:
     """Gain of the criterion, share of the gap to the noise that is closed, and why not if so."""
@@ -209,7 +209,7 @@ def _gates(
     return gain, closed, ""
 
 
-def _improved(current: Fitted, grown: Fitted) -> float:
+def _improved(current: FittedModel, grown: FittedModel) -> float:
     """Share of the experiments that fit clearly better."""
     better = [
         np.sum(grown.residuals[rows] ** 2) < SOLO_SHARE * np.sum(current.residuals[rows] ** 2)
@@ -219,7 +219,11 @@ def _improved(current: Fitted, grown: Fitted) -> float:
 
 
 def _rest_is_coloured(
-    bench: Workbench, current: Fitted, grown: Fitted, before: Prediction, after: Prediction
+    bench: LoopWorkbench,
+    current: FittedModel,
+    grown: FittedModel,
+    before: LeaveOneOutPrediction,
+    after: LeaveOneOutPrediction,
 ) -> bool:
     """Whether what an effect leaves unexplained is coloured noise, so that it did all it could."""
     if (
@@ -230,22 +234,26 @@ def _rest_is_coloured(
     return screen(bench, grown, 90).p_white > bench.settings.significance
 
 
-def _was_local(bench: Workbench, base: Fitted, won: Contender) -> bool:
+def _was_local(bench: LoopWorkbench, base: FittedModel, won: RefittedCandidate) -> bool:
     """Whether the declared model does as well from the new parameters: no effect was missing."""
     values = _declared_only(won, base.start)
-    (fit,) = bench.fit("return", [Start(base.problem, values, base.added)], AGAIN)
+    (fit,) = bench.fit("return", [FitStart(base.problem, values, base.added)], AGAIN)
     return fit is not None and fit.sse < LOCAL_MINIMUM * base.sse
 
 
-def _declared_only(won: Contender, declared: Start) -> dict[str, float]:
+def _declared_only(won: RefittedCandidate, declared: FitStart) -> dict[str, float]:
     names = [c.effect.name for c in won.fitted.added]
     estimates = won.fitted.estimates.items()
     return {k: v for k, v in estimates if not any(k.startswith(f"{n}.") for n in names)}
 
 
 def _noted(
-    bench: Workbench, current: Fitted, step: Step, won: Contender | None, number: int
-) -> list[Finding]:
+    bench: LoopWorkbench,
+    current: FittedModel,
+    step: SelectionRound,
+    won: RefittedCandidate | None,
+    number: int,
+) -> list[CandidateEvidence]:
     """The candidates of a step, with how far each came."""
     found = findings(step.screening, current, number)
     base = current.criterion(bench.records)

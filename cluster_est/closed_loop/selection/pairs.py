@@ -9,9 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.closed_loop.screening.screen import Screening
-from cluster_est.closed_loop.selection.refine import Contender, contest, joint_step, values_at
-from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
+from cluster_est.closed_loop.screening.screen import ScreeningResult
+from cluster_est.closed_loop.selection.refine import (
+    RefittedCandidate,
+    contest,
+    joint_step,
+    values_at,
+)
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 
 LEADERS = 90
 ALIKE = 0.98
@@ -19,13 +24,15 @@ ALIKE = 0.98
 FITTED = 8
 
 
-def refit_pairs(bench: Workbench, current: Fitted, screening: Screening) -> list[Contender]:
+def refit_pairs(
+    bench: LoopWorkbench, current: FittedModel, screening: ScreeningResult
+) -> list[RefittedCandidate]:
     """Refit the best pairs; the best first. A contender's last two effects are the pair."""
     starts = [_start(current, screening, i, j) for i, j in best_pairs(screening)[:FITTED]]
     return contest(bench, starts) if starts else []
 
 
-def best_pairs(screening: Screening) -> list[tuple[int, int]]:
+def best_pairs(screening: ScreeningResult) -> list[tuple[int, int]]:
     """Pairs of trials of different candidates by the share of the residual that they carry."""
     scores = screening.plain
     usable = [
@@ -56,7 +63,7 @@ def best_pairs(screening: Screening) -> list[tuple[int, int]]:
     return found
 
 
-def _start(current: Fitted, screening: Screening, i: int, j: int) -> Start:
+def _start(current: FittedModel, screening: ScreeningResult, i: int, j: int) -> FitStart:
     """Both effects, with the strengths of the joint linear step."""
     _, strengths = joint_step(current, screening, (i, j))
     start = current.start

@@ -12,12 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.make import Candidate
-from cluster_est.closed_loop.screening.directions import Trial
-from cluster_est.closed_loop.screening.screen import Screening
-from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.screening.directions import CandidatePoint
+from cluster_est.closed_loop.screening.screen import ScreeningResult
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 STEPS = (1.0, 0.3)
@@ -44,21 +44,26 @@ FULL = LeastSquares(trials=2, max_iterations=10, ftol=1e-6, xtol=1e-7, differenc
 
 
 @dataclass(frozen=True)
-class Contender:
+class RefittedCandidate:
     """A model with one effect more, refitted."""
 
-    fitted: Fitted = field(repr=False)
+    fitted: FittedModel = field(repr=False)
     criterion: float
     full: bool
 
     @property
-    def candidate(self) -> Candidate:
+    def candidate(self) -> EffectCandidate:
         return self.fitted.added[-1]
 
 
 def refit(
-    bench: Workbench, current: Fitted, screening: Screening, floor: float, *, wide: bool = True
-) -> list[Contender]:
+    bench: LoopWorkbench,
+    current: FittedModel,
+    screening: ScreeningResult,
+    floor: float,
+    *,
+    wide: bool = True,
+) -> list[RefittedCandidate]:
     """Refit the leading candidates; the best first.
 
     Parameters
@@ -92,24 +97,24 @@ def refit(
     return sorted(contenders, key=lambda c: c.criterion)
 
 
-def contest(bench: Workbench, starts: Sequence[Start]) -> list[Contender]:
+def contest(bench: LoopWorkbench, starts: Sequence[FitStart]) -> list[RefittedCandidate]:
     """Refit all a little, the better half more, and the best to convergence; the best first."""
-    lost: list[Contender] = []
+    lost: list[RefittedCandidate] = []
     for method in (FIRST, SHORT):
         fits = [f for f in bench.fit("candidate", starts, method) if f is not None]
         fits.sort(key=lambda f: f.criterion(bench.records))
         kept = max(FINALISTS, len(fits) // 2)
-        lost += [Contender(f, f.criterion(bench.records), False) for f in fits[kept:]]
+        lost += [RefittedCandidate(f, f.criterion(bench.records), False) for f in fits[kept:]]
         starts = [f.start for f in fits[:kept]]
     best = fits[:kept]
-    lost += [Contender(f, f.criterion(bench.records), False) for f in best[FINALISTS:]]
+    lost += [RefittedCandidate(f, f.criterion(bench.records), False) for f in best[FINALISTS:]]
     finished = bench.fit("candidate", [f.start for f in best[:FINALISTS]], FULL)
     final = [new or old for new, old in zip(finished, best, strict=False)]
-    lost += [Contender(f, f.criterion(bench.records), True) for f in final]
+    lost += [RefittedCandidate(f, f.criterion(bench.records), True) for f in final]
     return sorted(lost, key=lambda c: c.criterion)
 
 
-def _closes(current: Fitted, contenders: Sequence[Contender], floor: float) -> bool:
+def _closes(current: FittedModel, contenders: Sequence[RefittedCandidate], floor: float) -> bool:
     """Whether the best contender closes nearly all of the gap to the noise."""
     if not contenders:
         return False
@@ -117,14 +122,16 @@ def _closes(current: Fitted, contenders: Sequence[Contender], floor: float) -> b
     return current.sse - best >= CLOSES * (current.sse - floor)
 
 
-def plainest(contenders: Sequence[Contender]) -> Contender:
+def plainest(contenders: Sequence[RefittedCandidate]) -> RefittedCandidate:
     """The best contender; among equals the plainest name."""
     best = contenders[0].criterion
     equal = [c for c in contenders if c.full and c.criterion - best < EQUAL] or contenders[:1]
     return min(equal, key=lambda c: (c.candidate.form.order, c.criterion))
 
 
-def alternatives(contenders: Sequence[Contender], chosen: Contender) -> list[Contender]:
+def alternatives(
+    contenders: Sequence[RefittedCandidate], chosen: RefittedCandidate
+) -> list[RefittedCandidate]:
     """The contenders that the data leave possible beside the chosen one, each effect once."""
     seen = {chosen.candidate.effect.name}
     found = []
@@ -137,8 +144,8 @@ def alternatives(contenders: Sequence[Contender], chosen: Contender) -> list[Con
 
 
 def _mixed(
-    starts: Sequence[tuple[float, Start]], count: int
-) -> tuple[list[Start], list[tuple[float, Start]]]:
+    starts: Sequence[tuple[float, FitStart]], count: int
+) -> tuple[list[FitStart], list[tuple[float, FitStart]]]:
     """Two thirds by their rank in the screening, one by the cost of their first step; the rest."""
     ranked = 2 * count // 3
     rest = sorted(starts[ranked:], key=lambda pair: pair[0])
@@ -147,11 +154,11 @@ def _mixed(
 
 
 def _try(
-    bench: Workbench, current: Fitted, screening: Screening, leaders: Sequence[int]
-) -> list[tuple[float, Start]]:
+    bench: LoopWorkbench, current: FittedModel, screening: ScreeningResult, leaders: Sequence[int]
+) -> list[tuple[float, FitStart]]:
     """Simulate the first step of each leader: its cost, and a start from the best point."""
-    asked: list[tuple[Space, FloatArray]] = []
-    begun: list[Start] = []
+    asked: list[tuple[SearchSpace, FloatArray]] = []
+    begun: list[FitStart] = []
     owners: list[int] = []
     for owner, leader in enumerate(leaders):
         for i in _grid_points(screening, leader):
@@ -162,18 +169,18 @@ def _try(
             asked.append((space, _points(current, space, trial, step, strengths)))
             begun.append(start)
             owners.append(owner)
-    best: dict[int, tuple[float, Start]] = {}
+    best: dict[int, tuple[float, FitStart]] = {}
     for owner, (space, points), start, seen in zip(
         owners, asked, begun, bench.look("trial", asked), strict=True
     ):
         for point, at in zip(points, seen, strict=True):
             if at.ok and (owner not in best or at.cost < best[owner][0]):
                 values = space.estimates(point)
-                best[owner] = (at.cost, Start(start.problem, values, start.added))
+                best[owner] = (at.cost, FitStart(start.problem, values, start.added))
     return [best[owner] for owner in range(len(leaders)) if owner in best]
 
 
-def _grid_points(screening: Screening, leader: int) -> list[int]:
+def _grid_points(screening: ScreeningResult, leader: int) -> list[int]:
     """The points of a leader's grid with the best scores."""
     name = screening.trials[leader].candidate.effect.name
     own = [i for i, t in enumerate(screening.trials) if t.candidate.effect.name == name]
@@ -182,7 +189,7 @@ def _grid_points(screening: Screening, leader: int) -> list[int]:
 
 
 def joint_step(
-    current: Fitted, screening: Screening, trials: Sequence[int]
+    current: FittedModel, screening: ScreeningResult, trials: Sequence[int]
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Gauss-Newton step of all unknowns, and how strong each trial is to be, on the screened rows.
 
@@ -205,12 +212,12 @@ def joint_step(
     return solved[: ends[0]], [solved[a:b] for a, b in pairwise(ends)]
 
 
-def _proportional(trial: Trial) -> bool:
+def _proportional(trial: CandidatePoint) -> bool:
     """Whether its effect grows with a coefficient from nothing."""
     return any(c.neutral == 0.0 for c in trial.candidate.form.coefficients)
 
 
-def values_at(trial: Trial, strengths: FloatArray) -> list[float]:
+def values_at(trial: CandidatePoint, strengths: FloatArray) -> list[float]:
     """The trial's coefficients, as strong as the linear model asks for.
 
     Where an effect is switched on by a finite amount, that amount is scaled, within limits.
@@ -228,7 +235,11 @@ def values_at(trial: Trial, strengths: FloatArray) -> list[float]:
 
 
 def _points(
-    current: Fitted, space: Space, trial: Trial, step: FloatArray, strengths: FloatArray
+    current: FittedModel,
+    space: SearchSpace,
+    trial: CandidatePoint,
+    step: FloatArray,
+    strengths: FloatArray,
 ) -> FloatArray:
     """The first step in several lengths, in the extended space."""
     known = len(current.x)

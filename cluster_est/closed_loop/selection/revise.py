@@ -6,25 +6,31 @@ import numpy as np
 
 from cluster_est.closed_loop.screening.screen import screen
 from cluster_est.closed_loop.selection.accept import stays_bounded
-from cluster_est.closed_loop.selection.refine import FULL, Contender, alternatives, plainest, refit
-from cluster_est.closed_loop.workbench import Fitted, Workbench
+from cluster_est.closed_loop.selection.refine import (
+    FULL,
+    RefittedCandidate,
+    alternatives,
+    plainest,
+    refit,
+)
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 
 SWEEPS = 2
 """How often all effects are asked at most whether another is better."""
 SWAP = 4.0
 """By how much a criterion must fall for an earlier effect to be replaced."""
 
-Rivals = dict[str, tuple[Contender, list[Contender]]]
+Rivals = dict[str, tuple[RefittedCandidate, list[RefittedCandidate]]]
 """For each added effect, by name, the model that brought it in and those that it won against."""
 
 
 def revise(
-    bench: Workbench,
-    grown: Fitted,
+    bench: LoopWorkbench,
+    grown: FittedModel,
     count: int,
     floor: float,
     rivals: Rivals,
-) -> Fitted:
+) -> FittedModel:
     """Ask of each earlier effect whether another is better now, and whether it is needed."""
     for sweep in range(SWEEPS):
         before = grown
@@ -46,12 +52,12 @@ def revise(
 
 
 def _swap(
-    bench: Workbench,
-    grown: Fitted,
+    bench: LoopWorkbench,
+    grown: FittedModel,
     position: int,
     floor: float,
     rivals: Rivals,
-) -> Fitted:
+) -> FittedModel:
     """The model with a better effect in the place of one, if there is a better one."""
     (rest,) = bench.fit("swap", [grown.start.minus(position)], FULL)
     if rest is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.closed_loop.statistics.records import Records
+from cluster_est.closed_loop.statistics.records import StackedRecords
 from workers.messages import FloatArray
 
 SHORTEST = 10
@@ -17,7 +17,7 @@ MEDIAN_OF_NORMAL = 0.6745
 """Median of |x| where x is normal with variance 1."""
 
 
-def estimate_noise(residuals: FloatArray, records: Records) -> FloatArray:
+def estimate_noise(residuals: FloatArray, records: StackedRecords) -> FloatArray:
     """Standard deviation of the noise of each output, from fourth differences.
 
     A fourth difference removes what is smooth over five samples (every cubic exactly) and leaves
@@ -43,7 +43,7 @@ def estimate_noise(residuals: FloatArray, records: Records) -> FloatArray:
     return np.array([_of_output(residuals, records, i) for i in range(len(records.outputs))])
 
 
-def _of_output(residuals: FloatArray, records: Records, output: int) -> float:
+def _of_output(residuals: FloatArray, records: StackedRecords, output: int) -> float:
     signals = [residuals[item.rows] for item in records.items if item.output == output]
     long = [signal for signal in signals if len(signal) >= SHORTEST]
     if long:

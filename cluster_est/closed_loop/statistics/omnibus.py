@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
-from cluster_est.closed_loop.statistics.projection import NOTHING_LEFT, Projection
-from cluster_est.closed_loop.statistics.records import Records
+from cluster_est.closed_loop.statistics.projection import NOTHING_LEFT, OrthogonalProjection
+from cluster_est.closed_loop.statistics.records import StackedRecords
 from workers.messages import FloatArray
 
 REACH = 4
@@ -20,7 +20,7 @@ NUMBERS_AT_ONCE = 2_500_000
 
 
 @dataclass(frozen=True)
-class Omnibus:
+class OmnibusTest:
     """How smooth the residual is beside white noise.
 
     Attributes
@@ -36,13 +36,13 @@ class Omnibus:
 
 
 def omnibus(
-    projection: Projection,
+    projection: OrthogonalProjection,
     residuals: FloatArray,
-    records: Records,
+    records: StackedRecords,
     generator: np.random.Generator,
     draws: int = 400,
     lengths: Sequence[float] = (2, 6, 20),
-) -> Omnibus:
+) -> OmnibusTest:
     """Test the residual against white noise for every smooth alternative at once.
 
     For each length, Q = r' K r / r' r with r the projected residual and K_ij = exp(-(i - j)^2 / 2
@@ -65,18 +65,18 @@ def omnibus(
     """
     observed = projection.remove(residuals)
     if np.linalg.norm(observed) <= NOTHING_LEFT * np.linalg.norm(residuals):
-        return Omnibus(1.0, 0.0)
+        return OmnibusTest(1.0, 0.0)
     null = _null(projection, records, generator, draws, lengths)
     mean, spread = null.mean(axis=0), null.std(axis=0)
     spread[spread == 0.0] = 1.0
     largest = ((null - mean) / spread).max(axis=1)
     z = float(((_smoothness(observed[None], records, lengths)[0] - mean) / spread).max())
-    return Omnibus((1 + int((largest >= z).sum())) / (draws + 1), z)
+    return OmnibusTest((1 + int((largest >= z).sum())) / (draws + 1), z)
 
 
 def _null(
-    projection: Projection,
-    records: Records,
+    projection: OrthogonalProjection,
+    records: StackedRecords,
     generator: np.random.Generator,
     draws: int,
     lengths: Sequence[float],
@@ -90,7 +90,9 @@ def _null(
     return np.concatenate(found)
 
 
-def _smoothness(signals: FloatArray, records: Records, lengths: Sequence[float]) -> FloatArray:
+def _smoothness(
+    signals: FloatArray, records: StackedRecords, lengths: Sequence[float]
+) -> FloatArray:
     """Q of each row of `signals`, (rows, lengths)."""
     quadratic = np.zeros((len(signals), len(lengths)))
     for item in records.items:

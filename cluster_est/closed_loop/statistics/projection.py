@@ -13,7 +13,7 @@ NOTHING_LEFT = 1e-12
 """Length of a projected residual, over that before, which is the rounding of the projection."""
 
 
-class Projection:
+class OrthogonalProjection:
     """P = I - Q Q', Q an orthonormal basis of the columns of a matrix.
 
     With the sensitivities of the residuals to the parameters as that matrix, P leaves what no small

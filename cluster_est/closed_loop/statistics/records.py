@@ -17,7 +17,7 @@ from workers.messages import Experiment, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
-class Record:
+class OutputRecord:
     """One output of one experiment.
 
     Attributes
@@ -39,7 +39,7 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Records:
+class StackedRecords:
     """All records of a stacked vector, in its order, without gaps.
 
     Attributes
@@ -51,7 +51,7 @@ class Records:
     """
 
     outputs: tuple[str, ...]
-    items: tuple[Record, ...]
+    items: tuple[OutputRecord, ...]
 
     @cached_property
     def size(self) -> int:
@@ -67,7 +67,7 @@ class Records:
         return _rows(record for record in self.items if record.experiment == experiment)
 
 
-def make_records(experiments: Sequence[Experiment]) -> Records:
+def make_records(experiments: Sequence[Experiment]) -> StackedRecords:
     """Records of the residuals of these experiments, stacked in this order."""
     names = dict.fromkeys(output.variable for each in experiments for output in each.outputs)
     outputs = tuple(names)
@@ -76,10 +76,10 @@ def make_records(experiments: Sequence[Experiment]) -> Records:
         for e, experiment in enumerate(experiments)
         for output in experiment.outputs
     ]
-    return Records(outputs, _stacked(signals))
+    return StackedRecords(outputs, _stacked(signals))
 
 
-def thinned(records: Records, most: int) -> tuple[Records, IntArray]:
+def thinned(records: StackedRecords, most: int) -> tuple[StackedRecords, IntArray]:
     """Every s-th sample of each record, s as small as `most` rows in all allow.
 
     For screening long data: what is tested afterwards are the samples that were kept, so nothing
@@ -101,19 +101,19 @@ def thinned(records: Records, most: int) -> tuple[Records, IntArray]:
     stride = min(stride, longest)
     signals = [(item.experiment, item.output, item.times[::stride]) for item in records.items]
     rows = _rows(records.items, stride)
-    return Records(records.outputs, _stacked(signals)), rows
+    return StackedRecords(records.outputs, _stacked(signals)), rows
 
 
-def _stacked(signals: Iterable[tuple[int, int, FloatArray]]) -> tuple[Record, ...]:
+def _stacked(signals: Iterable[tuple[int, int, FloatArray]]) -> tuple[OutputRecord, ...]:
     """Records of (experiment, output, times), one after the other."""
-    items: list[Record] = []
+    items: list[OutputRecord] = []
     start = 0
     for experiment, output, times in signals:
-        items.append(Record(experiment, output, slice(start, start + len(times)), times))
+        items.append(OutputRecord(experiment, output, slice(start, start + len(times)), times))
         start += len(times)
     return tuple(items)
 
 
-def _rows(records: Iterable[Record], stride: int = 1) -> IntArray:
+def _rows(records: Iterable[OutputRecord], stride: int = 1) -> IntArray:
     rows = [np.arange(item.rows.start, item.rows.stop, stride) for item in records]
     return np.concatenate(rows) if rows else np.zeros(0, dtype=int)

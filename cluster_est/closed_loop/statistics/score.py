@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import gammaincc, gammaln, log_ndtr
 
-from cluster_est.closed_loop.statistics.projection import NOTHING_LEFT, Projection
+from cluster_est.closed_loop.statistics.projection import NOTHING_LEFT, OrthogonalProjection
 from workers.messages import FloatArray, IntArray
 
 IMITATED = 5e-3
@@ -23,7 +23,7 @@ LEVEL = 0.01
 
 
 @dataclass(frozen=True)
-class Scores:
+class ScoreTests:
     """Score tests of candidates, in the order in which these were given.
 
     Attributes
@@ -85,7 +85,9 @@ class FamilyWise:
     effective: float
 
 
-def score(projection: Projection, residuals: FloatArray, columns: Sequence[FloatArray]) -> Scores:
+def score(
+    projection: OrthogonalProjection, residuals: FloatArray, columns: Sequence[FloatArray]
+) -> ScoreTests:
     """Test for each candidate whether adding it would reduce the residual more than noise allows.
 
     Rao's score, or Lagrange multiplier, test: with P the projection that removes the declared
@@ -126,7 +128,9 @@ def score(projection: Projection, residuals: FloatArray, columns: Sequence[Float
     return _tested(projection, residuals, bases[usable].T, owners[usable], ratio)
 
 
-def family_wise(scores: Scores, generator: np.random.Generator, draws: int = 2000) -> FamilyWise:
+def family_wise(
+    scores: ScoreTests, generator: np.random.Generator, draws: int = 2000
+) -> FamilyWise:
     """Probability that white noise looks at least as good to the best of these candidates.
 
     The smallest p-value of all candidates is compared with its distribution under the null, with
@@ -187,12 +191,12 @@ def _far_tail(a: FloatArray, x: FloatArray) -> FloatArray:
 
 
 def _tested(
-    projection: Projection,
+    projection: OrthogonalProjection,
     residuals: FloatArray,
     bases: FloatArray,
     owners: IntArray,
     ratio: FloatArray,
-) -> Scores:
+) -> ScoreTests:
     """The statistics of candidates whose basis columns have these owners."""
     left = projection.remove(residuals)
     square, degrees = float(left @ left), projection.degrees
@@ -202,7 +206,7 @@ def _tested(
     coordinates = bases.T @ left / np.sqrt(variance) if variance > 0.0 else np.zeros(len(owners))
     statistics = _summed(coordinates**2, owners, len(ratio))
     df = np.bincount(owners, minlength=len(ratio))
-    return Scores(
+    return ScoreTests(
         statistics=statistics,
         df=df,
         ratio=ratio,
@@ -246,7 +250,7 @@ def _orthonormal(units: FloatArray, outside: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.linalg.qr((clear.T @ directions).T)[0].T)
 
 
-def _null_of_least(scores: Scores, generator: np.random.Generator, draws: int) -> FloatArray:
+def _null_of_least(scores: ScoreTests, generator: np.random.Generator, draws: int) -> FloatArray:
     """Logarithm of the smallest p-value of all candidates, (draws,) times under the null."""
     values, vectors = np.linalg.eigh(scores.bases.T @ scores.bases)
     kept = values > 1e-10 * values[-1]

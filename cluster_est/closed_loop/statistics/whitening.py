@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
-from cluster_est.closed_loop.statistics.records import Records
+from cluster_est.closed_loop.statistics.records import StackedRecords
 from workers.messages import FloatArray
 
 
-def fit_autoregression(residuals: FloatArray, records: Records, order: int = 2) -> FloatArray:
+def fit_autoregression(
+    residuals: FloatArray, records: StackedRecords, order: int = 2
+) -> FloatArray:
     """Coefficients of r_t = a_1 r_{t-1} + ... + a_p r_{t-p} + e_t for each output.
 
     The Yule-Walker equations sum_j c_|i-j| a_j = c_i, with autocovariances c about 0 that are
@@ -37,7 +39,7 @@ def fit_autoregression(residuals: FloatArray, records: Records, order: int = 2) 
     return coefficients
 
 
-def whiten(a: FloatArray, records: Records, coefficients: FloatArray) -> FloatArray:
+def whiten(a: FloatArray, records: StackedRecords, coefficients: FloatArray) -> FloatArray:
     """Each record filtered to its innovations e_t; as many rows as before.
 
     The first samples of a record lack a full past. Each is predicted from the past that it has by

@@ -7,23 +7,23 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, Strict
 
 from cluster_est.config.sections.types import (
+    ConfigSection,
     Count,
     Finite,
     Known,
     Pair,
     Samples,
-    Section,
     as_column,
     as_group,
 )
 
 
-class InputSection(Section):
+class InputSection(ConfigSection):
     column: str = Field(description="column of the data")
     interpolation: Literal["linear", "hold"] = Field("linear", description="between samples")
 
 
-class OutputSection(Section):
+class OutputSection(ConfigSection):
     column: str = Field(description="column of the data")
     interpolation: Literal["linear", "hold"] = Field(
         "linear", description="between samples, where the time base asks for other times"
@@ -31,13 +31,13 @@ class OutputSection(Section):
     weight: Finite = Field(1.0, gt=0.0, description="of its squares in the cost")
 
 
-class ColumnSection(Section):
+class ColumnSection(ConfigSection):
     factor: Finite = Field(1.0, description="the column is multiplied by it")
     offset: Finite = Field(0.0, description="and this is added, in the new unit")
     demean: bool = Field(False, description="subtract the mean of the used rows first")
 
 
-class CurveSection(Section):
+class CurveSection(ConfigSection):
     columns: dict[str, str] = Field(
         min_length=1, description="FMU output = column: points without times, in their order"
     )
@@ -50,7 +50,7 @@ class CurveSection(Section):
     )
 
 
-class ExperimentSection(Section):
+class ExperimentSection(ConfigSection):
     id: str = Field(min_length=1, description="name of the experiment, unique")
     data: str | None = Field(
         None,

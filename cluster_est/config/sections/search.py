@@ -10,12 +10,12 @@ from pydantic_core import PydanticCustomError
 
 from cluster_est.config.sections.types import (
     LARGEST,
+    ConfigSection,
     Count,
     Finite,
     Pair,
     Positive,
     Samples,
-    Section,
 )
 
 
@@ -33,7 +33,7 @@ Level = Annotated[list[Pair], BeforeValidator(_level)]
 Name = Annotated[str, Field(min_length=1)]
 
 
-class CostSection(Section):
+class CostSection(ConfigSection):
     name: str = Field("sse", description="sse, sae, huber, soft_l1, cauchy, likelihood or total")
     options: dict[str, Any] = Field(default_factory=dict, description="of the cost")
     function: str = Field(
@@ -59,7 +59,7 @@ class CostSection(Section):
     )
 
 
-class StepSection(Section):
+class StepSection(ConfigSection):
     initial: Finite = Field(0.0, description="value before the step")
     final: Finite = Field(description="value that it settles at")
     time: Finite = Field(0.0, description="seconds; when the step begins")
@@ -71,7 +71,7 @@ class StepSection(Section):
     undershoot: Finite = Field(1.0, ge=0.0, description="percent of the step, while it rises")
 
 
-class TrackingSection(Section):
+class TrackingSection(ConfigSection):
     absolute: Finite = Field(0.0, ge=0.0, description="tolerance in the signal's unit")
     relative: Finite = Field(0.0, ge=0.0, description="and this part of the measured value")
     side: Literal["both", "upper", "lower"] = Field(
@@ -79,7 +79,7 @@ class TrackingSection(Section):
     )
 
 
-class ConstraintSection(Section):
+class ConstraintSection(ConfigSection):
     name: str = Field("", description="for tables; default: what it says")
     expression: str = Field(
         "", description='on parameters: two formulas with <=, >= or = between, "mu_d <= mu_s"'
@@ -111,13 +111,13 @@ class ConstraintSection(Section):
     )
 
 
-class MethodSection(Section):
+class MethodSection(ConfigSection):
     name: str = Field("least_squares", description="see the documentation: which method when")
     options: dict[str, Any] = Field(default_factory=dict, description="of the method")
     seed: Count = Field(0, description="of the method's random generator")
 
 
-class MultistartSection(Section):
+class MultistartSection(ConfigSection):
     n: Positive = Field(1, description="starts, the parameters' own first")
     sampler: Literal["sobol", "latin_hypercube", "uniform"] = Field(
         "sobol", description="how the others are spread over the bounds"
@@ -138,7 +138,7 @@ class MultistartSection(Section):
     seed: Count = Field(0, description="of the sampler")
 
 
-class UncertaintySection(Section):
+class UncertaintySection(ConfigSection):
     profiles: list[str] = Field(
         default_factory=list,
         description='labels or parameters whose likelihood profiles are taken; "shared" or "all"',

@@ -14,10 +14,10 @@ from cluster_est.config.sections.search import (
     MultistartSection,
     UncertaintySection,
 )
-from cluster_est.config.sections.types import LARGEST, Count, Finite, Known, Section
+from cluster_est.config.sections.types import LARGEST, ConfigSection, Count, Finite, Known
 
 
-class ModelSection(Section):
+class ModelSection(ConfigSection):
     fmu: str = Field(description="path of the FMU, from the config's folder")
     interface: Literal["auto", "model_exchange", "co_simulation"] = Field(
         "auto", description="which of the FMU's interfaces; auto prefers model exchange"
@@ -47,7 +47,7 @@ class ModelSection(Section):
     )
 
 
-class ParameterSection(Section):
+class ParameterSection(ConfigSection):
     start: Finite | None = Field(
         None,
         description="where the estimation starts, in the FMU's unit; needed but for an expression",
@@ -70,7 +70,7 @@ class ParameterSection(Section):
     )
 
 
-class CoefficientSection(Section):
+class CoefficientSection(ConfigSection):
     start: Finite | None = Field(
         None, description="where the estimation starts; default: the value that does nothing"
     )
@@ -86,7 +86,7 @@ class CoefficientSection(Section):
     unit: str = Field("", description="for tables")
 
 
-class EffectSection(Section):
+class EffectSection(ConfigSection):
     name: str = Field("", description="of the effect; default: its form")
     site: str = Field(
         description='"der(STATE)", "pair STATE,STATE", "input NAME", "output NAME" or '
@@ -104,7 +104,7 @@ class EffectSection(Section):
     )
 
 
-class ClosedLoopSection(Section):
+class ClosedLoopSection(ConfigSection):
     effects: list[str] = Field(
         default_factory=list, description="forms to try, such as coulomb; default: the library"
     )
@@ -130,7 +130,7 @@ class ClosedLoopSection(Section):
     seed: Count = Field(0, description="of every random generator of the loop")
 
 
-class ExecutorSection(Section):
+class ExecutorSection(ConfigSection):
     name: str = Field("local", description="local, processes or ray")
     workers: Count | None = Field(
         None, gt=0, description="default: every core of the cluster for ray, else 1"
@@ -154,12 +154,12 @@ class ExecutorSection(Section):
     )
 
 
-class BudgetSection(Section):
+class BudgetSection(ConfigSection):
     evaluations: Count | None = Field(None, gt=0, description="points to evaluate at most")
     seconds: Finite | None = Field(None, gt=0.0, description="after which nothing new is asked")
 
 
-class LogSection(Section):
+class LogSection(ConfigSection):
     residuals: bool = Field(
         True,
         description="false: leave residuals and trajectories out; a resumed run computes them anew",
@@ -171,7 +171,7 @@ class LogSection(Section):
     )
 
 
-class Config(Section):
+class Config(ConfigSection):
     """A whole config file."""
 
     model: ModelSection = Field(description="the FMU and how to integrate it")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from cluster_est.config.sections.types import Section
+from cluster_est.config.sections.types import ConfigSection
 
 NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+-]*[A-Za-z0-9])?")
 """Of runs, which are folders, and of what they are made of: usable on every file system."""
@@ -55,7 +55,7 @@ def _names(value: Any) -> Any:
     return [value_name(each) for each in (value if isinstance(value, list) else [value])]
 
 
-class AxisSection(Section):
+class AxisSection(ConfigSection):
     name: str = Field(min_length=1, description="of the axis: a column of the summary")
     key: str = Field("", description='that its values are for, such as "method.seed"')
     values: Annotated[dict[str, Any], BeforeValidator(_values)] = Field(
@@ -65,13 +65,13 @@ class AxisSection(Section):
     )
 
 
-class SingleRunSection(Section):
+class SingleRunSection(ConfigSection):
     name: str = Field(min_length=1, description="of the run: its folder")
     config: str = Field("", description="name of the config; needed where there are several")
     overrides: dict[str, Any] = Field(default_factory=dict, description='"KEY" = value')
 
 
-class SweepSections(Section):
+class SweepSections(ConfigSection):
     """A whole sweep file."""
 
     configs: Annotated[dict[str, str], BeforeValidator(_configs)] = Field(

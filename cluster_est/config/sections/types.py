@@ -50,5 +50,5 @@ Pair = Annotated[tuple[Finite, Finite], Strict(False)]
 """TOML has lists, which strictly are no tuples."""
 
 
-class Section(BaseModel):
+class ConfigSection(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)

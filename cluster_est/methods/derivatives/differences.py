@@ -17,9 +17,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import Evaluation, Points, Progress
+from cluster_est.methods.base import Evaluation, Progress, Points
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray, Solver
 
 Scheme = Literal["forward", "central"]
@@ -37,7 +37,7 @@ NOISE_UNKNOWN = 1e-11
 
 
 @dataclass(frozen=True)
-class Jacobian:
+class ResidualJacobian:
     """Derivatives at a point.
 
     Attributes
@@ -85,7 +85,9 @@ def relative_noise(solver: Solver) -> float:
     return max(NOISE_UNKNOWN, NOISE_OF_TOLERANCE * (solver.rtol or 0.0))
 
 
-def difference_steps(space: Space, x: FloatArray, scheme: Scheme, relative: float) -> FloatArray:
+def difference_steps(
+    space: SearchSpace, x: FloatArray, scheme: Scheme, relative: float
+) -> FloatArray:
     """A step for each unknown, with the sign that keeps forward differences within the bounds.
 
     A relative step of 0 takes the one that suits the simulation's noise.
@@ -102,13 +104,13 @@ def difference_steps(space: Space, x: FloatArray, scheme: Scheme, relative: floa
 
 
 def jacobian(
-    space: Space,
+    space: SearchSpace,
     x: FloatArray,
     at: Evaluation,
     scheme: Scheme,
     relative_step: float,
     progress: Progress | None,
-) -> Generator[Points, list[Evaluation], Jacobian]:
+) -> Generator[Points, list[Evaluation], ResidualJacobian]:
     """Ask for the points of a Jacobian and assemble it.
 
     Parameters
@@ -137,14 +139,14 @@ def jacobian(
 
 
 def _assemble(
-    space: Space,
+    space: SearchSpace,
     x: FloatArray,
     at: Evaluation,
     steps: FloatArray,
     ahead: list[Evaluation],
     behind: list[Evaluation],
     widths: FloatArray,
-) -> Jacobian:
+) -> ResidualJacobian:
     """Take each unknown's column from the experiments that it acts on, in its colour's point."""
     places = space.constraint_rows
     pairs = zip(at.rows, space.acting, strict=True)
@@ -170,4 +172,6 @@ def _assemble(
     for part, columns in zip(parts, space.acting, strict=True):
         part[:, frozen[columns]] = 0.0
     constraints[:, frozen] = 0.0
-    return Jacobian(BlockMatrix(tuple(parts), space.acting, space.size), frozen, steps, constraints)
+    return ResidualJacobian(
+        BlockMatrix(tuple(parts), space.acting, space.size), frozen, steps, constraints
+    )

@@ -14,15 +14,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import Evaluation, Points, Progress
-from cluster_est.methods.derivatives.differences import Jacobian, Scheme, difference_steps, jacobian
-from cluster_est.methods.derivatives.sensitivities import Slopes
-from cluster_est.problem.space import Space
+from cluster_est.methods.base import Evaluation, Progress, Points
+from cluster_est.methods.derivatives.differences import (
+    ResidualJacobian,
+    Scheme,
+    difference_steps,
+    jacobian,
+)
+from cluster_est.methods.derivatives.sensitivities import JacobianProvider
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 
 @dataclass(frozen=True)
-class Derivatives:
+class CostDerivatives:
     """First derivatives at a point.
 
     Attributes
@@ -44,18 +49,18 @@ class Derivatives:
     constraints: FloatArray
     curvature: FloatArray | None
     frozen: npt.NDArray[np.bool_]
-    residuals: Jacobian | None = field(default=None, repr=False)
+    residuals: ResidualJacobian | None = field(default=None, repr=False)
 
 
 def derivatives(
-    space: Space,
+    space: SearchSpace,
     x: FloatArray,
     at: Evaluation,
     scheme: Scheme,
     relative_step: float,
     progress: Progress | None,
-    slopes: Slopes | None = None,
-) -> Generator[Points, list[Evaluation], Derivatives]:
+    slopes: JacobianProvider | None = None,
+) -> Generator[Points, list[Evaluation], CostDerivatives]:
     """Ask, in one request, for all that the derivatives at `x` need.
 
     Parameters
@@ -81,17 +86,17 @@ def derivatives(
     weighted = found.matrix * weights[:, None]
     gradient = 2.0 * np.add.reduce(weighted * residuals[:, None], axis=0)
     curvature = 2.0 * (found.matrix.T @ weighted)
-    return _sound(Derivatives(gradient, found.constraints, curvature, found.frozen, found))
+    return _sound(CostDerivatives(gradient, found.constraints, curvature, found.frozen, found))
 
 
 def _of_cost(
-    space: Space,
+    space: SearchSpace,
     x: FloatArray,
     at: Evaluation,
     scheme: Scheme,
     relative_step: float,
     progress: Progress | None,
-) -> Generator[Points, list[Evaluation], Derivatives]:
+) -> Generator[Points, list[Evaluation], CostDerivatives]:
     """Differences of the cost itself: a point for each unknown, or two."""
     steps = difference_steps(space, x, scheme, relative_step)
     ahead = x + np.diag(steps)
@@ -115,10 +120,10 @@ def _of_cost(
             constraints[:, i] = (high[i].constraints - low[i].constraints) / width
     own = space.parameter_constraint_slopes(x)
     constraints[: len(own)] = np.where(frozen, 0.0, own)
-    return _sound(Derivatives(gradient, constraints, None, frozen))
+    return _sound(CostDerivatives(gradient, constraints, None, frozen))
 
 
-def _sound(found: Derivatives) -> Derivatives:
+def _sound(found: CostDerivatives) -> CostDerivatives:
     """Freeze unknowns with which a constraint loses its value."""
     lost = ~np.isfinite(found.constraints).all(axis=0)
     if not lost.any():

@@ -13,17 +13,17 @@ from collections.abc import Generator
 
 import numpy as np
 
-from cluster_est.methods.base import Evaluation, Points, Progress
+from cluster_est.methods.base import Evaluation, Progress, Points
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import (
     Differences,
-    Jacobian,
+    ResidualJacobian,
     Scheme,
     difference_steps,
     jacobian,
     relative_noise,
 )
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 CHAIN_STEP = 6e-6
@@ -33,10 +33,10 @@ AGREEMENT = 1e-3
 LEAST_EFFECT = 1e-3
 """An unknown that matters less than this part of the one that matters most is checked less."""
 
-Asking = Generator[Points, list[Evaluation], Jacobian]
+Asking = Generator[Points, list[Evaluation], ResidualJacobian]
 
 
-class Slopes:
+class JacobianProvider:
     """How a search takes its Jacobians.
 
     Parameters
@@ -52,7 +52,7 @@ class Slopes:
         Why they are not any more; "" if nothing is wrong.
     """
 
-    def __init__(self, space: Space, differences: Differences, relative_step: float) -> None:
+    def __init__(self, space: SearchSpace, differences: Differences, relative_step: float) -> None:
         self._space, self._relative_step = space, relative_step
         self._automatic = differences in ("auto", "sensitivities")
         self._checked = False
@@ -74,17 +74,17 @@ class Slopes:
         return True
 
     def jacobian(
-        self, near: Space, x: FloatArray, at: Evaluation, progress: Progress | None
+        self, near: SearchSpace, x: FloatArray, at: Evaluation, progress: Progress | None
     ) -> Asking:
         """Ask for a Jacobian; `near` is the space, with the sizes for central differences."""
         if self.scheme is None:
             found = yield from carried(self._space, x, at, progress)
-            if isinstance(found, Jacobian):
+            if isinstance(found, ResidualJacobian):
                 why = "" if self._checked else (yield from disagreement(self._space, x, found))
                 self._checked = True
             else:
                 why = found
-            if isinstance(found, Jacobian) and not why:
+            if isinstance(found, ResidualJacobian) and not why:
                 return found
             self.note, self.scheme = (
                 f"differences took the place of sensitivities: {why}",
@@ -95,8 +95,8 @@ class Slopes:
 
 
 def carried(
-    space: Space, x: FloatArray, at: Evaluation, progress: Progress | None
-) -> Generator[Points, list[Evaluation], Jacobian | str]:
+    space: SearchSpace, x: FloatArray, at: Evaluation, progress: Progress | None
+) -> Generator[Points, list[Evaluation], ResidualJacobian | str]:
     """Ask for one point with sensitivities. Returns the Jacobian, or why there is none."""
     (found,) = yield Points(x[None, :], "sensitivities", progress, sensitivities=True)
     rows, places = at.rows, space.constraint_rows
@@ -123,10 +123,10 @@ def carried(
         constraints[places[e], space.acting[e]] = columns[len(parts[e]) :]
     blocks = BlockMatrix(tuple(parts), space.acting, space.size)
     steps = difference_steps(space, x, "central", 0.0)
-    return Jacobian(blocks, np.zeros(space.size, bool), steps, constraints)
+    return ResidualJacobian(blocks, np.zeros(space.size, bool), steps, constraints)
 
 
-def _chain(space: Space, x: FloatArray) -> list[FloatArray]:
+def _chain(space: SearchSpace, x: FloatArray) -> list[FloatArray]:
     """For each experiment (parameters, unknowns that act on it): d physical / d x."""
     steps = CHAIN_STEP * np.where(x == 0.0, 1.0, np.maximum(np.abs(x), 1e-3 * space.typical))
     parts = [np.zeros((len(space.problem.model.parameters), len(c))) for c in space.acting]
@@ -147,7 +147,7 @@ def _chain(space: Space, x: FloatArray) -> list[FloatArray]:
 
 
 def disagreement(
-    space: Space, x: FloatArray, found: Jacobian
+    space: SearchSpace, x: FloatArray, found: ResidualJacobian
 ) -> Generator[Points, list[Evaluation], str]:
     """Compare a Jacobian with a difference along one direction. Returns what is wrong, or ""."""
     ahead, behind = _sides(space, x, found)
@@ -169,7 +169,9 @@ def disagreement(
     return ""
 
 
-def _sides(space: Space, x: FloatArray, found: Jacobian) -> tuple[FloatArray, FloatArray]:
+def _sides(
+    space: SearchSpace, x: FloatArray, found: ResidualJacobian
+) -> tuple[FloatArray, FloatArray]:
     """Two points between which every unknown that matters changes the residuals equally much."""
     logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
     sizes = np.where(logarithmic, 1.0, np.maximum(np.abs(x), space.typical))

@@ -23,7 +23,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class _Alike:
+class _BlockGroup:
     """Experiments whose triangles have one shape and the same shared unknowns.
 
     Attributes
@@ -164,7 +164,7 @@ class BlockStepSolver:
         return result, float(np.sqrt(size))
 
 
-def _alike(matrix: BlockMatrix, residuals: FloatArray, shared: Mask) -> list[_Alike]:
+def _alike(matrix: BlockMatrix, residuals: FloatArray, shared: Mask) -> list[_BlockGroup]:
     """Factor each experiment's rows; put those together that can be treated at once."""
     groups: dict[tuple[int, int, bytes], list[tuple[IntArray, FloatArray]]] = {}
     for part, columns, rows in zip(matrix.parts, matrix.columns, matrix.rows, strict=True):
@@ -178,5 +178,5 @@ def _alike(matrix: BlockMatrix, residuals: FloatArray, shared: Mask) -> list[_Al
     found = []
     for (_, own, _), members in groups.items():
         unknowns = np.array([columns for columns, _ in members], np.intp)
-        found.append(_Alike(unknowns, own, np.array([triangle for _, triangle in members])))
+        found.append(_BlockGroup(unknowns, own, np.array([triangle for _, triangle in members])))
     return found

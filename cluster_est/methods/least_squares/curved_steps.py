@@ -23,7 +23,7 @@ FURTHER = (2.0, 4.0)
 
 
 @dataclass(frozen=True)
-class Trials:
+class TriedPoints:
     """Points that were tried from one point, from the boldest on.
 
     Attributes
@@ -55,7 +55,9 @@ class Trials:
         return float(self.costs[self.best])
 
 
-def curved_steps(model: LocalModel, trials: Trials, before: float) -> tuple[FloatArray, FloatArray]:
+def curved_steps(
+    model: LocalModel, trials: TriedPoints, before: float
+) -> tuple[FloatArray, FloatArray]:
     """Further steps to try, with the dampings that they stand for.
 
     Parameters
@@ -91,7 +93,7 @@ def curved_steps(model: LocalModel, trials: Trials, before: float) -> tuple[Floa
     return np.array(steps[:count]), np.array(dampings[:count])
 
 
-def _bend(model: LocalModel, trials: Trials, i: int) -> FloatArray:
+def _bend(model: LocalModel, trials: TriedPoints, i: int) -> FloatArray:
     step = trials.steps[i]
     corrected = model.corrected(step, trials.evaluations[i], float(trials.dampings[i]))
     return np.asarray(corrected - step)

@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Points
-from cluster_est.methods.least_squares.iteration import LEAST_DAMPING, Result, State
+from cluster_est.methods.least_squares.iteration import LEAST_DAMPING, IterationState, Result
 from cluster_est.methods.least_squares.local_model import LocalModel
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 CLOSE = 1e-6
@@ -30,7 +30,7 @@ LARGEST_FACTOR = 10.0
 
 
 def polish(
-    space: Space, state: State, model: LocalModel, ftol: float
+    space: SearchSpace, state: IterationState, model: LocalModel, ftol: float
 ) -> Generator[Points, list[Evaluation], Result | None]:
     """Take the full step. None where the point is not close, or the step is not to be trusted."""
     step = model.step(LEAST_DAMPING)
@@ -51,7 +51,7 @@ def polish(
     return new, Ending.CONVERGED if ended else None
 
 
-def _extrapolated(state: State, step: FloatArray, model: LocalModel) -> FloatArray:
+def _extrapolated(state: IterationState, step: FloatArray, model: LocalModel) -> FloatArray:
     """The step, lengthened by what it and the one before tell of how they shrink."""
     if state.full_step is None:
         return step

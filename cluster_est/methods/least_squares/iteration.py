@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Evaluation, Points, Progress
-from cluster_est.methods.least_squares.curved_steps import Trials, curved_steps
+from cluster_est.methods.base import Ending, Evaluation, Progress, Points
+from cluster_est.methods.least_squares.curved_steps import TriedPoints, curved_steps
 from cluster_est.methods.least_squares.local_model import LocalModel, sizes
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 DAMPING_RATIO = 10.0
@@ -20,7 +20,7 @@ PROMISED = 3.0
 
 
 @dataclass(frozen=True)
-class State:
+class IterationState:
     """Where a search stands.
 
     Attributes
@@ -45,7 +45,9 @@ class State:
     offset: float = 1.0
     full_step: tuple[FloatArray, FloatArray] | None = None
 
-    def moved(self, space: Space, x: FloatArray, at: Evaluation, damping: float) -> State:
+    def moved(
+        self, space: SearchSpace, x: FloatArray, at: Evaluation, damping: float
+    ) -> IterationState:
         """One iteration further."""
         progress = Progress(
             self.progress.iteration + 1,
@@ -57,13 +59,13 @@ class State:
         return replace(self, x=x, at=at, progress=progress, damping=damping, full_step=None)
 
 
-Result = tuple[State, Ending | None]
+Result = tuple[IterationState, Ending | None]
 """The next state, and why to stop there if so."""
 Steps = Generator[Points, list[Evaluation], Result]
 
 
 @dataclass(frozen=True)
-class Descent:
+class LeastSquaresIteration:
     """Tries steps from a point until one lowers the cost.
 
     Attributes
@@ -76,12 +78,12 @@ class Descent:
         When a step is too small to go on.
     """
 
-    space: Space
+    space: SearchSpace
     trials: int
     ftol: float
     xtol: float
 
-    def iterate(self, state: State, model: LocalModel) -> Steps:
+    def iterate(self, state: IterationState, model: LocalModel) -> Steps:
         """Try steps, with ever more damping, until one lowers the cost or none ever will."""
         damping = state.damping
         bolder = min(1, self.trials - 1)
@@ -103,13 +105,13 @@ class Descent:
                 return state, Ending.STALLED
 
     def _try(
-        self, state: State, purpose: str, steps: FloatArray, dampings: FloatArray
-    ) -> Generator[Points, list[Evaluation], Trials]:
+        self, state: IterationState, purpose: str, steps: FloatArray, dampings: FloatArray
+    ) -> Generator[Points, list[Evaluation], TriedPoints]:
         points = np.clip(state.x + steps, self.space.lower, self.space.upper)
         evaluations = yield Points(points, purpose, state.progress)
-        return Trials(points, points - state.x, dampings, evaluations)
+        return TriedPoints(points, points - state.x, dampings, evaluations)
 
-    def _bends(self, state: State, model: LocalModel, trials: Trials) -> bool:
+    def _bends(self, state: IterationState, model: LocalModel, trials: TriedPoints) -> bool:
         """Whether the boldest trial promised much more than the best one gained."""
         usable = np.flatnonzero(np.isfinite(trials.costs))
         if not len(usable):
@@ -118,7 +120,7 @@ class Descent:
         gained = max(state.at.cost - trials.least, 0.0)
         return promised > max(PROMISED * gained, self.ftol * model.squares)
 
-    def _accept(self, state: State, model: LocalModel, trials: Trials) -> Result:
+    def _accept(self, state: IterationState, model: LocalModel, trials: TriedPoints) -> Result:
         best = trials.best
         x, step, damping = trials.points[best], trials.steps[best], float(trials.dampings[best])
         expected, gained = model.gain(step), state.at.cost - trials.least
@@ -131,7 +133,7 @@ class Descent:
         new = state.moved(self.space, x, trials.evaluations[best], damping)
         return new, Ending.CONVERGED if converged else None
 
-    def _negligible(self, state: State, model: LocalModel, step: FloatArray) -> bool:
+    def _negligible(self, state: IterationState, model: LocalModel, step: FloatArray) -> bool:
         """Whether even the boldest step would change or gain nothing."""
         bold = state.damping <= 1.0
         return bold and (

@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.derivatives.differences import Jacobian
+from cluster_est.methods.derivatives.differences import ResidualJacobian
 from cluster_est.methods.least_squares.block_step import BlockStepSolver
 from cluster_est.methods.least_squares.bounded_step import StepSolver
 from workers.messages import FloatArray
@@ -36,15 +36,15 @@ class LinearMap(ABC):
         """What finds steps; see `StepSolver`."""
 
 
-def linear_map(derivatives: Jacobian, factor: FloatArray) -> LinearMap:
+def linear_map(derivatives: ResidualJacobian, factor: FloatArray) -> LinearMap:
     """Of a Jacobian whose rows are multiplied with a factor, in the form that suits its size."""
     if derivatives.blocks.sparse:
-        return _Blocks(derivatives.blocks.weighted(factor))
-    return _Whole(factor[:, None] * derivatives.matrix)
+        return _BlockModel(derivatives.blocks.weighted(factor))
+    return _DenseModel(factor[:, None] * derivatives.matrix)
 
 
 @final
-class _Whole(LinearMap):
+class _DenseModel(LinearMap):
     def __init__(self, matrix: FloatArray) -> None:
         self._matrix = matrix
 
@@ -64,7 +64,7 @@ class _Whole(LinearMap):
 
 
 @final
-class _Blocks(LinearMap):
+class _BlockModel(LinearMap):
     def __init__(self, matrix: BlockMatrix) -> None:
         self._matrix = matrix
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation
-from cluster_est.methods.derivatives.differences import Jacobian
+from cluster_est.methods.derivatives.differences import ResidualJacobian
 from cluster_est.methods.least_squares.linear_model import LinearMap, linear_map
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 LONGEST_STEP = 10.0
@@ -44,10 +44,10 @@ class LocalModel:
 
     def __init__(
         self,
-        space: Space,
+        space: SearchSpace,
         x: FloatArray,
         at: Evaluation,
-        derivatives: Jacobian,
+        derivatives: ResidualJacobian,
         largest: FloatArray,
     ) -> None:
         self._roots = np.sqrt(_weights(space, at))
@@ -85,18 +85,18 @@ class LocalModel:
         return float(np.add.reduce((self._damped * one) * (self._damped * other)))
 
 
-def sizes(space: Space, x: FloatArray) -> FloatArray:
+def sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
     """(unknowns,): how large each unknown is, to judge whether a step is short or long."""
     return np.maximum(np.abs(x), space.typical)
 
 
-def _longest_step(space: Space, x: FloatArray) -> FloatArray:
+def _longest_step(space: SearchSpace, x: FloatArray) -> FloatArray:
     """(unknowns,): how far each unknown may move; no limit where nothing tells its size."""
     unknown = (space.start == 0.0) & ~np.isfinite(space.upper - space.lower)
     return np.where(unknown, np.inf, LONGEST_STEP * sizes(space, x))
 
 
-def _weights(space: Space, at: Evaluation) -> FloatArray:
+def _weights(space: SearchSpace, at: Evaluation) -> FloatArray:
     weights = space.problem.cost.weights(at.residuals, space.outputs)
     if weights is None:
         raise ProblemError(
@@ -107,7 +107,7 @@ def _weights(space: Space, at: Evaluation) -> FloatArray:
 
 
 def _optimality(
-    space: Space, x: FloatArray, map_: LinearMap, norms: FloatArray, residuals: FloatArray
+    space: SearchSpace, x: FloatArray, map_: LinearMap, norms: FloatArray, residuals: FloatArray
 ) -> float:
     gradient = map_.transposed_product(residuals)
     norms = norms * np.linalg.norm(residuals)

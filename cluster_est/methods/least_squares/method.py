@@ -21,14 +21,26 @@ from typing import ClassVar
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Method, Points, Progress, Search, Solution
-from cluster_est.methods.derivatives.differences import Differences, Jacobian
-from cluster_est.methods.derivatives.sensitivities import Slopes
+from cluster_est.methods.base import (
+    Ending,
+    Progress,
+    Method,
+    Points,
+    Search,
+    Solution,
+)
+from cluster_est.methods.derivatives.differences import Differences, ResidualJacobian
+from cluster_est.methods.derivatives.sensitivities import JacobianProvider
 from cluster_est.methods.least_squares.final_steps import polish
-from cluster_est.methods.least_squares.iteration import LEAST_DAMPING, Descent, State, Steps
+from cluster_est.methods.least_squares.iteration import (
+    LEAST_DAMPING,
+    IterationState,
+    LeastSquaresIteration,
+    Steps,
+)
 from cluster_est.methods.least_squares.local_model import LocalModel
-from cluster_est.methods.sqp.trust_region import Settings, sequential_search
-from cluster_est.problem.space import Space
+from cluster_est.methods.sqp.trust_region import SqpOptions, sequential_search
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 FIRST_DAMPING = 1e-3
@@ -82,11 +94,11 @@ class LeastSquares(Method):
     differences: Differences = "auto"
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         return self._constrained(space) if space.constraint_names else self._free(space)
 
-    def _constrained(self, space: Space) -> Search:
-        settings = Settings(
+    def _constrained(self, space: SearchSpace) -> Search:
+        settings = SqpOptions(
             max_iterations=self.max_iterations,
             ftol=self.ftol,
             xtol=max(self.xtol, CONSTRAINED_XTOL),
@@ -97,13 +109,13 @@ class LeastSquares(Method):
         )
         return sequential_search(space, settings)
 
-    def _free(self, space: Space) -> Search:
+    def _free(self, space: SearchSpace) -> Search:
         x = space.start
         (at,) = yield Points(x[None, :], "start", Progress(0, np.nan))
         if not at.ok:
             return Solution(x, np.nan, Ending.START_FAILED, at.reason)
-        state = State(x, at, Progress(0, at.cost), np.zeros(space.size), FIRST_DAMPING)
-        slopes = Slopes(space, self.differences, self.relative_step)
+        state = IterationState(x, at, Progress(0, at.cost), np.zeros(space.size), FIRST_DAMPING)
+        slopes = JacobianProvider(space, self.differences, self.relative_step)
         while True:
             near = _shrunk(space, state.x)
             derivatives = yield from slopes.jacobian(near, state.x, state.at, state.progress)
@@ -125,7 +137,9 @@ class LeastSquares(Method):
                 at=state.at,
             )
 
-    def _iterate(self, space: Space, state: State, derivatives: Jacobian, exact: bool) -> Steps:
+    def _iterate(
+        self, space: SearchSpace, state: IterationState, derivatives: ResidualJacobian, exact: bool
+    ) -> Steps:
         """From a Jacobian to the next point. Returns the new state, and why to stop if so."""
         if derivatives.frozen.all():
             return state, Ending.DERIVATIVES_FAILED
@@ -143,11 +157,11 @@ class LeastSquares(Method):
             if polished is not None:
                 return polished
         state = replace(state, offset=model.gain(model.step(LEAST_DAMPING)) / model.squares)
-        descent = Descent(space, self.trials, self.ftol, self.xtol)
+        descent = LeastSquaresIteration(space, self.trials, self.ftol, self.xtol)
         return (yield from descent.iterate(state, model))
 
 
-def _shrunk(space: Space, x: FloatArray) -> Space:
+def _shrunk(space: SearchSpace, x: FloatArray) -> SearchSpace:
     """The same space, for differences, with starts as small as unknowns have become."""
     small = (np.abs(x) < SHRUNK * space.typical) & (space.start != 0.0)
     size = np.maximum(np.abs(x), SHRUNK**2 * space.typical)

@@ -10,10 +10,18 @@ from scipy.optimize import least_squares
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
+from cluster_est.methods.base import (
+    Ending,
+    Evaluation,
+    Progress,
+    Method,
+    Points,
+    Search,
+    Solution,
+)
 from cluster_est.methods.callback_bridge import Ask, drive, search_in_thread
 from cluster_est.methods.derivatives.differences import Scheme, jacobian
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 FAILED_RESIDUAL = 1e100
@@ -54,7 +62,7 @@ class ScipyLeastSquares(Method):
     differences: Literal["forward", "central"] = "forward"
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
 
-    def check(self, space: Space) -> None:
+    def check(self, space: SearchSpace) -> None:
         cost = space.problem.cost
         if not isinstance(cost, SumSquared):
             raise ProblemError(
@@ -68,11 +76,11 @@ class ScipyLeastSquares(Method):
                 '"trf" or remove them'
             )
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         return search_in_thread(lambda ask: self._solve(space, ask))
 
-    def _solve(self, space: Space, ask: Ask) -> Solution:
-        known = _Known(space, ask)
+    def _solve(self, space: SearchSpace, ask: Ask) -> Solution:
+        known = _EvaluationCache(space, ask)
         scheme: Scheme = self.differences
 
         def derivatives(x: FloatArray) -> FloatArray:
@@ -111,10 +119,10 @@ class ScipyLeastSquares(Method):
         )
 
 
-class _Known:
+class _EvaluationCache:
     """Evaluations that SciPy asked for, so that a Jacobian does not ask for its point again."""
 
-    def __init__(self, space: Space, ask: Ask) -> None:
+    def __init__(self, space: SearchSpace, ask: Ask) -> None:
         self._space, self._ask = space, ask
         self._x: FloatArray | None = None
         self._at: Evaluation | None = None

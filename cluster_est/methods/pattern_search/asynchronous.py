@@ -15,12 +15,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Points, Progress, Search, Solution
-from cluster_est.methods.pattern_search.asynchronous_state import Course
+from cluster_est.methods.base import Ending, Progress, Points, Search, Solution
+from cluster_est.methods.pattern_search.asynchronous_state import PollState
 from cluster_est.methods.pattern_search.method import solution_of
 from cluster_est.methods.pattern_search.options import PatternMethod
 from cluster_est.methods.pattern_search.state import PatternState
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,12 @@ class AsynchronousPatternSearch(PatternMethod):
 
     outstanding: int = field(default=0, metadata={"least": 0})
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         (at,) = yield Points(space.start[None, :], "start", Progress(0, np.nan))
         if not at.ok:
             return Solution(space.start, np.nan, Ending.START_FAILED, at.reason)
         state = PatternState(space, self, generator, at)
-        course = Course(state, self, self.outstanding or 2 * space.size)
+        course = PollState(state, self, self.outstanding or 2 * space.size)
         while True:
             asked = course.next()
             drop = course.unwanted()

@@ -18,7 +18,7 @@ NONE = -1
 
 
 @dataclass
-class Asked:
+class RequestedPoint:
     """A point that was asked for.
 
     Attributes
@@ -37,7 +37,7 @@ class Asked:
     overtaken: int = 0
 
 
-class Course:
+class PollState:
     """What is outstanding, and how far the poll around the present point is.
 
     Parameters
@@ -59,7 +59,7 @@ class Course:
         self._state = state
         self._options = options
         self._most = most
-        self._out: dict[int, Asked] = {}
+        self._out: dict[int, RequestedPoint] = {}
         self._unwanted: list[int] = []
         self._next_index = 1  # the start was 0
         self._newest = 0
@@ -68,9 +68,9 @@ class Course:
         self.progress = progress_of(state, 0, options.initial_mesh, np.nan)
         self._begin(options.initial_mesh)
 
-    def next(self) -> list[Asked]:
+    def next(self) -> list[RequestedPoint]:
         """What to ask for now; nothing if it is time to wait, or at the end."""
-        found: list[Asked] = []
+        found: list[RequestedPoint] = []
         while self.ending is None:
             while self._room > 0 and (asked := self._wanted()) is not None:
                 self._out[self._next_index] = asked
@@ -177,7 +177,7 @@ class Course:
         self._note(0.0)
         return True
 
-    def _wanted(self) -> Asked | None:
+    def _wanted(self) -> RequestedPoint | None:
         """The next point worth asking for, if any."""
         out = {key(asked.u): asked for asked in self._out.values()}
         while True:
@@ -192,21 +192,21 @@ class Course:
             elif asked.direction != NONE:
                 self._shorten(asked.direction)
 
-    def _candidate(self) -> Asked | None:
+    def _candidate(self) -> RequestedPoint | None:
         """The next point worth asking for, which may have been asked for already."""
         while True:
             if self._promising:
-                return Asked(self._promising.popleft(), self._mesh)
+                return RequestedPoint(self._promising.popleft(), self._mesh)
             if self._due:
                 found = self._in_direction(self._due.popleft())
                 if found is not None:
                     return found
             elif self._scattered:
-                return Asked(self._scattered.popleft(), self._mesh)
+                return RequestedPoint(self._scattered.popleft(), self._mesh)
             else:
                 return None
 
-    def _in_direction(self, direction: int) -> Asked | None:
+    def _in_direction(self, direction: int) -> RequestedPoint | None:
         """The point to ask for in a direction; None where it is known or its step is too short."""
         step = float(self._steps[direction])
         if step < self._state.tolerance:
@@ -216,7 +216,7 @@ class Course:
         if not len(found):
             self._shorten(direction)
             return None
-        return Asked(found[0], step, direction)
+        return RequestedPoint(found[0], step, direction)
 
     def _shorten(self, direction: int) -> None:
         self._steps[direction] *= self._options.contraction

@@ -30,7 +30,7 @@ FIRST_PENALTY = 30.0
 
 
 @dataclass(frozen=True)
-class Lagrangian:
+class AugmentedLagrangian:
     """An augmented Lagrangian.
 
     Attributes
@@ -72,17 +72,17 @@ class Lagrangian:
         moved = np.abs(self.shifted(constraints) - self.multipliers)
         return float(moved.max(initial=0.0)) / self.penalty
 
-    def updated(self, constraints: FloatArray) -> Lagrangian:
+    def updated(self, constraints: FloatArray) -> AugmentedLagrangian:
         """With the multipliers of a minimum; with more penalty if it came hardly closer."""
         gap = self.missing(constraints)
         new = replace(self, multipliers=self.shifted(constraints), gap=gap)
         return new.stronger() if gap > max(CLOSE, ENOUGH * self.gap) else new
 
-    def stronger(self) -> Lagrangian:
+    def stronger(self) -> AugmentedLagrangian:
         return replace(self, penalty=STRONGER * self.penalty)
 
 
-def first_lagrangian(equality: npt.NDArray[np.bool_], on_parameters: int) -> Lagrangian:
+def first_lagrangian(equality: npt.NDArray[np.bool_], on_parameters: int) -> AugmentedLagrangian:
     """Without multipliers, and with a penalty that means nothing yet.
 
     Parameters
@@ -94,7 +94,7 @@ def first_lagrangian(equality: npt.NDArray[np.bool_], on_parameters: int) -> Lag
     """
     margins = np.where(equality, 0.0, MARGIN)
     margins[:on_parameters] = 0.0
-    return Lagrangian(equality, margins, np.zeros(len(equality)), 1.0)
+    return AugmentedLagrangian(equality, margins, np.zeros(len(equality)), 1.0)
 
 
 def first_penalty(costs: FloatArray, constraints: FloatArray) -> float:

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import qr
 
-from cluster_est.methods.coordinates import Near
+from cluster_est.methods.coordinates import NearbyNormals
 from workers.messages import FloatArray
 
 Basis = Literal["2n", "n+1"]
@@ -48,7 +48,7 @@ def simplex(size: int) -> FloatArray:
     return np.concatenate([first, others])
 
 
-def directions(axes: FloatArray, basis: Basis, near: Near) -> FloatArray:
+def directions(axes: FloatArray, basis: Basis, near: NearbyNormals) -> FloatArray:
     """(directions, unknowns) of unit length.
 
     Parameters

@@ -12,8 +12,8 @@ ROUNDED = 2.0**-40
 """Points that agree to this, in units of a noticeable change, are one."""
 
 
-class Polled:
-    """Points in the coordinates of a `Frame`, numbered in the order in which they came.
+class EvaluatedPoints:
+    """Points in the coordinates of a `ScaledCoordinates`, numbered in the order in which they came.
 
     Parameters
     ----------

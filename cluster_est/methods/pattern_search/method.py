@@ -17,11 +17,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Points, Progress, Search, Solution
+from cluster_est.methods.base import Ending, Progress, Points, Search, Solution
 from cluster_est.methods.pattern_search.options import PatternMethod
-from cluster_est.methods.pattern_search.state import Ahead, PatternState
+from cluster_est.methods.pattern_search.state import PatternState, PollPlan
 from cluster_est.methods.sqp.evaluation_cache import worst_constraint
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 NEAR_MINIMUM = 0.1
@@ -72,7 +72,7 @@ class PatternSearch(PatternMethod):
 
     name: ClassVar[str] = "pattern_search"
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         (at,) = yield Points(space.start[None, :], "start", Progress(0, np.nan))
         if not at.ok:
             return Solution(space.start, np.nan, Ending.START_FAILED, at.reason)
@@ -100,14 +100,14 @@ class PatternSearch(PatternMethod):
         return solution_of(state, ending, progress.iteration)
 
 
-def _batch(state: PatternState, ahead: Ahead, mesh: float) -> FloatArray:
+def _batch(state: PatternState, ahead: PollPlan, mesh: float) -> FloatArray:
     """Everything that an iteration asks for."""
     poll = [state.u + mesh * direction for direction in ahead.directions]
     return state.new([*poll, *ahead.promising, *ahead.scattered], ahead.slopes)
 
 
 def _next_mesh(
-    state: PatternState, options: PatternMethod, mesh: float, ahead: Ahead, numbers: list[int]
+    state: PatternState, options: PatternMethod, mesh: float, ahead: PollPlan, numbers: list[int]
 ) -> tuple[float, float]:
     """Move to the best of what an iteration learnt, if it is better; the next mesh, and how far."""
     best = state.better(numbers)
@@ -125,7 +125,7 @@ def stepped(options: PatternMethod, mesh: float, length: float) -> float:
     return min(mesh, max(options.contraction * mesh, 2.0 * length))
 
 
-def shrunk(options: PatternMethod, mesh: float, ahead: Ahead) -> float:
+def shrunk(options: PatternMethod, mesh: float, ahead: PollPlan) -> float:
     """The mesh after a poll that failed."""
     finer = options.contraction * mesh
     return options.contraction * finer if ahead.model_step < NEAR_MINIMUM else finer

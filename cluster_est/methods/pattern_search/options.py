@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method
 from cluster_est.methods.pattern_search.bases import Axes, Basis
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 
 SearchStep = Literal["none", "latin_hypercube", "quadratic"]
 
@@ -31,7 +31,7 @@ class PatternMethod(Method):
     contraction: float = field(default=0.5, metadata={"least": 0.01})
     max_iterations: int = field(default=1000, metadata={"least": 1})
 
-    def check(self, space: Space) -> None:
+    def check(self, space: SearchSpace) -> None:
         if not self.contraction < 1.0:
             raise ProblemError(
                 f"method.options.contraction: must be below 1 but is {self.contraction:g}; 0.5 "

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from cluster_est.methods.pattern_search.augmented_lagrangian import Lagrangian
+from cluster_est.methods.pattern_search.augmented_lagrangian import AugmentedLagrangian
 from workers.messages import FloatArray
 
 CURVATURE_WEIGHT = 1e-5
@@ -47,7 +47,9 @@ class QuadraticModel:
         values = self.values + steps @ self.gradients.T + 0.5 * np.einsum("kqi,ki->kq", bent, steps)
         return values[:, 0], values[:, 1:]
 
-    def minimum(self, lagrangian: Lagrangian, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    def minimum(
+        self, lagrangian: AugmentedLagrangian, lower: FloatArray, upper: FloatArray
+    ) -> FloatArray:
         """The step s within bounds at which the model's augmented Lagrangian is least."""
         start = float(lagrangian.values(self.values[0], self.values[1:]))
         slopes = self.gradients[0] + lagrangian.shifted(self.values[1:]) @ self.gradients[1:]

@@ -7,21 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation
-from cluster_est.methods.coordinates import Frame
+from cluster_est.methods.coordinates import ScaledCoordinates
 from cluster_est.methods.pattern_search.augmented_lagrangian import (
     CLOSE,
     first_lagrangian,
     first_penalty,
 )
 from cluster_est.methods.pattern_search.bases import aligned_axes, directions, reflection
-from cluster_est.methods.pattern_search.evaluated_points import Polled, key
+from cluster_est.methods.pattern_search.evaluated_points import EvaluatedPoints, key
 from cluster_est.methods.pattern_search.options import PatternMethod
 from cluster_est.methods.pattern_search.quadratic_model import (
     QuadraticModel,
     fit_model,
     points_needed,
 )
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 MODEL_REACH = 4.0
@@ -39,7 +39,7 @@ LARGEST_PENALTY = 1e12
 
 
 @dataclass(frozen=True)
-class Ahead:
+class PollPlan:
     """What could be asked for around a point, in the coordinates of the frame.
 
     Attributes
@@ -84,13 +84,13 @@ class PatternState:
 
     def __init__(
         self,
-        space: Space,
+        space: SearchSpace,
         options: PatternMethod,
         generator: np.random.Generator,
         at: Evaluation,
     ) -> None:
-        self.frame = Frame(space)
-        self.polled = Polled(space.size, len(space.equality))
+        self.frame = ScaledCoordinates(space)
+        self.polled = EvaluatedPoints(space.size, len(space.equality))
         self.best, self.best_u = at, np.zeros(space.size)
         self.tolerance = options.mesh_tolerance
         if len(space.equality):
@@ -174,7 +174,7 @@ class PatternState:
         self._take_best()
         return None, mesh
 
-    def ahead(self, mesh: float) -> Ahead:
+    def ahead(self, mesh: float) -> PollPlan:
         """What could be asked for around the point."""
         near, slopes = self.frame.near(self.u, mesh)
         steps = directions(self._axes, self._options.basis, near)
@@ -189,7 +189,7 @@ class PatternState:
             steps = steps[np.argsort(values, kind="stable")]
         if not self.frame.allowed(self.u):
             found.append(self.u)  # which is repaired
-        return Ahead(
+        return PollPlan(
             self.new(found, slopes),
             steps,
             self.new(self._scattered(mesh), slopes),

@@ -17,9 +17,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cluster_est.methods.populations.generation import Goal, Member, Strategy
+from cluster_est.methods.populations.generation import (
+    PopulationGoal,
+    PopulationMember,
+    PopulationStrategy,
+)
 from cluster_est.methods.populations.method import PopulationMethod
-from cluster_est.methods.populations.scaling import Box
+from cluster_est.methods.populations.scaling import UnitBox
 from workers.messages import FloatArray
 
 DEGENERATE = {"conditioncov", "noeffectaxis", "noeffectcoord", "tolupsigma"}
@@ -56,14 +60,18 @@ class Cmaes(PopulationMethod):
     def usual_population(self, unknowns: int) -> int:
         return max(16, int(8 + 6 * np.log(unknowns)))
 
-    def strategy(self, box: Box, size: int, goal: Goal, generator: np.random.Generator) -> Strategy:
-        return _Adaptation(box, self.sigma, size, generator)
+    def strategy(
+        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
+    ) -> PopulationStrategy:
+        return _EvolutionStrategy(box, self.sigma, size, generator)
 
 
-class _Adaptation(Strategy):
+class _EvolutionStrategy(PopulationStrategy):
     """The evolution strategy of `cma`, without its files, output, seeds and tolerances."""
 
-    def __init__(self, box: Box, sigma: float, size: int, generator: np.random.Generator) -> None:
+    def __init__(
+        self, box: UnitBox, sigma: float, size: int, generator: np.random.Generator
+    ) -> None:
         options = {
             "popsize": size,
             "bounds": [_none_if_infinite(box.lower), _none_if_infinite(box.upper)],
@@ -89,7 +97,7 @@ class _Adaptation(Strategy):
             self._sampled = self._strategy.ask()
         return np.array([*first, *self._sampled])
 
-    def tell(self, numbers: range, members: Sequence[Member]) -> None:
+    def tell(self, numbers: range, members: Sequence[PopulationMember]) -> None:
         if self._start is not None:
             numbers, members = numbers[1:], members[1:]
             self._start = None

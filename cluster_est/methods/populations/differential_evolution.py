@@ -10,10 +10,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from cluster_est.methods.populations.generation import Goal, Strategy
+from cluster_est.methods.populations.generation import PopulationGoal, PopulationStrategy
 from cluster_est.methods.populations.method import PopulationMethod
 from cluster_est.methods.populations.pymoo_strategy import PymooStrategy
-from cluster_est.methods.populations.scaling import Box
+from cluster_est.methods.populations.scaling import UnitBox
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,9 @@ class DifferentialEvolution(PopulationMethod):
     def usual_population(self, unknowns: int) -> int:
         return max(30, 10 * unknowns)
 
-    def strategy(self, box: Box, size: int, goal: Goal, generator: np.random.Generator) -> Strategy:
+    def strategy(
+        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
+    ) -> PopulationStrategy:
         from pymoo.algorithms.soo.nonconvex.de import DE
 
         return PymooStrategy(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluster_est.methods.base import Evaluation, Other
+from cluster_est.methods.base import Evaluation, OtherPoint
 from workers.messages import FloatArray
 
 LARGEST = 1e300
@@ -21,7 +21,7 @@ FAILED = 1e301
 
 
 @dataclass(frozen=True)
-class Member:
+class PopulationMember:
     """A point of a population.
 
     Attributes
@@ -48,16 +48,18 @@ class Member:
         return self.violation, self.cost
 
 
-def member_of(unit: FloatArray, x: FloatArray, evaluation: Evaluation, goal: Goal) -> Member:
+def member_of(
+    unit: FloatArray, x: FloatArray, evaluation: Evaluation, goal: PopulationGoal
+) -> PopulationMember:
     """What became of a point; a failed simulation is worse than any other."""
     if not evaluation.ok or np.isnan(evaluation.cost):
-        return Member(unit, x, FAILED, np.full(goal.objectives, FAILED), FAILED)
+        return PopulationMember(unit, x, FAILED, np.full(goal.objectives, FAILED), FAILED)
     values = np.nan_to_num(goal.values(evaluation), nan=LARGEST)
     violation = min(evaluation.rank[0], LARGEST)
-    return Member(unit, x, evaluation.cost, np.clip(values, -LARGEST, LARGEST), violation)
+    return PopulationMember(unit, x, evaluation.cost, np.clip(values, -LARGEST, LARGEST), violation)
 
 
-class Strategy(ABC):
+class PopulationStrategy(ABC):
     """What picks a generation from those before it."""
 
     @abstractmethod
@@ -65,7 +67,7 @@ class Strategy(ABC):
         """(points, unknowns): the next generation; no points if it can make no new ones."""
 
     @abstractmethod
-    def tell(self, numbers: range, members: Sequence[Member]) -> None:
+    def tell(self, numbers: range, members: Sequence[PopulationMember]) -> None:
         """Take what became of the generation, whose points have these numbers."""
 
     @abstractmethod
@@ -73,7 +75,7 @@ class Strategy(ABC):
         """The numbers of the points that make up the population now."""
 
 
-class Goal(ABC):
+class PopulationGoal(ABC):
     """What a population is after."""
 
     objectives: int
@@ -83,15 +85,17 @@ class Goal(ABC):
         """(objectives,): what is minimised, of an evaluation without failures."""
 
     @abstractmethod
-    def settled(self, best: Member, members: Sequence[Member]) -> bool:
+    def settled(self, best: PopulationMember, members: Sequence[PopulationMember]) -> bool:
         """Whether the last generations brought nothing; asked once after each."""
 
     @abstractmethod
-    def others(self, best: Member, members: Sequence[Member]) -> tuple[Other, ...]:
+    def others(
+        self, best: PopulationMember, members: Sequence[PopulationMember]
+    ) -> tuple[OtherPoint, ...]:
         """What the solution shall name besides the best point."""
 
 
-class LeastCost(Goal):
+class LeastCost(PopulationGoal):
     """The least cost, until it falls by less than `ftol` of itself in `window` generations."""
 
     objectives = 1
@@ -103,12 +107,14 @@ class LeastCost(Goal):
     def values(self, evaluation: Evaluation) -> FloatArray:
         return np.array([evaluation.cost])
 
-    def settled(self, best: Member, members: Sequence[Member]) -> bool:
+    def settled(self, best: PopulationMember, members: Sequence[PopulationMember]) -> bool:
         self._ranks.append(best.rank)
         if len(self._ranks) <= self._window:
             return False
         pairs = zip(self._ranks[-1 - self._window], best.rank, strict=True)
         return all(before - now <= self._ftol * abs(now) for before, now in pairs)
 
-    def others(self, best: Member, members: Sequence[Member]) -> tuple[Other, ...]:
+    def others(
+        self, best: PopulationMember, members: Sequence[PopulationMember]
+    ) -> tuple[OtherPoint, ...]:
         return ()

@@ -12,14 +12,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from cluster_est.methods.populations.generation import Goal, Strategy
+from cluster_est.methods.populations.generation import PopulationGoal, PopulationStrategy
 from cluster_est.methods.populations.method import PopulationMethod
 from cluster_est.methods.populations.pymoo_strategy import PymooStrategy
-from cluster_est.methods.populations.scaling import Box
+from cluster_est.methods.populations.scaling import UnitBox
 
 
 @dataclass(frozen=True)
-class Genetic(PopulationMethod):
+class GeneticAlgorithm(PopulationMethod):
     """The fittest of parents and children live on; children mix two parents and mutate.
 
     For costs that jump, or where good values of single unknowns can be combined. It finds the
@@ -52,7 +52,9 @@ class Genetic(PopulationMethod):
     def usual_population(self, unknowns: int) -> int:
         return max(50, 10 * unknowns)
 
-    def strategy(self, box: Box, size: int, goal: Goal, generator: np.random.Generator) -> Strategy:
+    def strategy(
+        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
+    ) -> PopulationStrategy:
         from pymoo.algorithms.soo.nonconvex.ga import GA
         from pymoo.operators.crossover.sbx import SBX
         from pymoo.operators.mutation.pm import PM

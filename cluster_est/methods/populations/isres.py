@@ -12,10 +12,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from cluster_est.methods.populations.generation import Goal, Strategy
+from cluster_est.methods.populations.generation import PopulationGoal, PopulationStrategy
 from cluster_est.methods.populations.method import PopulationMethod
 from cluster_est.methods.populations.pymoo_strategy import PymooStrategy
-from cluster_est.methods.populations.scaling import Box
+from cluster_est.methods.populations.scaling import UnitBox
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,9 @@ class Isres(PopulationMethod):
     def usual_population(self, unknowns: int) -> int:
         return 20 * (unknowns + 1)
 
-    def strategy(self, box: Box, size: int, goal: Goal, generator: np.random.Generator) -> Strategy:
+    def strategy(
+        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
+    ) -> PopulationStrategy:
         from pymoo.algorithms.soo.nonconvex.isres import ISRES
 
         return PymooStrategy(

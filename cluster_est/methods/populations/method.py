@@ -1,7 +1,7 @@
 """Populations as methods: a whole generation is one request.
 
-What picks the next generation is a `Strategy`, most of them from pymoo. What comes after a
-generation is decided here: the best point so far, the lines of the table, when to stop.
+What picks the next generation is a `PopulationStrategy`, most of them from pymoo. What comes after
+a generation is decided here: the best point so far, the lines of the table, when to stop.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import (
     Ending,
     Evaluation,
-    Method,
-    Other,
-    Points,
     Progress,
+    Method,
+    OtherPoint,
+    Points,
     Search,
     Solution,
 )
 from cluster_est.methods.populations.generation import (
     FAILED,
-    Goal,
     LeastCost,
-    Member,
-    Strategy,
+    PopulationGoal,
+    PopulationMember,
+    PopulationStrategy,
     member_of,
 )
-from cluster_est.methods.populations.scaling import Box
-from cluster_est.problem.space import Space, Unknown
+from cluster_est.methods.populations.scaling import UnitBox
+from cluster_est.problem.space import SearchSpace, Unknown
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class PopulationMethod(Method):
     ftol: float = field(default=1e-8, metadata={"least": 0.0})
     window: int = field(default=30, metadata={"least": 1})
 
-    def check(self, space: Space) -> None:
+    def check(self, space: SearchSpace) -> None:
         if 0 < self.population < self.least_population:
             raise ProblemError(
                 f"method.options.population: must be at least {self.least_population} for method "
@@ -85,11 +85,11 @@ class PopulationMethod(Method):
                 'equality, along which hardly any point of a population lies; use method "isres", '
                 '"sqp" or "least_squares", or let a parameter follow from others by an expression'
             )
-        if self.needs_bounds and not Box(space).bounded.all():
-            unknown = space.unknowns[int(np.argmin(Box(space).bounded))]
+        if self.needs_bounds and not UnitBox(space).bounded.all():
+            unknown = space.unknowns[int(np.argmin(UnitBox(space).bounded))]
             raise ProblemError(_unbounded(self.name, unknown))
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         self.check(space)
         return evolve(self, space, generator)
 
@@ -98,10 +98,12 @@ class PopulationMethod(Method):
         """Points of a generation where `population` is 0."""
 
     @abstractmethod
-    def strategy(self, box: Box, size: int, goal: Goal, generator: np.random.Generator) -> Strategy:
+    def strategy(
+        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
+    ) -> PopulationStrategy:
         """What picks generations of this size."""
 
-    def goal(self, space: Space) -> Goal:
+    def goal(self, space: SearchSpace) -> PopulationGoal:
         """What it is after: the least cost, unless a method says otherwise."""
         return LeastCost(self.ftol, self.window)
 
@@ -116,13 +118,13 @@ def _unbounded(method: str, unknown: Unknown) -> str:
     )
 
 
-def evolve(method: PopulationMethod, space: Space, generator: np.random.Generator) -> Search:
+def evolve(method: PopulationMethod, space: SearchSpace, generator: np.random.Generator) -> Search:
     """Ask for one generation after the other until a method's tolerances or limit end it."""
-    box, goal = Box(space), method.goal(space)
+    box, goal = UnitBox(space), method.goal(space)
     size = method.population or method.usual_population(space.size)
     strategy = method.strategy(box, size, goal, generator)
-    alive: dict[int, Member] = {}
-    best: _Best | None = None
+    alive: dict[int, PopulationMember] = {}
+    best: _BestSoFar | None = None
     progress: Progress | None = None
     asked, generation = 0, 0
     units = strategy.ask()
@@ -151,24 +153,24 @@ def evolve(method: PopulationMethod, space: Space, generator: np.random.Generato
 
 
 @dataclass(frozen=True)
-class _Best:
+class _BestSoFar:
     """The best point that was ever seen, which a population may have lost."""
 
-    member: Member
+    member: PopulationMember
     at: Evaluation
 
 
 def _better(
-    best: _Best | None, born: Sequence[Member], evaluations: Sequence[Evaluation]
-) -> _Best | None:
+    best: _BestSoFar | None, born: Sequence[PopulationMember], evaluations: Sequence[Evaluation]
+) -> _BestSoFar | None:
     """The best of a generation and all before; None while all have failed."""
     for member, evaluation in zip(born, evaluations, strict=True):
         if member.violation < FAILED and (best is None or member.rank < best.member.rank):
-            best = _Best(member, evaluation)
+            best = _BestSoFar(member, evaluation)
     return best
 
 
-def _spread(members: Sequence[Member]) -> float:
+def _spread(members: Sequence[PopulationMember]) -> float:
     """How far apart a population is, in the unknown where it is widest."""
     units = np.array([member.unit for member in members])
     return float(np.max(np.ptp(units, axis=0), initial=0.0))
@@ -192,7 +194,7 @@ def _ending(
 
 
 def _solution(
-    best: _Best, ending: Ending, message: str, iterations: int, others: tuple[Other, ...]
+    best: _BestSoFar, ending: Ending, message: str, iterations: int, others: tuple[OtherPoint, ...]
 ) -> Solution:
     x, cost, violation = best.member.x, best.member.cost, best.member.violation
     if violation > 0.0:

@@ -15,12 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Evaluation, Other
-from cluster_est.methods.populations.generation import Goal, Member, Strategy
+from cluster_est.methods.base import Evaluation, OtherPoint
+from cluster_est.methods.populations.generation import (
+    PopulationGoal,
+    PopulationMember,
+    PopulationStrategy,
+)
 from cluster_est.methods.populations.method import PopulationMethod
 from cluster_est.methods.populations.pymoo_strategy import PymooStrategy
-from cluster_est.methods.populations.scaling import Box
-from cluster_est.problem.space import Space
+from cluster_est.methods.populations.scaling import UnitBox
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 Kind = Literal["outputs", "experiments"]
@@ -63,7 +67,7 @@ class Nsga2(PopulationMethod):
     crossover_eta: float = field(default=15.0, metadata={"least": 1.0})
     mutation_eta: float = field(default=20.0, metadata={"least": 1.0})
 
-    def check(self, space: Space) -> None:
+    def check(self, space: SearchSpace) -> None:
         super().check(space)
         if self.objectives == "outputs" and any(
             space.problem.experiments[e].cost_function for e in space.experiments
@@ -73,7 +77,7 @@ class Nsga2(PopulationMethod):
                 'function, which says nothing of single outputs, but is "outputs"; change it, or '
                 "remove the cost functions"
             )
-        count = Front.count(self.objectives, space)
+        count = ParetoFront.count(self.objectives, space)
         if count < 2:
             raise ProblemError(
                 f"method.options.objectives: there must be at least two {self.objectives} to keep "
@@ -84,7 +88,9 @@ class Nsga2(PopulationMethod):
     def usual_population(self, unknowns: int) -> int:
         return 100
 
-    def strategy(self, box: Box, size: int, goal: Goal, generator: np.random.Generator) -> Strategy:
+    def strategy(
+        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
+    ) -> PopulationStrategy:
         from pymoo.algorithms.moo.nsga2 import NSGA2
         from pymoo.operators.crossover.sbx import SBX
         from pymoo.operators.mutation.pm import PM
@@ -100,21 +106,21 @@ class Nsga2(PopulationMethod):
             mutation=PM(eta=self.mutation_eta),
         )
 
-    def goal(self, space: Space) -> Goal:
-        return Front(space, self.objectives, self.ftol, self.window)
+    def goal(self, space: SearchSpace) -> PopulationGoal:
+        return ParetoFront(space, self.objectives, self.ftol, self.window)
 
 
-class Front(Goal):
+class ParetoFront(PopulationGoal):
     """The members that no other beats, until they hardly move any more."""
 
-    def __init__(self, space: Space, kind: Kind, ftol: float, window: int) -> None:
+    def __init__(self, space: SearchSpace, kind: Kind, ftol: float, window: int) -> None:
         self._space, self._kind, self._ftol, self._window = space, kind, ftol, window
         self.objectives = self.count(kind, space)
         self._measured = _measured(space)
         self._fronts: list[FloatArray] = []
 
     @staticmethod
-    def count(kind: Kind, space: Space) -> int:
+    def count(kind: Kind, space: SearchSpace) -> int:
         if kind == "outputs":
             return len(np.unique(space.outputs))
         return sum(_measured(space))
@@ -134,26 +140,28 @@ class Front(Goal):
             return list(compress(evaluation.rows, self._measured))
         return [self._space.outputs == output for output in range(self.objectives)]
 
-    def settled(self, best: Member, members: Sequence[Member]) -> bool:
+    def settled(self, best: PopulationMember, members: Sequence[PopulationMember]) -> bool:
         self._fronts.append(np.array([member.values for member in _unbeaten(members)]))
         if len(self._fronts) <= self._window:
             return False
         before, now = self._fronts.pop(0), self._fronts[-1]
         return bool(len(before) and len(now) and _behind(before, now) <= self._ftol)
 
-    def others(self, best: Member, members: Sequence[Member]) -> tuple[Other, ...]:
+    def others(
+        self, best: PopulationMember, members: Sequence[PopulationMember]
+    ) -> tuple[OtherPoint, ...]:
         front = _unbeaten([best, *members])
-        found = [Other(m.x, m.cost, tuple(m.values.tolist())) for m in front]
+        found = [OtherPoint(m.x, m.cost, tuple(m.values.tolist())) for m in front]
         return tuple(sorted(found, key=lambda other: (other.cost, other.objectives)))
 
 
-def _measured(space: Space) -> list[bool]:
+def _measured(space: SearchSpace) -> list[bool]:
     """Whether each experiment has residuals; it may have constraints only."""
     chosen = [space.problem.experiments[e] for e in space.experiments]
     return [bool(e.size or e.cost_function) for e in chosen]
 
 
-def _unbeaten(members: Sequence[Member]) -> list[Member]:
+def _unbeaten(members: Sequence[PopulationMember]) -> list[PopulationMember]:
     """Those that satisfy the constraints and that none beats, once where several are alike."""
     allowed = [member for member in members if member.violation == 0.0]
     if not allowed:

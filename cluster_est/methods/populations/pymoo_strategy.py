@@ -12,12 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from cluster_est.methods.populations.generation import Goal, Member, Strategy
-from cluster_est.methods.populations.scaling import Box
+from cluster_est.methods.populations.generation import (
+    PopulationGoal,
+    PopulationMember,
+    PopulationStrategy,
+)
+from cluster_est.methods.populations.scaling import UnitBox
 from workers.messages import FloatArray
 
 
-class PymooStrategy(Strategy):
+class PymooStrategy(PopulationStrategy):
     """An algorithm of pymoo that takes all its chance from a generator.
 
     Where there are constraints, their violation is pymoo's only constraint, so that it ranks points
@@ -34,9 +38,9 @@ class PymooStrategy(Strategy):
     def __init__(
         self,
         kind: Any,
-        box: Box,
+        box: UnitBox,
         size: int,
-        goal: Goal,
+        goal: PopulationGoal,
         generator: np.random.Generator,
         **options: Any,
     ) -> None:
@@ -59,7 +63,7 @@ class PymooStrategy(Strategy):
         self._algorithm = kind(sampling=first, seed=generator, **options)
         self._algorithm.setup(problem, termination=NoTermination())
         if getattr(self._algorithm, "survival", None) is not None:
-            self._algorithm.survival = _Seeded(self._algorithm.survival, generator)
+            self._algorithm.survival = _SeededSurvival(self._algorithm.survival, generator)
         self._asked: Any = None
 
     def ask(self) -> FloatArray:
@@ -68,7 +72,7 @@ class PymooStrategy(Strategy):
             return np.zeros((0, 0))
         return np.asarray(self._asked.get("X"), np.float64)
 
-    def tell(self, numbers: range, members: Sequence[Member]) -> None:
+    def tell(self, numbers: range, members: Sequence[PopulationMember]) -> None:
         self._asked.set("number", list(numbers))
         self._asked.set("F", np.array([member.values for member in members]))
         if self._constrained:
@@ -79,7 +83,7 @@ class PymooStrategy(Strategy):
         return [int(number) for number in self._algorithm.pop.get("number")]
 
 
-class _Seeded:
+class _SeededSurvival:
     """A choice of survivors that never takes chance from the system, as pymoo's does if not told.
 
     That would make the stochastic ranking of `isres` different each time.

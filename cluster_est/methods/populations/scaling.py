@@ -8,19 +8,19 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 
 @dataclass(frozen=True)
-class Box:
+class UnitBox:
     """The coordinates of a strategy.
 
     The bounds of an unknown become 0 and 1. Where it lacks one, 0 is its start and 1 is as far
     from that as its typical size.
     """
 
-    space: Space
+    space: SearchSpace
 
     @cached_property
     def bounded(self) -> npt.NDArray[np.bool_]:

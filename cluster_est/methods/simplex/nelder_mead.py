@@ -23,19 +23,27 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
-from cluster_est.methods.coordinates import Frame
+from cluster_est.methods.base import (
+    Ending,
+    Evaluation,
+    Progress,
+    Method,
+    Points,
+    Search,
+    Solution,
+)
+from cluster_est.methods.coordinates import ScaledCoordinates
 from cluster_est.methods.simplex.scalar_minimisation import minimise_one
 from cluster_est.methods.simplex.simplex import (
-    Moves,
-    Vertex,
+    SimplexVertex,
+    VertexMoves,
     around,
     corners,
     diameter,
     ordered,
     spread,
 )
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 NEGLIGIBLE = 1e-3
@@ -105,7 +113,7 @@ class NelderMead(Method):
     max_restarts: int = field(default=10, metadata={"least": 0})
     max_iterations: int = field(default=5000, metadata={"least": 1})
 
-    def check(self, space: Space) -> None:
+    def check(self, space: SearchSpace) -> None:
         if self.bounds == "enforce" or space.size == 1:
             return
         bounded = np.flatnonzero(np.isfinite(space.lower) | np.isfinite(space.upper))
@@ -117,7 +125,7 @@ class NelderMead(Method):
                 'method.options.bounds = "enforce", remove them, or use method "pattern_search"'
             )
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         (at,) = yield Points(space.start[None, :], "start", Progress(0, np.nan))
         if not np.isfinite(at.rank[1]):
             reason = at.reason or "the cost has no value there"
@@ -125,21 +133,21 @@ class NelderMead(Method):
         if space.size == 1:
             limits = self.initial_step, self.xtol, self.max_iterations
             return (yield from minimise_one(space, at, *limits))
-        return (yield from _Descent(space, self, at).steps())
+        return (yield from _SimplexSearch(space, self, at).steps())
 
 
-Asking = Generator[Points, list[Evaluation], list[Vertex]]
+Asking = Generator[Points, list[Evaluation], list[SimplexVertex]]
 
 
-class _Descent:
+class _SimplexSearch:
     """A search under way: a simplex, best vertex first."""
 
-    def __init__(self, space: Space, options: NelderMead, start: Evaluation) -> None:
-        self._frame, self._options = Frame(space), options
+    def __init__(self, space: SearchSpace, options: NelderMead, start: Evaluation) -> None:
+        self._frame, self._options = ScaledCoordinates(space), options
         adaptive = options.coefficients == "adaptive"
-        self._moves = Moves.adaptive(space.size) if adaptive else Moves()
+        self._moves = VertexMoves.adaptive(space.size) if adaptive else VertexMoves()
         self._parallel = max(1, min(options.parallel, space.size // 2))
-        self._simplex = [Vertex(np.zeros(space.size), start)]
+        self._simplex = [SimplexVertex(np.zeros(space.size), start)]
         self._least_spread = options.ftol**2 * abs(start.cost)
         self._progress = Progress(0, start.cost, damping=options.initial_step)
 
@@ -167,7 +175,7 @@ class _Descent:
         message = COLLAPSES if ending is Ending.STALLED else ""
         return Solution(x, best.cost, ending, message, iterations, at=best.at)
 
-    def _advance(self, before: Vertex) -> None:
+    def _advance(self, before: SimplexVertex) -> None:
         best = self._simplex[0]
         self._progress = Progress(
             self._progress.iteration + 1,
@@ -178,7 +186,7 @@ class _Descent:
 
     def _ask(self, u: FloatArray, purpose: str) -> Asking:
         evaluations = yield Points(self._frame.x(u), purpose, self._progress)
-        return [Vertex(*pair) for pair in zip(u, evaluations, strict=True)]
+        return [SimplexVertex(*pair) for pair in zip(u, evaluations, strict=True)]
 
     @property
     def _tolerance(self) -> float:
@@ -201,12 +209,12 @@ class _Descent:
             kept, moved = [best], (yield from self._ask(closer, "shrink"))
         self._simplex = ordered(kept + moved)
 
-    def _moved(self, kept: list[Vertex], moving: list[Vertex]) -> Asking:
+    def _moved(self, kept: list[SimplexVertex], moving: list[SimplexVertex]) -> Asking:
         """Where the paths of the moving vertices end."""
         centre = np.add.reduce([v.u for v in kept]) / len(kept)
         paths = [self._moves.path(v, kept) for v in moving]
         ends = list(moving)
-        known: dict[tuple[int, float], Vertex] = {}
+        known: dict[tuple[int, float], SimplexVertex] = {}
         wanted = {i: next(path) for i, path in enumerate(paths)}
         ahead = self._moves.along if self._options.speculative else ()
         while wanted:

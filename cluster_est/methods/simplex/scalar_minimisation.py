@@ -9,18 +9,25 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Search, Solution
+from cluster_est.methods.base import (
+    Ending,
+    Evaluation,
+    Progress,
+    Points,
+    Search,
+    Solution,
+)
 from cluster_est.methods.callback_bridge import Ask, search_in_thread
-from cluster_est.methods.coordinates import Frame
-from cluster_est.methods.simplex.simplex import Vertex
-from cluster_est.problem.space import Space
+from cluster_est.methods.coordinates import ScaledCoordinates
+from cluster_est.methods.simplex.simplex import SimplexVertex
+from cluster_est.problem.space import SearchSpace
 
 LEAST_TOLERANCE = 1e-12
 """SciPy would not end without any."""
 
 
 def minimise_one(
-    space: Space, start: Evaluation, step: float, xtol: float, max_evaluations: int
+    space: SearchSpace, start: Evaluation, step: float, xtol: float, max_evaluations: int
 ) -> Search:
     """Search one unknown.
 
@@ -41,18 +48,23 @@ def minimise_one(
     max_evaluations
         Limit, apart from a few.
     """
-    line = _Line(space, start, step, max(xtol, LEAST_TOLERANCE), max_evaluations)
+    line = _LineSearch(space, start, step, max(xtol, LEAST_TOLERANCE), max_evaluations)
     return search_in_thread(line.solve)
 
 
-class _Line:
+class _LineSearch:
     """What is known along the line of one unknown."""
 
     def __init__(
-        self, space: Space, start: Evaluation, step: float, xtol: float, max_evaluations: int
+        self, space: SearchSpace, start: Evaluation, step: float, xtol: float, max_evaluations: int
     ) -> None:
-        self._frame, self._step, self._xtol, self._left = Frame(space), step, xtol, max_evaluations
-        self._start = self._best = Vertex(np.zeros(1), start)
+        self._frame, self._step, self._xtol, self._left = (
+            ScaledCoordinates(space),
+            step,
+            xtol,
+            max_evaluations,
+        )
+        self._start = self._best = SimplexVertex(np.zeros(1), start)
         self._progress = Progress(0, start.cost)
 
     def solve(self, ask: Ask) -> Solution:
@@ -110,7 +122,7 @@ class _Line:
         """Ask; infinite where a simulation failed."""
         u = np.array(at)[:, None]
         evaluations = ask(Points(self._frame.x(u), purpose, self._progress))
-        found = [Vertex(*pair) for pair in zip(u, evaluations, strict=True)]
+        found = [SimplexVertex(*pair) for pair in zip(u, evaluations, strict=True)]
         before = self._best
         self._best = min([before, *found], key=lambda v: v.cost)
         self._left -= len(found)

@@ -6,18 +6,18 @@ from collections import OrderedDict
 
 import numpy as np
 
-from cluster_est.methods.base import Evaluation, Points, Progress
+from cluster_est.methods.base import Evaluation, Progress, Points
 from cluster_est.methods.callback_bridge import Ask, drive
 from cluster_est.methods.derivatives.differences import Scheme
-from cluster_est.methods.derivatives.gradients import Derivatives, derivatives
-from cluster_est.problem.space import Space
+from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 REMEMBERED = 32
 """Points; libraries ask again for the last few only."""
 
 
-class Known:
+class EvaluationCache:
     """Evaluations and derivatives by point, and the best point.
 
     The library sees z = (x - origin) / typical, in which all unknowns are alike. The origin is the
@@ -31,10 +31,10 @@ class Known:
         Of the differences; the scheme may be changed.
     """
 
-    def __init__(self, space: Space, ask: Ask, scheme: Scheme, relative_step: float) -> None:
+    def __init__(self, space: SearchSpace, ask: Ask, scheme: Scheme, relative_step: float) -> None:
         self._space, self._ask, self._relative_step = space, ask, relative_step
         self._evaluations: OrderedDict[bytes, Evaluation] = OrderedDict()
-        self._derivatives: OrderedDict[tuple[bytes, Scheme], Derivatives] = OrderedDict()
+        self._derivatives: OrderedDict[tuple[bytes, Scheme], CostDerivatives] = OrderedDict()
         self.origin = space.start
         self.scheme = scheme
         self.gradients = 0
@@ -60,16 +60,16 @@ class Known:
                 self.best = (x, at)
         return self._evaluations[key]
 
-    def slopes(self, z: FloatArray) -> Derivatives:
+    def slopes(self, z: FloatArray) -> CostDerivatives:
         """The derivatives at z by x, asked for only if they are not known."""
         return self._slopes(self.point(z), self.evaluation(z))
 
-    def slopes_at_best(self) -> Derivatives:
+    def slopes_at_best(self) -> CostDerivatives:
         """The same at the best point; only where there is one."""
         assert self.best is not None
         return self._slopes(*self.best)
 
-    def _slopes(self, x: FloatArray, at: Evaluation) -> Derivatives:
+    def _slopes(self, x: FloatArray, at: Evaluation) -> CostDerivatives:
         key = (x.tobytes(), self.scheme)
         if key not in self._derivatives:
             self.gradients += 1
@@ -96,7 +96,7 @@ def why_unusable(at: Evaluation) -> str:
     return at.reason or "the cost or a constraint has no value there"
 
 
-def worst_constraint(space: Space, at: Evaluation) -> str:
+def worst_constraint(space: SearchSpace, at: Evaluation) -> str:
     """Say which constraint is violated most, and by how much."""
     values = at.constraints
     if not len(values):

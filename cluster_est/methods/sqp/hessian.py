@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 
-from cluster_est.methods.derivatives.gradients import Derivatives
+from cluster_est.methods.derivatives.gradients import CostDerivatives
 from workers.messages import FloatArray
 
 Hessian = Literal["auto", "gauss_newton", "quasi_newton"]
@@ -29,7 +29,7 @@ FORGETTING = 0.5
 RIDGE = 1e-12
 
 
-class Curvature:
+class CurvatureHistory:
     """Collects what is known of the curvature, iteration after iteration."""
 
     def __init__(self, kind: Hessian) -> None:
@@ -48,7 +48,7 @@ class Curvature:
         return int(len(self._matrices) > 1 and self._errors[1] < self._errors[0])
 
     def at(
-        self, x: FloatArray, slopes: Derivatives, multipliers: FloatArray, sizes: FloatArray
+        self, x: FloatArray, slopes: CostDerivatives, multipliers: FloatArray, sizes: FloatArray
     ) -> None:
         """Move on to a point.
 

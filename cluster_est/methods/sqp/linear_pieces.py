@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.sqp.quadratic_program import Model
+from cluster_est.methods.sqp.quadratic_program import QuadraticSubproblem
 from workers.messages import FloatArray
 
 REACH = 10.0
@@ -32,7 +32,7 @@ helps."""
 
 
 @dataclass(frozen=True)
-class Piece:
+class ConstraintLinearisation:
     """Constraints and their slopes at a point."""
 
     x: FloatArray
@@ -40,21 +40,23 @@ class Piece:
     slopes: FloatArray
 
 
-class Pieces:
+class LinearisationHistory:
     """The latest linearisations of a search; none of them counts before a kink was met."""
 
     def __init__(self, equality: npt.NDArray[np.bool_], most: int) -> None:
         self._inequalities = np.flatnonzero(~equality).astype(np.intp)
         self._most = most
-        self._pieces: list[Piece] = []
+        self._pieces: list[ConstraintLinearisation] = []
         self.active = False
 
-    def add(self, piece: Piece) -> None:
+    def add(self, piece: ConstraintLinearisation) -> None:
         """Keep a linearisation, and forget the oldest beyond as many as there is room for."""
         if self.active and len(self._inequalities):
             self._pieces = [*self._pieces, piece][-self._most :]
 
-    def extend(self, model: Model, at: FloatArray, reach: FloatArray) -> Model:
+    def extend(
+        self, model: QuadraticSubproblem, at: FloatArray, reach: FloatArray
+    ) -> QuadraticSubproblem:
         """Add the faces around a point to a model of its neighbourhood.
 
         No face may claim more than the constraint's value at the point itself, which is the largest
@@ -83,7 +85,7 @@ class Pieces:
         )
 
 
-def is_jump(before: Piece, step: FloatArray, after: FloatArray) -> bool:
+def is_jump(before: ConstraintLinearisation, step: FloatArray, after: FloatArray) -> bool:
     """Whether constraints rose more along a step than a kink between two faces explains."""
     excess = after - before.values - before.slopes @ step
     slack = JUMP * (np.abs(before.slopes) @ np.abs(step))

@@ -11,8 +11,8 @@ from cluster_est.methods.base import Method, Search
 from cluster_est.methods.derivatives.differences import Differences
 from cluster_est.methods.sqp.hessian import Hessian
 from cluster_est.methods.sqp.scipy_constrained import scipy_search
-from cluster_est.methods.sqp.trust_region import Settings, sequential_search
-from cluster_est.problem.space import Space
+from cluster_est.methods.sqp.trust_region import SqpOptions, sequential_search
+from cluster_est.problem.space import SearchSpace
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ class Sqp(Method):
     hessian: Hessian = "auto"
     speculative_gradient: bool = False
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
-        settings = Settings(
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
+        settings = SqpOptions(
             self.max_iterations,
             self.ftol,
             self.xtol,

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from cluster_est.methods.base import TOLERANCE, Evaluation
 from cluster_est.methods.sqp.evaluation_cache import usable
-from cluster_est.methods.sqp.quadratic_program import Model, penalised_step
+from cluster_est.methods.sqp.quadratic_program import QuadraticSubproblem, penalised_step
 from workers.messages import FloatArray
 
 FIRST = 0.01
@@ -31,7 +31,7 @@ STEEPEST = 12
 NEGLIGIBLE = 1e-3 * TOLERANCE
 
 
-class Penalty:
+class PenaltyParameter:
     """The current penalty; `equality` says which constraints must be 0."""
 
     def __init__(self, equality: npt.NDArray[np.bool_]) -> None:
@@ -53,12 +53,12 @@ class Penalty:
         """Infinite where a simulation failed."""
         return at.cost + self.value * self.violations(at) if usable(at) else np.inf
 
-    def promised(self, model: Model, at: Evaluation, step: FloatArray) -> float:
+    def promised(self, model: QuadraticSubproblem, at: Evaluation, step: FloatArray) -> float:
         """The decrease of the merit that a model of the surroundings of `at` expects."""
         return self.value * (self.violations(at) - model.violation(step)) - model.change(step)
 
     def step(
-        self, model: Model, lower: FloatArray, upper: FloatArray, sizes: FloatArray
+        self, model: QuadraticSubproblem, lower: FloatArray, upper: FloatArray, sizes: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """The model's best step within bounds, and the multipliers; may raise the penalty.
 

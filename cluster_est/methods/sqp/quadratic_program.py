@@ -33,7 +33,7 @@ FLATTEST = 1e-8
 
 
 @dataclass(frozen=True)
-class Model:
+class QuadraticSubproblem:
     """What is known around a point: the cost to second order, constraints to first.
 
     Attributes
@@ -69,7 +69,7 @@ class Model:
 
 
 def penalised_step(
-    model: Model, penalty: float, lower: FloatArray, upper: FloatArray
+    model: QuadraticSubproblem, penalty: float, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Solve the program above.
 
@@ -106,7 +106,7 @@ def penalised_step(
     np.maximum.at(lengths, group, sizes)
     lengths[lengths == 0.0] = 1.0
     rows, values = rows / lengths[group, None], values / lengths[group]
-    program = _Program(
+    program = _ScaledProgram(
         width * model.gradient[free],
         model.hessian[np.ix_(free, free)] * np.outer(width, width),
         rows,
@@ -126,7 +126,7 @@ def penalised_step(
 
 
 @dataclass(frozen=True)
-class _Program:
+class _ScaledProgram:
     """The program in scaled terms, all rows inequalities."""
 
     gradient: FloatArray
@@ -195,7 +195,7 @@ def _interior_point(
         solve = _factorised(hessian + constraints.T @ (constraints * (dual / slack)[:, None]))
         if solve is None:
             break
-        newton = _Newton(constraints, slack, dual, stationarity, primal, solve)
+        newton = _NewtonSystem(constraints, slack, dual, stationarity, primal, solve)
         _, ds, dl = newton.step(np.zeros_like(slack))
         length = min(_room(slack, ds), _room(dual, dl))
         after = float((slack + length * ds) @ (dual + length * dl)) / len(limits)
@@ -206,7 +206,7 @@ def _interior_point(
 
 
 @dataclass(frozen=True)
-class _Newton:
+class _NewtonSystem:
     """The linear system of one interior-point iteration."""
 
     constraints: FloatArray

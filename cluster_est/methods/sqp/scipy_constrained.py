@@ -17,13 +17,25 @@ from typing import Any, Literal
 import numpy as np
 from scipy.optimize import BFGS, Bounds, NonlinearConstraint, lsq_linear, minimize
 
-from cluster_est.methods.base import TOLERANCE, Ending, Evaluation, Progress, Search, Solution
+from cluster_est.methods.base import (
+    TOLERANCE,
+    Ending,
+    Evaluation,
+    Progress,
+    Search,
+    Solution,
+)
 from cluster_est.methods.callback_bridge import Ask, search_in_thread
 from cluster_est.methods.derivatives.differences import Scheme
-from cluster_est.methods.derivatives.gradients import Derivatives
-from cluster_est.methods.sqp.evaluation_cache import Known, usable, why_unusable, worst_constraint
-from cluster_est.methods.sqp.trust_region import Settings
-from cluster_est.problem.space import Space
+from cluster_est.methods.derivatives.gradients import CostDerivatives
+from cluster_est.methods.sqp.evaluation_cache import (
+    EvaluationCache,
+    usable,
+    why_unusable,
+    worst_constraint,
+)
+from cluster_est.methods.sqp.trust_region import SqpOptions
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 Algorithm = Literal["slsqp", "trust_constr"]
@@ -52,19 +64,19 @@ class _QuietBFGS(BFGS):  # type: ignore[misc]
             super().update(delta_x, delta_grad)
 
 
-def scipy_search(space: Space, settings: Settings, algorithm: Algorithm) -> Search:
+def scipy_search(space: SearchSpace, settings: SqpOptions, algorithm: Algorithm) -> Search:
     """Minimise the cost of `space` under its bounds and constraints with SciPy."""
-    return search_in_thread(lambda ask: _Callbacks(space, settings, ask).solve(algorithm))
+    return search_in_thread(lambda ask: _ScipyCallbacks(space, settings, ask).solve(algorithm))
 
 
-class _Callbacks:
+class _ScipyCallbacks:
     """What SciPy calls, and what is known from its calls."""
 
-    def __init__(self, space: Space, settings: Settings, ask: Ask) -> None:
+    def __init__(self, space: SearchSpace, settings: SqpOptions, ask: Ask) -> None:
         self._space, self._settings = space, settings
         self._equality = space.equality
         scheme: Scheme = "central" if settings.differences == "central" else "forward"
-        self._known = Known(space, ask, scheme, settings.relative_step)
+        self._known = EvaluationCache(space, ask, scheme, settings.relative_step)
         self._none = np.zeros(space.size)
         self._scale = 1.0
         self._last = self._none
@@ -213,7 +225,7 @@ class _Callbacks:
             return np.zeros((len(self._equality), self._space.size))
         return np.asarray(self._slopes(z).constraints * self._space.typical)
 
-    def _slopes(self, z: FloatArray) -> Derivatives:
+    def _slopes(self, z: FloatArray) -> CostDerivatives:
         known = self._known
         if not known.has_slopes(z) and known.gradients >= self._settings.max_iterations:
             raise _LimitError

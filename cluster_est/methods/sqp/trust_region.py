@@ -20,15 +20,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Search, Solution
+from cluster_est.methods.base import (
+    Ending,
+    Evaluation,
+    Progress,
+    Points,
+    Search,
+    Solution,
+)
 from cluster_est.methods.callback_bridge import drive
 from cluster_est.methods.derivatives.differences import Differences
-from cluster_est.methods.derivatives.gradients import Derivatives, derivatives
-from cluster_est.methods.derivatives.sensitivities import Slopes
+from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
+from cluster_est.methods.derivatives.sensitivities import JacobianProvider
 from cluster_est.methods.sqp.evaluation_cache import usable, why_unusable, worst_constraint
 from cluster_est.methods.sqp.hessian import Hessian
-from cluster_est.methods.sqp.local_model import Step, Surroundings
-from cluster_est.problem.space import Space
+from cluster_est.methods.sqp.local_model import ModelStep, SqpLocalModel
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 FIRST_RADIUS = 1.0
@@ -46,11 +53,11 @@ AT_A_KINK = (
     "where simulations are noisy"
 )
 
-Asking = Generator[Points, list[Evaluation], Derivatives]
+Asking = Generator[Points, list[Evaluation], CostDerivatives]
 
 
 @dataclass(frozen=True)
-class Settings:
+class SqpOptions:
     """Options of the search; see `Sqp`."""
 
     max_iterations: int = 100
@@ -62,7 +69,7 @@ class Settings:
     speculative_gradient: bool = False
 
 
-def sequential_search(space: Space, settings: Settings) -> Search:
+def sequential_search(space: SearchSpace, settings: SqpOptions) -> Search:
     """Minimise the cost of `space` under its bounds and constraints.
 
     The solution has the Jacobian of the residuals where the cost gives them weights.
@@ -71,7 +78,7 @@ def sequential_search(space: Space, settings: Settings) -> Search:
     (at,) = yield Points(x[None, :], "start", Progress(0, np.nan))
     if not usable(at):
         return Solution(x, np.nan, Ending.START_FAILED, why_unusable(at))
-    search = _Sequential(space, settings, x, at)
+    search = _TrustRegionSearch(space, settings, x, at)
     ending: Ending | None = None
     while ending is None:
         ending = yield from search.iterate()
@@ -81,10 +88,10 @@ def sequential_search(space: Space, settings: Settings) -> Search:
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _TrialStep:
     """A step, and what came of it: the point at its end, and by how much that lowered the merit."""
 
-    step: Step
+    step: ModelStep
     x: FloatArray
     at: Evaluation
     gained: float
@@ -95,18 +102,20 @@ class _Trial:
         return self.gained / self.step.promised if self.step.promised > 0.0 else -1.0
 
 
-class _Sequential:
+class _TrustRegionSearch:
     """State of one search: the current point, what is known around it, and the trust region."""
 
-    def __init__(self, space: Space, settings: Settings, x: FloatArray, at: Evaluation) -> None:
+    def __init__(
+        self, space: SearchSpace, settings: SqpOptions, x: FloatArray, at: Evaluation
+    ) -> None:
         self._space, self._settings = space, settings
         weighted = space.problem.cost.weights(at.residuals, space.outputs) is not None
         differences = (
             settings.differences if weighted or settings.differences != "sensitivities" else "auto"
         )
-        self._slopes = Slopes(space, differences, settings.relative_step)
+        self._slopes = JacobianProvider(space, differences, settings.relative_step)
         self._feasibility_only = at.residuals.size == 0
-        self._around = Surroundings(space, settings.hessian, self._feasibility_only)
+        self._around = SqpLocalModel(space, settings.hessian, self._feasibility_only)
         self._penalty = self._around.penalty
         self._x, self._at, self._best = x, at, (x, at)
         self._multipliers = np.zeros(len(space.constraint_names))
@@ -210,7 +219,7 @@ class _Sequential:
             self._radius = SHRINK * min(self._radius, self._around.length(trial.step.vector))
         return Ending.STALLED
 
-    def _try(self) -> Generator[Points, list[Evaluation], _Trial]:
+    def _try(self) -> Generator[Points, list[Evaluation], _TrialStep]:
         """The model's best step."""
         step = self._around.step(self._radius)
         x = self._inside(self._x + step.vector)
@@ -222,19 +231,19 @@ class _Sequential:
         self._around.learn(step, at)
         return self._came_of(step, x, at)
 
-    def _correct(self, trial: _Trial) -> Generator[Points, list[Evaluation], _Trial]:
+    def _correct(self, trial: _TrialStep) -> Generator[Points, list[Evaluation], _TrialStep]:
         """The same step, corrected for bent constraints."""
         vector = self._around.corrected(trial.step, trial.at, self._radius)
         x = self._inside(self._x + vector)
         (at,) = yield Points(x[None, :], "correction", self._progress)
         return self._came_of(replace(trial.step, vector=x - self._x), x, at)
 
-    def _came_of(self, step: Step, x: FloatArray, at: Evaluation) -> _Trial:
+    def _came_of(self, step: ModelStep, x: FloatArray, at: Evaluation) -> _TrialStep:
         if at.rank < self._best[1].rank:
             self._best = (x, at)
-        return _Trial(step, x, at, self._penalty.merit(self._at) - self._penalty.merit(at))
+        return _TrialStep(step, x, at, self._penalty.merit(self._at) - self._penalty.merit(at))
 
-    def _spoiled_by_constraints(self, trial: _Trial) -> bool:
+    def _spoiled_by_constraints(self, trial: _TrialStep) -> bool:
         """Whether less than half came of a step, and most of that because constraints bend."""
         step = trial.step
         if not usable(trial.at) or trial.gained > 0.5 * step.promised:
@@ -242,7 +251,7 @@ class _Sequential:
         excess = self._penalty.violations(trial.at) - step.model.violation(step.vector)
         return self._penalty.value * excess > 0.5 * (step.promised - trial.gained)
 
-    def _accept(self, trial: _Trial) -> Ending | None:
+    def _accept(self, trial: _TrialStep) -> Ending | None:
         """Move to a trial point. Returns why to stop, if so."""
         length = self._around.length(trial.step.vector)
         self._radius = _radius(self._radius, trial.ratio, length)

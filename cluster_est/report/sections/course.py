@@ -12,18 +12,18 @@ import numpy as np
 
 from cluster_est.report.blocks import (
     Block,
-    Cell,
-    Figure,
-    Section,
-    Table,
-    Text,
+    FigureBlock,
+    ReportSection,
+    TableBlock,
+    TableCell,
+    TextBlock,
     axis,
     cells,
     columns,
     plain,
 )
 from cluster_est.report.encode import short
-from cluster_est.report.folder import Row, Run
+from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import digits
 
 MOST_LINES = 40
@@ -36,13 +36,13 @@ LOG_FROM = 10.0
 """Ratio of the costs beyond which their axis is logarithmic."""
 
 
-def course(run: Run) -> Section:
+def course(run: ReportedRun) -> ReportSection:
     """Everything about the search that the folder holds."""
     blocks = [*_convergence(run), *_starts(run), *_profiles(run), *_front(run)]
-    return Section("course", "How the search went", tuple(blocks))
+    return ReportSection("course", "How the search went", tuple(blocks))
 
 
-def _convergence(run: Run) -> list[Block]:
+def _convergence(run: ReportedRun) -> list[Block]:
     searches: dict[str, list[Row]] = {}
     for row in run.tables["searches"]:
         if row["search"].startswith(AFTERWARDS):
@@ -79,7 +79,7 @@ def _convergence(run: Run) -> list[Block]:
         "showlegend": 1 < len(order) <= 12,
     }
     shown = "" if len(names) == len(searches) else f", the best {len(names)} of {len(searches)}"
-    return [Figure("convergence", f"Cost over evaluations{shown}", traces, layout)]
+    return [FigureBlock("convergence", f"Cost over evaluations{shown}", traces, layout)]
 
 
 def _begins_again(rows: Sequence[Row]) -> bool:
@@ -87,7 +87,7 @@ def _begins_again(rows: Sequence[Row]) -> bool:
     return any(later["evaluations"] < row["evaluations"] for row, later in pairwise(rows))
 
 
-def _all_searches(run: Run) -> list[Block]:
+def _all_searches(run: ReportedRun) -> list[Block]:
     """The costs of all searches as points, in their order."""
     rows = [
         (number, row)
@@ -106,14 +106,16 @@ def _all_searches(run: Run) -> list[Block]:
         for name in dict.fromkeys(row["search"] for _, row in rows)
     ]
     if not traces:
-        return [Text("The folder does not tell its searches apart, so none is drawn.", "faint")]
+        return [
+            TextBlock("The folder does not tell its searches apart, so none is drawn.", "faint")
+        ]
     layout = {
         "xaxis": axis("iterations of all searches, in their order"),
         "yaxis": _cost_axis([row["cost"] for _, row in rows]),
         "hovermode": "closest",
         "showlegend": len(traces) <= 12,
     }
-    return [Figure("convergence", "Costs of all searches", traces, layout, 360)]
+    return [FigureBlock("convergence", "Costs of all searches", traces, layout, 360)]
 
 
 def _cost_axis(costs: Sequence[float], title: str = "cost") -> dict[str, Any]:
@@ -128,7 +130,7 @@ def _cost_axis(costs: Sequence[float], title: str = "cost") -> dict[str, Any]:
     return axis(title)
 
 
-def _starts(run: Run) -> list[Block]:
+def _starts(run: ReportedRun) -> list[Block]:
     rows = run.tables["starts"]
     if not rows:
         return []
@@ -161,11 +163,11 @@ def _starts(run: Run) -> list[Block]:
             "hovermode": "closest",
         }
         title = f"Waterfall of {len(rows)} starts"
-        blocks.append(Figure("waterfall", title, traces, layout, 280))
+        blocks.append(FigureBlock("waterfall", title, traces, layout, 280))
     return [*blocks, *_minima(run, rows)]
 
 
-def _minima(run: Run, starts: Sequence[Row]) -> list[Block]:
+def _minima(run: ReportedRun, starts: Sequence[Row]) -> list[Block]:
     points = {row["point"]: row["cost"] for row in run.tables["minima"]}
     counts = Counter(row["minimum"] for row in starts)
     labels = list(dict.fromkeys(row["label"] for row in run.tables["minima"]))[:6]
@@ -180,12 +182,12 @@ def _minima(run: Run, starts: Sequence[Row]) -> list[Block]:
         for p, cost in points.items()
     ]
     if counts[-1]:
-        lines.append(cells(Cell("none", "bad"), "", str(counts[-1]), *("" for _ in labels)))
+        lines.append(cells(TableCell("none", "bad"), "", str(counts[-1]), *("" for _ in labels)))
     names = columns("minimum", "#cost", "#starts", *(f"#{label}" for label in labels))
-    return [Table(names, tuple(lines), "Minima that were reached")] if lines else []
+    return [TableBlock(names, tuple(lines), "Minima that were reached")] if lines else []
 
 
-def _profiles(run: Run) -> list[Block]:
+def _profiles(run: ReportedRun) -> list[Block]:
     rows = [row for row in run.tables["profiles"] if row["unknown"] == row["label"]]
     labels = list(dict.fromkeys(row["label"] for row in rows))
     ends = {r["label"]: r for r in run.tables["intervals"] if r["source"] == "profile"}
@@ -211,13 +213,13 @@ def _profiles(run: Run) -> list[Block]:
             if end is not None and math.isfinite(end)
         ]  # fmt: skip
         layout = {"xaxis": axis(label), "yaxis": axis("cost"), "shapes": shapes}
-        blocks.append(Figure(f"profile-{number}", f"Profile of {label}", traces, layout, 240))
+        blocks.append(FigureBlock(f"profile-{number}", f"Profile of {label}", traces, layout, 240))
     if len(labels) > SMALL_MULTIPLES:
-        blocks.append(Text(f"{SMALL_MULTIPLES} of {len(labels)} profiles are drawn.", "faint"))
+        blocks.append(TextBlock(f"{SMALL_MULTIPLES} of {len(labels)} profiles are drawn.", "faint"))
     return blocks
 
 
-def _front(run: Run) -> list[Block]:
+def _front(run: ReportedRun) -> list[Block]:
     points = {row["point"]: row["objectives"] for row in run.tables["front"]}
     if not points or min(map(len, points.values())) < 2:
         return []
@@ -235,4 +237,4 @@ def _front(run: Run) -> list[Block]:
         "yaxis": axis("second objective"),
         "hovermode": "closest",
     }
-    return [Figure("front", f"Front of {len(points)} points", [trace], layout)]
+    return [FigureBlock("front", f"Front of {len(points)} points", [trace], layout)]

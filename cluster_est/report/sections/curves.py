@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from cluster_est.report.blocks import Explorer, Section, Text, with_unit
+from cluster_est.report.blocks import ExplorerBlock, ReportSection, TextBlock, with_unit
 from cluster_est.report.decimate import peaks
 from cluster_est.report.encode import doubles, floats
-from cluster_est.report.folder import Run
+from cluster_est.report.folder import ReportedRun
 from cluster_est.report.numbers import count
 from workers.messages import FloatArray
 
@@ -22,11 +22,11 @@ FEWEST, MOST = 100, 20_000
 """Points of one output of one experiment."""
 
 
-def curves(run: Run) -> Section:
+def curves(run: ReportedRun) -> ReportSection:
     """All experiments, of which the page shows one."""
     table = run.residuals
     if table is None or not table.num_rows:
-        return Section("curves", "Curves", ())
+        return ReportSection("curves", "Curves", ())
     measured, simulated = _parts(table), _parts(run.trajectories)
     units = {row["output"]: row["unit"] for row in run.tables["errors"]}
     most = int(np.clip(MOST_POINTS / max(1, len(measured)), FEWEST, MOST))
@@ -45,8 +45,10 @@ def curves(run: Run) -> Section:
         else f"Of {count(samples)} samples {count(drawn)} are drawn: the lowest and the highest of "
         "each curve in each short stretch, so that no peak is lost."
     )
-    text = Text(f"Before: {run.before}. Drag to zoom, double-click to see all. {how}")
-    return Section("curves", "Measured and simulated", (text, Explorer(tuple(found.values()))))
+    text = TextBlock(f"Before: {run.before}. Drag to zoom, double-click to see all. {how}")
+    return ReportSection(
+        "curves", "Measured and simulated", (text, ExplorerBlock(tuple(found.values())))
+    )
 
 
 def _panel(

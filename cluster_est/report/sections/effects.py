@@ -8,27 +8,27 @@ import numpy as np
 
 from cluster_est.report.blocks import (
     Block,
-    Cell,
-    Figure,
-    Items,
-    Section,
-    Source,
-    Table,
-    Text,
+    FigureBlock,
+    ItemsBlock,
+    ReportSection,
+    SourceBlock,
+    TableBlock,
+    TableCell,
+    TextBlock,
     axis,
     cells,
     columns,
     with_unit,
 )
 from cluster_est.report.encode import short
-from cluster_est.report.folder import Row, Run
+from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import beside, digits, interval
 
 ROOM = 1.5
 """How far beyond a shape, in its own heights, its band is drawn: a wide one would hide it."""
 
 
-def effects(run: Run) -> Section:
+def effects(run: ReportedRun) -> ReportSection:
     """The effects that were added, or those that did not pass."""
     blocks: list[Block] = []
     for effect in run.facts.get("effects") or []:
@@ -36,15 +36,19 @@ def effects(run: Run) -> Section:
     rejected = run.facts.get("rejected") or []
     if rejected:
         blocks.append(
-            Text("Not accepted; what follows shows where to look, not what is missing.", "faint")
+            TextBlock(
+                "Not accepted; what follows shows where to look, not what is missing.", "faint"
+            )
         )
-        rows = [cells(Cell(e["site"], code=True), e["form"], Cell(e["equation"], code=True))
-                for e in rejected]  # fmt: skip
-        blocks.append(Table(columns("site", "form", "equation"), tuple(rows)))
-    return Section("effects", "What the model lacked", tuple(blocks))
+        rows = [
+            cells(TableCell(e["site"], code=True), e["form"], TableCell(e["equation"], code=True))
+            for e in rejected
+        ]
+        blocks.append(TableBlock(columns("site", "form", "equation"), tuple(rows)))
+    return ReportSection("effects", "What the model lacked", tuple(blocks))
 
 
-def _effect(run: Run, effect: Row) -> list[Block]:
+def _effect(run: ReportedRun, effect: Row) -> list[Block]:
     names = columns("coefficient", "#value", "#95 % interval", "unit", "")
     rows = []
     for name, row in effect["parameters"].items():
@@ -53,31 +57,31 @@ def _effect(run: Run, effect: Row) -> list[Block]:
         said = "held" if row["fixed"] else "not determined" if low is None else ""
         rows.append(
             cells(
-                Cell(name, code=True),
+                TableCell(name, code=True),
                 beside(row["value"], width),
                 interval(low, high),
                 row["unit"],
-                Cell(said, "faint"),
+                TableCell(said, "faint"),
             )
         )
     blocks: list[Block] = [
-        Text(f"{effect['name']}: {effect['family']} at {effect['site']}", kind="heading"),
-        Text(effect["equation"], kind="equation"),
-        Table(names, tuple(rows)),
+        TextBlock(f"{effect['name']}: {effect['family']} at {effect['site']}", kind="heading"),
+        TextBlock(effect["equation"], kind="equation"),
+        TableBlock(names, tuple(rows)),
     ]
     evidence = tuple(effect.get("evidence") or ())
-    blocks += [Items(evidence)] if evidence else []
+    blocks += [ItemsBlock(evidence)] if evidence else []
     shapes = [row for row in run.tables["shapes"] if row["effect"] == effect["name"]]
     blocks += [_shape(row, i) for i, row in enumerate(shapes) if not row["why_not"]]
-    blocks += [Text(f"No shape is drawn: {row['why_not']}.", "faint")
+    blocks += [TextBlock(f"No shape is drawn: {row['why_not']}.", "faint")
                for row in shapes if row["why_not"]]  # fmt: skip
     if not shapes:
-        blocks.append(Text("This run's folder holds no shapes to draw.", "faint"))
-    blocks.append(Source("As a block for a config", effect["config"]))
+        blocks.append(TextBlock("This run's folder holds no shapes to draw.", "faint"))
+    blocks.append(SourceBlock("As a block for a config", effect["config"]))
     return blocks
 
 
-def _shape(row: Row, number: int) -> Figure:
+def _shape(row: Row, number: int) -> FigureBlock:
     x, y, low, high = (np.array(row[name], float) for name in ("x", "y", "lower", "upper"))
     traces: list[dict[str, Any]] = []
     height = float(np.nanmax(y) - np.nanmin(y)) or abs(float(y[0])) or 1.0
@@ -107,17 +111,17 @@ def _shape(row: Row, number: int) -> Figure:
     title = f"{row['part']} over {over}, where the training data were"
     if not known:
         title += "; the data do not determine every coefficient, so there is no band"
-    return Figure(f"shape-{row['effect']}-{number}", title, traces, layout, 320)
+    return FigureBlock(f"shape-{row['effect']}-{number}", title, traces, layout, 320)
 
 
-def candidates(run: Run) -> Section:
+def candidates(run: ReportedRun) -> ReportSection:
     """Candidates ranked, and what cannot be told apart."""
     rows = run.tables["findings"]
     blocks: list[Block] = [_rivals(effect) for effect in run.facts.get("effects") or []]
     if rows:
         blocks.insert(
             0,
-            Text(
+            TextBlock(
                 "Each step ranks everything that could be missing by how well it points along the "
                 "residual. Explained is the share of the residual's squares that its direction "
                 "carries; the criterion is that of its refit less that of the model without it, "
@@ -127,7 +131,7 @@ def candidates(run: Run) -> Section:
     for step in sorted({row["step"] for row in rows}):
         own = sorted((row for row in rows if row["step"] == step), key=_rank)
         blocks.append(_ranked(step, own))
-    return Section("candidates", "Candidates", tuple(blocks))
+    return ReportSection("candidates", "Candidates", tuple(blocks))
 
 
 STAGES = ("accepted", "refitted", "tried", "screened", "set aside")
@@ -140,32 +144,34 @@ def _rank(row: Row) -> tuple[int, float, float]:
     return place, 0.0 if criterion is None or criterion != criterion else criterion, row["log_p"]
 
 
-def _ranked(step: int, rows: list[Row]) -> Table:
+def _ranked(step: int, rows: list[Row]) -> TableBlock:
     names = columns("site", "form", "of", "stage", "#explained", "#log₁₀ p", "#criterion", "")
     lines = [
         cells(
-            Cell(row["site"], code=True),
+            TableCell(row["site"], code=True),
             row["form"],
-            Cell(", ".join(row["variables"] or ()), code=True),
-            Cell(row["stage"], "good" if row["stage"] == "accepted" else ""),
+            TableCell(", ".join(row["variables"] or ()), code=True),
+            TableCell(row["stage"], "good" if row["stage"] == "accepted" else ""),
             f"{100.0 * row['explained']:.1f}\u2009%",
             digits(row["log_p"] / np.log(10.0), 4),
             digits(row["criterion"], 4),
-            Cell(f"imitated by {row['imitated_by']}" if row["imitated_by"] else "", "faint"),
+            TableCell(f"imitated by {row['imitated_by']}" if row["imitated_by"] else "", "faint"),
         )
         for row in rows
     ]
-    return Table(names, tuple(lines), f"Step {step}: {len(rows)} candidates", folded=True)
+    return TableBlock(names, tuple(lines), f"Step {step}: {len(rows)} candidates", folded=True)
 
 
 def _rivals(effect: Row) -> Block:
     others = effect.get("alternatives") or []
     if not others:
-        return Text(f"{effect['name']}: nothing else that was tried explains the data as well.")
+        return TextBlock(
+            f"{effect['name']}: nothing else that was tried explains the data as well."
+        )
     names = columns("cannot be told apart", "equation", "#criterion", "differ most at", "#by")
     chosen = cells(
-        Cell(f"{effect['form']} at {effect['site']} (chosen)"),
-        Cell(effect["equation"], code=True), "0", "", "",
+        TableCell(f"{effect['form']} at {effect['site']} (chosen)"),
+        TableCell(effect["equation"], code=True), "0", "", "",
     )  # fmt: skip
     lines = [chosen]
     for other in others:
@@ -177,10 +183,12 @@ def _rivals(effect: Row) -> Block:
         lines.append(
             cells(
                 f"{other['form']} at {other['site']}",
-                Cell(other["equation"], code=True),
+                TableCell(other["equation"], code=True),
                 "" if criterion is None else ("+" if criterion >= 0 else "") + digits(criterion, 3),
                 at,
                 by,
             )
         )
-    return Table(names, tuple(lines), f"{effect['name']}: {len(lines)} that explain the data alike")
+    return TableBlock(
+        names, tuple(lines), f"{effect['name']}: {len(lines)} that explain the data alike"
+    )

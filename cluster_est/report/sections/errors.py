@@ -5,8 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from cluster_est.report.blocks import Block, Cell, Section, Table, Text, Tone, cells, columns
-from cluster_est.report.folder import Row, Run
+from cluster_est.report.blocks import (
+    Block,
+    ReportSection,
+    TableBlock,
+    TableCell,
+    TextBlock,
+    Tone,
+    cells,
+    columns,
+)
+from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import count, digits, percent
 
 ROLES = {"train": "training", "test": "held out"}
@@ -14,13 +23,13 @@ MOST_OPEN = 24
 """Rows of the table by experiment that are not folded."""
 
 
-def errors(run: Run) -> Section:
+def errors(run: ReportedRun) -> ReportSection:
     """A table by output, and one by output and experiment."""
     rows = run.tables["errors"]
     if not rows:
-        return Section("errors", "Errors", ())
+        return ReportSection("errors", "Errors", ())
     blocks: list[Block] = [
-        Text(
+        TextBlock(
             f"Root mean square of measured less simulated. Before: {run.before}. The last column "
             "is the error as a share of the measured signal's standard deviation."
         )
@@ -31,12 +40,12 @@ def errors(run: Run) -> Section:
         blocks.append(_table("By output, over all experiments", own, pooled=True))
     folded = len(rows) > MOST_OPEN
     blocks.append(_table("By experiment", [[row] for row in rows], folded=folded))
-    return Section("errors", "Errors before and after", tuple(blocks))
+    return ReportSection("errors", "Errors before and after", tuple(blocks))
 
 
 def _table(
     caption: str, groups: Sequence[Sequence[Row]], *, pooled: bool = False, folded: bool = False
-) -> Table:
+) -> TableBlock:
     first = "#experiments" if pooled else "experiment"
     names = columns("output", "", first, "#samples", "#before", "#after", "unit", "#change",
                     "#of the signal")  # fmt: skip
@@ -46,8 +55,8 @@ def _table(
         who = str(len(group)) if pooled else str(group[0]["experiment"])
         lines.append(
             cells(
-                Cell(group[0]["output"], code=True),
-                Cell(ROLES.get(str(group[0]["role"]), ""), "faint"),
+                TableCell(group[0]["output"], code=True),
+                TableCell(ROLES.get(str(group[0]["role"]), ""), "faint"),
                 who,
                 count(sum(row["samples"] for row in group)),
                 digits(before),
@@ -57,7 +66,7 @@ def _table(
                 percent(_pooled(group, "relative_after")),
             )
         )
-    return Table(names, tuple(lines), caption, folded)
+    return TableBlock(names, tuple(lines), caption, folded)
 
 
 def _pooled(rows: Sequence[Row], name: str) -> float:
@@ -67,10 +76,10 @@ def _pooled(rows: Sequence[Row], name: str) -> float:
     return math.sqrt(sum(row["samples"] * row[name] ** 2 for row in rows) / samples)
 
 
-def _change(before: float, after: float) -> Cell:
+def _change(before: float, after: float) -> TableCell:
     if math.isnan(before) or math.isnan(after) or before <= 0.0:
-        return Cell("failed", "bad") if math.isnan(after) else Cell("")
+        return TableCell("failed", "bad") if math.isnan(after) else TableCell("")
     share = after / before - 1.0
     tone: Tone = "good" if share < -0.005 else "bad" if share > 0.005 else "faint"
     sign = "+" if share > 0.0 else ""
-    return Cell(f"{sign}{percent(share)}" if abs(share) >= 5e-4 else "none", tone)
+    return TableCell(f"{sign}{percent(share)}" if abs(share) >= 5e-4 else "none", tone)

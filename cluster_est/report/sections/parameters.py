@@ -8,18 +8,18 @@ import numpy as np
 
 from cluster_est.report.blocks import (
     Block,
-    Cell,
-    Figure,
-    Items,
-    Section,
-    Table,
-    Text,
+    FigureBlock,
+    ItemsBlock,
+    ReportSection,
+    TableBlock,
+    TableCell,
+    TextBlock,
     cells,
     columns,
     plain,
 )
 from cluster_est.report.encode import short
-from cluster_est.report.folder import Row, Run
+from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import MINUS, beside, compact, digits, interval, percent
 
 MOST_IN_MAP = 60
@@ -28,17 +28,17 @@ STRONG = 0.95
 """Correlation beyond which two parameters are named."""
 
 
-def parameters(run: Run) -> Section:
+def parameters(run: ReportedRun) -> ReportSection:
     """Tables of estimates, intervals, constraints; correlations; directions."""
     rows = run.tables["parameters"]
     if not rows:
-        return Section("parameters", "Parameters", ())
+        return ReportSection("parameters", "Parameters", ())
     blocks: list[Block] = [_table(run, rows)]
     blocks += _intervals(run) + _constraints(run) + _directions(run) + _correlations(run)
-    return Section("parameters", "Parameters", tuple(blocks))
+    return ReportSection("parameters", "Parameters", tuple(blocks))
 
 
-def _table(run: Run, rows: tuple[Row, ...]) -> Table:
+def _table(run: ReportedRun, rows: tuple[Row, ...]) -> TableBlock:
     loop = run.is_loop
     more = ("#before", "#95 % interval") if loop else ("#start",)
     names = columns("parameter", *more, "#after", "#95 % interval", "unit", "bounds", "")
@@ -52,16 +52,16 @@ def _table(run: Run, rows: tuple[Row, ...]) -> Table:
             then = [digits(row["start"])]
         lines.append(
             cells(
-                Cell(row["label"], code=True),
+                TableCell(row["label"], code=True),
                 *then,
                 beside(row["value"], width),
                 _interval(row),
                 row["unit"],
-                Cell(_bounds(row), "faint"),
+                TableCell(_bounds(row), "faint"),
                 _remark(row),
             )
         )
-    return Table(names, tuple(lines), folded=len(lines) > MOST_OPEN,
+    return TableBlock(names, tuple(lines), folded=len(lines) > MOST_OPEN,
                  caption=f"{len(lines)} parameters" if len(lines) > MOST_OPEN else "")  # fmt: skip
 
 
@@ -80,26 +80,26 @@ def _bounds(row: Row) -> str:
     return f"{compact(row['lower'])} … {compact(row['upper'])}"
 
 
-def _remark(row: Row) -> Cell:
+def _remark(row: Row) -> TableCell:
     if row["at_bound"]:
-        return Cell(f"at its {row['at_bound']} bound", "bad")
+        return TableCell(f"at its {row['at_bound']} bound", "bad")
     if row["estimated_on"] == "known":
-        return Cell("fixed", "faint")
+        return TableCell("fixed", "faint")
     if row["estimated_on"] == "derived":
-        return Cell("derived", "faint")
+        return TableCell("derived", "faint")
     if math.isnan(row["lower95"]):
-        return Cell("not determined", "bad")
-    return Cell("held out" if row["estimated_on"] == "test" else "", "faint")
+        return TableCell("not determined", "bad")
+    return TableCell("held out" if row["estimated_on"] == "test" else "", "faint")
 
 
-def _intervals(run: Run) -> list[Block]:
+def _intervals(run: ReportedRun) -> list[Block]:
     rows = run.tables["intervals"]
     if not rows:
         return []
     names = columns("parameter", "from", "#confidence", "#lower", "#upper")
     lines = tuple(
         cells(
-            Cell(row["label"], code=True),
+            TableCell(row["label"], code=True),
             row["source"],
             percent(row["confidence"]),
             row["open_lower"] or digits(row["lower"]),
@@ -107,35 +107,35 @@ def _intervals(run: Run) -> list[Block]:
         )
         for row in rows
     )
-    return [Table(names, lines, "Intervals that took refits")]
+    return [TableBlock(names, lines, "Intervals that took refits")]
 
 
-def _constraints(run: Run) -> list[Block]:
+def _constraints(run: ReportedRun) -> list[Block]:
     rows = run.tables["constraints"]
     if not rows:
         return []
     names = columns("constraint", "must be", "#before", "#after", "")
     lines = tuple(
         cells(
-            Cell(row["constraint"], code=True),
+            TableCell(row["constraint"], code=True),
             row["kind"],
             digits(row["before"]),
             digits(row["after"]),
-            Cell("kept", "good") if row["satisfied"] else Cell("violated", "bad"),
+            TableCell("kept", "good") if row["satisfied"] else TableCell("violated", "bad"),
         )
         for row in rows
     )
-    return [Table(names, lines, "Constraints, over their scales")]
+    return [TableBlock(names, lines, "Constraints, over their scales")]
 
 
-def _directions(run: Run) -> list[Block]:
+def _directions(run: ReportedRun) -> list[Block]:
     found = tuple(dict.fromkeys(row["sentence"] for row in run.tables["directions"]))
     if not found:
         return []
-    return [Text("What the data do not determine", kind="heading"), Items(found)]
+    return [TextBlock("What the data do not determine", kind="heading"), ItemsBlock(found)]
 
 
-def _correlations(run: Run) -> list[Block]:
+def _correlations(run: ReportedRun) -> list[Block]:
     rows = run.tables["correlations"]
     labels = list(dict.fromkeys([row["other"] for row in rows] + [row["label"] for row in rows]))
     if len(labels) < 2:
@@ -145,11 +145,13 @@ def _correlations(run: Run) -> list[Block]:
                     key=lambda r: -abs(r["correlation"]))[:10]  # fmt: skip
     if strong:
         named = tuple(f"{r['label']} and {r['other']}: {r['correlation']:.3f}" for r in strong)
-        blocks.append(Text(f"Correlations beyond {STRONG} in size:"))
-        blocks.append(Items(named))
+        blocks.append(TextBlock(f"Correlations beyond {STRONG} in size:"))
+        blocks.append(ItemsBlock(named))
     blocks.append(_map(labels[:MOST_IN_MAP], rows))
     if len(labels) > MOST_IN_MAP:
-        blocks.append(Text(f"The map shows {MOST_IN_MAP} of {len(labels)} parameters.", "faint"))
+        blocks.append(
+            TextBlock(f"The map shows {MOST_IN_MAP} of {len(labels)} parameters.", "faint")
+        )
     return blocks
 
 
@@ -161,7 +163,7 @@ def _two_places(value: float) -> str:
     )
 
 
-def _map(labels: list[str], rows: tuple[Row, ...]) -> Figure:
+def _map(labels: list[str], rows: tuple[Row, ...]) -> FigureBlock:
     place = {label: i for i, label in enumerate(labels)}
     matrix = np.full((len(labels), len(labels)), np.nan)
     for row in rows:
@@ -198,4 +200,4 @@ def _map(labels: list[str], rows: tuple[Row, ...]) -> Figure:
         "dragmode": False,
     }
     size = 26 if small else 18
-    return Figure("correlations", "Correlations", [trace], layout, 150 + size * len(labels))
+    return FigureBlock("correlations", "Correlations", [trace], layout, 150 + size * len(labels))

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from cluster_est.report.blocks import Block, Cell, Section, Source, Table, cells, columns
-from cluster_est.report.folder import Run
+from cluster_est.report.blocks import (
+    Block,
+    ReportSection,
+    SourceBlock,
+    TableBlock,
+    TableCell,
+    cells,
+    columns,
+)
+from cluster_est.report.folder import ReportedRun
 
 
-def provenance(run: Run) -> Section:
+def provenance(run: ReportedRun) -> ReportSection:
     """Model, hashes, seed, versions, data and the resolved config."""
     facts = run.facts
     fmu = facts.get("fmu") or {}
@@ -20,17 +28,17 @@ def provenance(run: Run) -> Section:
         ("started", facts.get("started")),
         ("format", facts.get("format")),
     ]
-    rows = [cells(k, Cell(str(v), code=True)) for k, v in known if v not in (None, "")]
-    blocks: list[Block] = [Table(columns("", ""), tuple(rows))]
+    rows = [cells(k, TableCell(str(v), code=True)) for k, v in known if v not in (None, "")]
+    blocks: list[Block] = [TableBlock(columns("", ""), tuple(rows))]
     versions = facts.get("versions") or {}
-    lines = tuple(cells(k, Cell(str(v), code=True)) for k, v in sorted(versions.items()))
+    lines = tuple(cells(k, TableCell(str(v), code=True)) for k, v in sorted(versions.items()))
     if lines:
-        blocks.append(Table(columns("software", "version"), lines, "Versions", folded=True))
+        blocks.append(TableBlock(columns("software", "version"), lines, "Versions", folded=True))
     experiments = facts.get("experiments") or {}
-    lines = tuple(cells(str(k), Cell(str(v), code=True)) for k, v in experiments.items())
+    lines = tuple(cells(str(k), TableCell(str(v), code=True)) for k, v in experiments.items())
     if lines:
         caption = f"Hashes of the {len(lines)} experiments"
-        blocks.append(Table(columns("experiment", "hash"), lines, caption, folded=True))
+        blocks.append(TableBlock(columns("experiment", "hash"), lines, caption, folded=True))
     if run.config:
-        blocks.append(Source("The config, with every default", run.config))
-    return Section("provenance", "Where this comes from", tuple(blocks))
+        blocks.append(SourceBlock("The config, with every default", run.config))
+    return ReportSection("provenance", "Where this comes from", tuple(blocks))

@@ -7,49 +7,51 @@ import numpy as np
 from cluster_est.report.activity import busy_shares, without_breaks
 from cluster_est.report.blocks import (
     Block,
-    Cell,
-    Figure,
-    Section,
-    Table,
-    Text,
+    FigureBlock,
+    ReportSection,
+    TableBlock,
+    TableCell,
+    TextBlock,
     axis,
     cells,
     columns,
     plain,
 )
 from cluster_est.report.encode import short
-from cluster_est.report.folder import Run
+from cluster_est.report.folder import ReportedRun
 from cluster_est.report.numbers import count, duration, percent
 
 BINS, MOST_WORKERS = 160, 64
 
 
-def workers(run: Run) -> Section:
+def workers(run: ReportedRun) -> ReportSection:
     """A time line, a table of workers, and failures by their reasons."""
     blocks = [*_failures(run), *_time_line(run), *_table(run)]
-    return Section("workers", "Workers and failures", tuple(blocks))
+    return ReportSection("workers", "Workers and failures", tuple(blocks))
 
 
-def _failures(run: Run) -> list[Block]:
+def _failures(run: ReportedRun) -> list[Block]:
     found = run.activity.failures
     if not found:
-        return [Text("No simulation failed.")] if run.activity.simulations else []
+        return [TextBlock("No simulation failed.")] if run.activity.simulations else []
     names = columns("#times", "status", "reason", "experiments", "#first ID")
     rows = tuple(
         cells(
             count(each.count),
             each.status,
             each.message or "no message",
-            Cell(", ".join(each.experiments[:4]) + (" …" if len(each.experiments) > 4 else "")),
+            TableCell(
+                ", ".join(each.experiments[:4]) + (" …" if len(each.experiments) > 4 else "")
+            ),
             str(each.first),
         )
         for each in found
     )
-    hint = Text("To run one again: cluster-est replay RUN ID.", "faint")
-    return [Table(names, rows, "Simulations that failed", folded=len(rows) > 20), hint]
+    hint = TextBlock("To run one again: cluster-est replay RUN ID.", "faint")
+    return [TableBlock(names, rows, "Simulations that failed", folded=len(rows) > 20), hint]
 
 
-def _time_line(run: Run) -> list[Block]:
+def _time_line(run: ReportedRun) -> list[Block]:
     activity = run.activity
     if not len(activity.ended):
         return []
@@ -81,17 +83,17 @@ def _time_line(run: Run) -> list[Block]:
     height = 120 + max(22, min(44, 400 // len(order))) * len(order)
     cut = f"; breaks of {duration(idle)} are cut out" if idle else ""
     title = f"When the workers were busy{shown}{cut}"
-    return [Figure("time-line", title, [trace], layout, height)]
+    return [FigureBlock("time-line", title, [trace], layout, height)]
 
 
-def _table(run: Run) -> list[Block]:
+def _table(run: ReportedRun) -> list[Block]:
     rows = run.tables["workers"]
     if not rows:
         return []
     names = columns("worker", "#simulations", "#failed", "#busy", "#of the time")
     lines = tuple(
         cells(
-            Cell(row["worker"], code=True),
+            TableCell(row["worker"], code=True),
             count(row["simulations"]),
             count(row["failures"]),
             duration(row["busy_seconds"]),
@@ -99,4 +101,4 @@ def _table(run: Run) -> list[Block]:
         )
         for row in rows
     )
-    return [Table(names, lines, "Workers", folded=len(lines) > 12)]
+    return [TableBlock(names, lines, "Workers", folded=len(lines) > 12)]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from cluster_est.methods.derivatives.differences import difference_steps, relative_noise
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 SAFETY = 30.0
@@ -20,7 +20,7 @@ ABOUT_ZERO = 0.01
 """Of the typical size."""
 
 
-def sizes(space: Space, x: FloatArray) -> FloatArray:
+def sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
     """What a relative change of each unknown is relative to: itself, unless it is about 0."""
     logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
     own = np.where(np.abs(x) > ABOUT_ZERO * space.typical, np.abs(x), space.typical)
@@ -28,7 +28,7 @@ def sizes(space: Space, x: FloatArray) -> FloatArray:
 
 
 def column_errors(
-    space: Space,
+    space: SearchSpace,
     x: FloatArray,
     sensitivity: FloatArray,
     outputs: float,
@@ -62,7 +62,7 @@ def column_errors(
 
 
 def measured_errors(
-    space: Space, sensitivity: FloatArray, outputs: float, reach: float
+    space: SearchSpace, sensitivity: FloatArray, outputs: float, reach: float
 ) -> FloatArray:
     """The same where directions were measured with steps of this relative size; see `sharpen`."""
     noise = relative_noise(space.problem.model.solver)
@@ -76,7 +76,7 @@ def _errors(curvature: FloatArray, noise: FloatArray, sensitivity: FloatArray) -
     return np.asarray(np.maximum(SAFETY * (curvature + np.minimum(over, 1.0)), ROUNDING))
 
 
-def output_norm(space: Space, factor: FloatArray) -> float:
+def output_norm(space: SearchSpace, factor: FloatArray) -> float:
     """The norm of the measured outputs, weighted like the residuals; 0 where nobody knows it."""
     parts = [np.zeros(0)]
     for e in space.experiments:

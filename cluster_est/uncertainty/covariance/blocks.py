@@ -21,7 +21,7 @@ MARGIN = 3.0
 
 
 @dataclass(frozen=True)
-class Block:
+class JacobianBlock:
     """The rows of one experiment.
 
     Attributes
@@ -37,7 +37,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Limits:
+class ErrorLimits:
     """How large the product of the Jacobian and a unit vector is that is nothing but error.
 
     For a vector v it is |limits * v|.
@@ -58,7 +58,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Combination:
+class UndeterminedCombination:
     """A direction that the data determine badly or not at all.
 
     Attributes
@@ -84,7 +84,7 @@ class Combination:
 
 
 @dataclass(frozen=True)
-class _Eliminated:
+class _EliminatedBlock:
     """A block without its local unknowns.
 
     `inverse` (local, n) is the pseudo-inverse of its local part, `follow` (local, shared) how the
@@ -100,7 +100,7 @@ class _Eliminated:
 
 
 @dataclass(frozen=True)
-class Factors:
+class BlockFactors:
     """Blocks whose local unknowns have been eliminated, and what is left for the shared ones.
 
     Attributes
@@ -114,9 +114,9 @@ class Factors:
     """
 
     inverse: FloatArray
-    parts: tuple[_Eliminated, ...] = field(repr=False)
+    parts: tuple[_EliminatedBlock, ...] = field(repr=False)
     rank: int
-    combinations: tuple[Combination, ...]
+    combinations: tuple[UndeterminedCombination, ...]
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class BlockCovariance:
     local: tuple[FloatArray, ...]
 
 
-def factorise(blocks: Sequence[Block], limits: Limits, weak: float) -> Factors:
+def factorise(blocks: Sequence[JacobianBlock], limits: ErrorLimits, weak: float) -> BlockFactors:
     """Eliminate the local unknowns of each block and join what is left.
 
     Parameters
@@ -150,8 +150,8 @@ def factorise(blocks: Sequence[Block], limits: Limits, weak: float) -> Factors:
         Directions up to this ratio, or up to `MARGIN` times their limit, are reported too.
     """
     width = limits.embedding.shape[1]
-    parts: list[_Eliminated] = []
-    found: list[Combination] = []
+    parts: list[_EliminatedBlock] = []
+    found: list[UndeterminedCombination] = []
     nothing = tuple(np.zeros(0) for _ in blocks)
     triangle = np.zeros((0, width))
     for e, block in enumerate(blocks):
@@ -159,7 +159,9 @@ def factorise(blocks: Sequence[Block], limits: Limits, weak: float) -> Factors:
         parts.append(part)
         for ratio, vector, edge in zip(ratios, vectors, edges, strict=True):
             local = (*nothing[:e], vector, *nothing[e + 1 :])
-            found.append(Combination(np.zeros(len(limits.shared)), local, float(ratio), edge))
+            found.append(
+                UndeterminedCombination(np.zeros(len(limits.shared)), local, float(ratio), edge)
+            )
         triangle = np.asarray(np.linalg.qr(np.vstack([triangle, part.rest]), mode="r"))
     square = np.zeros((width, width))
     square[: len(triangle)] = triangle
@@ -172,10 +174,12 @@ def factorise(blocks: Sequence[Block], limits: Limits, weak: float) -> Factors:
             found.append(combination)
     scaled = rows[kept] / singular[kept, None]
     rank = sum(part.rank for part in parts) + sum(kept)
-    return Factors(scaled.T @ scaled, tuple(parts), rank, tuple(found))
+    return BlockFactors(scaled.T @ scaled, tuple(parts), rank, tuple(found))
 
 
-def covariance(factors: Factors, spread: Sequence[FloatArray] | None = None) -> BlockCovariance:
+def covariance(
+    factors: BlockFactors, spread: Sequence[FloatArray] | None = None
+) -> BlockCovariance:
     """(J'J)^-1 J'DJ (J'J)^-1 from its factors; (J'J)^-1 without D.
 
     Parameters
@@ -210,8 +214,8 @@ def covariance(factors: Factors, spread: Sequence[FloatArray] | None = None) -> 
 
 
 def _eliminate(
-    block: Block, limits: FloatArray, weak: float
-) -> tuple[_Eliminated, FloatArray, FloatArray, list[float]]:
+    block: JacobianBlock, limits: FloatArray, weak: float
+) -> tuple[_EliminatedBlock, FloatArray, FloatArray, list[float]]:
     """A block without its local unknowns; its bad directions as ratios, vectors and limits."""
     count = block.local.shape[1]
     left, singular, rows = np.linalg.svd(block.local, full_matrices=False)
@@ -228,13 +232,13 @@ def _eliminate(
     for _ in range(2):  # once leaves rounding errors along what was removed
         rest = rest - basis @ (basis.T @ rest)
     sound = rows[~bad].T @ rows[~bad]
-    part = _Eliminated(inverse, inverse @ block.shared, sound, rest, int(kept.sum()))
+    part = _EliminatedBlock(inverse, inverse @ block.shared, sound, rest, int(kept.sum()))
     return part, singular[bad], rows[bad], [edge for edge, b in zip(edges, bad, strict=True) if b]
 
 
 def _complete(
-    singular: float, row: FloatArray, parts: Sequence[_Eliminated], limits: Limits
-) -> Combination:
+    singular: float, row: FloatArray, parts: Sequence[_EliminatedBlock], limits: ErrorLimits
+) -> UndeterminedCombination:
     """A direction of the shared coordinates, with the local unknowns that go along with it.
 
     Directions that are bad within a block are reported of their own and stay out of this one.
@@ -245,4 +249,4 @@ def _complete(
     pairs = zip([limits.shared, *limits.local], [shared, *local], strict=True)
     limit = float(np.sqrt(sum(float(((a * b) ** 2).sum()) for a, b in pairs))) / length
     unit = tuple(y / length for y in local)
-    return Combination(shared / length, unit, singular / length, limit)
+    return UndeterminedCombination(shared / length, unit, singular / length, limit)

@@ -21,20 +21,24 @@ from scipy.stats import t as student
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods.base import Solution
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from cluster_est.uncertainty.covariance.jacobian import has_slopes
-from cluster_est.uncertainty.covariance.layout import HELD, Layout, bound_sides, lay_out
-from cluster_est.uncertainty.covariance.result import DerivedInterval, Interval, Uncertainty
-from cluster_est.uncertainty.covariance.system import WEAK, System, build, directions
+from cluster_est.uncertainty.covariance.layout import HELD, UnknownLayout, bound_sides, lay_out
+from cluster_est.uncertainty.covariance.result import (
+    ConfidenceInterval,
+    DerivedInterval,
+    Uncertainty,
+)
+from cluster_est.uncertainty.covariance.system import WEAK, ScaledJacobian, build, directions
 from workers.messages import FloatArray
 
 
-def intervals(space: Space, solution: Solution) -> list[Interval]:
+def intervals(space: SearchSpace, solution: Solution) -> list[ConfidenceInterval]:
     """An interval for each unknown; see `assess`."""
     return list(assess(space, solution).intervals)
 
 
-def assess(space: Space, solution: Solution, reach: float = 0.0) -> Uncertainty:
+def assess(space: SearchSpace, solution: Solution, reach: float = 0.0) -> Uncertainty:
     """What the Jacobian at a solution says about it.
 
     Parameters
@@ -52,8 +56,8 @@ def assess(space: Space, solution: Solution, reach: float = 0.0) -> Uncertainty:
 
 
 def prepare(
-    space: Space, solution: Solution, reach: float = 0.0, weak: float = WEAK
-) -> System | None:
+    space: SearchSpace, solution: Solution, reach: float = 0.0, weak: float = WEAK
+) -> ScaledJacobian | None:
     """The factored Jacobian of a solution; None if the solution lacks what that takes."""
     known = solution.at is not None or isinstance(space.problem.cost, SumSquared)
     if not has_slopes(solution) or not known or not np.isfinite(solution.cost):
@@ -63,15 +67,15 @@ def prepare(
     return build(space, solution, layouts[0], layouts[1], reach, weak)
 
 
-def _nothing(space: Space, solution: Solution) -> Uncertainty:
+def _nothing(space: SearchSpace, solution: Solution) -> Uncertainty:
     sides = bound_sides(space, solution.x)
-    found = tuple(Interval(np.nan, np.nan, np.nan, side) for side in sides)
+    found = tuple(ConfidenceInterval(np.nan, np.nan, np.nan, side) for side in sides)
     note = "there are no intervals, because no derivatives are known at the solution"
     none = np.zeros((0, 0))
     return Uncertainty(found, (), (), (), none, none, (), np.nan, 0, (note,))
 
 
-def _report(space: Space, x: FloatArray, system: System) -> Uncertainty:
+def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncertainty:
     layout, variance = system.layout, system.scatter.variance
     degrees = system.scatter.degrees
     width = float(student.ppf(0.975, degrees)) if degrees > 0 else np.nan
@@ -100,7 +104,7 @@ def _report(space: Space, x: FloatArray, system: System) -> Uncertainty:
     )
 
 
-def _diagonal(space: Space, system: System) -> FloatArray:
+def _diagonal(space: SearchSpace, system: ScaledJacobian) -> FloatArray:
     """(unknowns,): of the covariance; NaN for what is held or has a part in a lost direction."""
     result = np.full(space.size, np.nan)
     shared, coordinates = system.layout.shared, system.coordinates
@@ -114,18 +118,18 @@ def _diagonal(space: Space, system: System) -> FloatArray:
 
 
 def _interval(
-    space: Space, x: FloatArray, i: int, error: float, width: float, side: str
-) -> Interval:
+    space: SearchSpace, x: FloatArray, i: int, error: float, width: float, side: str
+) -> ConfidenceInterval:
     unknown = space.unknowns[i]
     known = bool(np.isfinite(error)) and np.isfinite(width)
     low = unknown.to_physical(float(x[i] - width * error)) if known else np.nan
     high = unknown.to_physical(float(x[i] + width * error)) if known else np.nan
     physical = error * unknown.to_physical(float(x[i])) if unknown.log else error
-    return Interval(float(physical), low, high, side)
+    return ConfidenceInterval(float(physical), low, high, side)
 
 
 def _derived(
-    space: Space, x: FloatArray, system: System, width: float
+    space: SearchSpace, x: FloatArray, system: ScaledJacobian, width: float
 ) -> tuple[DerivedInterval, ...]:
     """By the delta method; with no pairs of local unknowns of different experiments."""
     values = space.derived(x)
@@ -150,7 +154,7 @@ def _derived(
     return tuple(found)
 
 
-def _delta(system: System, slope: FloatArray) -> float:
+def _delta(system: ScaledJacobian, slope: FloatArray) -> float:
     """Standard error of a function with this slope in scaled unknowns."""
     lengths = np.linalg.norm(system.lost, axis=1) * np.linalg.norm(slope)
     if (np.abs(system.lost @ slope) > system.part * lengths).any():
@@ -164,7 +168,7 @@ def _delta(system: System, slope: FloatArray) -> float:
     return float(np.sqrt(system.scatter.variance * max(total, 0.0)))
 
 
-def _notes(layout: Layout, system: System) -> tuple[str, ...]:
+def _notes(layout: UnknownLayout, system: ScaledJacobian) -> tuple[str, ...]:
     notes = []
     if system.weighting.problem:
         notes.append(f"there are no intervals, because {system.weighting.problem}; use bootstrap")

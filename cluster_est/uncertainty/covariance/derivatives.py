@@ -11,13 +11,13 @@ import numpy as np
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Search, Solution
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import jacobian, relative_noise
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner, SearchRequest
 from cluster_est.uncertainty.covariance.accuracy import sizes
 from cluster_est.uncertainty.covariance.covariance import assess, prepare
 from cluster_est.uncertainty.covariance.jacobian import has_slopes, slopes_of, with_slopes
 from cluster_est.uncertainty.covariance.result import Uncertainty
-from cluster_est.uncertainty.covariance.system import System, vectors
+from cluster_est.uncertainty.covariance.system import ScaledJacobian, vectors
 from cluster_est.uncertainty.spaces import moved
 from workers.messages import FloatArray
 
@@ -32,7 +32,7 @@ FALLEN = 0.1
 """Part of its ratio, below which a direction has turned so far that it is measured once more."""
 
 
-def examine(runner: Runner, space: Space, solution: Solution) -> Uncertainty:
+def examine(runner: Runner, space: SearchSpace, solution: Solution) -> Uncertainty:
     """What the data say about a solution to first order, with the simulations that this takes.
 
     A solution without derivatives costs a central Jacobian. Directions in which the residuals seem
@@ -58,7 +58,7 @@ def examine(runner: Runner, space: Space, solution: Solution) -> Uncertainty:
     return replace(found, notes=(*found.notes, note))
 
 
-def linearise(runner: Runner, space: Space, solution: Solution) -> Solution:
+def linearise(runner: Runner, space: SearchSpace, solution: Solution) -> Solution:
     """The solution with its evaluation and its Jacobian, simulated where they are missing.
 
     It is as it was where the simulations fail.
@@ -67,7 +67,7 @@ def linearise(runner: Runner, space: Space, solution: Solution) -> Solution:
         return solution
     if has_slopes(solution) and solution.at is not None:
         return solution
-    asked = _Linearise(not has_slopes(solution))
+    asked = _CentralJacobian(not has_slopes(solution))
     here = moved(space, solution.x)
     (found,) = runner.run([SearchRequest("derivatives", asked, here)])
     if not found.ending.success:
@@ -83,7 +83,7 @@ def linearise(runner: Runner, space: Space, solution: Solution) -> Solution:
     )
 
 
-def sharpen(runner: Runner, space: Space, solution: Solution) -> tuple[Solution, float]:
+def sharpen(runner: Runner, space: SearchSpace, solution: Solution) -> tuple[Solution, float]:
     """Measure again along the directions in which the residuals hardly change.
 
     Returns
@@ -109,7 +109,7 @@ def sharpen(runner: Runner, space: Space, solution: Solution) -> tuple[Solution,
 
 
 def _measured(
-    runner: Runner, space: Space, solution: Solution, system: System
+    runner: Runner, space: SearchSpace, solution: Solution, system: ScaledJacobian
 ) -> tuple[Solution, float] | None:
     """The solution with measured slopes along bad directions, and the step; None if it fails."""
     matrix = slopes_of(space, solution)
@@ -127,7 +127,7 @@ def _measured(
     )
     if reach <= own:
         return None
-    asked = _Measure(moves * lengths[:, None])
+    asked = _DirectionalDifferences(moves * lengths[:, None])
     here = moved(space, solution.x)
     (measured,) = runner.run([SearchRequest("directions", asked, here)])
     if measured.jacobian is None or solution.at is None:
@@ -136,7 +136,7 @@ def _measured(
     return with_slopes(solution, _corrected(matrix, system, scaled, slopes)), reach
 
 
-def _lengths(space: Space, x: FloatArray, moves: FloatArray) -> tuple[FloatArray, float]:
+def _lengths(space: SearchSpace, x: FloatArray, moves: FloatArray) -> tuple[FloatArray, float]:
     """How far to go along each direction, and the least relative change that this makes."""
     noise = relative_noise(space.problem.model.solver)
     reach = min(max(noise**0.2, LEAST_REACH), LARGEST_REACH)
@@ -149,7 +149,7 @@ def _lengths(space: Space, x: FloatArray, moves: FloatArray) -> tuple[FloatArray
 
 
 def _corrected(
-    matrix: BlockMatrix, system: System, directions: FloatArray, slopes: FloatArray
+    matrix: BlockMatrix, system: ScaledJacobian, directions: FloatArray, slopes: FloatArray
 ) -> BlockMatrix:
     """The least change of the Jacobian that gives the measured slopes, experiment by experiment.
 
@@ -165,7 +165,7 @@ def _corrected(
 
 
 @dataclass(frozen=True)
-class _Linearise(Method):
+class _CentralJacobian(Method):
     """Evaluate the start and, if asked, a central Jacobian there."""
 
     name: ClassVar[str] = "derivatives"
@@ -173,7 +173,7 @@ class _Linearise(Method):
 
     derivatives: bool
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         x = space.start
         (at,) = yield Points(x[None, :], "start")
         if not at.ok:
@@ -194,7 +194,7 @@ class _Linearise(Method):
 
 
 @dataclass(frozen=True)
-class _Measure(Method):
+class _DirectionalDifferences(Method):
     """Slopes of the residuals along some steps from the start, of fourth order.
 
     Attributes
@@ -208,7 +208,7 @@ class _Measure(Method):
 
     steps: FloatArray = field(repr=False)
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         x = space.start
         parts = [x + share * self.steps for share in (1.0, -1.0, 0.5, -0.5)]
         points = np.clip(np.vstack(parts), space.lower, space.upper)

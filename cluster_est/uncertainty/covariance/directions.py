@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import qr
 
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 Kind = Literal["undetermined", "weak", "no effect"]
@@ -21,7 +21,7 @@ MOST_NAMED = 6
 
 
 @dataclass(frozen=True)
-class Direction:
+class UndeterminedDirection:
     """Unknowns that the data determine only together, or not at all.
 
     Attributes
@@ -69,8 +69,8 @@ def sparse_basis(vectors: FloatArray, tolerance: float) -> FloatArray:
 
 
 def direction(
-    space: Space, x: FloatArray, move: FloatArray, ratio: float, limit: float, *, lost: bool
-) -> Direction:
+    space: SearchSpace, x: FloatArray, move: FloatArray, ratio: float, limit: float, *, lost: bool
+) -> UndeterminedDirection:
     """Name a direction.
 
     Parameters
@@ -80,7 +80,7 @@ def direction(
     move : (unknowns,)
         The direction in search coordinates.
     ratio, limit
-        See `Direction`.
+        See `UndeterminedDirection`.
     lost
         Whether the data do not determine it at all.
     """
@@ -102,7 +102,7 @@ def direction(
         kind = "no effect"
     text = _sentence(labels, weights, relative, kind)
     pair = tuple(weights.tolist()), tuple(relative.tolist())
-    return Direction(labels, *pair, float(ratio), float(limit), kind, text)
+    return UndeterminedDirection(labels, *pair, float(ratio), float(limit), kind, text)
 
 
 def _sentence(labels: Sequence[str], weights: FloatArray, relative: FloatArray, kind: Kind) -> str:

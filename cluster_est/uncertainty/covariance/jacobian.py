@@ -6,14 +6,14 @@ from dataclasses import replace
 
 from cluster_est.methods.base import Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 
 
 def has_slopes(solution: Solution) -> bool:
     return solution.jacobian is not None or solution.block_jacobian is not None
 
 
-def slopes_of(space: Space, solution: Solution) -> BlockMatrix | None:
+def slopes_of(space: SearchSpace, solution: Solution) -> BlockMatrix | None:
     """The Jacobian in blocks; None where the solution has none."""
     whole = solution.jacobian
     if whole is None:

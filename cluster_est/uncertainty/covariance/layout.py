@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from cluster_est.methods.base import TOLERANCE
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.space import Space
-from cluster_est.uncertainty.covariance.blocks import Block
+from cluster_est.problem.space import SearchSpace
+from cluster_est.uncertainty.covariance.blocks import JacobianBlock
 from workers.messages import FloatArray, IntArray
 
 NEAR = 1e-6
@@ -20,7 +20,7 @@ HELD = 1e-9
 
 
 @dataclass(frozen=True)
-class Layout:
+class UnknownLayout:
     """How the unknowns of a space stand to each other at a point.
 
     Attributes
@@ -48,21 +48,23 @@ class Layout:
     ignored: tuple[str, ...]
 
 
-def bound_sides(space: Space, x: FloatArray) -> tuple[str, ...]:
+def bound_sides(space: SearchSpace, x: FloatArray) -> tuple[str, ...]:
     """Which bound each unknown stands at: "lower", "upper" or ""."""
     near = NEAR * space.typical
     low, high = x - space.lower <= near, space.upper - x <= near
     return tuple("lower" if a else "upper" if b else "" for a, b in zip(low, high, strict=True))
 
 
-def is_shared(space: Space) -> npt.NDArray[np.bool_]:
+def is_shared(space: SearchSpace) -> npt.NDArray[np.bool_]:
     """(unknowns,): whether an unknown is declared for all experiments, or acts on several."""
     declared = np.array([u.parameter.per is None for u in space.unknowns], dtype=bool)
     several = np.array([len(u.experiments) > 1 for u in space.unknowns], dtype=bool)
     return np.asarray(declared | several)
 
 
-def lay_out(space: Space, x: FloatArray, constraints: FloatArray, *, held: bool = True) -> Layout:
+def lay_out(
+    space: SearchSpace, x: FloatArray, constraints: FloatArray, *, held: bool = True
+) -> UnknownLayout:
     """Sort the unknowns at a point whose constraints have these values, of which some may lack.
 
     Unknowns at a bound are free too if not `held`.
@@ -78,7 +80,7 @@ def lay_out(space: Space, x: FloatArray, constraints: FloatArray, *, held: bool 
     shared = is_shared(space) | coupled
     of_signals = range(len(values), len(constraints))
     names = space.constraint_names
-    return Layout(
+    return UnknownLayout(
         sides=sides,
         shared=np.flatnonzero(free & shared),
         local=tuple(acting[(free & ~shared)[acting]] for acting in space.acting),
@@ -104,7 +106,9 @@ def free_coordinates(slopes: FloatArray) -> FloatArray:
     return np.ascontiguousarray(rows[rank:].T)
 
 
-def blocks(matrix: BlockMatrix, layout: Layout, coordinates: FloatArray) -> list[Block]:
+def blocks(
+    matrix: BlockMatrix, layout: UnknownLayout, coordinates: FloatArray
+) -> list[JacobianBlock]:
     """Part the blocks of a scaled Jacobian into shared coordinates and local unknowns."""
     place = np.full(matrix.size, -1)
     place[layout.shared] = np.arange(len(layout.shared))
@@ -113,5 +117,5 @@ def blocks(matrix: BlockMatrix, layout: Layout, coordinates: FloatArray) -> list
         shared = place[columns] >= 0
         moves = coordinates[place[columns[shared]]]
         own = np.searchsorted(columns, local)
-        found.append(Block(part[:, shared] @ moves, part[:, own]))
+        found.append(JacobianBlock(part[:, shared] @ moves, part[:, own]))
     return found

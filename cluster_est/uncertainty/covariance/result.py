@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from cluster_est.uncertainty.covariance.directions import Direction
+from cluster_est.uncertainty.covariance.directions import UndeterminedDirection
 from workers.messages import FloatArray
 
 
 @dataclass(frozen=True)
-class Interval:
+class ConfidenceInterval:
     """Of one unknown, in physical units; NaN where it is held or the data do not determine it.
 
     `at_bound` is "lower" or "upper" where a bound holds it.
@@ -56,13 +56,13 @@ class Uncertainty:
         Sentences on what was left out, and why.
     """
 
-    intervals: tuple[Interval, ...]
+    intervals: tuple[ConfidenceInterval, ...]
     derived: tuple[DerivedInterval, ...]
     shared: tuple[str, ...]
     local: tuple[str, ...]
     correlations: FloatArray = field(repr=False)
     local_correlations: FloatArray = field(repr=False)
-    directions: tuple[Direction, ...]
+    directions: tuple[UndeterminedDirection, ...]
     variance: float
     degrees: int
     notes: tuple[str, ...]

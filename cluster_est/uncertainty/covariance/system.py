@@ -9,20 +9,24 @@ import numpy as np
 
 from cluster_est.methods.base import Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from cluster_est.uncertainty.covariance import accuracy
 from cluster_est.uncertainty.covariance.blocks import (
     BlockCovariance,
-    Combination,
-    Factors,
-    Limits,
+    BlockFactors,
+    ErrorLimits,
+    UndeterminedCombination,
     covariance,
     factorise,
 )
-from cluster_est.uncertainty.covariance.directions import Direction, direction, sparse_basis
+from cluster_est.uncertainty.covariance.directions import (
+    UndeterminedDirection,
+    direction,
+    sparse_basis,
+)
 from cluster_est.uncertainty.covariance.jacobian import slopes_of
-from cluster_est.uncertainty.covariance.layout import Layout, blocks, free_coordinates
-from cluster_est.uncertainty.covariance.weighting import Scatter, Weighting, weigh
+from cluster_est.uncertainty.covariance.layout import UnknownLayout, blocks, free_coordinates
+from cluster_est.uncertainty.covariance.weighting import ResidualScatter, RowWeighting, weigh
 from workers.messages import FloatArray
 
 WEAK = 1e-6
@@ -32,7 +36,7 @@ PART = 1e-6
 
 
 @dataclass(frozen=True)
-class System:
+class ScaledJacobian:
     """What a Jacobian says, in scaled unknowns: x times `scale`.
 
     Attributes
@@ -54,27 +58,27 @@ class System:
         Less of an unknown than this in `lost` is an error of the derivatives.
     """
 
-    layout: Layout
-    unheld: Layout
-    weighting: Weighting
+    layout: UnknownLayout
+    unheld: UnknownLayout
+    weighting: RowWeighting
     scale: FloatArray
     coordinates: FloatArray
-    factors: Factors
+    factors: BlockFactors
     found: BlockCovariance
-    scatter: Scatter
-    bad: tuple[Combination, ...]
+    scatter: ResidualScatter
+    bad: tuple[UndeterminedCombination, ...]
     lost: FloatArray
     part: float
 
 
 def build(
-    space: Space,
+    space: SearchSpace,
     solution: Solution,
-    layout: Layout,
-    unheld: Layout,
+    layout: UnknownLayout,
+    unheld: UnknownLayout,
     reach: float,
     weak: float = WEAK,
-) -> System:
+) -> ScaledJacobian:
     """Weight, scale and factor the Jacobian of a solution.
 
     `reach` is the relative step with which its bad directions were measured; 0 if they were not.
@@ -99,7 +103,7 @@ def build(
     spread = None if scatter.spread is None else [scatter.spread[row] for row in rows]
     chosen = [c for c in bad if c.lost]
     part = max([PART, *(c.limit for c in chosen)])
-    return System(
+    return ScaledJacobian(
         layout=layout,
         unheld=unheld,
         weighting=weighting,
@@ -115,14 +119,20 @@ def build(
 
 
 def _factorise(
-    matrix: BlockMatrix, layout: Layout, coordinates: FloatArray, limits: FloatArray, weak: float
-) -> Factors:
+    matrix: BlockMatrix,
+    layout: UnknownLayout,
+    coordinates: FloatArray,
+    limits: FloatArray,
+    weak: float,
+) -> BlockFactors:
     parts = blocks(matrix, layout, coordinates)
     local = tuple(limits[each] for each in layout.local)
-    return factorise(parts, Limits(limits[layout.shared], local, coordinates), weak)
+    return factorise(parts, ErrorLimits(limits[layout.shared], local, coordinates), weak)
 
 
-def directions(space: Space, x: FloatArray, system: System) -> tuple[Direction, ...]:
+def directions(
+    space: SearchSpace, x: FloatArray, system: ScaledJacobian
+) -> tuple[UndeterminedDirection, ...]:
     """The directions that the data do not determine, then those that they hardly do."""
     lost = [c for c in system.bad if c.lost]
     weak = [c for c in system.bad if not c.lost]
@@ -137,7 +147,9 @@ def directions(space: Space, x: FloatArray, system: System) -> tuple[Direction, 
     return tuple(found)
 
 
-def vectors(space: Space, layout: Layout, combinations: Sequence[Combination]) -> FloatArray:
+def vectors(
+    space: SearchSpace, layout: UnknownLayout, combinations: Sequence[UndeterminedCombination]
+) -> FloatArray:
     """(combinations, unknowns): combinations in the order of the space's unknowns."""
     result = np.zeros((len(combinations), space.size))
     for row, combination in zip(result, combinations, strict=True):
@@ -148,18 +160,20 @@ def vectors(space: Space, layout: Layout, combinations: Sequence[Combination]) -
     return result
 
 
-def _weighting(space: Space, solution: Solution, count: int) -> tuple[Weighting, list[slice]]:
+def _weighting(
+    space: SearchSpace, solution: Solution, count: int
+) -> tuple[RowWeighting, list[slice]]:
     """Row weights, and where each experiment's rows stand."""
     if solution.at is not None:
         rows, cost = solution.at.rows, space.problem.cost
         return weigh(cost, solution.at.residuals, space.outputs, rows), rows
     # a sum of squares needs no more than its value
     squares = np.full(count, solution.cost / max(count, 1))
-    return Weighting(np.ones(count), squares=squares), list(space.rows)
+    return RowWeighting(np.ones(count), squares=squares), list(space.rows)
 
 
 def _limits(
-    space: Space, solution: Solution, weighting: Weighting, norms: FloatArray, reach: float
+    space: SearchSpace, solution: Solution, weighting: RowWeighting, norms: FloatArray, reach: float
 ) -> FloatArray:
     """The relative error of each column."""
     x = solution.x

@@ -33,7 +33,7 @@ SHIFT = 1e-4
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ResidualScatter:
     """How the residuals scatter, k directions having been fitted.
 
     The covariance is `variance` times that of the factors with `spread`.
@@ -54,7 +54,7 @@ class Scatter:
 
 
 @dataclass(frozen=True)
-class Weighting:
+class RowWeighting:
     """Row weights of the Jacobian at a solution.
 
     Attributes
@@ -76,15 +76,15 @@ class Weighting:
     slopes: FloatArray | None = None
     groups: IntArray | None = None
 
-    def scatter(self, rank: int) -> Scatter:
+    def scatter(self, rank: int) -> ResidualScatter:
         """Of the residuals, once it is known how many directions were fitted."""
         count = len(self.factor)
         degrees = count - rank
         squares = self.squares
         if self.problem or degrees <= 0 or squares is None:
-            return Scatter(np.nan, degrees, None)
+            return ResidualScatter(np.nan, degrees, None)
         if self.groups is None or self.slopes is None:
-            return Scatter(float(np.add.reduce(squares)) / degrees, degrees, None)
+            return ResidualScatter(float(np.add.reduce(squares)) / degrees, degrees, None)
         spread = np.empty(count)
         for group in np.unique(self.groups):
             inside = self.groups == group
@@ -94,10 +94,12 @@ class Weighting:
             spread[inside] = correction**2 * scale / float(slopes.mean())
         mean = float(spread.mean())
         alike = np.ptp(spread) <= ALIKE * mean
-        return Scatter(mean, degrees, None if alike else spread / mean)
+        return ResidualScatter(mean, degrees, None if alike else spread / mean)
 
 
-def weigh(cost: Cost, residuals: FloatArray, outputs: IntArray, rows: Sequence[slice]) -> Weighting:
+def weigh(
+    cost: Cost, residuals: FloatArray, outputs: IntArray, rows: Sequence[slice]
+) -> RowWeighting:
     """Row weights at a solution.
 
     Parameters
@@ -112,19 +114,19 @@ def weigh(cost: Cost, residuals: FloatArray, outputs: IntArray, rows: Sequence[s
     count = len(residuals)
     weights = cost.weights(residuals, outputs)
     if weights is None or not np.isfinite(weights).all():
-        return Weighting(np.ones(count), problem=f"the cost {cost.name!r} has no weights")
+        return RowWeighting(np.ones(count), problem=f"the cost {cost.name!r} has no weights")
     groups = outputs if len(outputs) == count else np.zeros(count, np.int64)
     if _alike(weights, groups, rows):
-        return Weighting(np.sqrt(weights), squares=weights * residuals**2)
+        return RowWeighting(np.sqrt(weights), squares=weights * residuals**2)
     slopes = _slopes(cost, residuals, outputs)
     means = np.empty(count)
     for group in np.unique(groups):
         means[groups == group] = slopes[groups == group].mean()
     if not (means > 0.0).all():
         reason = "most residuals are outliers to the cost, whose scale is too small"
-        return Weighting(np.ones(count), True, problem=reason)
+        return RowWeighting(np.ones(count), True, problem=reason)
     psi = weights * residuals
-    return Weighting(np.sqrt(means), True, "", psi**2, slopes, groups)
+    return RowWeighting(np.sqrt(means), True, "", psi**2, slopes, groups)
 
 
 def _alike(weights: FloatArray, groups: IntArray, rows: Sequence[slice]) -> bool:

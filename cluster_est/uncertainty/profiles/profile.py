@@ -22,14 +22,14 @@ from scipy.stats import f as fisher
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner, SearchRequest
 from cluster_est.uncertainty.covariance.covariance import assess
 from cluster_est.uncertainty.covariance.derivatives import linearise
 from cluster_est.uncertainty.covariance.layout import is_shared
 from cluster_est.uncertainty.covariance.result import Uncertainty
 from cluster_est.uncertainty.profiles.result import ProfilePoint, ProfileResult
-from cluster_est.uncertainty.profiles.walk import WORDS, Open, Step, Walk, crossing
+from cluster_est.uncertainty.profiles.walk import WORDS, Open, ProfileWalk, WalkPoint, crossing
 from cluster_est.uncertainty.settings import UncertaintySettings
 from cluster_est.uncertainty.spaces import moved
 from workers.fmu.description import nearest
@@ -39,7 +39,11 @@ BETTER = 1e-3
 
 
 def profiles(
-    runner: Runner, space: Space, solution: Solution, method: Method, settings: UncertaintySettings
+    runner: Runner,
+    space: SearchSpace,
+    solution: Solution,
+    method: Method,
+    settings: UncertaintySettings,
 ) -> tuple[ProfileResult, ...]:
     """Profile the unknowns that the settings name, all at the same time.
 
@@ -73,7 +77,7 @@ def profiles(
     requests = [
         SearchRequest(
             f"profile {space.unknowns[i].label} {'lower' if side < 0 else 'upper'}",
-            Walk(
+            ProfileWalk(
                 method,
                 i,
                 side,
@@ -95,7 +99,7 @@ def profiles(
     )
 
 
-def select(space: Space, names: Sequence[str]) -> list[int]:
+def select(space: SearchSpace, names: Sequence[str]) -> list[int]:
     """Positions of the unknowns that are named by label, parameter, "shared" or "all".
 
     Raises
@@ -122,7 +126,7 @@ def select(space: Space, names: Sequence[str]) -> list[int]:
     return sorted(chosen)
 
 
-def check_profiles(space: Space, settings: UncertaintySettings) -> None:
+def check_profiles(space: SearchSpace, settings: UncertaintySettings) -> None:
     """Refuse profiles that cannot be taken, before anything is simulated.
 
     Raises
@@ -150,7 +154,9 @@ def _rise(known: Uncertainty, settings: UncertaintySettings) -> float:
     return np.nan
 
 
-def _none(space: Space, solution: Solution, i: int, settings: UncertaintySettings) -> ProfileResult:
+def _none(
+    space: SearchSpace, solution: Solution, i: int, settings: UncertaintySettings
+) -> ProfileResult:
     """The profile that was not taken."""
     estimates = tuple(space.estimates(solution.x).values())
     return ProfileResult(
@@ -168,7 +174,7 @@ def _none(space: Space, solution: Solution, i: int, settings: UncertaintySetting
     )
 
 
-def _first(space: Space, solution: Solution, known: Uncertainty, i: int, steps: int) -> float:
+def _first(space: SearchSpace, solution: Solution, known: Uncertainty, i: int, steps: int) -> float:
     """The first step: a part of the interval that the derivatives foretell, if they do."""
     unknown = space.unknowns[i]
     x, error = float(solution.x[i]), known.intervals[i].std_error
@@ -180,7 +186,7 @@ def _first(space: Space, solution: Solution, known: Uncertainty, i: int, steps: 
 
 
 def _result(
-    space: Space,
+    space: SearchSpace,
     solution: Solution,
     requests: Sequence[SearchRequest],
     found: Sequence[Solution],
@@ -210,19 +216,19 @@ def _result(
 
 
 @dataclass(frozen=True)
-class _Side:
+class _ProfileSide:
     """The points of one side, outwards from the optimum, and why it is open."""
 
-    walk: Walk
-    path: list[Step]
+    walk: ProfileWalk
+    path: list[WalkPoint]
     why: Open
 
-    def point(self, space: Space, step: Step) -> ProfilePoint:
+    def point(self, space: SearchSpace, step: WalkPoint) -> ProfilePoint:
         estimates = tuple(space.estimates(step.x).values())
         root = self.walk.side * step.height
         return ProfilePoint(estimates[self.walk.unknown], step.cost, root, estimates)
 
-    def end(self, space: Space) -> float:
+    def end(self, space: SearchSpace) -> float:
         """The end of the interval, in physical units."""
         if self.why:
             return np.nan if self.why == "failed" else self.walk.side * np.inf
@@ -231,13 +237,13 @@ class _Side:
         return space.unknowns[self.walk.unknown].to_physical(at)
 
 
-def _side(request: SearchRequest, found: Solution) -> _Side:
+def _side(request: SearchRequest, found: Solution) -> _ProfileSide:
     """What a walk found; one that was ended from outside found nothing but its start."""
     walk, start = request.method, request.space.start
-    assert isinstance(walk, Walk)
-    path = [Step(each.x, each.cost, walk.height(each.cost)) for each in found.others]
+    assert isinstance(walk, ProfileWalk)
+    path = [WalkPoint(each.x, each.cost, walk.height(each.cost)) for each in found.others]
     if not path:
-        return _Side(walk, [Step(start, walk.cost, 0.0)], "failed")
+        return _ProfileSide(walk, [WalkPoint(start, walk.cost, 0.0)], "failed")
     path.sort(key=lambda step: walk.side * float(step.x[walk.unknown]))
     why = next(word for word in WORDS if word == found.message)
-    return _Side(walk, path, why)
+    return _ProfileSide(walk, path, why)

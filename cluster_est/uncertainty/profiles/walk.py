@@ -14,14 +14,14 @@ import numpy as np
 from cluster_est.methods.base import (
     Ending,
     Evaluation,
-    Method,
-    Other,
-    Points,
     Progress,
+    Method,
+    OtherPoint,
+    Points,
     Search,
     Solution,
 )
-from cluster_est.problem.space import Space
+from cluster_est.problem.space import SearchSpace
 from cluster_est.uncertainty.spaces import without
 from workers.messages import FloatArray
 
@@ -41,7 +41,7 @@ MOST_FAILURES = 5
 
 
 @dataclass(frozen=True)
-class Step:
+class WalkPoint:
     """A point of a profile: where, its cost, and the height there.
 
     The height is the root of the cost's rise over the rise at the end of the interval: 0 at the
@@ -54,7 +54,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Walk(Method):
+class ProfileWalk(Method):
     """Walk one unknown outwards until the cost has risen far enough.
 
     The signed root of the rise is nearly linear in the unknown (D. M. Bates, D. G. Watts, Nonlinear
@@ -90,9 +90,9 @@ class Walk(Method):
     steps: int = 4
     max_steps: int = 20
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
-        trail = _Trail(self, space, [Step(space.start, self.cost, 0.0)], self.first)
-        asked, failures, ending = _Asked(), 0, ""
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
+        trail = _ProfileTrail(self, space, [WalkPoint(space.start, self.cost, 0.0)], self.first)
+        asked, failures, ending = _AskedPoints(), 0, ""
         # as many steps again, where the profile is so steep that its end must be closed in on
         for number in range(2 * self.max_steps):
             if trail.beyond is None and number >= self.max_steps:
@@ -115,14 +115,14 @@ class Walk(Method):
                 break
         return self._solution(trail, ending)
 
-    def _solution(self, trail: _Trail, ending: str) -> Solution:
+    def _solution(self, trail: _ProfileTrail, ending: str) -> Solution:
         """All points as others; the message is a word of `Open`."""
         if trail.beyond is not None:
             ending = ""
         elif not ending:
             ending = "bound"
         best = min(trail.all, key=lambda step: step.cost)
-        others = tuple(Other(step.x, step.cost) for step in trail.all)
+        others = tuple(OtherPoint(step.x, step.cost) for step in trail.all)
         code = Ending.STALLED if ending == "failed" else Ending.CONVERGED
         return Solution(best.x, best.cost, code, ending, len(others), others=others)
 
@@ -131,21 +131,21 @@ class Walk(Method):
 
 
 @dataclass
-class _Trail:
+class _ProfileTrail:
     """The points so far: those inside the interval, in order, and the nearest one outside.
 
     `length` is that of the next step outwards, `caution` the part of it that is dared after a
     failure, `halve` whether the last step towards the end left more than half of the gap.
     """
 
-    walk: Walk
-    space: Space
-    inside: list[Step]
+    walk: ProfileWalk
+    space: SearchSpace
+    inside: list[WalkPoint]
     length: float
-    beyond: Step | None = None
+    beyond: WalkPoint | None = None
     caution: float = 1.0
     halve: bool = False
-    all: list[Step] = field(default_factory=list)
+    all: list[WalkPoint] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.all = list(self.inside)
@@ -170,7 +170,7 @@ class _Trail:
         ahead = here + self.walk.side * self.length
         return float(np.clip(ahead, self.space.lower[i], self.space.upper[i]))
 
-    def _closer(self, beyond: Step, here: float) -> float | None:
+    def _closer(self, beyond: WalkPoint, here: float) -> float | None:
         """Between the last point inside and the one outside."""
         last, part = self.inside[-1], 1.0 / self.walk.steps
         there = float(beyond.x[self.walk.unknown])
@@ -201,7 +201,7 @@ class _Trail:
 
     def add(self, x: FloatArray, cost: float) -> None:
         """Keep a point."""
-        step, last, gap = Step(x, cost, self.walk.height(cost)), self.inside[-1], self.gap
+        step, last, gap = WalkPoint(x, cost, self.walk.height(cost)), self.inside[-1], self.gap
         self.all.append(step)
         self.caution = 1.0
         if step.height >= 1.0:
@@ -211,7 +211,7 @@ class _Trail:
             self.length = self._next_length(last, step)
         self.halve = self.gap > 0.5 * gap if np.isfinite(gap) and not self.halve else False
 
-    def _next_length(self, last: Step, step: Step) -> float:
+    def _next_length(self, last: WalkPoint, step: WalkPoint) -> float:
         """As far as the profile seems to need for the next part of its height."""
         i = self.walk.unknown
         width, climbed = abs(float(step.x[i] - last.x[i])), step.height - last.height
@@ -221,7 +221,7 @@ class _Trail:
         return min(width * min(max(factor, 1.0 / GROWTH), GROWTH), longest)
 
 
-def crossing(path: list[Step], i: int, height: float) -> float:
+def crossing(path: list[WalkPoint], i: int, height: float) -> float:
     """Where unknown i is at a height, between the last two points of a path.
 
     By a parabola through the last three where it is monotonic there, else by a straight line.
@@ -241,7 +241,7 @@ def crossing(path: list[Step], i: int, height: float) -> float:
     return bent if low <= bent <= high else straight
 
 
-def _refit(inner: Method, space: Space, generator: np.random.Generator) -> Search:
+def _refit(inner: Method, space: SearchSpace, generator: np.random.Generator) -> Search:
     """The inner search; a mere evaluation where nothing is left to search."""
     if space.size:
         return (yield from inner.search(space, generator))
@@ -257,14 +257,16 @@ def _usable(solution: Solution) -> bool:
 
 
 @dataclass
-class _Asked:
+class _AskedPoints:
     """How many points a walk has asked for, and which of them nobody has answered."""
 
     count: int = 0
     waiting: set[int] = field(default_factory=set)
 
 
-def _embedded(search: Search, x: FloatArray, i: int, asked: _Asked, progress: Progress) -> Search:
+def _embedded(
+    search: Search, x: FloatArray, i: int, asked: _AskedPoints, progress: Progress
+) -> Search:
     """Drive a search of the space without unknown i in the full space.
 
     Each side counts points in its own way, and what an earlier search left unanswered is dropped.

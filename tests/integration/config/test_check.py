@@ -11,13 +11,13 @@ import pytest
 
 from cluster_est import Problem
 from cluster_est.cli import main
-from cluster_est.preflight import Finding, Page, bare_problem, examine
+from cluster_est.preflight import CheckFinding, CheckPage, bare_problem, examine
 from cluster_est.problem.problem import Parameter
 from cluster_est.running.resources import Resources
 from workers.messages import Solver
 
 Give = Callable[[str, int], Path]
-Examine = Callable[..., Page]
+Examine = Callable[..., CheckPage]
 
 MINUTE = 60.0
 """So much time that nothing is left out on a busy machine."""
@@ -27,14 +27,16 @@ MINUTE = 60.0
 def examined(own_fmu: Give) -> Examine:
     """The page of one of the project's own FMUs."""
 
-    def look(name: str, fmi: int = 2, seconds: float = MINUTE, executor: str = "local") -> Page:
+    def look(
+        name: str, fmi: int = 2, seconds: float = MINUTE, executor: str = "local"
+    ) -> CheckPage:
         problem = bare_problem(own_fmu(name, fmi))
         return examine(problem, Resources(executor=executor), seconds, declared=False)
 
     return look
 
 
-def line(page: Page, check: str) -> Finding:
+def line(page: CheckPage, check: str) -> CheckFinding:
     return next(each for each in page.findings if each.check == check)
 
 

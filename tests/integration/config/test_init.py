@@ -17,12 +17,12 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.drafting import draft, write
 from cluster_est.drafting.candidates import candidates
-from cluster_est.drafting.columns import Column, read_columns
+from cluster_est.drafting.columns import TableColumn, read_columns
 from cluster_est.drafting.matching import match
 from cluster_est.drafting.units import conversion, same_unit
 from cluster_est.problem.space import make_space
 from workers.fmu.description import describe
-from workers.fmu.variable import Variable
+from workers.fmu.variable import ModelVariable
 
 TIMES = np.arange(50) * 0.02
 FORCE = np.where(TIMES > 0.1, 1.0, 0.0)
@@ -252,18 +252,20 @@ def test_columns_without_a_name_or_a_number_are_left_out(tmp_path):
     ],
 )
 def test_a_similar_name_is_a_suggestion_and_no_more(column, name, description):
-    variable = Variable(name, 1, "real", "input", True, description=description)
-    (found,) = match([variable], [Column(column, column, ""), Column("other", "other", "")])
+    variable = ModelVariable(name, 1, "real", "input", True, description=description)
+    (found,) = match(
+        [variable], [TableColumn(column, column, ""), TableColumn("other", "other", "")]
+    )
     assert found.column is None
     assert found.similar is not None
     assert found.similar.name == column
 
 
 def test_names_that_fold_alike_are_not_told_apart():
-    columns = [Column(name, name, "") for name in ("T_1", "T1")]
-    (found,) = match([Variable("t 1", 1, "real", "input", True)], columns)
+    columns = [TableColumn(name, name, "") for name in ("T_1", "T1")]
+    (found,) = match([ModelVariable("t 1", 1, "real", "input", True)], columns)
     assert found.column is None
-    (found,) = match([Variable("T1", 1, "real", "input", True)], columns)
+    (found,) = match([ModelVariable("T1", 1, "real", "input", True)], columns)
     assert found.column is columns[1]
 
 
@@ -291,7 +293,7 @@ def test_guesses_suit_temperatures_and_initial_values():
     names = ("room.T_start", "T_wall", "L")
     units = ("K", "K", "m")
     variables = {
-        name: Variable(name, i, "real", "parameter", True, unit=unit, start=293.15)
+        name: ModelVariable(name, i, "real", "parameter", True, unit=unit, start=293.15)
         for i, (name, unit) in enumerate(zip(names, units, strict=True))
     }
     found = candidates(replace(described, variables=variables))

@@ -16,7 +16,7 @@ from workers.effects.site import open_sites
 from workers.errors import EffectError
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 EXACT = Solver("dormand_prince", rtol=1e-10)
 CO_SIMULATION = Solver("fmu", step=0.002)
@@ -37,7 +37,9 @@ def simulated(effects, coefficients, solver=EXACT):
     """Outputs of a simulation with effects."""
     evaluator = Evaluator(model(solver), (experiment(),), "w")
     values = np.array([M, K, C, *coefficients])
-    (outcome,) = evaluator.evaluate(Batch.of([Task(0, 0, values, "trajectory", tuple(effects))]))
+    (outcome,) = evaluator.evaluate(
+        TaskBatch.of([Task(0, 0, values, "trajectory", tuple(effects))])
+    )
     evaluator.close()
     assert outcome.ok, outcome.message
     return outcome.trajectory.values[:, 0]
@@ -205,7 +207,7 @@ def test_effects_of_different_tasks_keep_their_own_coefficients():
 
     def ask(effects, coefficients):
         values = np.array([M, K, C, *coefficients])
-        (outcome,) = evaluator.evaluate(Batch.of([Task(0, 0, values, "trajectory", effects)]))
+        (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, values, "trajectory", effects)]))
         return outcome.trajectory.values.tobytes()
 
     alone = ask((drag,), (0.7,))
@@ -324,7 +326,7 @@ def test_an_effect_that_divides_by_zero_ends_its_simulation_with_a_reason():
     evaluator = Evaluator(model, (experiment,), "w")
     effect = Effect("e", "der(v)", "coulomb")
     task = Task(0, 0, np.array([M, K, C, 0.5, 0.0]), "residuals", (effect,))
-    (outcome,) = evaluator.evaluate(Batch.of([task]))
+    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
     evaluator.close()
     assert not outcome.ok
     assert outcome.message

@@ -13,7 +13,7 @@ from workers.effects.units import coefficient_units
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 FMU = ROOT / "configs" / "models" / "quarter_car.fmu"
 M_BODY, M_WHEEL, SPRING, DAMPER, TYRE = 300.0, 40.0, 2e4, 900.0, 1.8e5
@@ -53,7 +53,7 @@ def simulated(effect, coefficients):
     model = Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ())
     evaluator = Evaluator(model, (experiment,), "w")
     task = Task(0, 0, np.array(coefficients), "trajectory", (effect,))
-    (outcome,) = evaluator.evaluate(Batch.of([task]))
+    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
     evaluator.close()
     assert outcome.ok, outcome.message
     return outcome.trajectory.values

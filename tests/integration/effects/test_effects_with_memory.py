@@ -12,7 +12,7 @@ from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, pla
 
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 EXACT = Solver("dormand_prince", rtol=1e-10)
 CO_SIMULATION = Solver("fmu", step=0.002)
@@ -30,7 +30,7 @@ def simulated(effects, coefficients, solver, force=FORCE, interpolation="linear"
         Task(i, 0, np.array([M, K, C, *row]), "trajectory", tuple(effects))
         for i, row in enumerate(coefficients)
     ]
-    outcomes = evaluator.evaluate(Batch.of(tasks))
+    outcomes = evaluator.evaluate(TaskBatch.of(tasks))
     evaluator.close()
     assert all(o.ok for o in outcomes), outcomes
     return [o.trajectory.values[:, 0] for o in outcomes]

@@ -15,7 +15,7 @@ from cluster_est.cli import main
 from workers.errors import EffectError
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 FMU = ROOT / "configs" / "models" / "room.fmu"
 C_ROOM, C_WALL, R_ROOM, R_WALL = 4e6, 3e7, 4e-3, 8e-3
@@ -65,7 +65,7 @@ def simulated(effects, coefficients, solver, run=None):
     model = Model(FMU.name, FMU.read_bytes(), interface, solver, ("R_room_wall",))
     evaluator = Evaluator(model, (run or experiment(),), "w")
     task = Task(0, 0, np.array([R_ROOM, *coefficients]), "trajectory", tuple(effects))
-    (outcome,) = evaluator.evaluate(Batch.of([task]))
+    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
     evaluator.close()
     assert outcome.ok, outcome.message
     return outcome.trajectory.values[:, 0]
@@ -121,9 +121,9 @@ def test_points_in_a_batch_give_what_each_gives_alone():
     for effects, size in (((), 1), ((effect,), 2)):
         points = [np.array([r, GAIN])[:size] for r in (0.003, 0.004, 0.005)]
         tasks = [Task(i, 0, p, "residuals", effects) for i, p in enumerate(points)]
-        together = evaluator.evaluate(Batch.of(tasks))
+        together = evaluator.evaluate(TaskBatch.of(tasks))
         for task, outcome in zip(tasks, together, strict=True):
-            (alone,) = evaluator.evaluate(Batch.of([task]))
+            (alone,) = evaluator.evaluate(TaskBatch.of([task]))
             assert outcome.residuals.tobytes() == alone.residuals.tobytes()
     evaluator.close()
 
@@ -142,7 +142,7 @@ def test_an_experiment_without_the_signal_is_refused():
     effect = Effect("e", "der(T_room)", "linear", ("sun",))
     task = Task(0, 1, np.array([GAIN]), "trajectory", (effect,))
     with pytest.raises(EffectError, match=r"'dark': an effect needs the signal 'sun'"):
-        evaluator.evaluate(Batch.of([task]))
+        evaluator.evaluate(TaskBatch.of([task]))
     evaluator.close()
 
 

@@ -18,7 +18,7 @@ from cluster_est.export.fmu import write_fmu
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 pytestmark = needs_compiler
 EXACT = Solver("dormand_prince", rtol=1e-10)
@@ -43,7 +43,7 @@ def model(solver=EXACT, archive=None):
 def simulated(of, measured, values, effects=(), want="trajectory"):
     evaluator = Evaluator(of, (measured,), "w")
     task = Task(0, 0, np.array(values), want, tuple(effects))
-    (outcome,) = evaluator.evaluate(Batch.of([task]))
+    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
     evaluator.close()
     assert outcome.ok, outcome.message
     return outcome.trajectory.values

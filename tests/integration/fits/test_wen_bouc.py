@@ -21,7 +21,7 @@ from cluster_est.cli import main
 from cluster_est.methods import Method
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.methods.sqp.method import Sqp
-from cluster_est.running.runner import Iteration
+from cluster_est.running.runner import SearchIteration
 
 CONFIGS = ROOT / "configs"
 FREE, TOLERANCES = (CONFIGS / f"wen_bouc_spring{end}.toml" for end in ("", "_tolerances"))
@@ -128,10 +128,10 @@ def test_the_iteration_table(free_run, capsys):
     assert falling == sorted(falling, reverse=True)
 
 
-def fitted(method: Method) -> tuple[Result, list[Iteration]]:
+def fitted(method: Method) -> tuple[Result, list[SearchIteration]]:
     """With tolerances, from a config that a later or earlier version of the methods can read."""
     config = read_config(TOLERANCES, ["method.name=least_squares"])
-    lines: list[Iteration] = []
+    lines: list[SearchIteration] = []
     return fit(build_problem(config, CONFIGS), method, note=lines.append), lines
 
 

@@ -64,7 +64,7 @@ def problem(own_fmu: Give) -> Problem:
     return Problem(model, (Parameter("k", 1.0, 0.1, 5.0), Parameter("c", 1.0, 0.1, 5.0)), runs)
 
 
-def found(problem: Problem, method: Any, executor: Timed) -> cheaper_slopes.Carried:
+def found(problem: Problem, method: Any, executor: Timed) -> cheaper_slopes.SensitivityDecision:
     space = make_space(problem, problem.indices("train"))
     return cheaper_slopes.cheaper_slopes(executor, space, method)  # type: ignore[arg-type]
 
@@ -96,7 +96,7 @@ def test_nothing_is_tried_without_a_choice(problem: Problem, method: Any) -> Non
     executor = Timed(1.0, 0.1)
     assert not found(problem, method, executor).carry
     assert executor.asked == []
-    assert cheaper_slopes.with_slopes(method, cheaper_slopes.Carried(True)) == method
+    assert cheaper_slopes.with_slopes(method, cheaper_slopes.SensitivityDecision(True)) == method
 
 
 def test_an_fmu_that_gives_none(problem: Problem) -> None:

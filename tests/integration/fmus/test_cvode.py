@@ -22,7 +22,7 @@ from workers.fmu.description import describe
 from workers.kernels.solvers import sundials
 from workers.messages import Effect, Model, Status, Task
 from workers.simulation.simulator import Simulator
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 TOLERANCES = (1e-5, 1e-7, 1e-9)
 ONE = np.array([[1.0]])
@@ -144,7 +144,7 @@ def test_effects_act_as_with_dormand_prince(name, interpolation):
         model = Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ("m", "k", "c"))
         evaluator = Evaluator(model, (run,), "w")
         values = np.array([1.2, 30.0, 0.6, *coefficients])
-        (outcome,) = evaluator.evaluate(Batch.of([Task(0, 0, values, "trajectory", (effect,))]))
+        (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, values, "trajectory", (effect,))]))
         evaluator.close()
         assert outcome.ok, outcome.message
         found.append(outcome.trajectory.values)
@@ -211,7 +211,7 @@ def test_memory_does_not_grow(simulator):
             simulated.run(0, points)
             simulated.run(0, failing)
         for _ in range(1000):
-            sundials.Integrator(20)
+            sundials.CvodeIntegrator(20)
         gc.collect()
         growths.append(resident() - before)
     # Other threads of the process may take memory in between, but not each time.
@@ -284,7 +284,7 @@ def test_through_the_evaluator(built_fmu):
     model = Model("v", built_fmu("van_der_pol_stiff"), "model_exchange", Solver("cvode"), ("mu",))
     evaluator = Evaluator(model, (FREE,), "w")
     tasks = [Task(0, 0, ONE[0]), Task(1, 0, np.array([np.inf]))]
-    good, bad = evaluator.evaluate(Batch.of(tasks))
+    good, bad = evaluator.evaluate(TaskBatch.of(tasks))
     evaluator.close()
     assert good.ok
     np.testing.assert_allclose(-good.residuals, truth(1.0, 20.0), atol=1e-5)

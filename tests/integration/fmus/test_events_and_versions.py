@@ -19,7 +19,7 @@ from support.truth.own_fmus import (
 
 from workers.evaluate import Evaluator
 from workers.messages import Experiment, Input, Model, Outcome, Output, Solver, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 Give = Callable[[str, int], Path]
 FLOATS = np.float64
@@ -56,7 +56,7 @@ def simulate(
     )
     evaluator = Evaluator(model, [run], "w")
     tasks = [Task(i, 0, np.array(p, FLOATS), "trajectory") for i, p in enumerate(points)]
-    outcomes = evaluator.evaluate(Batch.of(tasks))
+    outcomes = evaluator.evaluate(TaskBatch.of(tasks))
     evaluator.close()
     return outcomes
 

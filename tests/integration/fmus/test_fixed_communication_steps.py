@@ -14,7 +14,7 @@ from cluster_est.cli.printing import print_model
 from cluster_est.methods.least_squares.method import LeastSquares
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 Give = Callable[[str, int], Path]
 
@@ -41,7 +41,7 @@ def simulated(
     run = Experiment("e", start, times[-1], inputs, (Output("y", times, 0.0 * times),))
     evaluator = Evaluator(model(fmu), [run], "w")
     task = Task(0, 0, np.array([k, *coefficients]), "trajectory", effects)
-    (outcome,) = evaluator.evaluate(Batch.of([task]))
+    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
     evaluator.close()
     assert outcome.ok, outcome.message
     found = outcome.trajectory

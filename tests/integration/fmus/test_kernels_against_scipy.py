@@ -23,7 +23,7 @@ from workers.messages import (
     Status,
     Task,
 )
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 NAMES = sorted(REFERENCES)
 INTERFACES: dict[str, Interface] = {
@@ -42,7 +42,7 @@ def archive(name: str) -> bytes:
 def simulate(name: str, experiment: Experiment, solver: Solver) -> Outcome:
     model = Model(name, archive(name), INTERFACES[solver.name], solver, ())
     evaluator = Evaluator(model, [experiment], "test")
-    (outcome,) = evaluator.evaluate(Batch.of([Task(0, 0, np.zeros(0), "trajectory")]))
+    (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, np.zeros(0), "trajectory")]))
     evaluator.close()
     return outcome
 

@@ -15,7 +15,7 @@ from cluster_est.running.runner import Runner
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Status, Task
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 ADAPTIVE = Solver("dormand_prince", rtol=1e-11)
 FIXED = Solver("rk4", step=0.001)
@@ -36,7 +36,7 @@ def spring(solver=ADAPTIVE, parameters=("m", "k", "c")):
 
 
 def ask(evaluator, values, want="linearisation", effects=()):
-    (outcome,) = evaluator.evaluate(Batch.of([Task(0, 0, np.array(values), want, effects)]))
+    (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, np.array(values), want, effects)]))
     return outcome
 
 
@@ -251,7 +251,7 @@ def test_failures_are_outcomes_and_leave_their_neighbours_alone():
     evaluator = Evaluator(spring(), (spring_experiment(),), "w")
     points = [SPRING, (-1.0, K, C), (2.0, K, C), (np.nan, K, C), SPRING]
     tasks = [Task(i, 0, np.array(p), "linearisation") for i, p in enumerate(points)]
-    outcomes = evaluator.evaluate(Batch.of(tasks))
+    outcomes = evaluator.evaluate(TaskBatch.of(tasks))
     assert [o.ok for o in outcomes] == [True, False, True, False, True]
     assert "mass must be positive, got -1" in outcomes[1].message
     assert outcomes[1].linearisation is None

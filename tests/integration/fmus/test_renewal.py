@@ -130,7 +130,9 @@ def test_a_run_that_is_resumed_goes_on_as_it_began(
 ) -> None:
     fitted("reset_keeps_state", 2, "budget.evaluations=2")
     (tmp_path / "run" / "parameters.parquet").unlink()
-    monkeypatch.setattr(renewal.Question, "ask", lambda *_: pytest.fail("it is asked again"))
+    monkeypatch.setattr(
+        renewal.RepeatabilityTest, "ask", lambda *_: pytest.fail("it is asked again")
+    )
 
     assert fitted("reset_keeps_state", 2, "--resume") == 0
     assert chosen(tmp_path) == "instance"

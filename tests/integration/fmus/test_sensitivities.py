@@ -15,7 +15,7 @@ from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.methods.sqp.method import Sqp
 from workers.evaluate import Evaluator
 from workers.messages import Curve, FloatArray, Model, Outcome, SignalBound, Task
-from workers.wire import Answers, Batch
+from workers.wire import OutcomeColumns, TaskBatch
 
 Give = Callable[[str, int], Path]
 Ask = Callable[..., Outcome]
@@ -102,8 +102,8 @@ def ask(own_fmu: Give) -> Iterator[Ask]:
     ) -> Outcome:  # fmt: skip
         model = Model(name, own_fmu(name, fmi).read_bytes(), interface, solver, parameters)
         made.append(Evaluator(model, (experiment,), "w"))
-        batch = Batch.of([Task(0, 0, point, want)])
-        return Answers.of(made[-1].evaluate(batch)).outcomes()[0]
+        batch = TaskBatch.of([Task(0, 0, point, want)])
+        return OutcomeColumns.of(made[-1].evaluate(batch)).outcomes()[0]
 
     yield give
     for each in made:

@@ -14,8 +14,8 @@ from try_fmus import attempt, trial
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe
 from workers.messages import Experiment, Input, Limits, Model, Output, Solver, Task
-from workers.process.supervisor import Guard
-from workers.wire import Batch
+from workers.process.supervisor import SupervisedEvaluator
+from workers.wire import TaskBatch
 
 SPRINGS = ("MassSpringSubSystem1", "MassSpringSubSystem2", "MassSpringSystem")
 OPENMODELICA = ("Mass_Damper", *SPRINGS, "add", "ramp")
@@ -45,8 +45,10 @@ def simulated(
     solver = Solver("dormand_prince", rtol=1e-9) if exchange else Solver("fmu", 0.001)
     model = Model(file.name, file.read_bytes(), interface, solver, ())
     asked = tuple(Output(name, TIMES, 0.0 * TIMES) for name in outputs)
-    guard = Guard(model, [Experiment("e", 0.0, 5.0, inputs, asked, values)], "w", Limits(60.0))
-    batch = Batch.of([Task(i, 0, np.zeros(0), "trajectory") for i in range(2)])
+    guard = SupervisedEvaluator(
+        model, [Experiment("e", 0.0, 5.0, inputs, asked, values)], "w", Limits(60.0)
+    )
+    batch = TaskBatch.of([Task(i, 0, np.zeros(0), "trajectory") for i in range(2)])
     _, outcome = guard.evaluate(batch)
     guard.close()
     assert outcome.ok, outcome.message
@@ -113,7 +115,7 @@ def test_a_model_in_python_counts_its_steps(fmus: Path) -> None:
     run = Experiment("e", 0.0, 5.0, (), (Output("output", TIMES, 0.0 * TIMES),))
     evaluator = Evaluator(model, [run], "w")
     tasks = [Task(i, 0, np.array([x]), "trajectory") for i, x in enumerate((0.5, 2.0))]
-    for x, outcome in zip((0.5, 2.0), evaluator.evaluate(Batch.of(tasks)), strict=True):
+    for x, outcome in zip((0.5, 2.0), evaluator.evaluate(TaskBatch.of(tasks)), strict=True):
         assert outcome.ok, outcome.message
         np.testing.assert_allclose(outcome.trajectory.values[:, 0], 3.0 + x * np.arange(51))
     evaluator.close()

@@ -15,8 +15,8 @@ import pytest
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.messages import Experiment, Limits, Model, Output, Solver, Task
-from workers.process.supervisor import Guard
-from workers.wire import Batch
+from workers.process.supervisor import SupervisedEvaluator
+from workers.wire import TaskBatch
 
 Give = Callable[[str, int], Path]
 
@@ -62,9 +62,9 @@ print(answered(Path(sys.argv[1])))
 
 def answered(fmu: Path) -> str:
     """The status of a simulation in a process of its own."""
-    guard = Guard(Model(fmu.name, fmu.read_bytes(), "model_exchange", EXACT, ()), [RUN], "w",
-                  Limits(60.0))  # fmt: skip
-    (outcome,) = guard.evaluate(Batch.of([Task(0, 0, np.zeros(0))]))
+    model = Model(fmu.name, fmu.read_bytes(), "model_exchange", EXACT, ())
+    guard = SupervisedEvaluator(model, [RUN], "w", Limits(60.0))
+    (outcome,) = guard.evaluate(TaskBatch.of([Task(0, 0, np.zeros(0))]))
     guard.close()
     return str(outcome.status)
 

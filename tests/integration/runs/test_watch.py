@@ -18,10 +18,10 @@ from cluster_est.cli import main
 from cluster_est.fit import fit
 from cluster_est.methods.base import Progress
 from cluster_est.report import watch as watching
-from cluster_est.report.watch import Follower, View, follow
+from cluster_est.report.watch import RunFollower, RunView, follow
 from cluster_est.report.watch_printing import WatchTable, rendered
 from cluster_est.run_folder.folder import RunFolder
-from cluster_est.running.records import Iteration, Origin, Snapshot
+from cluster_est.running.records import SearchIteration, TaskOrigin, RunSnapshot
 from workers.messages import Outcome, Status
 
 
@@ -30,7 +30,7 @@ def ended(tmp_path_factory) -> Path:
     return fitted_run(tmp_path_factory.mktemp("fit") / "run", experiments=2)
 
 
-def written(view: View) -> str:
+def written(view: RunView) -> str:
     console = Console(width=100, record=True, file=io.StringIO())
     console.print(rendered(view))
     return console.export_text()
@@ -40,7 +40,7 @@ def fill(folder: RunFolder, numbers: range, problem) -> None:
     """Log simulations, every third of which failed."""
     for number in numbers:
         good = number % 3 != 0
-        origin = Origin("train", number, "point", 0, np.zeros(len(problem.parameters)))
+        origin = TaskOrigin("train", number, "point", 0, np.zeros(len(problem.parameters)))
         status = Status.OK if good else Status.TIMEOUT
         message = "" if good else f"took longer than {number} s"
         folder.record(origin, Outcome(number, status, None, None, message, 0.1, "w0"))
@@ -50,14 +50,14 @@ def test_a_run_is_followed_while_it_grows(tmp_path):
     problem = spring_problem(experiments=2).problem
     run = RunFolder(tmp_path / "run", problem, "", "hash", 0)
     clock = iter(range(100))
-    follower = Follower(tmp_path / "run", lambda: float(next(clock)))
+    follower = RunFollower(tmp_path / "run", lambda: float(next(clock)))
     assert follower.look().simulations == 0
     fill(run, range(9), problem)
     run._log.flush()
-    run.note(Iteration("start 0", Progress(0, 5.0), 3))
-    run.note(Iteration("start 1", Progress(0, 9.0), 3))
-    run.note(Iteration("start 0", Progress(1, 7.0), 6))
-    run.show(Snapshot("start 0", Progress(1, 7.0), 6, 9, 3, 2, 4, 12.0))
+    run.note(SearchIteration("start 0", Progress(0, 5.0), 3))
+    run.note(SearchIteration("start 1", Progress(0, 9.0), 3))
+    run.note(SearchIteration("start 0", Progress(1, 7.0), 6))
+    run.show(RunSnapshot("start 0", Progress(1, 7.0), 6, 9, 3, 2, 4, 12.0))
     view = follower.look()
     assert (view.status, view.ended) == ("running", False)
     assert (view.simulations, view.failed) == (9, 3)
@@ -82,7 +82,7 @@ def test_a_run_is_followed_while_it_grows(tmp_path):
 def test_only_what_is_new_is_read(tmp_path, monkeypatch):
     problem = spring_problem(experiments=2).problem
     run = RunFolder(tmp_path / "run", problem, "", "hash", 0)
-    follower = Follower(tmp_path / "run")
+    follower = RunFollower(tmp_path / "run")
     batches = []
     added = follower.tail.counts.add
     monkeypatch.setattr(
@@ -98,7 +98,7 @@ def test_only_what_is_new_is_read(tmp_path, monkeypatch):
 
 def test_a_run_that_is_replaced_is_followed_anew(ended, tmp_path):
     run = Path(shutil.copytree(ended, tmp_path / "run"))
-    follower = Follower(run)
+    follower = RunFollower(run)
     before = follower.look().simulations
     assert before > 0
     facts = json.loads((run / "run.json").read_text()) | {"started": "later", "status": "running"}
@@ -112,7 +112,7 @@ def test_a_run_that_is_replaced_is_followed_anew(ended, tmp_path):
 def test_nothing_is_written_into_the_folder_and_its_log_is_not_locked(ended, tmp_path):
     run = Path(shutil.copytree(ended, tmp_path / "run"))
     before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
-    seen: list[View] = []
+    seen: list[RunView] = []
     follow(run, 0.1, seen.append, html=False)
     assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
     assert len(seen) == 1
@@ -123,10 +123,10 @@ def test_it_ends_with_the_run_and_keeps_the_report_fresh(tmp_path, monkeypatch):
     problem = spring_problem(experiments=2, noise=0.01).problem
     path = tmp_path / "run"
     run = RunFolder(path, problem, "", "hash", 0)
-    seen: list[View] = []
+    seen: list[RunView] = []
     pages: list[str] = []
 
-    def show(view: View) -> None:
+    def show(view: RunView) -> None:
         seen.append(view)
         pages.append((path / "report.html").read_text(encoding="utf-8"))
 
@@ -150,7 +150,7 @@ def test_a_report_that_cannot_be_written_is_said_and_nothing_ends(ended, tmp_pat
     run = Path(shutil.copytree(ended, tmp_path / "run"))
     (run / "report.html").unlink(missing_ok=True)
     (run / "report.html").mkdir()
-    seen: list[View] = []
+    seen: list[RunView] = []
     follow(run, 0.1, seen.append, html=True)
     assert "is a folder" in seen[-1].problem
     assert "the report could not be written" in written(seen[-1])
@@ -172,13 +172,13 @@ def test_ctrl_c_is_130(ended, monkeypatch):
 
 
 def test_names_of_files_are_no_markup(ended):
-    view = Follower(ended).look()
-    hostile = View(**{**vars(view), "message": "[red]x[/nothing]"})
+    view = RunFollower(ended).look()
+    hostile = RunView(**{**vars(view), "message": "[red]x[/nothing]"})
     assert "[red]x[/nothing]" in written(hostile)
 
 
 def test_a_terminal_sees_the_table_renewed(ended):
     console = Console(force_terminal=True, width=100, record=True, file=io.StringIO())
     with WatchTable(console) as table:
-        table.show(Follower(ended).look())
+        table.show(RunFollower(ended).look())
         assert "simulations" in console.export_text()

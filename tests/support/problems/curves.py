@@ -14,7 +14,7 @@ from cluster_est.executors import Executor
 from cluster_est.methods import Method
 from cluster_est.methods.base import Solution
 from cluster_est.problem.formulas import parse_constraint
-from cluster_est.problem.space import Space, make_space
+from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import REDUCTIONS, Outcome, Status
 from workers.residuals.reduce import reduce_residuals
@@ -62,10 +62,10 @@ class Curves:
     def runner(self) -> Runner:
         return Runner(CurveExecutor(self))
 
-    def space(self) -> Space:
+    def space(self) -> SearchSpace:
         return make_space(self.problem(), tuple(range(len(self.measured))))
 
-    def solve(self, method: Method | None = None) -> tuple[Runner, Space, Solution]:
+    def solve(self, method: Method | None = None) -> tuple[Runner, SearchSpace, Solution]:
         """Fit; what stands ready for what comes after it."""
         runner, space = self.runner(), self.space()
         (solution,) = runner.run([SearchRequest("fit", method or LeastSquares(), space)])

@@ -15,7 +15,7 @@ from cluster_est.methods import Method
 from cluster_est.methods.base import Solution
 from cluster_est.problem.space import make_space
 from cluster_est.running.runner import Runner, SearchRequest
-from workers.messages import REDUCTIONS, Function, Outcome, Status
+from workers.messages import REDUCTIONS, Outcome, Status, UserFunction
 from workers.residuals.reduce import reduce_residuals
 
 
@@ -42,7 +42,7 @@ class FunctionProblem:
         times = np.arange(1.0, size + 1.0)
         outputs = (Output("y", times, 0.0 * times),)
         functions = tuple(
-            Function("none", f"c{i}", equality=equal) for i, equal in enumerate(self.equality)
+            UserFunction("none", f"c{i}", equality=equal) for i, equal in enumerate(self.equality)
         )
         experiment = Experiment("e", 0.0, size + 1.0, (), outputs, constraint_functions=functions)
         lower = self.lower or (-np.inf,) * len(self.start)

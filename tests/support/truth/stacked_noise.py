@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from cluster_est.closed_loop.statistics.records import Records, make_records
+from cluster_est.closed_loop.statistics.records import StackedRecords, make_records
 from workers.messages import Experiment, FloatArray, Output
 
 
-def stack(*lengths: int, outputs: int = 1) -> Records:
+def stack(*lengths: int, outputs: int = 1) -> StackedRecords:
     """An experiment for each length, all of its outputs that long."""
     return make_records(
         [
@@ -28,7 +28,7 @@ def stack(*lengths: int, outputs: int = 1) -> Records:
 
 
 def autoregressive(
-    records: Records, coefficients: FloatArray, generator: np.random.Generator
+    records: StackedRecords, coefficients: FloatArray, generator: np.random.Generator
 ) -> FloatArray:
     """Stationary noise with innovations of variance 1, independent between records."""
     signals = []

@@ -12,7 +12,7 @@ from support.problems.springs import ROOT
 from cluster_est import Experiment, Input, Model, Output, Parameter, Problem, Resources, Solver
 from cluster_est.closed_loop.prepare import open_bench
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import Fitted, Start, Workbench
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from workers.messages import FloatArray
 
 
@@ -99,18 +99,18 @@ def missing_effect_problem(
 
 
 @contextmanager
-def opened(problem: Problem, settings: LoopSettings | None = None) -> Iterator[Workbench]:
+def opened(problem: Problem, settings: LoopSettings | None = None) -> Iterator[LoopWorkbench]:
     """A workbench with one local worker."""
     with open_bench(problem, Resources(), settings or LoopSettings(), 0, None, None) as bench:
         yield bench
 
 
-def unfitted(bench: Workbench, start: Start | None = None) -> Fitted:
+def unfitted(bench: LoopWorkbench, start: FitStart | None = None) -> FittedModel:
     """The model where it starts, as if it had been fitted; its Jacobian is zero."""
-    space = bench.space(start or Start(bench.problem, {}))
+    space = bench.space(start or FitStart(bench.problem, {}))
     ((at,),) = bench.look("start", [(space, space.start[None, :])])
     assert at.ok, at.reason
-    return Fitted(space, space.start, at.residuals, np.zeros((bench.size, space.size)))
+    return FittedModel(space, space.start, at.residuals, np.zeros((bench.size, space.size)))
 
 
 def measured(problem: Problem, noise: float, seed: int = 3) -> Problem:

@@ -14,7 +14,7 @@ from support.problems.springs import FMU, ROOT, spring_problem
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.costs.robust import Huber
+from cluster_est.costs.robust import HuberCost
 from cluster_est.errors import ProblemError, RunFolderError
 
 CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
@@ -191,7 +191,7 @@ class TestResiduals:
     @pytest.mark.parametrize(
         ("change", "said"),
         [
-            ({"cost": Huber()}, "cost.name: must be \"sse\" .* but is 'huber'"),
+            ({"cost": HuberCost()}, "cost.name: must be \"sse\" .* but is 'huber'"),
             ({"fixed": True}, "at least one must be free"),
         ],
     )

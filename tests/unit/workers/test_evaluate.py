@@ -30,7 +30,7 @@ from workers.messages import (
     Task,
     Want,
 )
-from workers.wire import Batch
+from workers.wire import TaskBatch
 
 SOLVERS: dict[str, tuple[Interface, Solver]] = {
     "dormand_prince": ("model_exchange", Solver("dormand_prince")),
@@ -61,7 +61,7 @@ def fresh(interface: Interface, solver: Solver) -> Evaluator:
 def ask(to: Evaluator, tasks: list[tuple[int, FloatArray]], want: Want = "residuals") -> list:
     """Outcomes of (experiment, values), with ids that are not places."""
     packed = [Task(100 + 7 * i, e, values, want) for i, (e, values) in enumerate(tasks)]
-    outcomes = to.evaluate(Batch.of(packed))
+    outcomes = to.evaluate(TaskBatch.of(packed))
     assert [o.task for o in outcomes] == [task.id for task in packed]
     return outcomes
 

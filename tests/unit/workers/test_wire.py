@@ -8,7 +8,7 @@ from dataclasses import fields
 import numpy as np
 
 from workers.messages import Linearisation, Outcome, Status, Trajectory
-from workers.wire import Answers
+from workers.wire import OutcomeColumns
 
 NAMES = {
     "state_names": ("x", "v", "lag:z"),
@@ -43,7 +43,7 @@ def test_outcomes_come_back_with_all_they_carry() -> None:
         Outcome(8, Status.OK, np.zeros(0), worker="w", constraints=np.array([0.5, -1.0])),
         Outcome(9, Status.OK, np.arange(2.0), worker="w", constraints=np.array([np.nan])),
     ]
-    got = pickle.loads(pickle.dumps(Answers.of(sent))).outcomes()
+    got = pickle.loads(pickle.dumps(OutcomeColumns.of(sent))).outcomes()
     for before, after in zip(sent, got, strict=True):
         assert (after.task, after.status, after.message) == (
             before.task, before.status, before.message

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from workers.kernels.fmi.component import Component, References, Starts, Workspace
-from workers.kernels.fmi.hooks import Hooks
-from workers.kernels.fmi.initialise import Settings
+from workers.kernels.fmi.component import (
+    FmiComponent,
+    KernelWorkspace,
+    StartValues,
+    VariableReferences,
+)
+from workers.kernels.fmi.hooks import EffectHooks
+from workers.kernels.fmi.initialise import SolverSettings
 from workers.messages import FloatArray, IntArray
-from workers.simulation.grid import Grid
+from workers.simulation.grid import SignalGrid
 
 
-class Asked(NamedTuple):
+class KernelArguments(NamedTuple):
     """The arguments of a loop, in its order; the last three are what it fills.
 
     Attributes
@@ -34,14 +39,14 @@ class Asked(NamedTuple):
         0, or what went wrong (see `workers.kernels.fmi.failure`), and the time of it.
     """
 
-    c: Component
-    references: References
-    starts: Starts
-    settings: Settings
-    hooks: Hooks
-    grid: Grid
+    c: FmiComponent
+    references: VariableReferences
+    starts: StartValues
+    settings: SolverSettings
+    hooks: EffectHooks
+    grid: SignalGrid
     points: FloatArray
-    work: Workspace
+    work: KernelWorkspace
     outputs: FloatArray
     codes: IntArray
     stopped_at: FloatArray

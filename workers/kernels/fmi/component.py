@@ -6,11 +6,11 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from workers.kernels.fmi.values import TYPES, Access
+from workers.kernels.fmi.values import TYPES, VariableAccess
 from workers.messages import FloatArray, IntArray
 
 
-class Component(NamedTuple):
+class FmiComponent(NamedTuple):
     """An instance of FMI 2.0: its handle and the addresses of its functions.
 
     Functions that the version or the interface does not have are 0;
@@ -52,34 +52,34 @@ class Component(NamedTuple):
     n_indicators: int
 
 
-Component3 = NamedTuple("Component3", list(Component.__annotations__.items()))  # type: ignore[misc]
+Component3 = NamedTuple("Component3", list(FmiComponent.__annotations__.items()))  # type: ignore[misc]
 """The same of FMI 3.0, as a type of its own: loops are compiled for one version or the other."""
 
 
-class Starts(NamedTuple):
+class StartValues(NamedTuple):
     """What is written before a simulation: `structure` (structural parameters) and strings first.
 
     Strings are addresses of what ends with a zero byte.
     """
 
-    structure: Access
-    numbers: Access
+    structure: VariableAccess
+    numbers: VariableAccess
     strings: IntArray
     texts: IntArray
 
 
-class References(NamedTuple):
+class VariableReferences(NamedTuple):
     """What is written and read during a simulation.
 
     `moving` are those inputs that may be set between events.
     """
 
-    inputs: Access
-    moving: Access
-    outputs: Access
+    inputs: VariableAccess
+    moving: VariableAccess
+    outputs: VariableAccess
 
 
-class Workspace(NamedTuple):
+class KernelWorkspace(NamedTuple):
     """Memory that a simulation writes to. Reused: nothing is allocated inside a loop.
 
     `inputs` are as measured; `edited` what effects make of them, `slopes` how fast those change,
@@ -116,13 +116,13 @@ def workspace(
     n_parameters: int = 0,
     n_indicators: int = 0,
     n_cells: int = 1,
-) -> Workspace:
+) -> KernelWorkspace:
     """Allocate the memory for one instance.
 
     `n_coefficients` and `n_parameters` are those of effects; `n_cells` is the size of the largest
     array variable.
     """
-    return Workspace(
+    return KernelWorkspace(
         inputs=np.zeros(n_inputs),
         edited=np.zeros(n_inputs),
         slopes=np.zeros(n_inputs),
@@ -142,10 +142,10 @@ def workspace(
     )
 
 
-def nothing_loaded(version: str) -> Component:
+def nothing_loaded(version: str) -> FmiComponent:
     """A component whose functions must not be called, for compiled loops that call none."""
-    fields: dict[str, Any] = dict.fromkeys(Component._fields, 0)
+    fields: dict[str, Any] = dict.fromkeys(FmiComponent._fields, 0)
     fields.update(accessors=np.zeros((2, len(TYPES)), np.int64))
     fields.update(interpolates_inputs=False, completes_steps=False, eventful=False)
-    made = Component if version == "2.0" else Component3
-    return cast(Component, made(**fields))
+    made = FmiComponent if version == "2.0" else Component3
+    return cast(FmiComponent, made(**fields))

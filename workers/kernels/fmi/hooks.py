@@ -19,7 +19,7 @@ from workers.kernels.fmi.calling import address_of, c_function, inlined
 from workers.messages import FloatArray, IntArray
 
 
-class Hooks(NamedTuple):
+class EffectHooks(NamedTuple):
     """What acts on a batch of simulations.
 
     `parameters` are value references; `substeps` (steps of the effects' own states within a
@@ -35,10 +35,10 @@ class Hooks(NamedTuple):
     base: FloatArray
 
 
-def no_hooks(points: int) -> Hooks:
+def no_hooks(points: int) -> EffectHooks:
     """What acts where there are no effects."""
     nothing = np.zeros((points, 0))
-    return Hooks(0, 0, 0, np.zeros(0, np.uint32), np.ones(points, np.int64), nothing, nothing)
+    return EffectHooks(0, 0, 0, np.zeros(0, np.uint32), np.ones(points, np.int64), nothing, nothing)
 
 
 _begin = c_function(int32, float64, intp, intp, intp, intp)

@@ -19,7 +19,7 @@ from workers.kernels.fmi.values import DISCARD, set_values
 from workers.messages import FloatArray
 
 
-class Settings(NamedTuple):
+class SolverSettings(NamedTuple):
     """A `workers.messages.Solver` for compiled code: 0 stands for "not given".
 
     `atols` holds the absolute tolerance of each state: `atol` times its nominal value. `fixed` is

@@ -33,7 +33,7 @@ CODE, REFERENCE, SIZE, COLUMN, BASE = range(5)
 """Columns of `Access.elements`."""
 
 
-class Access(NamedTuple):
+class VariableAccess(NamedTuple):
     """Which variables of an FMU a row of numbers stands for.
 
     Few arrays, because compiled functions hand all of them on at each call.

@@ -36,7 +36,7 @@ AT_START, KNOWN, TWINS = range(3)
 """How a parameter acts: on the initial states alone, as a known, or by differences of twins."""
 
 
-class Forward(NamedTuple):
+class ForwardSensitivities(NamedTuple):
     """What sensitivities need: n states, y outputs, p parameters, and the k values of a point.
 
     Attributes

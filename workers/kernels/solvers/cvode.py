@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from numba.core.types import float64, int32, intp
 
-from workers.kernels.fmi.arguments import Asked
+from workers.kernels.fmi.arguments import KernelArguments
 from workers.kernels.fmi.calling import address_of, c_function, inlined, kernel
 from workers.kernels.fmi.failure import (
     EVENT,
@@ -51,8 +51,8 @@ from workers.kernels.solvers.sundials import (
     STOP,
     TOLD,
     TOO_CLOSE,
-    Integrator,
-    Jacobian,
+    CvodeIntegrator,
+    DirectionalJacobian,
     libraries,
 )
 from workers.messages import FloatArray
@@ -84,10 +84,10 @@ class CvodeBatch:
 
     def __init__(self) -> None:
         libraries()
-        self._integrators: dict[int, Integrator] = {}
-        self.jacobian = Jacobian.of()
+        self._integrators: dict[int, CvodeIntegrator] = {}
+        self.jacobian = DirectionalJacobian.of()
 
-    def __call__(self, asked: Asked, states: FloatArray | None = None) -> int:
+    def __call__(self, asked: KernelArguments, states: FloatArray | None = None) -> int:
         """Simulate one experiment for many points; returns how many, as `co_simulate_batch` does.
 
         Parameters
@@ -103,7 +103,7 @@ class CvodeBatch:
             return int(dormand_prince_batch(*asked))
         while True:
             if count not in self._integrators:
-                self._integrators[count] = Integrator(count)
+                self._integrators[count] = CvodeIntegrator(count)
             cvode = self._integrators[count].cvode._replace(jacobian=self.jacobian)
             tried = int(_cvode_batch(cvode, *asked, kept))
             if tried != ANOTHER:

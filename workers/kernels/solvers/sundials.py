@@ -23,7 +23,7 @@ MADE_WITH, INTERVAL, STATUS, STEPS_LEFT, STOP, TOLD, FRESH, DUE, STILL = range(9
 """Places in `Cvode.notes`."""
 
 
-class Jacobian(NamedTuple):
+class DirectionalJacobian(NamedTuple):
     """The Jacobian by the FMU's directional derivatives: (n,) references, none for differences.
 
     `states` and `slopes` are the references of the states and of their derivatives; `known` and
@@ -36,13 +36,13 @@ class Jacobian(NamedTuple):
     one: FloatArray
 
     @classmethod
-    def of(cls, states: Sequence[int] = (), slopes: Sequence[int] = ()) -> Jacobian:
+    def of(cls, states: Sequence[int] = (), slopes: Sequence[int] = ()) -> DirectionalJacobian:
         """That of these references."""
         asked, given = np.array(slopes, np.uint32), np.array(states, np.uint32)
         return cls(given, asked, np.zeros(1, np.uint32), np.ones(1))
 
 
-class Cvode(NamedTuple):
+class CvodeHandles(NamedTuple):
     """An integrator for compiled code: its handles, the addresses of its functions, its memory.
 
     `states` and `between` are vectors of the library around `y`, where the integrator stands, and
@@ -75,7 +75,7 @@ class Cvode(NamedTuple):
     z: FloatArray
     time: FloatArray
     notes: IntArray
-    jacobian: Jacobian
+    jacobian: DirectionalJacobian
 
 
 _CVODE = {
@@ -92,7 +92,7 @@ _CVODE = {
 }
 
 
-class Libraries(NamedTuple):
+class SundialsLibraries(NamedTuple):
     """SUNDIALS, a file for each part."""
 
     core: CDLL
@@ -103,7 +103,7 @@ class Libraries(NamedTuple):
 
 
 @cache
-def libraries() -> Libraries:
+def libraries() -> SundialsLibraries:
     """Load SUNDIALS.
 
     Raises
@@ -114,7 +114,7 @@ def libraries() -> Libraries:
     try:
         from fmpy.sundials import libraries as found
 
-        return Libraries(
+        return SundialsLibraries(
             found.sundials_core,
             found.sundials_nvecserial,
             found.sundials_sunmatrixdense,
@@ -129,7 +129,7 @@ def libraries() -> Libraries:
         ) from error
 
 
-class Integrator:
+class CvodeIntegrator:
     """CVODE for one number of states: backward differences, Newton's method, dense Jacobian.
 
     It has a context of its own, so that integrators may run in several threads. Its memory is freed
@@ -156,7 +156,7 @@ class Integrator:
         solver = _pointer(lib.linear, "SUNLinSol_Dense", vectors[0], matrix, context)
         memory = _pointer(lib.cvode, "CVodeCreate", c_int(BDF), context)
         lib.cvode["CVodeSetMaxHnilWarns"](memory, c_int(-1))  # as does this, to stdout
-        self.cvode = Cvode(
+        self.cvode = CvodeHandles(
             memory=memory.value or 0,
             states=vectors[0].value or 0,
             between=vectors[1].value or 0,
@@ -169,7 +169,7 @@ class Integrator:
             z=z,
             time=np.zeros(1),
             notes=np.zeros(9, np.int64),
-            jacobian=Jacobian.of(),
+            jacobian=DirectionalJacobian.of(),
         )
         freeing = weakref.finalize(
             self, _free, lib, memory, solver, matrix, vectors, context, (y, z)
@@ -178,7 +178,7 @@ class Integrator:
 
 
 def _free(
-    lib: Libraries,
+    lib: SundialsLibraries,
     memory: c_void_p,
     solver: c_void_p,
     matrix: c_void_p,

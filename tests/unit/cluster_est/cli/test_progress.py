@@ -9,12 +9,12 @@ from rich.console import Console
 
 from cluster_est.cli.progress import STARTING, ProgressLine, line
 from cluster_est.methods.base import Progress
-from cluster_est.running.records import Snapshot
+from cluster_est.running.records import RunSnapshot
 from cluster_est.running.runner import Budget
 
 
-def snapshot(cost: float, failures: int = 0) -> Snapshot:
-    return Snapshot("candidate", Progress(12, cost), 123456, 234567, failures, 16, 16, 4321.0)
+def snapshot(cost: float, failures: int = 0) -> RunSnapshot:
+    return RunSnapshot("candidate", Progress(12, cost), 123456, 234567, failures, 16, 16, 4321.0)
 
 
 def test_a_cost_that_is_not_known_yet_is_left_out():

@@ -18,8 +18,8 @@ from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.selection.accept import _left_out, predict, stays_bounded
 from cluster_est.closed_loop.selection.declared_model import THOROUGH
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import Start
-from cluster_est.methods.given_points import Look
+from cluster_est.closed_loop.workbench import FitStart
+from cluster_est.methods.given_points import GivenPoints
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.space import make_space
 from cluster_est.running.runner import SearchRequest
@@ -28,7 +28,7 @@ NAME = "mass_spring_damper"
 
 
 def fitted_to(problem, bench):
-    (fitted,) = bench.fit("fit", [Start(problem, {})], THOROUGH)
+    (fitted,) = bench.fit("fit", [FitStart(problem, {})], THOROUGH)
     return fitted
 
 
@@ -40,7 +40,7 @@ def by_refits(problem, bench):
         space = make_space(problem, others)
         (solution,) = bench.runner.run([SearchRequest("refit", LeastSquares(), space)])
         left_out = make_space(problem, (e,), starts=space.estimates(solution.x))
-        look = Look(left_out.start[None, :], "left out")
+        look = GivenPoints(left_out.start[None, :], "left out")
         bench.runner.run([SearchRequest("left out", look, left_out)])
         squares.append(float(np.sum(look.seen[0].residuals ** 2)))
     return np.array(squares)

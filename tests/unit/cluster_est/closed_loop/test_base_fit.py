@@ -13,7 +13,7 @@ from support.truth.systems_with_missing_effects import (
 )
 
 from cluster_est.closed_loop.selection.declared_model import THOROUGH, at_noise, fit_declared
-from cluster_est.closed_loop.workbench import Start
+from cluster_est.closed_loop.workbench import FitStart
 from cluster_est.errors import ProblemError
 
 NOISE = 0.01
@@ -27,7 +27,7 @@ def pendulum():
 @pytest.mark.parametrize("starts", [{"G": 6.0}, {"G": 0.7}, {"J": 0.04}])
 def test_a_pendulum_that_starts_at_a_wrong_frequency(pendulum, starts):
     with opened(started(pendulum, **starts)) as bench:
-        start = Start(bench.problem, {})
+        start = FitStart(bench.problem, {})
         (stuck,) = bench.fit("stuck", [start], THOROUGH)
         assert not at_noise(bench, stuck)
         found = fit_declared(bench, start)
@@ -49,7 +49,7 @@ def test_values_of_each_experiment_grow_along(pendulum):
         parameters=(*started(pendulum, G=6.0).parameters, angle),
     )  # fmt: skip
     with opened(problem) as bench:
-        found = fit_declared(bench, Start(bench.problem, {}))
+        found = fit_declared(bench, FitStart(bench.problem, {}))
     assert found.estimates["G"] == pytest.approx(2.0, rel=0.01)
     for e in range(2):
         assert found.estimates[f"angle0[e{e}]"] == pytest.approx(0.5, abs=0.01)
@@ -57,7 +57,7 @@ def test_values_of_each_experiment_grow_along(pendulum):
 
 def test_a_fit_at_the_noise_asks_for_nothing_more(pendulum):
     with opened(pendulum) as bench:
-        fit_declared(bench, Start(bench.problem, {}))
+        fit_declared(bench, FitStart(bench.problem, {}))
         assert bench.runner.evaluations < 40
 
 
@@ -66,4 +66,4 @@ def test_a_model_that_cannot_be_simulated_says_so(pendulum):
     broken = replace(mass, start=-1.0, lower=-2.0, upper=-0.5)
     problem = replace(pendulum, parameters=(broken, *others))
     with opened(problem) as bench, pytest.raises(ProblemError, match="cannot be simulated"):
-        fit_declared(bench, Start(bench.problem, {}))
+        fit_declared(bench, FitStart(bench.problem, {}))

@@ -11,7 +11,12 @@ from support.truth.systems_with_missing_effects import missing_effect_problem, o
 
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.screening import directions as module
-from cluster_est.closed_loop.screening.directions import Trial, directions, discretise, propagate
+from cluster_est.closed_loop.screening.directions import (
+    CandidatePoint,
+    directions,
+    discretise,
+    propagate,
+)
 from cluster_est.closed_loop.settings import LoopSettings
 from workers.messages import Linearisation
 
@@ -68,7 +73,7 @@ def drive():
             fitted.problem, bench.description, courses, [], LoopSettings(sites=("der(w_load)",))
         )
         known = [np.array(list(fitted.estimates.values()))] * len(courses)
-        yield courses, [Trial(c, c.grid[0]) for c in candidates], known
+        yield courses, [CandidatePoint(c, c.grid[0]) for c in candidates], known
 
 
 def test_blocks_make_no_difference(drive, monkeypatch):
@@ -93,7 +98,7 @@ def test_an_output_that_one_experiment_did_not_measure_moves_only_in_the_others(
             fitted.problem, bench.description, courses, [],
             LoopSettings(sites=("output load_speed",)),
         )  # fmt: skip
-        (trial,) = [Trial(c, c.grid[0]) for c in candidates if c.form.name == "bias"]
+        (trial,) = [CandidatePoint(c, c.grid[0]) for c in candidates if c.form.name == "bias"]
         known = [np.array(list(fitted.estimates.values()))] * 2
         (moved,) = directions(courses, [trial], known)
     n = len(first.outputs[0].times)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.closed_loop.candidates.make import Candidate
+from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.effect_curves import _function, _spread, _variable
 from workers.effects.forms import FORMS
-from workers.effects.site import Site
+from workers.effects.site import EffectSite
 from workers.messages import Effect
 
 NUMPY = {
@@ -27,10 +27,12 @@ PLAIN = [(kind, f) for (kind, _), f in FORMS.items() if not f.memory and not f.s
 X = np.linspace(-3.0, 4.0, 57)
 
 
-def candidate(kind: str, form) -> Candidate:
-    site = Site(kind, "a", "b" if kind == "pair" else "")
+def candidate(kind: str, form) -> EffectCandidate:
+    site = EffectSite(kind, "a", "b" if kind == "pair" else "")
     variables = ("v", "w")[: form.variables]
-    return Candidate(Effect("e", str(site), form.name, variables), form, site, False, (), (), ())
+    return EffectCandidate(
+        Effect("e", str(site), form.name, variables), form, site, False, (), (), ()
+    )
 
 
 @pytest.mark.parametrize(("kind", "form"), PLAIN, ids=lambda each: getattr(each, "name", each))

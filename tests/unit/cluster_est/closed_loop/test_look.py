@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cluster_est.methods.base import Ending, Evaluation
-from cluster_est.methods.given_points import Look
+from cluster_est.methods.given_points import GivenPoints
 from workers.messages import Outcome, Status
 
 
@@ -18,7 +18,7 @@ def evaluation(cost):
 
 def looked(*costs):
     points = np.arange(2.0 * len(costs)).reshape(-1, 2)
-    look = Look(points, "trial")
+    look = GivenPoints(points, "trial")
     steps = look.search(None, np.random.default_rng(0))
     asked = next(steps)
     assert asked.x is points

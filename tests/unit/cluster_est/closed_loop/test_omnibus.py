@@ -9,8 +9,8 @@ from support.truth.stacked_noise import stack
 
 from cluster_est.closed_loop.statistics import omnibus as module
 from cluster_est.closed_loop.statistics.omnibus import omnibus
-from cluster_est.closed_loop.statistics.projection import Projection
-from cluster_est.closed_loop.statistics.records import Records
+from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
+from cluster_est.closed_loop.statistics.records import StackedRecords
 
 RECORDS = stack(150, 100, 3, 1)
 TREND = np.concatenate([item.times for item in RECORDS.items])
@@ -19,7 +19,7 @@ SENSITIVITIES = np.column_stack([np.ones(RECORDS.size), TREND])
 
 def test_p_is_uniform_under_the_null() -> None:
     generator = np.random.default_rng(20)
-    projection = Projection(SENSITIVITIES)
+    projection = OrthogonalProjection(SENSITIVITIES)
     p = np.array(
         [
             omnibus(projection, generator.standard_normal(RECORDS.size), RECORDS, generator, 200).p
@@ -36,14 +36,14 @@ def test_a_smooth_bump_is_seen_whatever_its_width(width: float) -> None:
     bump = np.zeros(RECORDS.size)
     bump[:150] = np.exp(-0.5 * ((np.arange(150) - 70.0) / width) ** 2)
     residuals = 9.0 * bump / np.linalg.norm(bump) + generator.standard_normal(RECORDS.size)
-    found = omnibus(Projection(SENSITIVITIES), residuals, RECORDS, generator)
+    found = omnibus(OrthogonalProjection(SENSITIVITIES), residuals, RECORDS, generator)
     assert found.p == 1.0 / 401.0
     assert found.z > 4.0
 
 
 def test_what_the_parameters_explain_is_no_structure() -> None:
     noise = np.random.default_rng(22).standard_normal(RECORDS.size)
-    projection = Projection(SENSITIVITIES)
+    projection = OrthogonalProjection(SENSITIVITIES)
     shifted = noise + SENSITIVITIES @ np.array([50.0, -80.0])
     alone = omnibus(projection, noise, RECORDS, np.random.default_rng(0))
     both = omnibus(projection, -1e6 * shifted, RECORDS, np.random.default_rng(0))
@@ -56,7 +56,7 @@ def test_what_the_parameters_explain_is_no_structure() -> None:
 
 def test_draws_in_chunks_are_the_same_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     noise = np.random.default_rng(23).standard_normal(RECORDS.size)
-    projection = Projection(SENSITIVITIES)
+    projection = OrthogonalProjection(SENSITIVITIES)
     whole = omnibus(projection, noise, RECORDS, np.random.default_rng(0))
     monkeypatch.setattr(module, "NUMBERS_AT_ONCE", 7 * RECORDS.size)
     chunked = omnibus(projection, noise, RECORDS, np.random.default_rng(0))
@@ -65,7 +65,7 @@ def test_draws_in_chunks_are_the_same_draws(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.parametrize("records", [stack(40, 0, 25), stack(2), stack(13, 1, outputs=2)])
-def test_the_quadratic_form_is_that_of_the_kernel(records: Records) -> None:
+def test_the_quadratic_form_is_that_of_the_kernel(records: StackedRecords) -> None:
     signal = np.random.default_rng(24).standard_normal(records.size)
     lengths = (2, 6)
     expected = np.zeros(2)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cluster_est.closed_loop.selection.pairs import best_pairs
-from cluster_est.closed_loop.statistics.projection import Projection
+from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
 from cluster_est.closed_loop.statistics.score import score
 
 GENERATOR = np.random.default_rng(5)
@@ -23,7 +23,7 @@ def named(name, family="friction"):
 
 
 def screened(residuals, columns, trials=None):
-    scores = score(Projection(MATRIX), residuals, columns)
+    scores = score(OrthogonalProjection(MATRIX), residuals, columns)
     trials = trials or [named(f"e{i}") for i in range(len(columns))]
     return SimpleNamespace(plain=scores, trials=tuple(trials))
 

@@ -13,7 +13,7 @@ from support.truth.systems_with_missing_effects import (
 )
 
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.screening.directions import Trial
+from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.probe import probe
 from cluster_est.closed_loop.settings import LoopSettings
 
@@ -55,7 +55,7 @@ def probed():
         fitted = unfitted(bench)
         courses = bench.courses(fitted)
         candidates = make_candidates(problem, bench.description, courses, [], settings)
-        trials = [Trial(c, c.grid[0]) for c in candidates]
+        trials = [CandidatePoint(c, c.grid[0]) for c in candidates]
         columns = probe(bench, fitted, courses, trials)
         assert probe(bench, fitted, courses, []) == []
     found = {(str(t.candidate.site), t.candidate.form.name): (t, column)

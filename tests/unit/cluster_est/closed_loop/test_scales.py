@@ -5,29 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.closed_loop.candidates.scales import Scales, oscillates
-from cluster_est.closed_loop.candidates.trajectory import Course
-from workers.effects.forms import FORMS, Coefficient
-from workers.effects.site import Site
+from cluster_est.closed_loop.candidates.scales import SignalScales, oscillates
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from workers.effects.forms import FORMS, FormCoefficient
+from workers.effects.site import EffectSite
 
 T = np.linspace(0.0, 10.0, 2001)
 RATE = 2.0 * np.pi
-DER, OUT = Site("derivative", "v"), Site("output", "y")
+DER, OUT = EffectSite("derivative", "v"), EffectSite("output", "y")
 
 
 def course(times=T, **signals):
     zeros = np.zeros(len(times))
     columns = {name: np.broadcast_to(s, len(times)) for name, s in signals.items()}
-    return Course(times, columns, zeros[:, None], ("y",), None, np.zeros(0, int),
+    return LinearisedTrajectory(times, columns, zeros[:, None], ("y",), None, np.zeros(0, int),
                   np.zeros(0, int), np.zeros(0))  # fmt: skip
 
 
 SWING = 3.0 * np.sin(RATE * T)
-SCALES = Scales([course(v=SWING, y=SWING + 1.0), course(v=SWING, y=SWING + 1.0)], (2.5, 7.0))
+SCALES = SignalScales([course(v=SWING, y=SWING + 1.0), course(v=SWING, y=SWING + 1.0)], (2.5, 7.0))
 
 
 def grid(scale, *entries, site=DER):
-    return SCALES.grid(Coefficient("c", None, scale=scale, grid=entries), site, ("v",))
+    return SCALES.grid(FormCoefficient("c", None, scale=scale, grid=entries), site, ("v",))
 
 
 @pytest.mark.parametrize(
@@ -81,17 +81,17 @@ def test_a_signal_oscillates_if_it_clearly_takes_both_signs(signal, expected):
     ],
 )
 def test_forms_that_make_sense_for_a_signal(form, signal, expected):
-    scales = Scales([course(v=signal)], ())
+    scales = SignalScales([course(v=signal)], ())
     assert scales.allow(FORMS["derivative", form], DER, ("v",)) is expected
 
 
 @pytest.mark.parametrize("variables", [("v", "w"), ("w", "v")])
 def test_a_product_needs_two_signals_that_move(variables):
-    scales = Scales([course(v=SWING, w=2.0)], ())
+    scales = SignalScales([course(v=SWING, w=2.0)], ())
     assert not scales.allow(FORMS["derivative", "product"], DER, variables)
 
 
 def test_an_experiment_without_a_signal_does_not_count():
-    scales = Scales([course(v=SWING, y=SWING), course(v=SWING)], ())
-    coefficient = Coefficient("c", None, scale="max s", grid=(1.0,))
+    scales = SignalScales([course(v=SWING, y=SWING), course(v=SWING)], ())
+    coefficient = FormCoefficient("c", None, scale="max s", grid=(1.0,))
     assert scales.grid(coefficient, OUT, ()) == pytest.approx((3.0,), rel=1e-3)

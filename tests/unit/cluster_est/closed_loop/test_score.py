@@ -7,8 +7,8 @@ import pytest
 from scipy.special import erfcx, gamma
 from scipy.stats import beta, chi2, kstest
 
-from cluster_est.closed_loop.statistics.projection import Projection
-from cluster_est.closed_loop.statistics.score import Scores, family_wise, log_survival, score
+from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
+from cluster_est.closed_loop.statistics.score import ScoreTests, family_wise, log_survival, score
 from workers.messages import FloatArray
 
 N = 300
@@ -28,7 +28,7 @@ def smooth_candidates(generator: np.random.Generator, count: int) -> list[FloatA
 
 def test_statistics_of_noise_are_chi_squared() -> None:
     generator = np.random.default_rng(10)
-    projection = Projection(sensitivities(generator))
+    projection = OrthogonalProjection(sensitivities(generator))
     columns = [generator.standard_normal((N, d)) for d in (1, 3)]
     drawn = [score(projection, generator.standard_normal(N), columns) for _ in range(400)]
     statistics = np.array([scores.statistics for scores in drawn])
@@ -45,7 +45,7 @@ def test_explained_is_what_a_joint_linear_fit_gains() -> None:
     matrix = sensitivities(generator)
     residuals = generator.standard_normal(N).cumsum()
     columns = smooth_candidates(generator, 7)
-    scores = score(Projection(matrix), residuals, columns)
+    scores = score(OrthogonalProjection(matrix), residuals, columns)
 
     def squares(regressors: FloatArray) -> float:
         fit = np.linalg.lstsq(regressors, residuals, rcond=None)[0]
@@ -61,7 +61,7 @@ def test_explained_is_what_a_joint_linear_fit_gains() -> None:
 
 def test_bases_are_orthonormal_and_free_of_the_parameters() -> None:
     generator = np.random.default_rng(12)
-    projection = Projection(sensitivities(generator))
+    projection = OrthogonalProjection(sensitivities(generator))
     scores = score(projection, generator.standard_normal(N), smooth_candidates(generator, 9))
     np.testing.assert_allclose(projection.basis.T @ scores.bases, 0.0, atol=1e-10)
     for start, stop in zip(scores.offsets, scores.offsets[1:], strict=False):
@@ -72,7 +72,7 @@ def test_bases_are_orthonormal_and_free_of_the_parameters() -> None:
     np.testing.assert_allclose(squares, scores.statistics)
 
 
-def assert_same(left: Scores, right: Scores) -> None:
+def assert_same(left: ScoreTests, right: ScoreTests) -> None:
     for name in ("statistics", "ratio", "log_p", "explained"):
         np.testing.assert_allclose(getattr(left, name), getattr(right, name), rtol=1e-7)
     assert left.df.tolist() == right.df.tolist()
@@ -80,7 +80,7 @@ def assert_same(left: Scores, right: Scores) -> None:
 
 def test_scales_and_order_do_not_matter() -> None:
     generator = np.random.default_rng(13)
-    projection = Projection(sensitivities(generator))
+    projection = OrthogonalProjection(sensitivities(generator))
     residuals = generator.standard_normal(N).cumsum()
     columns = smooth_candidates(generator, 12)
     scores = score(projection, residuals, columns)
@@ -99,12 +99,14 @@ def test_scales_and_order_do_not_matter() -> None:
 def test_what_parameters_imitate_is_set_aside() -> None:
     generator = np.random.default_rng(14)
     matrix = sensitivities(generator)
-    projection = Projection(matrix)
+    projection = OrthogonalProjection(matrix)
     imitated = matrix @ np.ones((PARAMETERS, 1))
     other = projection.remove(generator.standard_normal((N, 1)))
     other *= np.linalg.norm(imitated) / np.linalg.norm(other)
     # hardly outside the parameters, and orthogonal to `other`
-    third = Projection(np.hstack([matrix, other])).remove(generator.standard_normal((N, 1)))
+    third = OrthogonalProjection(np.hstack([matrix, other])).remove(
+        generator.standard_normal((N, 1))
+    )
     hidden = imitated + 0.001 * np.linalg.norm(imitated) / np.linalg.norm(third) * third
     columns = [
         imitated,
@@ -126,7 +128,7 @@ def test_what_parameters_imitate_is_set_aside() -> None:
 def test_a_planted_effect_is_found() -> None:
     generator = np.random.default_rng(15)
     matrix = sensitivities(generator)
-    projection = Projection(matrix)
+    projection = OrthogonalProjection(matrix)
     columns = smooth_candidates(generator, 60)
     effect = projection.remove(columns[17][:, 0])
     # strength: 8 standard deviations of the estimated coefficient; the parameters are off too
@@ -166,7 +168,7 @@ def test_log_survival_agrees_with_scipy_and_with_the_finite_sum(df: int) -> None
 
 def test_family_wise_p_is_uniform_under_the_null() -> None:
     generator = np.random.default_rng(16)
-    projection = Projection(sensitivities(generator))
+    projection = OrthogonalProjection(sensitivities(generator))
     columns = smooth_candidates(generator, 60)
     p = np.array(
         [
@@ -180,7 +182,7 @@ def test_family_wise_p_is_uniform_under_the_null() -> None:
 
 def test_effective_number_of_candidates() -> None:
     generator = np.random.default_rng(17)
-    projection = Projection(np.zeros((2000, 0)))
+    projection = OrthogonalProjection(np.zeros((2000, 0)))
     residuals = generator.standard_normal(2000)
     basis = np.linalg.qr(generator.standard_normal((2000, 20)))[0]
     different = [basis[:, k : k + 1] for k in range(20)]
@@ -197,7 +199,7 @@ def test_effective_number_of_candidates() -> None:
 def test_few_degrees_of_freedom_are_exact() -> None:
     # the candidates span all that the projection leaves: T is at most the degrees of freedom
     generator = np.random.default_rng(18)
-    projection = Projection(generator.standard_normal((8, 3)))
+    projection = OrthogonalProjection(generator.standard_normal((8, 3)))
     columns = [generator.standard_normal((8, 1)) for _ in range(6)]
     p = [
         family_wise(score(projection, generator.standard_normal(8), columns), generator, 300).p
@@ -209,7 +211,7 @@ def test_few_degrees_of_freedom_are_exact() -> None:
 def test_nothing_to_test() -> None:
     generator = np.random.default_rng(19)
     matrix = sensitivities(generator)
-    projection = Projection(matrix)
+    projection = OrthogonalProjection(matrix)
     residuals = generator.standard_normal(N)
     assert family_wise(score(projection, residuals, []), generator).p == 1.0
     assert family_wise(score(projection, residuals, [matrix[:, :1]]), generator).p == 1.0

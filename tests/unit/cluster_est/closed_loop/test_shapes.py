@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cluster_est.closed_loop.candidates.shapes import Signals, shape_of
+from cluster_est.closed_loop.candidates.shapes import FormArguments, shape_of
 from workers.effects.forms import FORMS
 
 T = np.linspace(0.0, 4.0, 401)
 S = 1.5 * np.sin(2.0 * T) + 0.2
 V = np.cos(3.0 * T) + 0.1 * T
 W = np.sin(5.0 * T + 1.0)
-SIGNALS = Signals(T, S, V, W)
+SIGNALS = FormArguments(T, S, V, W)
 HATS = [np.interp(V, np.linspace(-0.9, 1.1, 7), np.eye(7)[i]) for i in range(7)]
 OUTER = np.maximum(V - 0.4, 0) - np.maximum(-V - 0.4, 0)
 SIGNED = np.sign(V) * np.sqrt(np.abs(V))

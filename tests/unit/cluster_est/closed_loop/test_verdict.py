@@ -12,11 +12,11 @@ from support.truth.stacked_noise import stack
 from cluster_est.closed_loop.findings.result import Verdict
 from cluster_est.closed_loop.findings.verdict import judge
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.statistics.omnibus import Omnibus
+from cluster_est.closed_loop.statistics.omnibus import OmnibusTest
 
 RECORDS = stack(100, 100, 100, 100)
 FLOOR = 400.0
-QUIET, STRUCTURED = Omnibus(0.5, 0.1), Omnibus(0.0025, 30.0)
+QUIET, STRUCTURED = OmnibusTest(0.5, 0.1), OmnibusTest(0.0025, 30.0)
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class Case:
     base: float
     now: float
     why: str
-    omnibus: Omnibus = QUIET
+    omnibus: OmnibusTest = QUIET
     families: tuple[str, ...] = ("friction",)
     left_out: float = np.nan
-    white: Omnibus | None = None
+    white: OmnibusTest | None = None
 
     def search(self):
         before = np.full(4, self.base * FLOOR / 4)

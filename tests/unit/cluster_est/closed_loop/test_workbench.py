@@ -16,8 +16,8 @@ from support.truth.systems_with_missing_effects import (
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.selection.declared_model import BRIEF
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import Meter, Start
-from cluster_est.running.runner import Origin
+from cluster_est.closed_loop.workbench import FitStart, SimulationMeter
+from cluster_est.running.runner import TaskOrigin
 from workers.messages import Outcome, Status
 
 NAME = "mass_spring_damper"
@@ -73,7 +73,7 @@ def test_each_output_has_a_variance_of_its_own():
 
 
 def test_rehearsals_start_from_the_values_of_their_experiments(bench):
-    start = Start(bench.problem, {"m": 1.3, "c[e0]": 0.7, "c[e1]": 0.9})
+    start = FitStart(bench.problem, {"m": 1.3, "c[e0]": 0.7, "c[e1]": 0.9})
     space = bench.space(start, "15%")
     labels = [u.label for u in space.unknowns]
     assert labels == ["m", "k", "c[e0 (first 15%)]", "c[e1 (first 15%)]"]
@@ -85,8 +85,8 @@ def test_a_fit_that_cannot_be_simulated_is_none(bench):
     heavy, *others = bench.problem.parameters
     light = replace(heavy, start=-1.0, lower=-2.0, upper=-0.5)
     broken = replace(bench.problem, parameters=(light, *others))
-    good = Start(bench.problem, {})
-    fits = bench.fit("some", [good, Start(broken, {}), good], BRIEF)
+    good = FitStart(bench.problem, {})
+    fits = bench.fit("some", [good, FitStart(broken, {}), good], BRIEF)
     assert [fit is None for fit in fits] == [False, True, False]
     assert fits[0].x.tobytes() == fits[2].x.tobytes()
 
@@ -94,9 +94,9 @@ def test_a_fit_that_cannot_be_simulated_is_none(bench):
 def test_a_meter_counts_parts_of_experiments(bench):
     heard = []
     runs = bench.everything.experiments
-    meter = Meter(runs, lambda origin, outcome: heard.append(origin.experiment))
+    meter = SimulationMeter(runs, lambda origin, outcome: heard.append(origin.experiment))
     for i in (0, 2, 2, 4):
-        meter(Origin("s", 0, "p", i, np.zeros(0)), Outcome(i, Status.OK))
+        meter(TaskOrigin("s", 0, "p", i, np.zeros(0)), Outcome(i, Status.OK))
     expected = sum((runs[i].stop - runs[i].start) / 6.0 for i in (0, 2, 2, 4))
     assert meter.full == pytest.approx(expected, rel=1e-6)
     assert heard == [0, 2, 2, 4]

@@ -12,21 +12,21 @@ from scipy.stats import norm
 
 from cluster_est.costs import ALIASES, COSTS
 from cluster_est.costs.likelihood import GaussianLikelihood
-from cluster_est.costs.robust import Cauchy, Huber, SoftL1
+from cluster_est.costs.robust import CauchyCost, HuberCost, SoftL1
 from cluster_est.costs.sum_absolute import SumAbsolute
 from cluster_est.costs.sum_squared import SumSquared
-from cluster_est.costs.total import Total
+from cluster_est.costs.total import TotalCost
 
 # "rho(z)" as the documentation of scipy.optimize.least_squares writes them
 RHO = {
-    Huber: lambda z: z if z <= 1.0 else 2.0 * z**0.5 - 1.0,
+    HuberCost: lambda z: z if z <= 1.0 else 2.0 * z**0.5 - 1.0,
     SoftL1: lambda z: 2.0 * ((1.0 + z) ** 0.5 - 1.0),
-    Cauchy: lambda z: np.log1p(z),
+    CauchyCost: lambda z: np.log1p(z),
 }
 SLOPE = {
-    Huber: lambda z: 1.0 if z <= 1.0 else z**-0.5,
+    HuberCost: lambda z: 1.0 if z <= 1.0 else z**-0.5,
     SoftL1: lambda z: (1.0 + z) ** -0.5,
-    Cauchy: lambda z: 1.0 / (1.0 + z),
+    CauchyCost: lambda z: 1.0 / (1.0 + z),
 }
 ONE = np.zeros(0, np.int64)
 RESIDUALS = arrays(np.float64, st.integers(1, 30), elements=st.floats(-1e3, 1e3))
@@ -86,9 +86,9 @@ def test_sums():
     residuals = np.array([3.0, -4.0, 0.5])
     assert SumSquared().value(residuals, ONE) == 25.25
     assert SumAbsolute().value(residuals, ONE) == 7.5
-    assert Total().value(residuals, ONE) == -0.5
+    assert TotalCost().value(residuals, ONE) == -0.5
     assert SumAbsolute().weights(residuals, ONE) is None
-    assert Total().weights(residuals, ONE) is None
+    assert TotalCost().weights(residuals, ONE) is None
 
 
 def test_the_names_of_other_tools():

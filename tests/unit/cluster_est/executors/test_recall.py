@@ -11,13 +11,13 @@ from support.cut_logs import cut
 from support.problems.functions import FunctionProblem
 from support.shuffling_executor import MoodyExecutor
 
-from cluster_est.executors.log_replay import Recall
+from cluster_est.executors.log_replay import LogReplayExecutor
 from cluster_est.methods.base import Solution
 from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
 from cluster_est.problem.space import make_space
 from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings, read_log
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
-from cluster_est.running.records import Origin
+from cluster_est.running.records import TaskOrigin
 from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import Outcome, Status, Task, Trajectory
 
@@ -54,9 +54,9 @@ def tasks(*values: float, want: str = "residuals") -> list[Task]:
     return [Task(i, 0, np.array([v, 0.5]), want) for i, v in enumerate(values)]  # type: ignore[arg-type]
 
 
-def origin(task: Task) -> Origin:
+def origin(task: Task) -> TaskOrigin:
     asked = task.experiment, task.values, task.effects
-    return Origin("train", 0, "trial", *asked, want=task.want)
+    return TaskOrigin("train", 0, "trial", *asked, want=task.want)
 
 
 def log_of(folder: Path, *, settings: LogSettings | None = None) -> EvaluationLog:
@@ -73,11 +73,11 @@ def write(folder: Path, asked: list[Task], settings: LogSettings | None = None) 
     log.close()
 
 
-def recall(folder: Path, inner: MoodyExecutor) -> Recall:
-    return Recall(inner, MODEL, EXPERIMENTS, LoggedOutcomes(folder))
+def recall(folder: Path, inner: MoodyExecutor) -> LogReplayExecutor:
+    return LogReplayExecutor(inner, MODEL, EXPERIMENTS, LoggedOutcomes(folder))
 
 
-def drain(executor: Recall, count: int) -> list[int]:
+def drain(executor: LogReplayExecutor, count: int) -> list[int]:
     found: list[int] = []
     while len(found) < count:
         found += [outcome.task for outcome in executor.completed()]
@@ -169,7 +169,7 @@ def test_only_what_was_answered_from_the_log_is_known_to_be_logged(tmp_path: Pat
     asked = tasks(0.1, 0.2)
     write(tmp_path, asked[:1])
     logged = LoggedOutcomes(tmp_path)
-    executor = Recall(MoodyExecutor(answer), MODEL, EXPERIMENTS, logged)
+    executor = LogReplayExecutor(MoodyExecutor(answer), MODEL, EXPERIMENTS, logged)
     executor.submit(asked)
     drain(executor, 2)
     assert [logged.was_answered(task.id) for task in asked] == [True, False]
@@ -182,12 +182,12 @@ def searched(folder: Path, seed: int) -> tuple[Solution, MoodyExecutor]:
     log = log_of(folder)
     inner = MoodyExecutor(answer, seed, workers=4)
 
-    def record(who: Origin, outcome: Outcome) -> None:
+    def record(who: TaskOrigin, outcome: Outcome) -> None:
         if not logged.was_answered(outcome.task):
             log.record(who, outcome)
 
     request = SearchRequest("train", AsynchronousPatternSearch(), make_space(PROBLEM, (0,)), 3)
-    executor = Recall(inner, MODEL, EXPERIMENTS, logged)
+    executor = LogReplayExecutor(inner, MODEL, EXPERIMENTS, logged)
     (solution,) = Runner(executor, record=record).run([request])
     log.close()
     return solution, inner

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from support.problems.functions import PROBLEMS, FunctionExecutor, FunctionProblem, rosenbrock
 from support.problems.rough import ROUGH
 
-from cluster_est.costs.total import Total
+from cluster_est.costs.total import TotalCost
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.methods.simplex.nelder_mead import NelderMead
@@ -135,7 +135,7 @@ def test_a_simplex_that_collapsed_is_not_taken_for_a_minimum():
         a, b = (x - 1.0) / 0.25 @ edges
         return np.array([(360.0 if a <= 0.0 else 6.0) * a**2 + b + b**2])
 
-    problem = FunctionProblem("mckinnon", mckinnon, (1.0, 1.0), -0.25, cost=Total())
+    problem = FunctionProblem("mckinnon", mckinnon, (1.0, 1.0), -0.25, cost=TotalCost())
     assert problem.solve(NelderMead(max_restarts=0)).cost == pytest.approx(0.0, abs=1e-3)
     assert problem.solve(NelderMead()).cost == pytest.approx(-0.25, abs=1e-7)
 

@@ -23,19 +23,19 @@ from support.problems.functions import (
 from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver
 from cluster_est.costs.sum_absolute import SumAbsolute
 from cluster_est.costs.sum_squared import SumSquared
-from cluster_est.costs.total import Total
+from cluster_est.costs.total import TotalCost
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending
 from cluster_est.methods.populations.cmaes import Cmaes
 from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
-from cluster_est.methods.populations.genetic import Genetic
+from cluster_est.methods.populations.genetic import GeneticAlgorithm
 from cluster_est.methods.populations.isres import Isres
 from cluster_est.methods.populations.nsga2 import Nsga2
 from cluster_est.methods.populations.particle_swarm import ParticleSwarm
 from cluster_est.problem.space import make_space
 from cluster_est.running.evaluation import judge
 from cluster_est.running.runner import Runner, SearchRequest
-from workers.messages import Function, Outcome, Status
+from workers.messages import Outcome, Status, UserFunction
 
 SHIFT = np.array([0.3, -0.7, 0.11])
 
@@ -71,10 +71,10 @@ ROSENBROCK = FunctionProblem("rosenbrock", rosenbrock, (-1.2, 1.0), 0.0, (-2, -2
 BEALE = FunctionProblem("beale", beale, (1.0, 0.8), 0.0, (-4.5, -4.5), (4.5, 4.5))
 ON_A_BOUND = FunctionProblem("bound", rosenbrock, (-1.2, 1.0), 0.25, (-2.0, -2.0), (0.5, 2.0))
 RASTRIGIN = FunctionProblem(
-    "rastrigin", rastrigin, (3.3, -2.7, 1.2), 0.0, (-5.12,) * 3, (5.0,) * 3, cost=Total()
+    "rastrigin", rastrigin, (3.3, -2.7, 1.2), 0.0, (-5.12,) * 3, (5.0,) * 3, cost=TotalCost()
 )
 ACKLEY = FunctionProblem(
-    "ackley", ackley, (10.3, -2.7, 11.2), 0.0, (-15.0,) * 3, (20.0,) * 3, cost=Total()
+    "ackley", ackley, (10.3, -2.7, 11.2), 0.0, (-15.0,) * 3, (20.0,) * 3, cost=TotalCost()
 )
 # problems 11 and 43 of W. Hock, K. Schittkowski, Test Examples for Nonlinear Programming Codes
 # (1981), doi:10.1007/978-3-642-48320-2, and 7 and 39, which have equalities
@@ -87,7 +87,7 @@ HS11 = FunctionProblem(
     (10.0,) * 2,
     lambda x: np.array([x[0] ** 2 - x[1]]),
     (False,),
-    Total(),
+    TotalCost(),
 )
 HS43 = FunctionProblem(
     "hs43",
@@ -98,7 +98,7 @@ HS43 = FunctionProblem(
     (10.0,) * 4,
     hs43_constraints,
     (False,) * 3,
-    Total(),
+    TotalCost(),
 )
 HS7 = FunctionProblem(
     "hs7",
@@ -109,7 +109,7 @@ HS7 = FunctionProblem(
     (3.0,) * 2,
     lambda x: np.array([(1.0 + x[0] ** 2) ** 2 + x[1] ** 2 - 4.0]),
     (True,),
-    Total(),
+    TotalCost(),
 )
 HS39 = FunctionProblem(
     "hs39",
@@ -120,7 +120,7 @@ HS39 = FunctionProblem(
     (3.0,) * 4,
     lambda x: np.array([x[1] - x[0] ** 3 - x[2] ** 2, x[0] ** 2 - x[1] - x[3] ** 2]),
     (True, True),
-    Total(),
+    TotalCost(),
 )
 MINIMA = [
     (DifferentialEvolution(), ROSENBROCK, 1e-10),
@@ -138,11 +138,11 @@ MINIMA = [
     (ParticleSwarm(), RASTRIGIN, 1e-8),
     (ParticleSwarm(adaptive=True), ACKLEY, 1e-4),
     # few digits, as its docstring says
-    (Genetic(), ROSENBROCK, 1e-2),
-    (Genetic(), BEALE, 1e-3),
-    (Genetic(), ON_A_BOUND, 1e-3),
-    (Genetic(), RASTRIGIN, 1e-2),
-    (Genetic(), ACKLEY, 5e-2),
+    (GeneticAlgorithm(), ROSENBROCK, 1e-2),
+    (GeneticAlgorithm(), BEALE, 1e-3),
+    (GeneticAlgorithm(), ON_A_BOUND, 1e-3),
+    (GeneticAlgorithm(), RASTRIGIN, 1e-2),
+    (GeneticAlgorithm(), ACKLEY, 5e-2),
     (Isres(), ROSENBROCK, 1e-8),
     (Isres(), BEALE, 1e-8),
     (Isres(), ON_A_BOUND, 1e-8),
@@ -158,7 +158,7 @@ SMALL = [
     DifferentialEvolution(population=12, max_generations=15),
     Cmaes(population=12, max_generations=15),
     ParticleSwarm(population=12, max_generations=15),
-    Genetic(population=12, max_generations=15),
+    GeneticAlgorithm(population=12, max_generations=15),
     Isres(population=14, max_generations=15),
 ]
 names = pytest.mark.parametrize("method", SMALL, ids=lambda m: m.name)
@@ -233,7 +233,7 @@ def test_mostly_finds_the_least_of_several_minima(method, problem, tolerance):
         (DifferentialEvolution(), 1e-5),
         (Cmaes(), 1e-5),
         (ParticleSwarm(), 0.1),
-        (Genetic(max_generations=200), 1.0),
+        (GeneticAlgorithm(max_generations=200), 1.0),
         (Isres(), 1e-5),
     ],
     ids=lambda v: getattr(v, "name", ""),
@@ -511,7 +511,9 @@ class TestNsga2:
     def test_constraints_cut_the_front(self):
         # x0 <= 0.5 leaves the half of the segment that is nearer to A
         problem = two_objectives()
-        experiment = replace(problem.experiments[0], constraint_functions=(Function("none", "c"),))
+        experiment = replace(
+            problem.experiments[0], constraint_functions=(UserFunction("none", "c"),)
+        )
         space = make_space(replace(problem, experiments=(experiment,)), (0,))
         executor = FunctionExecutor(two_outputs, lambda x: np.array([x[0] - 0.5]))
         with executor:
@@ -548,7 +550,7 @@ class TestNsga2:
             Nsga2().check(single)
 
     def test_refuses_outputs_of_cost_functions(self):
-        problem = two_objectives(experiments=2, function=Function("none", "f"))
+        problem = two_objectives(experiments=2, function=UserFunction("none", "f"))
         space = make_space(problem, (0, 1))
         with pytest.raises(ProblemError, match='must be "experiments" where'):
             Nsga2().check(space)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, minimize
 
-from cluster_est.methods.sqp.quadratic_program import Model, penalised_step
+from cluster_est.methods.sqp.quadratic_program import QuadraticSubproblem, penalised_step
 
 SEEDS = range(20)
 
@@ -16,7 +16,7 @@ def random_model(seed, unknowns=4, rows=5, equalities=1, constraints=None):
     random = np.random.default_rng(seed)
     root = random.normal(size=(unknowns, unknowns))
     which = np.arange(rows) if constraints is None else np.arange(rows) % constraints
-    return Model(
+    return QuadraticSubproblem(
         random.normal(size=unknowns),
         root.T @ root + 0.1 * np.eye(unknowns),
         random.normal(size=rows),
@@ -85,7 +85,7 @@ def test_multipliers_balance_the_gradient(seed):
 
 
 def test_a_large_penalty_satisfies_constraints_that_can_be_satisfied():
-    model = Model(
+    model = QuadraticSubproblem(
         np.array([-1.0, 0.0]),
         np.zeros((2, 2)),
         np.array([-0.25, 0.0]),
@@ -100,7 +100,7 @@ def test_a_large_penalty_satisfies_constraints_that_can_be_satisfied():
 
 def test_units_of_the_unknowns_do_not_matter():
     model, scale = random_model(3), np.array([1e8, 1e-6, 1.0, 1e3])
-    scaled = Model(
+    scaled = QuadraticSubproblem(
         model.gradient / scale,
         model.hessian / np.outer(scale, scale),
         model.values,
@@ -127,7 +127,7 @@ def test_unknowns_without_room_stay():
 @pytest.mark.parametrize("value", [-1e3, -1.0, 1.0])
 def test_constraints_that_no_step_changes_do_not_matter(value):
     model = random_model(2)
-    flat = Model(
+    flat = QuadraticSubproblem(
         model.gradient,
         model.hessian,
         np.append(model.values, value),

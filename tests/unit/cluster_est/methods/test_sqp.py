@@ -10,10 +10,10 @@ from scipy.optimize import minimize, minimize_scalar
 from support.problems.constrained import CONSTRAINED, EQUAL, LEAST, Total, at_most, scalar
 from support.problems.functions import PROBLEMS, FunctionProblem, rosenbrock
 
-from cluster_est.costs.robust import Cauchy, Huber
+from cluster_est.costs.robust import CauchyCost, HuberCost
 from cluster_est.methods.base import Ending, Points
 from cluster_est.methods.sqp.method import Sqp
-from cluster_est.methods.sqp.trust_region import Settings, sequential_search
+from cluster_est.methods.sqp.trust_region import SqpOptions, sequential_search
 from cluster_est.problem.space import make_space
 
 METHODS = [
@@ -114,7 +114,7 @@ class TestSolution:
     def test_has_none_where_the_cost_is_no_sum_over_residuals(self, method):
         assert problem_called("hs7").solve(method).jacobian is None
 
-    @pytest.mark.parametrize("cost", [Huber(0.5), Cauchy(0.5)], ids=repr)
+    @pytest.mark.parametrize("cost", [HuberCost(0.5), CauchyCost(0.5)], ids=repr)
     def test_robust_costs_under_a_constraint(self, method, cost):
         times = np.linspace(0.0, 3.0, 30)
         measured = 2.0 * np.exp(-times) + 0.5
@@ -383,7 +383,7 @@ class TestFailures:
 
 def test_another_method_may_use_the_search():
     space = make_space(problem_called("hs14").problem(), (0,))
-    search = sequential_search(space, Settings(hessian="gauss_newton"))
+    search = sequential_search(space, SqpOptions(hessian="gauss_newton"))
     points = next(search)
     assert points.purpose == "start"
     np.testing.assert_array_equal(points.x, [[2.0, 2.0]])

@@ -15,7 +15,7 @@ from cluster_est.methods.base import Evaluation
 from cluster_est.problem.problem import Parameter
 from cluster_est.problem.space import make_space
 from cluster_est.running.evaluation import judge, violation
-from workers.messages import Function, Outcome, SignalBound, Status
+from workers.messages import Outcome, SignalBound, Status, UserFunction
 
 PER = [None, "experiment", "group:rig", "group:day"]
 
@@ -169,7 +169,7 @@ def test_constraints_of_experiments_stand_behind_those_on_parameters():
         2,
         ["a = 1"],
         bounds=(bound, final),
-        constraint_functions=(Function("none", "f"), Function("none", "g", equality=True)),
+        constraint_functions=(UserFunction("none", "f"), UserFunction("none", "g", equality=True)),
     )
     space = make_space(problem, (0, 1))
     each = [("box lower", False), ("box upper", False), ("end", True), ("f", False), ("g", True)]
@@ -198,7 +198,7 @@ def test_a_point_is_judged_by_all_its_constraints():
         [Parameter("a", 1.0)],
         2,
         ["a <= 3", "a = 1"],
-        constraint_functions=(Function("none", "f"), Function("none", "g", equality=True)),
+        constraint_functions=(UserFunction("none", "f"), UserFunction("none", "g", equality=True)),
     )
     space = make_space(problem, (0, 1))
     x = np.array([1.0])

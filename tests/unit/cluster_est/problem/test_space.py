@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cluster_est.errors import ProblemError
 from cluster_est.problem.problem import Parameter, Problem
-from cluster_est.problem.space import Space, make_space
+from cluster_est.problem.space import SearchSpace, make_space
 from workers.messages import Experiment, Model, Output, Solver
 
 PER = [None, "experiment", "group:rig", "group:day"]
@@ -39,7 +39,7 @@ def make_problem(
 
 
 @st.composite
-def spaces(draw: st.DrawFn) -> Space:
+def spaces(draw: st.DrawFn) -> SearchSpace:
     count = draw(st.integers(1, 8))
     kinds = draw(st.lists(st.sampled_from(PER), min_size=1, max_size=6))
     parameters = [
@@ -58,7 +58,7 @@ def spaces(draw: st.DrawFn) -> Space:
 
 
 @given(spaces())
-def test_unknowns_of_a_colour_share_no_experiment_and_each_has_one(space: Space) -> None:
+def test_unknowns_of_a_colour_share_no_experiment_and_each_has_one(space: SearchSpace) -> None:
     members = np.concatenate([np.zeros(0, int), *space.colours])
     assert sorted(members) == list(range(space.size))
     for colour in space.colours:
@@ -66,7 +66,7 @@ def test_unknowns_of_a_colour_share_no_experiment_and_each_has_one(space: Space)
 
 
 @given(spaces())
-def test_unknown_moves_just_its_own_experiments(space: Space) -> None:
+def test_unknown_moves_just_its_own_experiments(space: SearchSpace) -> None:
     before = space.physical(space.start)
     for i, unknown in enumerate(space.unknowns):
         x = space.start.copy()
@@ -77,7 +77,7 @@ def test_unknown_moves_just_its_own_experiments(space: Space) -> None:
 
 
 @given(spaces())
-def test_values_are_known_or_the_starts(space: Space) -> None:
+def test_values_are_known_or_the_starts(space: SearchSpace) -> None:
     physical = space.physical(space.start)
     assert physical.shape == (len(space.experiments), len(space.problem.parameters))
     for row, e in zip(physical, space.experiments, strict=True):
@@ -87,7 +87,7 @@ def test_values_are_known_or_the_starts(space: Space) -> None:
 
 
 @given(spaces())
-def test_unknowns_are_named_after_what_they_are_for(space: Space) -> None:
+def test_unknowns_are_named_after_what_they_are_for(space: SearchSpace) -> None:
     labels = [u.label for u in space.unknowns]
     assert len(set(labels)) == len(labels)
     for unknown in space.unknowns:
@@ -103,7 +103,7 @@ def test_unknowns_are_named_after_what_they_are_for(space: Space) -> None:
 
 
 @given(spaces())
-def test_values_given_by_label_are_kept_instead_of_searched(space: Space) -> None:
+def test_values_given_by_label_are_kept_instead_of_searched(space: SearchSpace) -> None:
     given_values = {u.label: 2.0 + i for i, u in enumerate(space.unknowns) if i % 2 == 0}
     fewer = make_space(space.problem, space.experiments, given_values)
     left = [u.label for u in space.unknowns if u.label not in given_values]

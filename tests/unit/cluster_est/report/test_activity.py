@@ -7,8 +7,8 @@ import pyarrow as pa
 import pytest
 
 from cluster_est.report.activity import (
-    Activity,
     ActivityTail,
+    LogActivity,
     busy_shares,
     read_activity,
     without_breaks,
@@ -103,7 +103,7 @@ def test_there_need_not_be_a_log(tmp_path):
 def test_busy_shares_are_those_of_the_simulations():
     worker = np.array([0, 0, 1])
     ended, seconds = np.array([12.0, 20.0, 20.0]), np.array([2.0, 4.0, 10.0])
-    activity = Activity(3, ("a", "b"), worker, ended, seconds, ())
+    activity = LogActivity(3, ("a", "b"), worker, ended, seconds, ())
     edges, shares = busy_shares(activity, 5)
     assert edges.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
     assert shares[0] == pytest.approx([1.0, 0.0, 0.0, 1.0, 1.0])
@@ -112,7 +112,7 @@ def test_busy_shares_are_those_of_the_simulations():
 
 def test_long_breaks_are_cut_out_of_the_time_line_and_short_ones_stay():
     ended = np.array([10.0, 1010.0, 12.0, 1015.0])
-    activity = Activity(4, ("a",), np.zeros(4, int), ended, np.array([1.0, 2.0, 1.0, 1.0]), ())
+    activity = LogActivity(4, ("a",), np.zeros(4, int), ended, np.array([1.0, 2.0, 1.0, 1.0]), ())
     shorter, idle = without_breaks(activity)
     assert idle == pytest.approx(1008.0 - 12.0)
     assert shorter.ended == pytest.approx([10.0, 1010.0 - idle, 12.0, 1015.0 - idle])

@@ -14,13 +14,13 @@ from cluster_est.run_folder import evaluation_log
 from cluster_est.run_folder.evaluation_log import SCHEMA, EvaluationLog, LogSettings, read_log
 from cluster_est.run_folder.log_format import END_OF_STREAM, mend
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
-from cluster_est.running.runner import Origin
+from cluster_est.running.runner import TaskOrigin
 from workers.messages import Effect, Outcome, Status, Trajectory
 
 EXPERIMENTS = [("first", "key1"), ("second", "key2")]
 METADATA = {"config_hash": "abc", "format": "1"}
 
-Row = tuple[Origin, Outcome]
+Row = tuple[TaskOrigin, Outcome]
 
 
 @pytest.fixture(autouse=True)
@@ -33,7 +33,7 @@ def rows(count: int) -> list[Row]:
     """Simulations, every third of which failed."""
     made = []
     for i in range(count):
-        origin = Origin("train", i // 2, "trial", i % 2, np.array([0.1 * i, -1.0]))
+        origin = TaskOrigin("train", i // 2, "trial", i % 2, np.array([0.1 * i, -1.0]))
         outcome = Outcome(i, Status.OK, np.array([0.5, -i, 1e-300][: 2 + i % 2]), seconds=0.25)
         if i % 3 == 2:
             outcome = Outcome(i, Status.SOLVER_FAILURE, message=f"at {i}", worker="local-1")
@@ -264,7 +264,9 @@ def test_a_log_that_cannot_be_written_is_said_with_the_next_row(
 def trajectories(count: int) -> list[Row]:
     found = []
     for i in range(count):
-        origin = Origin("before", 0, "trajectory", i % 2, np.array([float(i)]), want="trajectory")
+        origin = TaskOrigin(
+            "before", 0, "trajectory", i % 2, np.array([float(i)]), want="trajectory"
+        )
         path = Trajectory(("y", "z"), np.arange(40.0), np.arange(80.0).reshape(40, 2) + i)
         found.append((origin, Outcome(i, Status.OK, np.arange(30.0), path)))
     return found

@@ -9,15 +9,15 @@ import pytest
 from cluster_est.methods.base import Progress
 from cluster_est.run_folder import progress_file
 from cluster_est.run_folder.progress_file import ProgressFile, ProgressTail
-from cluster_est.running.records import Iteration, Snapshot
+from cluster_est.running.records import RunSnapshot, SearchIteration
 
 
-def line(search: str, number: int, cost: float, ending: str = "") -> Iteration:
-    return Iteration(search, Progress(number, cost, ending=ending), 10 * number)
+def line(search: str, number: int, cost: float, ending: str = "") -> SearchIteration:
+    return SearchIteration(search, Progress(number, cost, ending=ending), 10 * number)
 
 
-def snapshot(seconds: float) -> Snapshot:
-    return Snapshot("train", Progress(1, 2.0), 5, 10, 1, 3, 4, seconds)
+def snapshot(seconds: float) -> RunSnapshot:
+    return RunSnapshot("train", Progress(1, 2.0), 5, 10, 1, 3, 4, seconds)
 
 
 def test_what_was_written_is_read_once(tmp_path):

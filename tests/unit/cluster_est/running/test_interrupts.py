@@ -15,7 +15,7 @@ from support.problems.functions import PROBLEMS, FunctionExecutor
 from cluster_est.methods.base import Ending
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.space import make_space
-from cluster_est.running.interrupts import Interrupts, later, stopped_by, terminations
+from cluster_est.running.interrupts import DeferredInterrupts, later, stopped_by, terminations
 from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import Status
 
@@ -44,28 +44,36 @@ def insist():
 
 class TestInterrupts:
     def test_is_noted_at_work_and_raised_when_it_waits(self):
-        with pytest.raises(KeyboardInterrupt), Interrupts() as interrupts:
+        with pytest.raises(KeyboardInterrupt), DeferredInterrupts() as interrupts:
             wait_after_an_interrupt(interrupts)
 
     def test_is_not_lost_where_nothing_can_be_raised(self):
-        with pytest.raises(KeyboardInterrupt), Interrupts() as interrupts, interrupts.waiting():
+        with (
+            pytest.raises(KeyboardInterrupt),
+            DeferredInterrupts() as interrupts,
+            interrupts.waiting(),
+        ):
             interrupt_in_vain()
 
     def test_is_not_lost_where_nothing_waits_any_more(self):
-        with pytest.raises(KeyboardInterrupt), Interrupts():
+        with pytest.raises(KeyboardInterrupt), DeferredInterrupts():
             interrupt_here()
 
     def test_comes_at_once_while_it_waits(self):
-        with pytest.raises(KeyboardInterrupt), Interrupts() as interrupts, interrupts.waiting():
+        with (
+            pytest.raises(KeyboardInterrupt),
+            DeferredInterrupts() as interrupts,
+            interrupts.waiting(),
+        ):
             interrupt_here()
 
     def test_whoever_insists_is_heard_anywhere(self):
-        with pytest.raises(KeyboardInterrupt), Interrupts():
+        with pytest.raises(KeyboardInterrupt), DeferredInterrupts():
             insist()
 
     def test_leaves_the_handlers_as_they_were(self):
         before = signal.getsignal(signal.SIGINT)
-        with Interrupts():
+        with DeferredInterrupts():
             assert signal.getsignal(signal.SIGINT) is not before
         assert signal.getsignal(signal.SIGINT) is before
 
@@ -73,7 +81,7 @@ class TestInterrupts:
         noted = []
         before = signal.signal(signal.SIGINT, lambda number, frame: noted.append(number))
         try:
-            with Interrupts() as interrupts, interrupts.waiting():
+            with DeferredInterrupts() as interrupts, interrupts.waiting():
                 interrupt_here()
         finally:
             signal.signal(signal.SIGINT, before)
@@ -84,7 +92,7 @@ class TestInterrupts:
 
         def work():
             try:
-                with Interrupts() as interrupts, interrupts.waiting():
+                with DeferredInterrupts() as interrupts, interrupts.waiting():
                     pass
             except BaseException as error:
                 raised.append(error)
@@ -97,11 +105,11 @@ class TestInterrupts:
     def test_one_that_a_library_swallowed_is_not_lost(self):
         with terminations():
             interrupt_in_vain()
-            with pytest.raises(KeyboardInterrupt), Interrupts():
+            with pytest.raises(KeyboardInterrupt), DeferredInterrupts():
                 pass
 
     def test_a_termination_is_one(self):
-        with terminations(), pytest.raises(KeyboardInterrupt), Interrupts():
+        with terminations(), pytest.raises(KeyboardInterrupt), DeferredInterrupts():
             terminate_here()
 
 

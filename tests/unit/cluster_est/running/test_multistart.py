@@ -17,10 +17,10 @@ from cluster_est import Budget, LeastSquares
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.problem.formulas import parse_constraint
-from cluster_est.problem.space import Space, make_space
+from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.multistart import (
-    Found,
     Multistart,
+    MultistartResult,
     cluster,
     make_starts,
     sample,
@@ -63,7 +63,7 @@ HIMMELBLAU = boxed(himmelblau)
 PAIRS = boxed(three_pairs, 6)
 
 
-def space_of(problem: FunctionProblem, *constraints: str, scale: str = "linear") -> Space:
+def space_of(problem: FunctionProblem, *constraints: str, scale: str = "linear") -> SearchSpace:
     made = problem.problem()
     names = tuple(p.name for p in made.parameters)
     demands = [c for text in constraints for c in parse_constraint(text, names, "constraints")]
@@ -77,12 +77,12 @@ def runner_of(problem: FunctionProblem, budget: Budget | None = None) -> Runner:
 
 def search(
     problem: FunctionProblem, multistart: Multistart, method: Method | None = None, seed: int = 0
-) -> Found:
+) -> MultistartResult:
     space = space_of(problem)
     return search_from_starts(runner_of(problem), space, method or LeastSquares(), multistart, seed)
 
 
-def bits(found: Found) -> tuple[bytes, list[tuple[bytes, float, str]], object, object]:
+def bits(found: MultistartResult) -> tuple[bytes, list[tuple[bytes, float, str]], object, object]:
     ends = [(s.x.tobytes(), s.cost, s.ending.name) for s in found.solutions]
     return found.starts.tobytes(), ends, found.minima, found.minimum
 
@@ -264,7 +264,7 @@ def test_a_point_that_violates_constraints_is_no_better_minimum_for_its_cost():
     assert [end.cost for end in ends] == [0.0, 170.0]
     minima, _ = cluster(space, ends, 1e-3)
     assert minima == (1, 0)
-    assert Found(np.zeros((2, 2)), tuple(ends), minima, (1, 0)).best is ends[1]
+    assert MultistartResult(np.zeros((2, 2)), tuple(ends), minima, (1, 0)).best is ends[1]
 
 
 def test_without_any_minimum_the_best_point_is_taken():
@@ -285,7 +285,7 @@ class Stay(Method):
     needs_residuals: ClassVar[bool] = False
     keeps_constraints: ClassVar[bool] = True
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         (at,) = yield Points(space.start[None, :], "start")
         for i in range(int(10 * abs(space.start[0])) % 7):
             yield Points(space.start[None, :] * (0.9 - 0.01 * i), "trial")
@@ -331,7 +331,7 @@ def test_failed_starts_bring_nothing_new_but_end_nothing_before_the_first_minimu
     st.lists(st.sampled_from([0.0, 0.3, 0.5, 1.1, 1.7, 2.9]), min_size=1, max_size=9),
 )
 def test_which_starts_are_enough_does_not_depend_on_which_is_faster(seed, workers, at_once, given):
-    def run(executor, most) -> Found:
+    def run(executor, most) -> MultistartResult:
         multistart = Multistart(points=stays(given), patience=2, at_once=most)
         return search_from_starts(Runner(executor), space_of(HIMMELBLAU), Stay(), multistart, 0)
 
@@ -345,7 +345,7 @@ def test_which_starts_are_enough_does_not_depend_on_which_is_faster(seed, worker
 # --- what is found
 
 
-def distinct(space: Space, solutions: Sequence[Solution]) -> list[np.ndarray]:
+def distinct(space: SearchSpace, solutions: Sequence[Solution]) -> list[np.ndarray]:
     """Minima that solutions reached, told apart without the code under test."""
     found: list[np.ndarray] = []
     for each in solutions:

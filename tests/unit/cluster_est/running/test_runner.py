@@ -16,16 +16,16 @@ from cluster_est.executors import Executor
 from cluster_est.methods.base import (
     Ending,
     Evaluation,
+    Progress,
     Method,
     Points,
-    Progress,
     Search,
     Solution,
 )
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Parameter, Problem
-from cluster_est.problem.space import Space, make_space
-from cluster_est.running.runner import Budget, Origin, Runner, SearchRequest, Snapshot
+from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.running.runner import Budget, Runner, RunSnapshot, SearchRequest, TaskOrigin
 from workers.messages import Experiment, FloatArray, Model, Outcome, Output, Solver, Status, Task
 
 TIMES = np.linspace(0.0, 2.0, 15)
@@ -102,7 +102,7 @@ class Script(Method):
 
     needs_residuals: ClassVar[bool] = False
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         try:
             for i, rates in enumerate(self.requests):
                 x = np.tile(space.start, (len(rates), 1))
@@ -128,7 +128,7 @@ def fitted(seed: int) -> tuple[list[tuple[bytes, float, Ending, int]], list[tupl
     """Three searches at once on an executor of this mood: what they found and asked for."""
     asked: list[tuple] = []
 
-    def record(origin: Origin, outcome: Outcome) -> None:
+    def record(origin: TaskOrigin, outcome: Outcome) -> None:
         asked.append(
             (origin.search, origin.evaluation, origin.experiment, origin.purpose,
              origin.values.tobytes())
@@ -296,7 +296,7 @@ def test_simulations_after_an_interrupt_are_not_confused_with_those_left_over(se
 
 
 def test_display_shows_the_search_that_still_runs() -> None:
-    shown: list[Snapshot] = []
+    shown: list[RunSnapshot] = []
     requests = [whole(Script([[1.0]]), "short", [0]), whole(Script([[2.0]] * 3), "long", [1])]
     runner = Runner(FakeExecutor(), show=shown.append)
     runner.run(requests)
@@ -308,7 +308,7 @@ def test_display_shows_the_search_that_still_runs() -> None:
 
 def test_error_in_a_method_is_raised_and_the_others_are_closed() -> None:
     class Broken(Script):
-        def search(self, space: Space, generator: np.random.Generator) -> Search:
+        def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
             yield Points(space.start[None, :], "start")
             raise ZeroDivisionError("a bug")
 
@@ -322,7 +322,7 @@ def test_methods_draw_from_the_seed_of_their_request() -> None:
     drawn: list[FloatArray] = []
 
     class Random(Script):
-        def search(self, space: Space, generator: np.random.Generator) -> Search:
+        def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
             drawn.append(generator.random(3))
             return (yield from super().search(space, generator))
 

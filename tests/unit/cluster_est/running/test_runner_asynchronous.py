@@ -16,16 +16,16 @@ from support.shuffling_executor import MoodyExecutor
 from cluster_est.methods.base import (
     Ending,
     Evaluation,
+    Progress,
     Method,
     Points,
-    Progress,
     Search,
     Solution,
 )
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Parameter
-from cluster_est.problem.space import Space, make_space
-from cluster_est.running.runner import Budget, Iteration, Runner, SearchRequest
+from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.running.runner import Budget, Runner, SearchIteration, SearchRequest
 from workers.messages import Outcome, Status, Task
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -48,7 +48,7 @@ def cost(a: float) -> float:
     return 2.0 * (a**2 + (0.5 * a) ** 2) + 1.0 + 4.0
 
 
-def points(space: Space, values: Sequence[float]) -> np.ndarray:
+def points(space: SearchSpace, values: Sequence[float]) -> np.ndarray:
     x = np.tile(space.start, (len(values), 1))
     x[:, 0] = values
     return x
@@ -68,7 +68,7 @@ class Eager(Method):
     needs_residuals: ClassVar[bool] = False
     asynchronous: ClassVar[bool] = True
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         asked = min(self.ahead, len(self.values))
         found = yield Points(points(space, self.values[:asked]), "first", asynchronous=True)
         open_ = set(range(asked))
@@ -88,7 +88,11 @@ class Eager(Method):
             if not open_:
                 break
             found = yield Points(
-                points(space, new), "more", Progress(asked, 0.0), asynchronous=True, drop=drop
+                points(space, new),
+                "more",
+                Progress(asked, 0.0),
+                asynchronous=True,
+                drop=drop,
             )
         best = min(self.seen, key=lambda at: at.rank)
         return Solution(points(space, [self.values[best.index]])[0], best.cost, Ending.CONVERGED)
@@ -151,7 +155,7 @@ def test_what_has_not_begun_is_not_simulated():
         needs_residuals: ClassVar[bool] = False
         indices: list[int] = field(default_factory=list)
 
-        def search(self, space: Space, generator: np.random.Generator) -> Search:
+        def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
             many = points(space, [1.0 + i for i in range(20)])
             found = yield Points(many, "many", asynchronous=True)
             self.indices += [at.index for at in found]
@@ -179,7 +183,7 @@ def test_a_point_that_another_search_wants_too_goes_on():
         name: ClassVar[str] = "fickle"
         needs_residuals: ClassVar[bool] = False
 
-        def search(self, space: Space, generator: np.random.Generator) -> Search:
+        def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
             yield Points(points(space, [9.0, 5.0, 6.0, 7.0, 8.0]), "many", asynchronous=True)
             drop = (1, 2, 3, 4)
             yield Points(points(space, [4.0]), "one", asynchronous=True, drop=drop)
@@ -203,7 +207,7 @@ def test_a_dropped_point_may_be_asked_for_again(seed):
         needs_residuals: ClassVar[bool] = False
         found: list[Evaluation] = field(default_factory=list)
 
-        def search(self, space: Space, generator: np.random.Generator) -> Search:
+        def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
             yield Points(points(space, [1.0, 2.0, 3.0, 4.0]), "ask", asynchronous=True)
             x = points(space, [1.0, 2.0, 3.0, 4.0])
             while len(self.found) < 4:
@@ -225,7 +229,7 @@ def test_the_same_point_twice_in_a_request_is_simulated_once_and_answered_twice(
         needs_residuals: ClassVar[bool] = False
         found: list[Evaluation] = field(default_factory=list)
 
-        def search(self, space: Space, generator: np.random.Generator) -> Search:
+        def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
             self.found += yield Points(points(space, [2.0, 3.0, 2.0]), "ask")
             self.found += yield Points(points(space, [2.0]), "again")
             return Solution(space.start, 0.0, Ending.CONVERGED)
@@ -248,7 +252,7 @@ def test_parameters_without_a_value_are_not_simulated():
         needs_residuals: ClassVar[bool] = False
         found: list[Evaluation] = field(default_factory=list)
 
-        def search(self, space: Space, generator: np.random.Generator) -> Search:
+        def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
             self.found += yield Points(np.array([[-1.0], [4.0], [np.inf]]), "ask")
             return Solution(space.start, 0.0, Ending.CONVERGED)
 
@@ -293,7 +297,7 @@ class Downhill(Method):
     name: ClassVar[str] = "downhill"
     needs_residuals: ClassVar[bool] = False
 
-    def search(self, space: Space, generator: np.random.Generator) -> Search:
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         name = f"{space.start[0]:g}"
         self.log.append(f"begin {name}")
         try:
@@ -413,8 +417,8 @@ def test_an_interrupt_ends_all_of_them(seed, when):
 # Iteration tables.
 
 
-def notes_of(run: Callable[[Runner], object], seed: int = 0) -> list[Iteration]:
-    noted: list[Iteration] = []
+def notes_of(run: Callable[[Runner], object], seed: int = 0) -> list[SearchIteration]:
+    noted: list[SearchIteration] = []
     run(Runner(MoodyExecutor(answer, seed), note=noted.append))
     return noted
 
@@ -440,7 +444,7 @@ def test_an_unchanged_line_is_noted_once():
         name: ClassVar[str] = "repeats"
         needs_residuals: ClassVar[bool] = False
 
-        def search(self, space: Space, generator: np.random.Generator) -> Search:
+        def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
             for _ in range(3):
                 yield Points(points(space, [1.0]), "same", Progress(4, 2.0))
             yield Points(points(space, [1.0]), "silent")
@@ -461,7 +465,7 @@ def test_the_end_says_how_far_from_the_constraints_it_is():
 
 
 def test_the_end_of_a_budget_is_noted_with_the_best_point():
-    noted: list[Iteration] = []
+    noted: list[SearchIteration] = []
     runner = Runner(MoodyExecutor(answer), Budget(evaluations=3), note=noted.append)
     (solution,) = runner.run(many(Downhill(), (8.0,)))
     assert solution.ending is Ending.BUDGET

@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, null_space
 
-from cluster_est.uncertainty.covariance.blocks import Block, Limits, covariance, factorise
+from cluster_est.uncertainty.covariance.blocks import (
+    ErrorLimits,
+    JacobianBlock,
+    covariance,
+    factorise,
+)
 
 
 def random_blocks(seed, shared=3, sizes=((20, 2), (15, 0), (30, 4), (6, 6))):
     generator = np.random.default_rng(seed)
     return [
-        Block(generator.normal(size=(n, shared)), generator.normal(size=(n, local)))
+        JacobianBlock(generator.normal(size=(n, shared)), generator.normal(size=(n, local)))
         for n, local in sizes
     ]
 
@@ -27,7 +32,7 @@ def limits(blocks, size=1e-12, embedding=None):
     width = blocks[0].shared.shape[1]
     embedding = np.eye(width) if embedding is None else embedding
     local = tuple(np.full(block.local.shape[1], size) for block in blocks)
-    return Limits(np.full(len(embedding), size), local, embedding)
+    return ErrorLimits(np.full(len(embedding), size), local, embedding)
 
 
 def agrees(found, expected, blocks):

@@ -11,7 +11,7 @@ from support.problems.curves import Curves
 
 from cluster_est import LeastSquares, Parameter
 from cluster_est.costs.likelihood import GaussianLikelihood
-from cluster_est.costs.robust import Cauchy, Huber, SoftL1
+from cluster_est.costs.robust import CauchyCost, HuberCost, SoftL1
 from cluster_est.costs.sum_absolute import SumAbsolute
 from cluster_est.methods.base import Ending, Evaluation, Solution
 from cluster_est.problem.space import make_space
@@ -217,14 +217,14 @@ class TestCosts:
         expected = np.linalg.inv(matrix.T @ (weights[:, None] * matrix)) * count / (count - 2)
         np.testing.assert_allclose(errors(found), np.sqrt(np.diag(expected)), rtol=1e-9)
 
-    @pytest.mark.parametrize("cost", [Huber(0.02), SoftL1(0.02), Cauchy(0.05)], ids=repr)
+    @pytest.mark.parametrize("cost", [HuberCost(0.02), SoftL1(0.02), CauchyCost(0.05)], ids=repr)
     def test_a_robust_cost_has_the_covariance_of_an_m_estimator(self, cost):
         """Huber (1981), section 7.6: K^2 mean(psi^2) n / (n - k) / mean(psi')^2 (J'J)^-1."""
         curves = replace(decays(count=3, noise=0.03, seed=4), cost=cost)
         space, solution = self.solved(curves)
         r, matrix, c = solution.at.residuals, solution.jacobian, cost.scale
         z = (r / c) ** 2
-        if isinstance(cost, Huber):
+        if isinstance(cost, HuberCost):
             psi, slope = np.clip(r, -c, c), (np.abs(r) < c).astype(float)
         elif isinstance(cost, SoftL1):
             psi, slope = r / np.sqrt(1 + z), (1 + z) ** -1.5
@@ -237,7 +237,7 @@ class TestCosts:
         np.testing.assert_allclose(errors(assess(space, solution)), expected, rtol=1e-6)
 
     def test_a_robust_cost_of_several_outputs_takes_each_on_its_own(self):
-        cost = Huber(0.03)
+        cost = HuberCost(0.03)
         space, solution = self.solved(self.two_outputs(cost, noise=(0.02, 0.2)))
         r, matrix = solution.at.residuals, solution.jacobian
         n, k = matrix.shape
@@ -256,7 +256,7 @@ class TestCosts:
     def test_weights_that_are_all_one_give_the_usual_covariance(self):
         curves = decays(count=2)
         usual = assess(*curves.solve()[1:])
-        space, solution = self.solved(replace(curves, cost=Huber(1e3)))
+        space, solution = self.solved(replace(curves, cost=HuberCost(1e3)))
         np.testing.assert_allclose(errors(assess(space, solution)), errors(usual), rtol=1e-6)
 
     def test_a_cost_without_weights_has_no_intervals_and_says_so(self):
@@ -268,7 +268,7 @@ class TestCosts:
         assert "no weights" in found.notes[0]
 
     def test_a_robust_cost_with_too_small_a_scale_says_so(self):
-        curves = decays(count=2, cost=Cauchy(1e-5))
+        curves = decays(count=2, cost=CauchyCost(1e-5))
         runner, space = curves.runner(), curves.space()
         found = examine(runner, space, Solution(space.start, 1.0, Ending.CONVERGED))
         assert np.isnan(errors(found)).all()

@@ -17,7 +17,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Points, Solution
 from cluster_est.running.runner import Budget, Runner, SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, check_profiles, profiles, select
-from cluster_est.uncertainty.profiles.walk import Walk
+from cluster_est.uncertainty.profiles.walk import ProfileWalk
 from cluster_est.uncertainty.rows import interval_rows, profile_rows
 
 TIMES = np.linspace(0.0, 3.0, 20)
@@ -404,7 +404,7 @@ def test_what_a_refit_leaves_unanswered_is_dropped():
 
 def test_a_walk_is_a_method_like_any_other():
     _, space, solution = puromycin().solve()
-    walk = Walk(METHOD, 1, 1, solution.cost, 1e3, 0.01)
+    walk = ProfileWalk(METHOD, 1, 1, solution.cost, 1e3, 0.01)
     search = walk.search(space, np.random.default_rng(0))
     next(search)
     search.close()

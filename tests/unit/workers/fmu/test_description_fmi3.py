@@ -7,7 +7,7 @@ from support.described import END, HEAD_3, fmi3, read
 
 from workers.errors import ModelError
 from workers.fmu import arrays as description_arrays
-from workers.fmu.structure import Dependency
+from workers.fmu.structure import VariableDependency
 
 TIME = '<Float64 name="time" valueReference="0" causality="independent"/>'
 SPRING = (
@@ -44,9 +44,9 @@ def test_states_are_in_the_order_of_the_structure():
 def test_dependencies_are_told_where_declared():
     found = fmi3(SPRING, STRUCTURE.replace(' dependencies="1"/', "/"))
     assert found.dependencies == (
-        Dependency("y", "output", None),
-        Dependency("rate of v", "derivative", ("x", "v", "u")),
-        Dependency("rate of x", "derivative", ()),
+        VariableDependency("y", "output", None),
+        VariableDependency("rate of v", "derivative", ("x", "v", "u")),
+        VariableDependency("rate of x", "derivative", ()),
     )
 
 

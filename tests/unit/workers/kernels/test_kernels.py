@@ -13,15 +13,21 @@ import numpy as np
 import pytest
 
 from workers.kernels.fmi import failure
-from workers.kernels.fmi.arguments import Asked
-from workers.kernels.fmi.component import Component, References, Starts, nothing_loaded, workspace
+from workers.kernels.fmi.arguments import KernelArguments
+from workers.kernels.fmi.component import (
+    FmiComponent,
+    StartValues,
+    VariableReferences,
+    nothing_loaded,
+    workspace,
+)
 from workers.kernels.fmi.hooks import no_hooks
-from workers.kernels.fmi.initialise import Settings
-from workers.kernels.fmi.values import Access
+from workers.kernels.fmi.initialise import SolverSettings
+from workers.kernels.fmi.values import VariableAccess
 from workers.kernels.solvers.cvode import CvodeBatch
-from workers.kernels.solvers.sundials import Jacobian
+from workers.kernels.solvers.sundials import DirectionalJacobian
 from workers.messages import Experiment, FloatArray, Output
-from workers.simulation.grid import Grid, build_grid
+from workers.simulation.grid import SignalGrid, build_grid
 from workers.simulation.integrator import BATCHES as LOOPS
 from workers.simulation.integrator import Batch
 
@@ -60,7 +66,7 @@ class FakeFmu:
         self.time, self.x = 0.0, 1.0
         self.calls: list[str] = []
 
-    def component(self, *, completes_steps: bool = True) -> Component:
+    def component(self, *, completes_steps: bool = True) -> FmiComponent:
         self._kept = [
             ctypes.CFUNCTYPE(c_int32, c_void_p, *signature)(self._counting(name))
             for name, signature in SIGNATURES.items()
@@ -130,12 +136,12 @@ BATCHES: dict[str, Batch] = LOOPS | {"cvode": CvodeBatch()}
 EXCHANGE = ["dormand_prince", "rk4", "cvode"]
 
 
-def grid() -> Grid:
+def grid() -> SignalGrid:
     return build_grid(Experiment("e", 0.0, 2.0, (), (Output("y", TIMES, 0.0 * TIMES),)))
 
 
-def reals(*references: int) -> Access:
-    return Access(np.array(references, np.uint32), np.zeros((0, 5), np.int64))
+def reals(*references: int) -> VariableAccess:
+    return VariableAccess(np.array(references, np.uint32), np.zeros((0, 5), np.int64))
 
 
 def run(
@@ -144,18 +150,18 @@ def run(
     *,
     completes_steps: bool = True,
     n_states: int = 1,
-    on: Grid | None = None,
+    on: SignalGrid | None = None,
 ) -> tuple[int, float, FloatArray]:
     """Simulate one point: its code, where it stopped and its outputs."""
     batch = BATCHES[solver] if isinstance(solver, str) else solver
     none, one = reals(), reals(7)
     outputs, codes, stopped = np.full((1, 5, 1), np.nan), np.zeros(1, np.int64), np.zeros(1)
     atols = np.full(n_states, 1e-8)
-    asked = Asked(
+    asked = KernelArguments(
         fmu.component(completes_steps=completes_steps)._replace(n_states=n_states),
-        References(none, none, one),
-        Starts(none, none, none.reals, np.zeros(0, np.int64)),
-        Settings(0.05 if solver == "rk4" else 0.0, 1e-8, 1e-8, atols, 3000, 0.0),
+        VariableReferences(none, none, one),
+        StartValues(none, none, none.reals, np.zeros(0, np.int64)),
+        SolverSettings(0.05 if solver == "rk4" else 0.0, 1e-8, 1e-8, atols, 3000, 0.0),
         no_hooks(1),
         grid() if on is None else on,
         np.zeros((1, 0)),
@@ -400,7 +406,7 @@ def test_cvode_serves_arrays_of_other_types_with_other_callbacks() -> None:
 
 def with_jacobian() -> CvodeBatch:
     cvode = CvodeBatch()
-    cvode.jacobian = Jacobian.of([0], [1])
+    cvode.jacobian = DirectionalJacobian.of([0], [1])
     return cvode
 
 

@@ -26,8 +26,8 @@ from workers.messages import (
     Status,
     Task,
 )
-from workers.process.supervisor import Guard
-from workers.wire import Batch
+from workers.process.supervisor import SupervisedEvaluator
+from workers.wire import TaskBatch
 
 CRASHES, ABORTS, EXITS, HANGS, EATS_MEMORY = 1.0, 2.0, 3.0, 4.0, 5.0
 TIMES = np.linspace(0.0, 2.0, 9)
@@ -47,11 +47,11 @@ def model(built_fmu: Callable[[str], bytes]) -> Model:
 
 
 @pytest.fixture
-def open_guard(model: Model) -> Iterator[Callable[[Limits], Guard]]:
-    guards: list[Guard] = []
+def open_guard(model: Model) -> Iterator[Callable[[Limits], SupervisedEvaluator]]:
+    guards: list[SupervisedEvaluator] = []
 
-    def make(limits: Limits) -> Guard:
-        guards.append(Guard(model, EXPERIMENTS, "guarded", limits))
+    def make(limits: Limits) -> SupervisedEvaluator:
+        guards.append(SupervisedEvaluator(model, EXPERIMENTS, "guarded", limits))
         return guards[-1]
 
     yield make
@@ -74,11 +74,11 @@ def tasks(rates, kind=0.0, share=0.0, leak=0.0) -> list[Task]:
     ]
 
 
-def in_batches(guard: Guard, asked: list[Task], size: int = 10) -> list[Outcome]:
+def in_batches(guard: SupervisedEvaluator, asked: list[Task], size: int = 10) -> list[Outcome]:
     return [
         outcome
         for first in range(0, len(asked), size)
-        for outcome in guard.evaluate(Batch.of(asked[first : first + size]))
+        for outcome in guard.evaluate(TaskBatch.of(asked[first : first + size]))
     ]
 
 
@@ -110,7 +110,7 @@ def test_what_fails_is_an_outcome_and_spares_all_others(
             assert phrase in outcome.message
             assert outcome.residuals is None
         else:
-            (reference,) = alone.evaluate(Batch.of([task]))
+            (reference,) = alone.evaluate(TaskBatch.of([task]))
             assert outcome.ok
             assert outcome.residuals.tobytes() == reference.residuals.tobytes()
     alone.close()
@@ -121,15 +121,15 @@ def test_whatever_is_sent_of_them_simulations_that_are_known_travel_together(
     open_guard, monkeypatch, want
 ):
     sizes = []
-    real = Guard._ask
+    real = SupervisedEvaluator._ask
 
     def counted(guard, batch):
         sizes.append(len(batch.ids))
         return real(guard, batch)
 
-    monkeypatch.setattr(Guard, "_ask", counted)
+    monkeypatch.setattr(SupervisedEvaluator, "_ask", counted)
     guard = open_guard(QUICK)
-    batch = Batch.of([replace(task, want=want) for task in tasks(RATES[:4])])
+    batch = TaskBatch.of([replace(task, want=want) for task in tasks(RATES[:4])])
     for _ in range(2):
         assert all(outcome.ok for outcome in guard.evaluate(batch))
     assert sizes == [1, 1, 1, 1, 4]
@@ -137,14 +137,14 @@ def test_whatever_is_sent_of_them_simulations_that_are_known_travel_together(
 
 def test_no_task_is_tried_a_third_time(open_guard, monkeypatch):
     tried: dict[int, int] = {}
-    ask = Guard._ask
+    ask = SupervisedEvaluator._ask
 
     def counted(self, batch):
         for i in batch.ids.tolist():
             tried[i] = tried.get(i, 0) + 1
         return ask(self, batch)
 
-    monkeypatch.setattr(Guard, "_ask", counted)
+    monkeypatch.setattr(SupervisedEvaluator, "_ask", counted)
     in_batches(open_guard(QUICK), tasks(RATES, CRASHES, 0.2))
     assert max(tried.values()) == 2
 
@@ -165,7 +165,7 @@ def test_a_leak_is_bounded_and_changes_no_bit(open_guard):
     leaking, whole = open_guard(Limits(growth=30.0 * 2**20)), open_guard(Limits())
     processes = set()
     for first in range(0, len(asked), 10):
-        batch = Batch.of(asked[first : first + 10])
+        batch = TaskBatch.of(asked[first : first + 10])
         outcomes, expected = leaking.evaluate(batch), whole.evaluate(batch)
         assert [o.residuals.tobytes() for o in outcomes] == [
             o.residuals.tobytes() for o in expected
@@ -203,9 +203,11 @@ def test_after_a_while_without_failures_tasks_travel_in_batches_again(open_guard
     os.kill(guard._child[0], signal.SIGKILL)
     in_batches(guard, tasks(RATES))
     sizes = []
-    ask = Guard._ask
+    ask = SupervisedEvaluator._ask
     monkeypatch.setattr(
-        Guard, "_ask", lambda self, batch: sizes.append(len(batch.ids)) or ask(self, batch)
+        SupervisedEvaluator,
+        "_ask",
+        lambda self, batch: sizes.append(len(batch.ids)) or ask(self, batch),
     )
     in_batches(guard, tasks(RATES))
     assert sizes == [10] * 6
@@ -226,7 +228,7 @@ def test_a_process_dies_with_its_guard_even_in_the_middle_of_a_hang(model, open_
     guard = open_guard(Limits(seconds=60.0))
     hanging = next(i for i in range(len(RATES)) if i in bad(0.05))
     _, connection = guard._child
-    connection.send(Batch.of([tasks(RATES, HANGS, 0.05)[hanging]]))
+    connection.send(TaskBatch.of([tasks(RATES, HANGS, 0.05)[hanging]]))
     child = guard._child[0]
     assert not connection.poll(0.3)
     os.kill(guard._forks._zygote.pid, signal.SIGKILL)
@@ -244,7 +246,7 @@ def test_a_process_dies_with_its_guard_even_in_the_middle_of_a_hang(model, open_
 def test_an_fmu_that_cannot_be_loaded_is_refused_with_its_sentence(model):
     broken = Model("broken.fmu", b"no archive", "model_exchange", model.solver, ())
     with pytest.raises(ModelError, match=r"broken\.fmu"):
-        Guard(broken, EXPERIMENTS, "guarded", QUICK)
+        SupervisedEvaluator(broken, EXPERIMENTS, "guarded", QUICK)
 
 
 def test_an_interrupt_leaves_no_answer_for_somebody_else(open_guard, monkeypatch):
@@ -256,8 +258,8 @@ def test_an_interrupt_leaves_no_answer_for_somebody_else(open_guard, monkeypatch
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(Guard, "_wait", interrupted)
+        patched.setattr(SupervisedEvaluator, "_wait", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            guard.evaluate(Batch.of(tasks(RATES[10:14])))
+            guard.evaluate(TaskBatch.of(tasks(RATES[10:14])))
     again = in_batches(guard, asked)
     assert [o.residuals.tobytes() for o in again] == [o.residuals.tobytes() for o in expected]

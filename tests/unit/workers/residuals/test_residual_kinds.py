@@ -21,7 +21,6 @@ from workers.messages import (
     Curve,
     Experiment,
     FloatArray,
-    Function,
     Input,
     Model,
     Outcome,
@@ -30,12 +29,13 @@ from workers.messages import (
     Solver,
     Status,
     Task,
+    UserFunction,
 )
-from workers.residuals.base import Simulated
+from workers.residuals.base import SimulatedBatch
 from workers.residuals.bounds import SignalBounds
 from workers.residuals.curve import CurveDistances, CurveTolerances
-from workers.residuals.functions import UserFunction, load
-from workers.wire import Batch
+from workers.residuals.functions import FunctionComparison, load
+from workers.wire import TaskBatch
 
 TIMES = np.linspace(0.0, 2.0, 41)
 MODEL = Model(
@@ -58,8 +58,8 @@ def fails_for_light(run):
 """
 
 
-def function(name: str, source: str = SOURCE) -> Function:
-    return Function("mine", name, source)
+def function(name: str, source: str = SOURCE) -> UserFunction:
+    return UserFunction("mine", name, source)
 
 
 EXPERIMENT = Experiment(
@@ -82,14 +82,14 @@ EVERYTHING = replace(
 def ask(experiment: Experiment, points: FloatArray, want: str = "residuals") -> list[Outcome]:
     evaluator = Evaluator(MODEL, [experiment], "w")
     tasks = [Task(i, 0, values, want) for i, values in enumerate(points)]  # type: ignore[arg-type]
-    outcomes = evaluator.evaluate(Batch.of(tasks))
+    outcomes = evaluator.evaluate(TaskBatch.of(tasks))
     evaluator.close()
     return outcomes
 
 
-def simulated(signal: FloatArray, times: FloatArray, name: str = "y") -> Simulated:
+def simulated(signal: FloatArray, times: FloatArray, name: str = "y") -> SimulatedBatch:
     """(points, n) of one variable."""
-    return Simulated(times, (name,), np.asarray(signal, float)[:, :, None], np.zeros((1, 1)))
+    return SimulatedBatch(times, (name,), np.asarray(signal, float)[:, :, None], np.zeros((1, 1)))
 
 
 def bound(lower: object, upper: object, **more: object) -> SignalBound:
@@ -167,7 +167,7 @@ def test_a_curve_has_a_residual_for_each_segment_and_constraints_for_tolerances(
     curve = Curve(("a", "b"), reference, TIMES[:4], (0.5, 0.0))
     record = np.zeros((1, len(TIMES), 2))
     record[0, :, 0], record[0, :, 1] = 3.0, 0.25
-    seen = Simulated(TIMES, ("a", "b"), record, np.zeros((1, 1)))
+    seen = SimulatedBatch(TIMES, ("a", "b"), record, np.zeros((1, 1)))
     # over the largest absolute values, (4, 1): ends of the segments at 0.5 and 1, point at 0.75
     expected = [np.hypot(0.25, 0.25), 0.25]
     np.testing.assert_allclose(CurveDistances(curve).compare(seen).values, [expected])
@@ -181,7 +181,7 @@ def test_a_curve_takes_its_columns_by_name():
     record = np.zeros((1, len(TIMES), 3))
     record[0, :, 0] = np.linspace(0.0, 10.0, len(TIMES))  # a
     record[0, :, 2] = np.linspace(0.0, 1.0, len(TIMES))  # b
-    seen = Simulated(TIMES, ("a", "c", "b"), record, np.zeros((1, 1)))
+    seen = SimulatedBatch(TIMES, ("a", "c", "b"), record, np.zeros((1, 1)))
     np.testing.assert_allclose(CurveDistances(curve).compare(seen).values, [[0.0]], atol=1e-15)
     np.testing.assert_allclose(CurveTolerances(curve).compare(seen).values, [[-1.0, -1.0]])
 
@@ -257,8 +257,8 @@ def test_the_key_of_an_experiment_knows_all_of_it():
     assert label.constraint_names[-1] == "E"
 
 
-def user(body: str) -> Function:
-    return Function(
+def user(body: str) -> UserFunction:
+    return UserFunction(
         "mine", "f", "import numpy as np\ndef f(run):\n" + textwrap.indent(body, "    ")
     )
 
@@ -323,8 +323,9 @@ def test_a_simulation_without_values_is_no_answer_of_the_function(first):
 def test_outputs_that_are_not_finite_are_said_to_be_even_behind_a_function():
     record = np.zeros((2, 5, 1))
     record[0, 3] = np.nan
-    seen = Simulated(np.arange(5.0), ("y",), record, np.zeros((2, 2)))
-    compared = UserFunction(user("return 1.0"), EXPERIMENT, ("m", "k"), single=False).compare(seen)
+    seen = SimulatedBatch(np.arange(5.0), ("y",), record, np.zeros((2, 2)))
+    comparison = FunctionComparison(user("return 1.0"), EXPERIMENT, ("m", "k"), single=False)
+    compared = comparison.compare(seen)
     assert list(compared.failures) == [0]
     assert compared.values[1].tolist() == [1.0]
 
@@ -402,14 +403,14 @@ def test_source_text_works_in_another_process(tmp_path):
 
 
 def test_a_worker_that_lacks_the_module_says_so():
-    for each in (Function("no_such_module", "f"), Function("math", "no_such")):
+    for each in (UserFunction("no_such_module", "f"), UserFunction("math", "no_such")):
         with pytest.raises(ModelError, match=f"{each.module}:{each.name}: must be a function"):
             Evaluator(MODEL, [replace(EXPERIMENT, cost_function=each)], "w")
 
 
 def test_each_worker_has_a_module_of_its_own():
-    counted: Callable = load(Function("counts", "f", "calls = []\ndef f(run):\n"
+    counted: Callable = load(UserFunction("counts", "f", "calls = []\ndef f(run):\n"
                                       "    calls.append(run)\n    return len(calls)"))  # fmt: skip
-    other: Callable = load(Function("counts", "f", "calls = []\ndef f(run):\n"
+    other: Callable = load(UserFunction("counts", "f", "calls = []\ndef f(run):\n"
                                     "    calls.append(run)\n    return len(calls)"))  # fmt: skip
     assert [counted(None), counted(None), other(None)] == [1, 2, 1]
