@@ -86,9 +86,11 @@ def cases() -> Iterator[tuple[str, list[list[str]]]]:
             [["fit", spring, *where, "multistart.n=4", "--out", "OUT/run", "--no-report"]],
         )
     intervals = ['uncertainty.profiles=["all"]', "uncertainty.bootstrap=20"]
+    intervals += ["experiments.exp4.role=train"]  # a bootstrap draws from five at least
     yield "uncertainty", [["fit", spring, *intervals, "--out", "OUT/run", "--no-report"]]
     for method in METHODS:
         chosen = [f"method.name={method}", "budget.evaluations=300"]
+        chosen += ["method.options.bounds=enforce"] if method == "nelder_mead" else []
         yield f"method/{method}", [["fit", spring, *chosen, "--out", "OUT/run", "--no-report"]]
     yield (
         "resume",

@@ -14,7 +14,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray, Renewal
-from workers.process.child import FmuProbe
+from workers.probes.base import FmuProbe
 from workers.process.trial import NoAnswer, ProbeBench
 
 LEAST_SECONDS = 0.2

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.methods.base import Evaluation, Progress, Method, Search, Solution
+from cluster_est.methods.base import Evaluation, Method, Progress, Search, Solution
 from cluster_est.problem.space import SearchSpace
 from cluster_est.running.evaluation import judge
 from workers.messages import Effect, FloatArray, Outcome, Want

@@ -12,9 +12,9 @@ import sympy as sp
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
 from workers.effects.memory import MEMORIES
 from workers.effects.source import CAssignment, compile_function
+from workers.grid import SignalGrid
 from workers.kernels.record import OutputHooks, OutputWorkspace, edit_record
 from workers.messages import FloatArray
-from workers.simulation.grid import SignalGrid
 
 READ = ("states", "record", "raw", "coefficients")
 

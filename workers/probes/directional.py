@@ -8,7 +8,7 @@ from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.kernels.fmi import failure
 from workers.messages import FloatArray
-from workers.process.child import FmuProbe
+from workers.probes.base import FmuProbe
 from workers.simulation.jacobian import StateJacobian, compare, named
 
 

@@ -7,7 +7,6 @@ import ctypes
 import gc
 import signal
 import sys
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -16,6 +15,8 @@ from typing import Any
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.fmu.instance import instances
+from workers.probes.base import FmuProbe
+from workers.probes.memory import resident_bytes
 from workers.wire import OutcomeColumns
 
 DIES_WITH_PARENT = 1
@@ -31,20 +32,6 @@ class BatchReport:
     answers: OutcomeColumns
     resident: int
     instances: int
-
-
-class FmuProbe(ABC):
-    """Asks for more than a simulation: what `cluster-est check` wants to know of an FMU."""
-
-    @abstractmethod
-    def answer(self, evaluator: Evaluator) -> Any:
-        """Find it out with an FMU that was just loaded; what is returned travels back.
-
-        Raises
-        ------
-        ModelError
-            If it cannot be found out; travels back too.
-        """
 
 
 def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
@@ -76,15 +63,6 @@ def _probed(probe: FmuProbe, evaluator: Evaluator) -> Any:
         return probe.answer(evaluator)
     except ModelError as error:
         return error
-
-
-def resident_bytes(process: int | str) -> int:
-    """Bytes that a process has in memory; 0 where the system does not say."""
-    try:
-        pages = int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1])
-    except (OSError, IndexError, ValueError):
-        return 0
-    return pages * 4096
 
 
 def _leave_before_others() -> None:

@@ -1,8 +1,8 @@
 """A process that forks others: each is ready in milliseconds, because all imports are done.
 
 Forking a worker itself would copy locks that its other threads hold; this process never has a
-second thread. It is started by a `SupervisedEvaluator`, does what that says over one connection, and ends, with
-all that it has forked, when the connection ends.
+second thread. It is started by a `SupervisedEvaluator`, does what that says over one connection,
+and ends, with all that it has forked, when the connection ends.
 """
 
 from __future__ import annotations

@@ -20,7 +20,8 @@ from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
 from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
-from workers.process.child import BatchReport, resident_bytes
+from workers.probes.memory import resident_bytes
+from workers.process.child import BatchReport
 from workers.process.forked import ForkClient
 from workers.wire import TaskBatch
 

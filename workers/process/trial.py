@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from workers.errors import ModelError
 from workers.messages import Experiment, Model
-from workers.process.child import FmuProbe
+from workers.probes.base import FmuProbe
 from workers.process.forked import ForkClient
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from workers.grid import SignalGrid
 from workers.messages import Experiment, FloatArray
 from workers.residuals.base import Comparison, SimulatedBatch
 from workers.residuals.bounds import SignalBounds
@@ -13,7 +14,6 @@ from workers.residuals.curve import CurveDistances, CurveTolerances
 from workers.residuals.functions import FunctionComparison
 from workers.residuals.measured_times import MeasuredTimes
 from workers.residuals.slopes import comparison_slopes
-from workers.simulation.grid import SignalGrid
 
 
 class BatchComparison(NamedTuple):

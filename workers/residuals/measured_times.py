@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from workers.grid import SignalGrid
 from workers.messages import FloatArray
 from workers.residuals.base import Comparison, ComparisonResult, SimulatedBatch
-from workers.simulation.grid import SignalGrid
 
 
 class MeasuredTimes(Comparison):

@@ -13,9 +13,9 @@ from workers.effects.memory import MEMORIES
 from workers.effects.outputs import act_on_record
 from workers.errors import EffectError
 from workers.fmu.description import ModelDescription, nearest
+from workers.grid import SignalGrid
 from workers.kernels.fmi.hooks import EffectHooks, no_hooks
 from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Model
-from workers.simulation.grid import SignalGrid
 
 
 @dataclass(frozen=True)

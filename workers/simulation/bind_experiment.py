@@ -10,10 +10,10 @@ import numpy as np
 from workers.fmu.access import access
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
+from workers.grid import SignalGrid, build_grid
 from workers.kernels.fmi.component import StartValues, VariableReferences
 from workers.messages import Experiment, FloatArray, Input, IntArray, Model
 from workers.simulation.fixed_step import CommunicationPoints, communicate
-from workers.simulation.grid import SignalGrid, build_grid
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 
 from workers.errors import ModelError
 from workers.fmu.description import ModelDescription
+from workers.grid import SignalGrid, build_grid, on_times
 from workers.messages import Experiment, FloatArray, IntArray, Model
-from workers.simulation.grid import SignalGrid, build_grid, on_times
 
 ON_GRID = 1e-6
 """Of a step: a time that is nearer to a communication point than this stands on it."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from workers.grid import build_grid
 from workers.messages import Experiment, FloatArray, Input, IntArray, Linearisation, Outcome
-from workers.simulation.grid import build_grid
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
-from cluster_est.closed_loop.findings.result import CandidateEvidence
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
+from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.screening.probe import probe
 from cluster_est.closed_loop.statistics.omnibus import OmnibusTest, omnibus
 from cluster_est.closed_loop.statistics.projection import OrthogonalProjection

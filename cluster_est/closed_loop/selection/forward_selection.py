@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.result import CandidateEvidence
+from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, refreshed, screen
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, predict, stays_bounded
 from cluster_est.closed_loop.selection.declared_model import fit_declared

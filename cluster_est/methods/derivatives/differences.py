@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import Evaluation, Progress, Points
+from cluster_est.methods.base import Evaluation, Points, Progress
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray, Solver

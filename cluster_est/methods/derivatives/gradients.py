@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import Evaluation, Progress, Points
+from cluster_est.methods.base import Evaluation, Points, Progress
 from cluster_est.methods.derivatives.differences import (
     ResidualJacobian,
     Scheme,

@@ -13,7 +13,7 @@ from collections.abc import Generator
 
 import numpy as np
 
-from cluster_est.methods.base import Evaluation, Progress, Points
+from cluster_est.methods.base import Evaluation, Points, Progress
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import (
     Differences,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Evaluation, Progress, Points
+from cluster_est.methods.base import Ending, Evaluation, Points, Progress
 from cluster_est.methods.least_squares.curved_steps import TriedPoints, curved_steps
 from cluster_est.methods.least_squares.local_model import LocalModel, sizes
 from cluster_est.problem.space import SearchSpace

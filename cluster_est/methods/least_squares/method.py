@@ -23,9 +23,9 @@ import numpy as np
 
 from cluster_est.methods.base import (
     Ending,
-    Progress,
     Method,
     Points,
+    Progress,
     Search,
     Solution,
 )

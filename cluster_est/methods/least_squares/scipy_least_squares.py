@@ -13,9 +13,9 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import (
     Ending,
     Evaluation,
-    Progress,
     Method,
     Points,
+    Progress,
     Search,
     Solution,
 )

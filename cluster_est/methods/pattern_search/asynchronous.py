@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Progress, Points, Search, Solution
+from cluster_est.methods.base import Ending, Points, Progress, Search, Solution
 from cluster_est.methods.pattern_search.asynchronous_state import PollState
 from cluster_est.methods.pattern_search.method import solution_of
 from cluster_est.methods.pattern_search.options import PatternMethod

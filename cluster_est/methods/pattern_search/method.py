@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Progress, Points, Search, Solution
+from cluster_est.methods.base import Ending, Points, Progress, Search, Solution
 from cluster_est.methods.pattern_search.options import PatternMethod
 from cluster_est.methods.pattern_search.state import PatternState, PollPlan
 from cluster_est.methods.sqp.evaluation_cache import worst_constraint

@@ -17,10 +17,10 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import (
     Ending,
     Evaluation,
-    Progress,
     Method,
     OtherPoint,
     Points,
+    Progress,
     Search,
     Solution,
 )

@@ -12,8 +12,8 @@ from scipy.optimize import minimize_scalar
 from cluster_est.methods.base import (
     Ending,
     Evaluation,
-    Progress,
     Points,
+    Progress,
     Search,
     Solution,
 )

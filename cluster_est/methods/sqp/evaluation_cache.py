@@ -6,7 +6,7 @@ from collections import OrderedDict
 
 import numpy as np
 
-from cluster_est.methods.base import Evaluation, Progress, Points
+from cluster_est.methods.base import Evaluation, Points, Progress
 from cluster_est.methods.callback_bridge import Ask, drive
 from cluster_est.methods.derivatives.differences import Scheme
 from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives

@@ -23,8 +23,8 @@ import numpy as np
 from cluster_est.methods.base import (
     Ending,
     Evaluation,
-    Progress,
     Points,
+    Progress,
     Search,
     Solution,
 )

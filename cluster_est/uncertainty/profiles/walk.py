@@ -14,10 +14,10 @@ import numpy as np
 from cluster_est.methods.base import (
     Ending,
     Evaluation,
-    Progress,
     Method,
     OtherPoint,
     Points,
+    Progress,
     Search,
     Solution,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from workers.grid import SignalGrid
 from workers.kernels.fmi.component import (
     FmiComponent,
     KernelWorkspace,
@@ -13,7 +14,6 @@ from workers.kernels.fmi.component import (
 from workers.kernels.fmi.hooks import EffectHooks
 from workers.kernels.fmi.initialise import SolverSettings
 from workers.messages import FloatArray, IntArray
-from workers.simulation.grid import SignalGrid
 
 
 class KernelArguments(NamedTuple):

@@ -16,9 +16,9 @@ from cluster_est.executors import Executor
 from cluster_est.methods.base import (
     Ending,
     Evaluation,
-    Progress,
     Method,
     Points,
+    Progress,
     Search,
     Solution,
 )

@@ -16,9 +16,9 @@ from support.shuffling_executor import MoodyExecutor
 from cluster_est.methods.base import (
     Ending,
     Evaluation,
-    Progress,
     Method,
     Points,
+    Progress,
     Search,
     Solution,
 )

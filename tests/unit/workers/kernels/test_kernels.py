@@ -12,6 +12,7 @@ from ctypes import c_double, c_int32, c_size_t, c_void_p
 import numpy as np
 import pytest
 
+from workers.grid import SignalGrid, build_grid
 from workers.kernels.fmi import failure
 from workers.kernels.fmi.arguments import KernelArguments
 from workers.kernels.fmi.component import (
@@ -27,7 +28,6 @@ from workers.kernels.fmi.values import VariableAccess
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.sundials import DirectionalJacobian
 from workers.messages import Experiment, FloatArray, Output
-from workers.simulation.grid import SignalGrid, build_grid
 from workers.simulation.integrator import BATCHES as LOOPS
 from workers.simulation.integrator import Batch
 

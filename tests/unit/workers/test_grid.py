@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from workers.grid import build_grid
 from workers.messages import Experiment, FloatArray, Input, Output
-from workers.simulation.grid import build_grid
 
 START, STOP = -1.0, 3.0
 
