@@ -13,14 +13,7 @@ from rich.console import Console
 
 from cluster_est.cli.loop_printing import print_any_run
 from cluster_est.cli.preflight_printing import print_page
-from cluster_est.cli.printing import (
-    print_check,
-    print_iterations,
-    print_model,
-    print_run,
-    read_run_table,
-    say,
-)
+from cluster_est.cli.printing import print_check, print_iterations, print_model, print_run, say
 from cluster_est.cli.progress import ProgressLine
 from cluster_est.cli.replay_printing import print_answer, print_failures, print_question
 from cluster_est.cli.run_keeper import Keeper
@@ -43,6 +36,7 @@ from cluster_est.preflight import SECONDS, CheckFinding, CheckPage, bare_problem
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.results.curves import residual_table, trajectory_table
+from cluster_est.run_folder.reading import read_run_table
 from cluster_est.run_folder.replay import prepare, read_logged
 from cluster_est.run_folder.replay import replay as run_replay
 from cluster_est.running.interrupts import stopped_by

@@ -9,15 +9,8 @@ from typing import Any
 
 from rich.console import Console
 
-from cluster_est.cli.printing import (
-    interval,
-    number,
-    print_run,
-    print_table,
-    read_facts,
-    read_run_table,
-    say,
-)
+from cluster_est.cli.printing import interval, number, print_run, print_table, say
+from cluster_est.run_folder.reading import read_facts, read_run_table
 
 Facts = Mapping[str, Any]
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
 from rich.console import Console
 
 from cluster_est.errors import RunFolderError
@@ -19,6 +16,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.rows import constraints_at_start
+from cluster_est.run_folder.reading import read_facts, read_run_table
 from workers.fmu.description import nearest
 
 
@@ -103,21 +101,6 @@ def _rows(run_folder: Path, name: str) -> list[dict[str, Any]]:
     return read_run_table(path) if path.is_file() else []
 
 
-def read_run_table(path: Path) -> list[dict[str, Any]]:
-    """The rows of one of a run's tables.
-
-    Raises
-    ------
-    RunFolderError
-        If it is damaged.
-    """
-    try:
-        rows: list[dict[str, Any]] = pq.read_table(path).to_pylist()
-    except (pa.ArrowException, OSError) as error:
-        raise RunFolderError(f"{path}: is damaged ({error}); run again") from error
-    return rows
-
-
 def print_model(console: Console, problem: Problem, more: str) -> None:
     """What is simulated, and what was read around in its description."""
     model = problem.model
@@ -156,25 +139,6 @@ def print_check(console: Console, problem: Problem, simulations: Sequence[Simula
         values = [number(value) for value in constraints_at_start(train, list(simulations))]
         named = zip(train.constraint_names, kinds, values, strict=True)
         print_table(console, ["constraint", "must be", "at the start"], named)
-
-
-def read_facts(run_folder: Path) -> dict[str, Any]:
-    """What run.json says.
-
-    Raises
-    ------
-    RunFolderError
-        If there is none, or it is damaged.
-    """
-    path = run_folder / "run.json"
-    if not path.is_file():
-        raise RunFolderError(f"{run_folder}: must be the folder of a run but has no run.json")
-    try:
-        facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        facts["status"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise RunFolderError(f"{path}: is damaged ({error}); run again") from error
-    return facts
 
 
 def _print_parameters(console: Console, rows: list[dict[str, Any]]) -> None:

@@ -13,12 +13,13 @@ from typing import Self
 
 from rich.console import Console
 
-from cluster_est.cli.printing import read_facts, say
+from cluster_est.cli.printing import say
 from cluster_est.config.build import build_resources
 from cluster_est.config.reader import Config
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.folder import RunFolder, check_free
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.resume import check_resumable, is_finished, open_folder
 from cluster_est.running.reset_policy import ResetDecision, recorded
 from cluster_est.running.resources import Resources

@@ -10,10 +10,10 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluster_est.cli.printing import read_facts, read_run_table
 from cluster_est.errors import RunFolderError
 from cluster_est.report.activity import LogActivity, read_activity
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
+from cluster_est.run_folder.reading import read_facts, read_run_table
 
 Row = Mapping[str, Any]
 SMALL = (

@@ -10,11 +10,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from cluster_est.cli.printing import read_facts
 from cluster_est.errors import RunFolderError
 from cluster_est.report.activity import ActivityTail, FailureGroup
 from cluster_est.report.page import write_report
 from cluster_est.run_folder.progress_file import PROGRESS, IterationLine, ProgressTail, RunState
+from cluster_est.run_folder.reading import read_facts
 
 RUNNING = "running"
 RATE_SECONDS = 15.0

@@ -6,7 +6,6 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from cluster_est.cli.printing import read_facts
 from cluster_est.config.reader import Config
 from cluster_est.config.toml import to_toml
 from cluster_est.errors import RunFolderError
@@ -14,6 +13,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.evaluation_log import LogSettings
 from cluster_est.run_folder.folder import RunFolder, check_free
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, hash_config, versions
 from cluster_est.running.reset_policy import ResetDecision
 from cluster_est.running.sensitivity_policy import SensitivityDecision

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from cluster_est.cli.printing import read_facts
 from cluster_est.cli.progress import ProgressLine
 from cluster_est.config.build import (
     build_method,
@@ -25,6 +24,7 @@ from cluster_est.problem.space import make_space
 from cluster_est.results.result import Result
 from cluster_est.run_folder.folder import RunFolder
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.resume import check_resumable, open_folder
 from cluster_est.running.resources import one_blas_thread
 from cluster_est.running.runner import Budget, Runner, Show

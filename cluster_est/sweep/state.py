@@ -13,11 +13,11 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluster_est.cli.printing import read_facts, read_run_table
 from cluster_est.config.reader import Config
 from cluster_est.errors import RunFolderError
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.folder import BEGUN
+from cluster_est.run_folder.reading import read_facts, read_run_table
 from cluster_est.run_folder.run_identity import hash_config, versions
 from cluster_est.sweep.matrix import SweepRun
 from workers.messages import content_hash
