@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,9 +15,10 @@ from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.results import rows
 from cluster_est.results.output_errors import Simulation, output_errors
 from cluster_est.results.result import Result
+from cluster_est.running.environment import Monitor, RunEnvironment, open_executor
 from cluster_est.running.evaluation import judge
 from cluster_est.running.multistart import Multistart, check_starts, search_from_starts
-from cluster_est.running.resources import Resources, one_blas_thread, open_executor, suit_method
+from cluster_est.running.resources import Resources, one_blas_thread
 from cluster_est.running.runner import Note, Record, Runner, SearchRequest, Show
 from cluster_est.running.search_state import suited
 from cluster_est.uncertainty import (
@@ -36,11 +37,34 @@ BEFORE_BYTES = 2**28
 """Of all trajectories at the start values together: more are not kept until the end of a fit."""
 
 
+@dataclass(frozen=True)
+class FitPlan:
+    """How a problem is fitted.
+
+    Attributes
+    ----------
+    method
+        Picks the points.
+    seed
+        Starts the method's random generator.
+    multistart
+        From how many starts.
+    uncertainty
+        Which intervals to compute by refits.
+    """
+
+    method: Method = field(default_factory=LeastSquares)
+    seed: int = 0
+    multistart: Multistart = field(default_factory=Multistart)
+    uncertainty: UncertaintySettings = field(default_factory=UncertaintySettings)
+
+
 def fit(
     problem: Problem,
     method: Method | None = None,
     resources: Resources | None = None,
     seed: int = 0,
+    *,
     record: Record | None = None,
     show: Show | None = None,
     note: Note | None = None,
@@ -75,29 +99,41 @@ def fit(
     ModelError, ProblemError, ExecutorError
         If model, experiments, method and machine do not fit together.
     """
-    method = method or LeastSquares()
-    resources = resources or Resources()
+    plan = FitPlan(
+        method or LeastSquares(),
+        seed,
+        multistart or Multistart(),
+        uncertainty or UncertaintySettings(),
+    )
+    environment = RunEnvironment(resources or Resources(), Monitor(record, show, note))
+    return fit_in(environment, problem, plan)
+
+
+def fit_in(environment: RunEnvironment, problem: Problem, plan: FitPlan) -> Result:
+    """Fit with workers, listeners and a budget that somebody else has chosen.
+
+    Parameters
+    ----------
+    environment
+        All that surrounds the fit.
+    problem, plan
+        What is fitted, and how.
+
+    Raises
+    ------
+    ModelError, ProblemError, ExecutorError
+        If model, experiments, method and machine do not fit together.
+    """
     begin = time.monotonic()
     problem.describe()
-    settings = uncertainty or UncertaintySettings()
-    multistart = multistart or Multistart()
-    train = check_search(problem, method, settings, multistart)
-    with one_blas_thread(), open_executor(problem, resources) as executor:
-        method = suit_method(method, executor, train, resources)
-        runner = Runner(executor, resources.budget, record, show, note)
-        result = fit_on(runner, train, method, seed, multistart, settings)
+    train = check_search(problem, plan)
+    with one_blas_thread(), environment.executor(problem) as executor:
+        result = fit_on(environment.runner(executor), train, plan)
     return replace(result, seconds=time.monotonic() - begin)
 
 
-def fit_on(
-    runner: Runner,
-    train: SearchSpace,
-    method: Method,
-    seed: int,
-    multistart: Multistart,
-    settings: UncertaintySettings,
-) -> Result:
-    """A fit on workers that are there already; linear algebra must be in one thread.
+def fit_on(runner: Runner, train: SearchSpace, plan: FitPlan) -> Result:
+    """Fit on workers that are there already; linear algebra must be in one thread.
 
     Parameters
     ----------
@@ -105,14 +141,14 @@ def fit_on(
         Its executor has the experiments of the space's problem.
     train
         As `check_search` gave it.
-    method, seed, multistart, settings
-        As of `fit`.
+    plan
+        How to fit.
     """
     begin = time.monotonic()
-    problem = train.problem
+    problem, method, seed = train.problem, plan.method, plan.seed
     units = {name: each.unit for name, each in problem.describe().variables.items()}
     before = simulate_all(runner, problem, {})
-    found = search_from_starts(runner, train, method, multistart, seed)
+    found = search_from_starts(runner, train, method, plan.multistart, seed)
     solution, known = found.best, None
     if not runner.interrupted:
         known = examine(runner, train, solution)
@@ -120,7 +156,7 @@ def fit_on(
     starts, minima = rows.starts_and_minima(train, found)
     result = replace(result, starts=starts, minima=minima)
     if solution.ending.success and not runner.interrupted:
-        result = refine(runner, train, result, method, settings, seed)
+        result = refine(runner, train, result, plan)
     return replace(result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin)
 
 
@@ -199,23 +235,16 @@ def _kept(simulations: list[Simulation]) -> tuple[Simulation, ...]:
     return tuple(replace(s, outcome=replace(s.outcome, residuals=None)) for s in simulations)
 
 
-def refine(
-    runner: Runner,
-    train: SearchSpace,
-    result: Result,
-    method: Method,
-    settings: UncertaintySettings,
-    seed: int,
-) -> Result:
+def refine(runner: Runner, train: SearchSpace, result: Result, plan: FitPlan) -> Result:
     """Add the intervals that take refits: profiles and bootstrap."""
-    solution = result.solution
+    solution, method, settings = result.solution, plan.method, plan.uncertainty
     local = method if method.needs_residuals else LeastSquares()
     if not _accepts(local, train):
         local = method
     profiled = profiles(runner, train, solution, local, settings)
     drawn = None
     if settings.bootstrap:
-        generator = np.random.default_rng(seed)
+        generator = np.random.default_rng(plan.seed)
         drawn = bootstrap(runner, train, solution, local, settings, generator)
     return replace(result, profiles=profiled, bootstrap=drawn)
 
@@ -229,10 +258,8 @@ def simulate(
         return simulate_all(Runner(executor), problem, values or {})
 
 
-def check_search(
-    problem: Problem, method: Method, settings: UncertaintySettings, multistart: Multistart
-) -> SearchSpace:
-    """The space of the training experiments, if it can be searched as is asked.
+def check_search(problem: Problem, plan: FitPlan) -> SearchSpace:
+    """Return the space of the training experiments, if it can be searched as is asked.
 
     Raises
     ------
@@ -240,10 +267,10 @@ def check_search(
         If the method, the starts or the intervals do not suit the problem.
     """
     train = make_space(problem, problem.indices("train"))
-    check_method(method, train)
-    check_starts(train, multistart)
-    check_profiles(train, settings)
-    if settings.bootstrap:
+    check_method(plan.method, train)
+    check_starts(train, plan.multistart)
+    check_profiles(train, plan.uncertainty)
+    if plan.uncertainty.bootstrap:
         check_bootstrap(train)
     return train
 

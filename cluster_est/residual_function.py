@@ -14,7 +14,8 @@ from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.methods.derivatives.differences import Scheme, jacobian
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
-from cluster_est.running.resources import Resources, open_executor
+from cluster_est.running.environment import open_executor
+from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import FloatArray
 

@@ -24,8 +24,9 @@ import cluster_est as ce
 from cluster_est.fit import fit
 from cluster_est.problem.space import make_space
 from cluster_est.run_folder.folder import RunFolder
+from cluster_est.running.environment import open_executor
 from cluster_est.running.multistart import Multistart, make_starts, search_from_starts
-from cluster_est.running.resources import Resources, one_blas_thread, open_executor
+from cluster_est.running.resources import Resources, one_blas_thread
 from cluster_est.running.runner import Runner
 
 SYSTEM, PARAMETERS, EXPERIMENTS = "two_mass_drive", 6, 4

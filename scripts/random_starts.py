@@ -18,7 +18,7 @@ from cluster_est.config.build import build_method, build_problem, build_resource
 from cluster_est.config.reader import read_config
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
-from cluster_est.running.resources import open_executor
+from cluster_est.running.environment import open_executor
 from cluster_est.running.runner import Runner, SearchRequest
 
 

@@ -1,375 +1,44 @@
-"""The command line: one function a command, which reads its arguments.
-
-Exit codes: 0 done; 1 ran, but did not reach a solution; 2 bad input, with a sentence; 130
-interrupted.
-"""
+"""The program `cluster-est`: from arguments to a command, and from errors to sentences."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
+from cluster_est.cli.exit_codes import ExitCode
+from cluster_est.cli.parser import parse
 from cluster_est.config.messages import readable
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
 
-DONE, NO_SOLUTION, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
-    options = _parse(arguments)
+    options = parse(arguments)
     errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+    from cluster_est.cli.commands import COMMANDS  # who asks for help need not wait for it
+
     try:
-        with (
-            terminations(),
-            np.errstate(all="ignore"),
-        ):  # who meets what is not finite says so in a sentence
-            code: int = options.run(options)
+        # who meets what is not finite says so in a sentence
+        with terminations(), np.errstate(all="ignore"):
+            return COMMANDS[options.command](options)
     except ClusterEstError as error:
         errors.print(f"cluster-est: {readable(str(error))}")
-        return BAD_INPUT
+        return ExitCode.BAD_INPUT
     except KeyboardInterrupt:
         errors.print("cluster-est: interrupted")
-        return INTERRUPTED
-    return code
+        return ExitCode.INTERRUPTED
 
 
 def run() -> None:
     """Run a command as a program: end with its exit code, whatever still runs in threads."""
     code = main()
-    if code == INTERRUPTED:  # a simulation that nobody can stop must not keep the process
+    if code == ExitCode.INTERRUPTED:  # a simulation that nobody can stop must not keep the process
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
     sys.exit(code)
-
-
-def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Parse, with key=value arguments anywhere, before and after the options."""
-    parser = _parser()
-    options, rest = parser.parse_known_args(arguments)
-    for argument in rest:
-        if argument.startswith("-") or "=" not in argument or "overrides" not in options:
-            parser.error(f"unrecognized argument: {argument}; overrides are written key=value")
-    if rest:
-        options.overrides = [*options.overrides, *rest]
-    return options
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="cluster-est",
-        description="Estimate the parameters and initial states of an FMU from many measured "
-        "experiments at once.",
-        epilog="KEY=VALUE overrides a key of the config, as in method.options.trials=8. "
-        "Exit codes: 0 done, 1 no solution, 2 bad input, 130 interrupted.",
-    )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-
-    _add_init(commands)
-    check = _command(
-        commands,
-        "check",
-        "say what is wrong with a config, its data and its FMU, or with an FMU alone",
-        config="the TOML file, or an FMU",
-    )
-    check.add_argument(
-        "--seconds",
-        type=_seconds,
-        default=None,
-        help="that all checks share (default 4); 0: only read everything",
-    )
-    check.set_defaults(run=_check)
-
-    fit = _command(commands, "fit", "estimate the parameters")
-    fit.set_defaults(run=_fit)
-    loop = _command(commands, "close-loop", "find what the model lacks, add it and fit again")
-    loop.set_defaults(run=_close_loop)
-    for command in (fit, loop):
-        command.add_argument("--out", type=Path, required=True, help="folder to write the run to")
-        present = command.add_mutually_exclusive_group()
-        present.add_argument(
-            "--overwrite", action="store_true", help="replace the run in that folder"
-        )
-        present.add_argument(
-            "--resume",
-            action="store_true",
-            help="take up the run in that folder where it was interrupted; begin if there is none",
-        )
-        command.add_argument("--no-report", action="store_true", help="write no report.html")
-
-    simulate = _command(
-        commands,
-        "simulate",
-        "simulate every experiment, at the start values or as a run has found them",
-    )
-    simulate.add_argument(
-        "--out", type=Path, required=True, help="table to write: .parquet, .feather or .csv"
-    )
-    simulate.add_argument(
-        "--run", dest="run_folder", type=Path, help="take the values from this run's estimates"
-    )
-    simulate.set_defaults(run=_simulate)
-
-    show = commands.add_parser("show", help="print a run's parameters and errors")
-    show.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
-    show.add_argument("--iterations", action="store_true", help="print the iteration table instead")
-    show.add_argument("--failures", action="store_true", help="list what failed, for replay")
-    show.add_argument("--search", help="of this search, such as 'start 3'; without: of the best")
-    show.set_defaults(run=_show)
-    _add_report(commands)
-    _add_watch(commands)
-    _add_export(commands)
-    _add_sweep(commands)
-    _add_replay(commands)
-    return parser
-
-
-def _add_init(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    summary = "write a first config for an FMU and measured tables"
-    init = commands.add_parser("init", help=summary, description=summary[0].upper() + summary[1:])
-    init.add_argument("fmu", metavar="FMU", type=Path, help="the model")
-    init.add_argument(
-        "data",
-        metavar="DATA",
-        type=Path,
-        nargs="+",
-        help="tables, one an experiment: .csv, .parquet, .feather, .mat; the last is held out",
-    )
-    init.add_argument(
-        "--out", type=Path, help="TOML file to write; without: the FMU's name, in this folder"
-    )
-    init.add_argument("--overwrite", action="store_true", help="replace that file")
-    init.set_defaults(run=_init)
-
-
-def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    summary = "write a run's report, one HTML file that needs no network"
-    report = commands.add_parser(
-        "report", help=summary, description=summary[0].upper() + summary[1:]
-    )
-    report.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
-    report.add_argument("--out", type=Path, help="file to write; without: RUN/report.html")
-    report.set_defaults(run=_report)
-
-
-def _add_watch(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    summary = "follow a run from another terminal or machine, by its folder alone"
-    watch = commands.add_parser("watch", help=summary, description=summary[0].upper() + summary[1:])
-    watch.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
-    watch.add_argument("--html", action="store_true", help="keep RUN/report.html fresh too")
-    watch.add_argument(
-        "--every", metavar="SECONDS", type=_period, default=1.0, help="between two looks (1)"
-    )
-    watch.set_defaults(run=_watch)
-
-
-def _add_sweep(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    summary = "do every fit of a sweep that is not done yet"
-    sweep = commands.add_parser("sweep", help=summary, description=summary[0].upper() + summary[1:])
-    sweep.add_argument("sweep", metavar="SWEEP", type=Path, help="the TOML file of the sweep")
-    sweep.add_argument(
-        "--out", type=Path, required=True, help="folder with a run folder for each run"
-    )
-    sweep.add_argument(
-        "--retry-failed", action="store_true", help="try again what failed, even if unchanged"
-    )
-    _add_allow_code(sweep)
-    sweep.set_defaults(run=_sweep)
-
-
-def _add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    summary = "run one logged simulation again and show what the FMU says"
-    replay = commands.add_parser(
-        "replay", help=summary, description=summary[0].upper() + summary[1:]
-    )
-    replay.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
-    replay.add_argument(
-        "number", metavar="ID", type=int, help="row of the log, from 0; see show RUN --failures"
-    )
-    replay.add_argument(
-        "--config", type=Path, help="the config that the run was made from, if it has moved"
-    )
-    _add_allow_code(replay)
-    replay.set_defaults(run=_replay)
-
-
-def _add_export(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    summary = "write what a run has found: a repaired FMU, a parameter set, equations"
-    export = commands.add_parser(
-        "export", help=summary, description=summary[0].upper() + summary[1:]
-    )
-    export.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
-    export.add_argument(
-        "--fmu", type=Path, help="write the FMU with the estimates and effects in it (.fmu)"
-    )
-    export.add_argument("--ssv", type=Path, help="write the values as an SSP parameter set (.ssv)")
-    export.add_argument(
-        "--modelica", action="store_true", help="print the effects as equations of Modelica"
-    )
-    export.add_argument("--text", action="store_true", help="print values and effects as text")
-    export.add_argument(
-        "--experiment", metavar="ID", help="whose values, where parameters have one for each"
-    )
-    export.add_argument(
-        "--config", type=Path, help="the config that the run was made from, if it has moved"
-    )
-    _add_allow_code(export)
-    export.set_defaults(run=_export)
-
-
-def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser],
-    name: str,
-    summary: str,
-    config: str = "the TOML file",
-) -> argparse.ArgumentParser:
-    command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:])
-    command.add_argument("config", metavar="CONFIG", type=Path, help=config)
-    command.add_argument(
-        "overrides", metavar="KEY=VALUE", nargs="*", help="overrides of keys of the config"
-    )
-    _add_allow_code(command)
-    return command
-
-
-def _add_allow_code(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--allow-code",
-        action="store_true",
-        help="let Python functions that the config names run, here and on the workers",
-    )
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if seconds != 0.0 and not 0.5 <= seconds < 1e6:
-        raise argparse.ArgumentTypeError(f"must be 0 or a number from 0.5 on but is {text}")
-    return seconds
-
-
-def _init(options: argparse.Namespace) -> int:
-    from cluster_est.cli.commands import init
-
-    return init(options.fmu, options.data, options.out, overwrite=options.overwrite)
-
-
-def _period(text: str) -> float:
-    seconds = float(text)
-    if not 0.1 <= seconds < 1e5:
-        raise argparse.ArgumentTypeError(f"must be a number from 0.1 to 100000 but is {text}")
-    return seconds
-
-
-def _check(options: argparse.Namespace) -> int:
-    from cluster_est.cli.commands import check
-
-    given = {} if options.seconds is None else {"seconds": options.seconds}
-    return check(options.config, options.overrides, allow_code=options.allow_code, **given)
-
-
-def _fit(options: argparse.Namespace) -> int:
-    from cluster_est.cli.commands import fit
-
-    return fit(
-        options.config,
-        options.overrides,
-        options.out,
-        overwrite=options.overwrite,
-        resume=options.resume,
-        allow_code=options.allow_code,
-        with_report=not options.no_report,
-    )
-
-
-def _close_loop(options: argparse.Namespace) -> int:
-    from cluster_est.cli.commands import close_loop
-
-    return close_loop(
-        options.config,
-        options.overrides,
-        options.out,
-        overwrite=options.overwrite,
-        resume=options.resume,
-        allow_code=options.allow_code,
-        with_report=not options.no_report,
-    )
-
-
-def _simulate(options: argparse.Namespace) -> int:
-    from cluster_est.cli.commands import simulate
-
-    return simulate(
-        options.config,
-        options.overrides,
-        options.out,
-        options.run_folder,
-        allow_code=options.allow_code,
-    )
-
-
-def _sweep(options: argparse.Namespace) -> int:
-    from cluster_est.cli.commands import sweep
-
-    return sweep(
-        options.sweep,
-        options.out,
-        retry_failed=options.retry_failed,
-        allow_code=options.allow_code,
-    )
-
-
-def _replay(options: argparse.Namespace) -> int:
-    from cluster_est.cli.commands import replay
-
-    return replay(options.run_folder, options.number, options.config, allow_code=options.allow_code)
-
-
-def _report(options: argparse.Namespace) -> int:
-    from cluster_est.cli.commands import report
-
-    return report(options.run_folder, options.out)
-
-
-def _watch(options: argparse.Namespace) -> int:
-    from cluster_est.cli.commands import watch
-
-    return watch(options.run_folder, options.every, html=options.html)
-
-
-def _export(options: argparse.Namespace) -> int:
-    from cluster_est.cli.commands import export
-
-    return export(
-        options.run_folder,
-        options.config,
-        options.experiment,
-        fmu=options.fmu,
-        ssv=options.ssv,
-        modelica=options.modelica,
-        text=options.text,
-        allow_code=options.allow_code,
-    )
-
-
-def _show(options: argparse.Namespace) -> int:
-    from cluster_est.cli.commands import show
-
-    iterations = options.iterations or options.search is not None
-    return show(
-        options.run_folder,
-        iterations=iterations,
-        search=options.search,
-        failures=options.failures,
-    )
-
-
-if __name__ == "__main__":
-    run()

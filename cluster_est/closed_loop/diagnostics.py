@@ -19,6 +19,7 @@ from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkben
 from cluster_est.config.effects import build_effects
 from cluster_est.config.reader import CoefficientSection, EffectSection
 from cluster_est.problem.problem import Problem
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources
 from workers.effects.forms import EffectForm, FormCoefficient
 from workers.effects.forms import form as find_form
@@ -205,7 +206,7 @@ def _screened(
 ) -> Iterator[tuple[LoopWorkbench, FittedModel, ScreeningResult]]:
     """The declared model fitted, and every candidate against its residual."""
     given = settings or LoopSettings()
-    with open_bench(problem, resources or Resources(), given, seed, None, None) as bench:
+    with open_bench(problem, RunEnvironment(resources or Resources()), given, seed) as bench:
         fitted = fit_declared(bench, FitStart(bench.problem, {}))
         yield bench, fitted, screen(bench, fitted, 1)
 
@@ -232,7 +233,7 @@ def _sized(
     place = parse_site(site, "site")
     chosen = find_form(place.kind, name, "form")
     about = variables or _own(place, chosen)
-    with open_bench(problem, Resources(), LoopSettings(), 0, None, None) as bench:
+    with open_bench(problem, RunEnvironment(), LoopSettings(), 0) as bench:
         space = bench.space(FitStart(bench.problem, {}))
         nothing = np.zeros(0)
         courses = bench.courses(FittedModel(space, space.start, nothing, nothing))

@@ -24,6 +24,7 @@ from cluster_est.fit import complete, simulate_all
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Problem
 from cluster_est.results.result import Result
+from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Note, Record, SearchRequest, Show
 from cluster_est.uncertainty import examine
@@ -36,6 +37,7 @@ def close_loop(
     resources: Resources | None = None,
     settings: LoopSettings | None = None,
     seed: int = 0,
+    *,
     record: Record | None = None,
     show: Show | None = None,
     note: Note | None = None,
@@ -62,9 +64,29 @@ def close_loop(
     ClusterEstError
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
+    environment = RunEnvironment(resources or Resources(), Monitor(record, show, note))
+    return close_loop_in(environment, problem, settings or LoopSettings(), seed)
+
+
+def close_loop_in(
+    environment: RunEnvironment, problem: Problem, settings: LoopSettings, seed: int
+) -> LoopResult:
+    """Close the loop with workers, listeners and a budget that somebody else has chosen.
+
+    Parameters
+    ----------
+    environment
+        All that surrounds the loop.
+    problem, settings, seed
+        As of `close_loop`.
+
+    Raises
+    ------
+    ClusterEstError
+        If model, experiments and machine do not fit together, or the data cannot carry a search.
+    """
     begin = time.monotonic()
-    settings = settings or LoopSettings()
-    with open_bench(problem, resources or Resources(), settings, seed, record, show, note) as bench:
+    with open_bench(problem, environment, settings, seed) as bench:
         found = search(bench, FitStart(bench.problem, {}))
         judgement = judge(bench, found)
         report = _report(bench, found, judgement, begin)

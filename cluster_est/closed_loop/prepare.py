@@ -25,8 +25,9 @@ from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
-from cluster_est.running.resources import Resources, one_blas_thread, open_executor
-from cluster_est.running.runner import Note, Record, Runner, Show, TaskOrigin
+from cluster_est.running.environment import RunEnvironment
+from cluster_est.running.resources import one_blas_thread
+from cluster_est.running.runner import Record, TaskOrigin
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest
@@ -37,13 +38,7 @@ LEAST_SAMPLES_PER_UNKNOWN = 4
 
 @contextmanager
 def open_bench(
-    problem: Problem,
-    resources: Resources,
-    settings: LoopSettings,
-    seed: int,
-    record: Record | None,
-    show: Show | None,
-    note: Note | None = None,
+    problem: Problem, environment: RunEnvironment, settings: LoopSettings, seed: int
 ) -> Iterator[LoopWorkbench]:
     """Start the workers and install the experiments with their rehearsals.
 
@@ -54,26 +49,23 @@ def open_bench(
     _check(problem, settings, description)
     weights: tuple[str, ...] = ()
     if _unweighted(problem):
-        with _opened(problem, resources, settings, seed, description, record, show, note) as bench:
+        with _opened(problem, environment, settings, seed, description) as bench:
             (fitted,) = bench.fit("weights", [FitStart(problem, {})], BRIEF)
             if fitted is not None:
                 noise = estimate_noise(fitted.residuals, bench.records)
                 problem = _weighted(problem, dict(zip(bench.records.outputs, noise, strict=True)))
                 weights = (_weight_note(problem),)
-    with _opened(problem, resources, settings, seed, description, record, show, note) as bench:
+    with _opened(problem, environment, settings, seed, description) as bench:
         yield replace(bench, notes=(*bench.notes, *weights))
 
 
 @contextmanager
 def _opened(
     problem: Problem,
-    resources: Resources,
+    environment: RunEnvironment,
     settings: LoopSettings,
     seed: int,
     description: ModelDescription,
-    record: Record | None,
-    show: Show | None,
-    note: Note | None,
 ) -> Iterator[LoopWorkbench]:
     train = problem.indices("train")
     runs = [problem.experiments[e] for e in train]
@@ -83,10 +75,11 @@ def _opened(
         rehearsals[f"{horizon:.0%}"] = _install(installed, [shortened(r, horizon) for r in runs])
     rehearsals["enlarged"] = _install(installed, [enlarged(r, ENLARGED) for r in runs])
     everything = replace(problem, experiments=tuple(installed))
-    meter = SimulationMeter(everything.experiments, _named(everything.experiments, record))
-    with one_blas_thread(), open_executor(everything, resources) as executor:
+    record = _named(everything.experiments, environment.monitor.record)
+    meter = SimulationMeter(everything.experiments, record)
+    with one_blas_thread(), environment.executor(everything) as executor:
         yield LoopWorkbench(
-            runner=Runner(executor, resources.budget, meter, show, note, whole=True),
+            runner=environment.runner(executor, record=meter, whole=True),
             problem=problem,
             description=description,
             settings=settings,

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from types import TracebackType
 from typing import ClassVar, Self
 
-from workers.messages import Experiment, Limits, Model, Outcome, Task
+from workers.messages import Experiment, Limits, Model, Outcome, Task, Want
 
 
 class Executor(ABC):
@@ -96,3 +96,29 @@ class WorkerPool(Executor):
 
         Their ids may be used again. Empty if that worker was lost.
         """
+
+
+class OutcomeSource(ABC):
+    """Outcomes that are known already, such as those in the log of an interrupted run.
+
+    They are numbered in the order in which they came, and each is given out once.
+    """
+
+    remaining: int
+    """How many nobody has taken yet."""
+
+    @abstractmethod
+    def take(self, questions: Sequence[tuple[str, Want]]) -> list[int | None]:
+        """Return, for each simulation key and want, the first outcome that nobody has taken."""
+
+    @abstractmethod
+    def is_whole(self, row: int) -> bool:
+        """Return whether all of an outcome is known, so that it need not be simulated again."""
+
+    @abstractmethod
+    def outcome(self, row: int, task: int) -> Outcome:
+        """Return an outcome as the answer to a task."""
+
+    @abstractmethod
+    def note_answered(self, task: int) -> None:
+        """Remember that a task was answered from here: it must not be logged again."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 import heapq
 from collections.abc import Collection, Sequence
 
-from cluster_est.executors.base import Executor
-from cluster_est.run_folder.log_format import simulation_key
-from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.executors.base import Executor, OutcomeSource
+from cluster_est.executors.simulation_key import simulation_key
 from workers.messages import Experiment, Model, Outcome, Task
 
 
@@ -23,7 +22,7 @@ class LogReplayExecutor(Executor):
     Rows without residuals, or without a linearisation, are simulated again at once, and answered
     when it is their turn.
 
-    It is no choice of a config: `open_executor` puts it there for a run that is resumed.
+    It is no choice of a config: a run that is resumed puts it there, see `RunEnvironment`.
 
     Parameters
     ----------
@@ -40,7 +39,7 @@ class LogReplayExecutor(Executor):
         inner: Executor,
         model: Model,
         experiments: Sequence[Experiment],
-        log: LoggedOutcomes,
+        log: OutcomeSource,
     ) -> None:
         self._inner = inner
         self._model_key = model.key

@@ -18,13 +18,13 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
+from cluster_est.executors.simulation_key import simulation_key
 from cluster_est.run_folder.lock import lock
 from cluster_est.run_folder.log_format import (
     SCHEMA,
     logged_cost,
     read_log,
     segments,
-    simulation_key,
     slim,
 )
 from cluster_est.running.runner import TaskOrigin

@@ -19,20 +19,20 @@ import pyarrow.parquet as pq
 from cluster_est.closed_loop.findings import tables
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.errors import RunFolderError
-from cluster_est.problem.problem import Problem
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.result import Result
 from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
-from cluster_est.run_folder.run_identity import FORMAT, versions
+from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunStatus, versions
 from cluster_est.running.reset_policy import ResetDecision
 from cluster_est.running.runner import RunSnapshot, SearchIteration, TaskOrigin
-from cluster_est.running.sensitivity_policy import SensitivityDecision
 from workers.messages import Outcome
 
 BEGUN = {"evaluations", "config.toml", ".config.toml", PROGRESS, ".run.json"}
 """All that a folder can hold if its process was killed before it wrote run.json."""
+
+RunResult = Result | LoopResult
 
 
 class RunFolder:
@@ -42,24 +42,12 @@ class RunFolder:
     ----------
     path
         Must not hold a run yet, unless `overwrite`.
-    problem
+    identity
         What is run.
-    config_text
-        The resolved config as TOML.
-    config_hash
-        Hash of what determines the result.
-    seed
-        Of the method.
-    overwrite
-        Whether to replace the run that is there.
-    log_settings
-        How much of each simulation is kept.
     logged
         What the run that is there has simulated, if it is taken up again: its log goes on.
-    config_folder
-        The folder that the config's paths start from.
-    chosen, carried
-        What every simulation begins with; whether sensitivities are taken from the model.
+    overwrite
+        Whether to replace the run that is there.
 
     Raises
     ------
@@ -70,47 +58,49 @@ class RunFolder:
     def __init__(
         self,
         path: Path,
-        problem: Problem,
-        config_text: str,
-        config_hash: str,
-        seed: int,
+        identity: RunIdentity,
+        logged: LoggedOutcomes | None = None,
         *,
         overwrite: bool = False,
-        log_settings: LogSettings | None = None,
-        logged: LoggedOutcomes | None = None,
-        config_folder: Path | None = None,
-        chosen: ResetDecision | None = None,
-        carried: SensitivityDecision | None = None,
     ) -> None:
         check_free(path, overwrite=overwrite or logged is not None)
         self.path = path
-        self._problem, self._seed = problem, seed
-        self._metadata = {"cluster_est.config_hash": config_hash, "cluster_est.format": FORMAT}
-        self._config_hash = config_hash
+        self._identity, self._problem = identity, identity.problem
+        self._config_hash = identity.config_hash
+        self._metadata = {
+            "cluster_est.config_hash": self._config_hash,
+            "cluster_est.format": FORMAT,
+        }
         self._logged = logged
-        self._config_folder = config_folder
-        self._chosen, self._carried = chosen, carried
+        self._reset: ResetDecision | None = None
         self._iterations: dict[tuple[str, int, str], dict[str, Any]] = {}
         self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
         self._begin = time.time()
         if overwrite and path.exists():
             _remove_run(path)
-        experiments = [(e.id, e.key) for e in problem.experiments]
-        first = 0 if logged is None else logged.next_segment
         try:
-            self._log = EvaluationLog(
-                path / "evaluations",
-                problem.model.key,
-                experiments,
-                self._metadata,
-                log_settings,
-                first,
-            )
-            _write_text(path / "config.toml", config_text)
+            self._log = self._open_log()
+            _write_text(path / "config.toml", identity.config_text)
             self._progress = ProgressFile(path / PROGRESS)
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be written ({error}); choose another") from error
-        self._write_status("running", {})
+        self._write_status(RunStatus.RUNNING, {})
+
+    def _open_log(self) -> EvaluationLog:
+        log = self._identity.config.log
+        return EvaluationLog(
+            self.path / "evaluations",
+            self._problem.model.key,
+            [(e.id, e.key) for e in self._problem.experiments],
+            self._metadata,
+            LogSettings(log.residuals, log.max_megabytes),
+            0 if self._logged is None else self._logged.next_segment,
+        )
+
+    def note_reset(self, decision: ResetDecision) -> None:
+        """Keep what every simulation begins with."""
+        self._reset = decision
+        self._write_status(RunStatus.RUNNING, {})
 
     def record(self, origin: TaskOrigin, outcome: Outcome) -> None:
         """Log one simulation, unless it stands in the log since before the run was resumed."""
@@ -134,13 +124,17 @@ class RunFolder:
         """Let others see how far it is."""
         self._progress.show(snapshot)
 
-    def write(self, result: Result) -> None:
-        """Write all tables at the end of a run."""
+    def write(self, result: RunResult) -> RunStatus:
+        """Write all tables at the end of a run, and return how it stands."""
+        if isinstance(result, LoopResult):
+            self.write_loop(result)
+            return RunStatus.DONE
         self._log.close()
         self._table("parameters", [dataclasses.asdict(e) for e in result.estimates])
         self._table("errors", [dataclasses.asdict(e) for e in result.errors])
         self._write_fit(result)
         self._write_status(_status(result), _numbers(result))
+        return _status(result)
 
     def write_loop(self, result: LoopResult) -> None:
         """Write all tables of a closed loop: those of its last fit, and what it found."""
@@ -157,7 +151,7 @@ class RunFolder:
             "seconds": result.seconds,
             "errors_over": "sigma" if given else "estimated noise",
         }
-        self._write_status("done", numbers | tables.facts(result))
+        self._write_status(RunStatus.DONE, numbers | tables.facts(result))
 
     def _write_fit(self, result: Result) -> None:
         """Iterations, workers, residuals and trajectories."""
@@ -172,7 +166,7 @@ class RunFolder:
         self._write_table("residuals", result.residuals)
         self._write_table("trajectories", result.trajectories)
 
-    def abandon(self, reason: str, status: str = "failed") -> None:
+    def abandon(self, reason: str, status: RunStatus = RunStatus.FAILED) -> None:
         """Close the log of a run that ended without a result, and say so."""
         self._log.close()
         self._write_status(status, {"message": reason})
@@ -186,24 +180,23 @@ class RunFolder:
         pq.write_table(table.replace_schema_metadata(metadata), partial)
         partial.rename(self.path / f"{name}.parquet")
 
-    def _write_status(self, status: str, numbers: dict[str, Any]) -> None:
+    def _write_status(self, status: RunStatus, numbers: dict[str, Any]) -> None:
         facts = {
             "format": FORMAT,
             "status": status,
             "verdict": None,
             **numbers,
-            "seed": self._seed,
+            "seed": self._identity.seed,
             "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._begin)),
             "config_hash": self._config_hash,
-            "config_folder": str(self._config_folder.resolve()) if self._config_folder else "",
+            "config_folder": str(self._identity.base.resolve()),
             "fmu": {
                 "name": self._problem.model.name,
                 "sha256": self._problem.model.archive_hash,
                 "interface": self._problem.model.interface,
                 "solver": self._problem.model.solver.name,
             },
-            "renewal": dataclasses.asdict(self._chosen) if self._chosen is not None else None,
-            "sensitivities": dataclasses.asdict(self._carried) if self._carried else None,
+            "renewal": dataclasses.asdict(self._reset) if self._reset is not None else None,
             "experiments": {e.id: e.key for e in self._problem.experiments},
             "versions": versions(),
         }
@@ -239,10 +232,10 @@ def only_begun(path: Path) -> bool:
     return "evaluations" in names and names <= BEGUN and log.is_dir() and not any(log.iterdir())
 
 
-def _status(result: Result) -> str:
+def _status(result: Result) -> RunStatus:
     if result.interrupted:
-        return "interrupted"
-    return "done" if result.success else "not converged"
+        return RunStatus.INTERRUPTED
+    return RunStatus.DONE if result.success else RunStatus.NOT_CONVERGED
 
 
 def _numbers(result: Result) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from workers.messages import Effect, FloatArray, Outcome, Want, content_hash
+from workers.messages import Outcome, Want
 
 SCHEMA = pa.schema(
     [
@@ -41,13 +41,6 @@ answer came, in seconds since 1970, and is missing in logs of versions that did 
 LARGE = ("residuals", "variables", "times", "trajectory")
 """Columns that can be left out: a resumed run simulates those rows again."""
 END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
-
-
-def simulation_key(
-    model_key: str, experiment_key: str, effects: tuple[Effect, ...], values: FloatArray
-) -> str:
-    """Hash of all that a simulation's outcome depends on."""
-    return content_hash([model_key, experiment_key, repr(effects), values.tobytes()])
 
 
 def logged_cost(outcome: Outcome, want: Want) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from cluster_est.executors.base import OutcomeSource
 from cluster_est.run_folder.lock import locked
 from cluster_est.run_folder.log_format import mend, read_batches, segments
 from workers.messages import USUAL, FloatArray, IntArray, Outcome, Status, Trajectory, Want
@@ -17,7 +18,7 @@ KEY_LENGTH = 32
 """Characters of a key that are kept in memory: 128 bits."""
 
 
-class LoggedOutcomes:
+class LoggedOutcomes(OutcomeSource):
     """The rows of a log, found by what was asked; each is given out once.
 
     Torn segments are mended first. Keys are held in memory, about 100 bytes a row; everything else

@@ -6,63 +6,30 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from cluster_est.config.reader import Config
-from cluster_est.config.toml import to_toml
 from cluster_est.errors import RunFolderError
-from cluster_est.problem.problem import Problem
-from cluster_est.run_folder.evaluation_log import LogSettings
-from cluster_est.run_folder.folder import RunFolder, check_free
-from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.run_folder.folder import check_free
 from cluster_est.run_folder.reading import read_facts
-from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, hash_config, versions
-from cluster_est.running.reset_policy import ResetDecision
-from cluster_est.running.sensitivity_policy import SensitivityDecision
-
-FINISHED = "done"
-
-
-def open_folder(
-    out: Path,
-    problem: Problem,
-    config: Config,
-    unused: str,
-    *,
-    overwrite: bool,
-    logged: LoggedOutcomes | None = None,
-    base: Path | None = None,
-    chosen: ResetDecision | None = None,
-    carried: SensitivityDecision | None = None,
-) -> RunFolder:
-    """The folder of a run by a config, whose paths start from `base`.
-
-    `unused` is the section that does not concern it.
-    """
-    return RunFolder(
-        out,
-        problem,
-        to_toml(config.model_dump(mode="python")),
-        hash_config(config.model_dump(mode="json", exclude_defaults=False), unused),
-        config.method.seed if unused == "closed_loop" else config.closed_loop.seed,
-        overwrite=overwrite,
-        log_settings=LogSettings(config.log.residuals, config.log.max_megabytes),
-        logged=logged,
-        config_folder=base,
-        chosen=chosen,
-        carried=carried,
-    )
+from cluster_est.run_folder.run_identity import (
+    DECISIVE,
+    FORMAT,
+    UNHASHED,
+    RunIdentity,
+    RunStatus,
+    versions,
+)
 
 
 def is_finished(out: Path) -> bool:
-    """Whether a folder holds a run that reached its end."""
+    """Return whether a folder holds a run that reached its end."""
     return (
         (out / "run.json").is_file()
         and (out / "parameters.parquet").is_file()
-        and read_facts(out)["status"] == FINISHED
+        and read_facts(out)["status"] == RunStatus.DONE
     )
 
 
-def check_resumable(out: Path, problem: Problem, config: Config, unused: str) -> bool:
-    """Whether there is a run to take up again; otherwise the folder is free for one that begins.
+def check_resumable(out: Path, identity: RunIdentity) -> bool:
+    """Return whether there is a run to take up again; else the folder is free for a new one.
 
     Executor, budget and log may be others than before. A budget's evaluations count those of the
     first run too, its seconds begin anew.
@@ -76,7 +43,7 @@ def check_resumable(out: Path, problem: Problem, config: Config, unused: str) ->
         check_free(out, overwrite=False)
         return False
     facts = read_facts(out)
-    different = _difference(out, facts, problem, config, unused)
+    different = _difference(out, facts, identity)
     if different:
         raise RunFolderError(
             f"{out}: must hold a run of the same problem to be resumed, but {different}; choose "
@@ -85,15 +52,13 @@ def check_resumable(out: Path, problem: Problem, config: Config, unused: str) ->
     return True
 
 
-def _difference(
-    out: Path, facts: dict[str, Any], problem: Problem, config: Config, unused: str
-) -> str:
-    """What differs from the run that is there, as part of a sentence; empty if nothing does."""
+def _difference(out: Path, facts: dict[str, Any], identity: RunIdentity) -> str:
+    """Say what differs from the run that is there, as part of a sentence; empty if nothing does."""
+    problem = identity.problem
     if facts.get("format") != FORMAT:
         return f"its format is {facts.get('format')} and this version writes {FORMAT}"
-    tree = config.model_dump(mode="json", exclude_defaults=False)
-    if facts.get("config_hash") != hash_config(tree, unused):
-        return _different_key(out, config, unused)
+    if facts.get("config_hash") != identity.config_hash:
+        return _different_key(out, identity)
     if facts.get("fmu", {}).get("sha256") != problem.model.archive_hash:
         return f"{problem.model.name} was another FMU then, of the same name"
     known = facts.get("experiments", {})
@@ -103,14 +68,14 @@ def _difference(
     return _different_version(facts.get("versions", {}))
 
 
-def _different_key(out: Path, config: Config, unused: str) -> str:
+def _different_key(out: Path, identity: RunIdentity) -> str:
     try:
         before = tomllib.loads((out / "config.toml").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         before = {}
-    now = tomllib.loads(to_toml(config.model_dump(mode="python")))
+    now = tomllib.loads(identity.config_text)
     for tree in (before, now):
-        for section in (*UNHASHED, unused):
+        for section in (*UNHASHED, identity.kind.unused_section):
             tree.pop(section, None)
     key = _first_difference(before, now)
     if not key:

@@ -8,16 +8,17 @@ the same bits, a new instance for each simulation is tried, then a new process.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 from cluster_est.errors import ExecutorError
 from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
+from cluster_est.running.resources import Resources
 from workers.errors import ModelError
-from workers.messages import Experiment, Limits, Outcome, Renewal, Task
+from workers.messages import Experiment, Outcome, Renewal, Task
 
 SLOW_SECONDS = 1.0
 """A simulation of more is not repeated."""
@@ -89,22 +90,23 @@ class RepeatabilityTest:
         return bool(rest) and rest[-1].ok and _bits(rest[-1]) == _bits(first)
 
 
-def open_renewing(
-    problem: Problem,
-    name: str,
-    workers: int | None,
-    address: str | None,
-    limits: Limits,
-    known: ResetDecision | None,
+class _Start(Protocol):
+    """Starts workers of an executor, whose simulations begin in some way."""
+
+    def __call__(self, kind: str, renew: Renewal, count: int | None) -> WorkerPool: ...
+
+
+def open_with_reset(
+    problem: Problem, resources: Resources, known: ResetDecision | None = None
 ) -> tuple[WorkerPool, ResetDecision]:
-    """Start the workers, with what every simulation has to begin with.
+    """Start the workers, and decide what every simulation begins with.
 
     Parameters
     ----------
-    name, workers, address, limits
-        Of the executor.
+    problem, resources
+        What is simulated, and where.
     known
-        What an interrupted run had chosen, if this one goes on with it.
+        What was decided before, if an interrupted run is taken up again.
 
     Raises
     ------
@@ -116,15 +118,16 @@ def open_renewing(
 
     def start(kind: str, renew: Renewal, count: int | None) -> WorkerPool:
         model = replace(problem.model, renew=renew)
-        return executor_class(kind).open(model, problem.experiments, count, address, limits)
+        where = count, resources.address, resources.limits
+        return executor_class(kind).open(model, problem.experiments, *where)
 
     declared = problem.model.renew
     if known is None and declared != "auto":
         said = f"each simulation begins with {BEGINS[declared]}, as model.reset says"
         known = ResetDecision(declared, said, plain=True)
     if known is not None:
-        return start(name, known.renew, workers), known
-    executor = start(name, "reset", workers)
+        return start(resources.executor, known.renew, resources.workers), known
+    executor = start(resources.executor, "reset", resources.workers)
     try:
         question = RepeatabilityTest.of(problem)
         same = question.ask(executor)
@@ -134,11 +137,10 @@ def open_renewing(
     if same is None:
         return executor, ResetDecision("reset", _UNKNOWN, plain=True)
     if same:
-        return executor, ResetDecision(
-            "reset", "a reset instance is as good as a new one", plain=True
-        )
+        said = "a reset instance is as good as a new one"
+        return executor, ResetDecision("reset", said, plain=True)
     executor.close()
-    return _other_way(problem.model.name, name, workers, question, start)
+    return _other_way(problem.model.name, resources, question, start)
 
 
 _UNKNOWN = (
@@ -148,13 +150,10 @@ _UNKNOWN = (
 
 
 def _other_way(
-    file: str,
-    name: str,
-    workers: int | None,
-    question: RepeatabilityTest,
-    start: Callable[[str, Renewal, int | None], WorkerPool],
+    file: str, resources: Resources, question: RepeatabilityTest, start: _Start
 ) -> tuple[WorkerPool, ResetDecision]:
     """The least that lets the question have one answer; a reset if nothing does."""
+    name, workers = resources.executor, resources.workers
     for renew in WAYS[1:]:
         elsewhere = renew == "process" and name == "local"
         try:

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from cluster_est.executors import Executor, WorkerPool
-from cluster_est.executors.log_replay import LogReplayExecutor
-from cluster_est.methods.base import Method
-from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import SearchSpace
-from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
-from cluster_est.running.reset_policy import ResetDecision, open_renewing
-from cluster_est.running.runner import Budget
-from cluster_est.running.sensitivity_policy import SensitivityDecision, cheaper_slopes, with_slopes
+from cluster_est.running.records import Budget
 from workers.messages import Limits
 
 
@@ -36,15 +27,6 @@ class Resources:
         When to stop.
     limits
         When a simulation is ended from outside; "local" cannot do that.
-    log
-        What an interrupted run has simulated already, if this one takes it up again.
-    renew
-        What that run's simulations began with, if it had to be chosen.
-    carried
-        Whether that run's method took sensitivities from the model, if that was found out.
-    chosen, slopes
-        Told what every simulation begins with, and where derivatives come from, before the first
-        simulation that counts.
     """
 
     executor: str = "local"
@@ -52,13 +34,6 @@ class Resources:
     address: str | None = None
     budget: Budget = field(default_factory=Budget)
     limits: Limits = field(default_factory=Limits)
-    log: LoggedOutcomes | None = field(default=None, repr=False, compare=False)
-    renew: ResetDecision | None = None
-    carried: SensitivityDecision | None = None
-    chosen: Callable[[ResetDecision], None] | None = field(default=None, repr=False, compare=False)
-    slopes: Callable[[SensitivityDecision], None] | None = field(
-        default=None, repr=False, compare=False
-    )
 
 
 def one_blas_thread() -> Any:
@@ -68,26 +43,3 @@ def one_blas_thread() -> Any:
     and sums could round differently on machines with other numbers of cores.
     """
     return threadpool_limits(limits=1, user_api="blas")
-
-
-def open_executor(problem: Problem, resources: Resources) -> Executor:
-    """Start the workers for a problem; behind the log, if there is one."""
-    where = resources.executor, resources.workers, resources.address, resources.limits
-    executor, chosen = open_renewing(problem, *where, resources.renew)
-    if resources.chosen is not None:
-        resources.chosen(chosen)
-    if resources.log is None:
-        return executor
-    return LogReplayExecutor(executor, problem.model, problem.experiments, resources.log)
-
-
-def suit_method(
-    method: Method, executor: Executor, space: SearchSpace, resources: Resources
-) -> Method:
-    """The method, with derivatives from where they are cheaper; nothing was simulated yet."""
-    found = resources.carried or SensitivityDecision(False)
-    if resources.carried is None and isinstance(executor, WorkerPool):
-        found = cheaper_slopes(executor, space, method)
-    if resources.slopes is not None:
-        resources.slopes(found)
-    return with_slopes(method, found)

@@ -2,49 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
-from cluster_est.executors import Executor
+from cluster_est.executors import WorkerPool
 from cluster_est.problem.problem import Problem
-from cluster_est.running.resources import Resources, open_executor
+from cluster_est.running.environment import WorkerSource
+from cluster_est.running.reset_policy import ResetDecision, open_with_reset
+from cluster_est.running.resources import Resources
 
 
-class SharedPools:
+class SharedPools(WorkerSource):
     """Gives each run its workers and keeps them for the next one.
 
-    A pool is bound to a model and its experiments. It stays while runs ask for the same ones, on
-    the same machine or cluster; else its workers are replaced. Ray itself is started once and stays
-    until the end. At most one pool is open at a time, so nothing waits for cores.
+    A pool is bound to a model and its experiments. It stays while runs agree in everything that
+    matters to workers: those, the machine or cluster, the limits of a simulation and what it begins
+    with; else its workers are replaced. Ray itself is started once and stays until the end. At most
+    one pool is open at a time, so nothing waits for cores.
     """
 
     def __init__(self) -> None:
         self._key: tuple[Any, ...] = ()
-        self._executor: Executor | None = None
+        self._pool: tuple[WorkerPool, ResetDecision] | None = None
         self._connected = False
 
-    def open(self, problem: Problem, resources: Resources) -> Executor:
-        """The workers for a problem; they must not be closed.
-
-        Raises
-        ------
-        ModelError, ExecutorError
-            If there are none to be had.
-        """
-        key = pool_key(problem, resources)
+    @contextmanager
+    def lease(
+        self, problem: Problem, resources: Resources, known: ResetDecision | None
+    ) -> Iterator[tuple[WorkerPool, ResetDecision]]:
+        key = (*pool_key(problem, resources), known)
         # What a run left behind, stopped by its budget, must not come back in the next one.
-        if self._executor is None or key != self._key or self._executor.busy:
+        if self._pool is None or key != self._key or self._pool[0].busy:
             self._drop()
             if resources.executor == "ray":
                 self._connected |= _connect(resources)
-            self._executor = open_executor(problem, resources)
+            self._pool = open_with_reset(problem, resources, known)
             self._key = key
-        return self._executor
+        yield self._pool
 
     def _drop(self) -> None:
-        if self._executor is not None:
-            executor, self._executor = self._executor, None
-            executor.close()
+        if self._pool is not None:
+            (pool, _), self._pool = self._pool, None
+            pool.close()
 
     def close(self) -> None:
         """Stop the workers, and Ray if it was started here."""
@@ -68,12 +69,14 @@ class SharedPools:
 
 
 def pool_key(problem: Problem, resources: Resources) -> tuple[Any, ...]:
-    """Two runs with the same key can use the same workers."""
+    """Return what two runs must agree in to use the same workers."""
     return (
         resources.executor,
         resources.workers,
         resources.address,
+        resources.limits,
         problem.model.key,
+        problem.model.renew,
         *((experiment.id, experiment.key) for experiment in problem.experiments),
     )
 

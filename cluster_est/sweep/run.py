@@ -1,125 +1,104 @@
-"""One run of a sweep: a fit on workers that are there already, into a folder of its own."""
+"""One run of a sweep: the recipe of every run, on workers that are there already."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 
-from cluster_est.cli.progress import ProgressLine
-from cluster_est.config.build import (
-    build_method,
-    build_multistart,
-    build_problem,
-    build_resources,
-    build_uncertainty,
+from cluster_est.config.build import build_resources
+from cluster_est.configured_run import (
+    ConfiguredRun,
+    Destination,
+    Listener,
+    configure,
+    do_run,
 )
-from cluster_est.config.reader import Config
 from cluster_est.errors import ExecutorError, RunFolderError
-from cluster_est.executors import Executor
-from cluster_est.executors.log_replay import LogReplayExecutor
-from cluster_est.fit import check_search, fit_on
-from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import make_space
-from cluster_est.results.result import Result
-from cluster_est.run_folder.folder import RunFolder
-from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.reading import read_facts
-from cluster_est.run_folder.resume import check_resumable, open_folder
-from cluster_est.running.resources import one_blas_thread
-from cluster_est.running.runner import Budget, Runner, Show
+from cluster_est.run_folder.resume import check_resumable
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind, RunStatus
 from cluster_est.sweep.matrix import SweepRun
 from cluster_est.sweep.pool import SharedPools, pool_key
 from cluster_est.sweep.state import PlannedRun, clear_torn, fingerprint
 from workers.messages import content_hash
 
-UNUSED = "closed_loop"
-"""The section of a config that does not concern a fit."""
-UNDER_WAY = ("running", "interrupted")
-Progress = Callable[[Budget], AbstractContextManager[ProgressLine]]
+UNDER_WAY = (RunStatus.RUNNING, RunStatus.INTERRUPTED)
 
 
-def check_run(run: SweepRun, *, allow_code: bool) -> PlannedRun:
-    """Read all that a run needs, as a fit does before it begins, and keep only what it hashes to.
+@dataclass(frozen=True)
+class SweepSettings:
+    """What all runs of a sweep are done with.
+
+    Attributes
+    ----------
+    pools
+        The workers that they share.
+    listener
+        Hears of each run while it goes on.
+    allow_code
+        Whether Python functions that configs name may run.
+    """
+
+    pools: SharedPools
+    listener: Listener
+    allow_code: bool
+
+
+def read_sweep_run(run: SweepRun, *, allow_code: bool) -> ConfiguredRun:
+    """Read and check all that a run needs.
 
     Raises
     ------
     ClusterEstError
         If something is wrong.
     """
-    config = run.read()
-    problem = build_problem(config, run.config.parent, allow_code=allow_code)
-    method, resources = build_method(config), build_resources(config)
-    check_search(problem, method, build_uncertainty(config), build_multistart(config))
-    make_space(problem, problem.indices("test"))
-    budget = {k: v for k, v in config.budget.model_dump().items() if v is not None}
-    pool = content_hash([repr(pool_key(problem, resources))])
-    ray = (resources.workers, resources.address) if resources.executor == "ray" else None
-    return PlannedRun(run, fingerprint(config, problem), budget, pool, ray)
+    return configure(run.read(), run.config.parent, RunKind.FIT, allow_code=allow_code)
 
 
-def do_run(
-    run: SweepRun, folder: Path, pools: SharedPools, progress: Progress, *, allow_code: bool
-) -> str:
-    """Fit, write the run folder, and give the run's status.
+def check_run(run: SweepRun, *, allow_code: bool) -> PlannedRun:
+    """Read and check all that a run needs, and keep only what it hashes to.
 
-    A run that fails says why in its run.json and hurts no other one. The exceptions are Ctrl-C and
-    an executor without workers, which would hit all: they leave the run to the next call.
+    Raises
+    ------
+    ClusterEstError
+        If something is wrong.
     """
-    config = run.read()
-    problem = build_problem(config, run.config.parent, allow_code=allow_code)
+    identity = read_sweep_run(run, allow_code=allow_code).identity
+    resources = build_resources(identity.config)
+    budget = {k: v for k, v in identity.config.budget.model_dump().items() if v is not None}
+    pool = content_hash([repr(pool_key(identity.problem, resources))])
+    ray = (resources.workers, resources.address) if resources.executor == "ray" else None
+    return PlannedRun(run, fingerprint(identity), budget, pool, ray)
+
+
+def do_sweep_run(run: SweepRun, folder: Path, settings: SweepSettings) -> RunStatus:
+    """Do a run into its folder, and return its status.
+
+    A run that fails says why in its run.json and hurts no other one.
+
+    Raises
+    ------
+    ExecutorError
+        If there are no workers to be had, which would hit all runs; the next call goes on.
+    """
+    configured = read_sweep_run(run, allow_code=settings.allow_code)
     clear_torn(folder)
-    logged = _find_log(folder, problem, config)
-    written = open_folder(
-        folder,
-        problem,
-        config,
-        UNUSED,
-        overwrite=logged is None,
-        logged=logged,
-        base=run.config.parent,
-    )
+    existing = Existing.RESUME if _is_under_way(folder, configured.identity) else Existing.OVERWRITE
+    to = Destination(folder, existing, report=False, begin_at_once=True)
     try:
-        with progress(build_resources(config).budget) as line:
-            executor = pools.open(problem, build_resources(config))
-            if logged is not None:
-                executor = LogReplayExecutor(executor, problem.model, problem.experiments, logged)
-            result = _fit_on(executor, problem, config, written, line.show)
-        written.write(result)
-        if result.interrupted:
-            raise KeyboardInterrupt
-    except KeyboardInterrupt:
+        return do_run(configured, to, settings.listener, settings.pools).status
+    except ExecutorError:
         raise
-    except ExecutorError as error:
-        written.abandon(str(error), "interrupted")
-        raise
-    except Exception as error:  # whatever it is, the other runs still can be done
-        written.abandon(f"{type(error).__name__}: {error}")
-        return "failed"
-    return "done" if result.success else "not converged"
+    except Exception:  # whatever it is stands in its run.json; the other runs still can be done
+        return RunStatus.FAILED
 
 
-def _find_log(folder: Path, problem: Problem, config: Config) -> LoggedOutcomes | None:
-    """What a run had simulated that was under way when its sweep ended; None to begin anew."""
+def _is_under_way(folder: Path, identity: RunIdentity) -> bool:
+    """Return whether the folder holds this run as it was when its sweep ended."""
     if not (folder / "run.json").is_file():
-        return None
+        return False
     try:
-        resumed = read_facts(folder)["status"] in UNDER_WAY
-        if resumed and check_resumable(folder, problem, config, UNUSED):
-            return LoggedOutcomes(folder / "evaluations")
+        return read_facts(folder)["status"] in UNDER_WAY and check_resumable(folder, identity)
     except RunFolderError:  # it was a run of something else
-        pass
-    return None
-
-
-def _fit_on(
-    executor: Executor, problem: Problem, config: Config, folder: RunFolder, show: Show
-) -> Result:
-    """A fit on these workers."""
-    method, settings = build_method(config), build_uncertainty(config)
-    starts = build_multistart(config)
-    train = check_search(problem, method, settings, starts)
-    with one_blas_thread():
-        budget = build_resources(config).budget
-        runner = Runner(executor, budget, folder.record, show, folder.note)
-        return fit_on(runner, train, method, config.method.seed, starts, settings)
+        return False

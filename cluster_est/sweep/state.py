@@ -13,18 +13,16 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluster_est.config.reader import Config
 from cluster_est.errors import RunFolderError
-from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.folder import BEGUN
 from cluster_est.run_folder.reading import read_facts, read_run_table
-from cluster_est.run_folder.run_identity import hash_config, versions
+from cluster_est.run_folder.run_identity import RunIdentity, RunStatus, versions
 from cluster_est.sweep.matrix import SweepRun
 from workers.messages import content_hash
 
 STATE, SUMMARY = "sweep.json", "summary.parquet"
-SUCCESS = "done"
-FAILED = ("failed", "not converged")
+SUCCESS = RunStatus.DONE
+FAILED = (RunStatus.FAILED, RunStatus.NOT_CONVERGED)
 NOT_RUN = "not run"
 
 
@@ -53,10 +51,11 @@ class PlannedRun:
     ray: tuple[int | None, str | None] | None
 
 
-def fingerprint(config: Config, problem: Problem) -> str:
-    """Hash of what a run will depend on."""
+def fingerprint(identity: RunIdentity) -> str:
+    """Return the hash of what a run will depend on."""
+    problem = identity.problem
     return _hash(
-        hash_config(config.model_dump(mode="json", exclude_defaults=False), "closed_loop"),
+        identity.config_hash,
         problem.model.archive_hash,
         {e.id: e.key for e in problem.experiments},
         versions(),

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cluster_est.configured_run import Listener
 from cluster_est.errors import ClusterEstError, ConfigError, RunFolderError
+from cluster_est.run_folder.run_identity import RunStatus
 from cluster_est.sweep.lock import locked
 from cluster_est.sweep.matrix import SweepRun, read_sweep
 from cluster_est.sweep.pool import SharedPools
-from cluster_est.sweep.run import Progress, check_run, do_run
+from cluster_est.sweep.run import SweepSettings, check_run, do_sweep_run
 from cluster_est.sweep.state import (
     FAILED,
     NOT_RUN,
@@ -56,7 +58,7 @@ def sweep(
     path: Path,
     out: Path,
     tell: Tell,
-    progress: Progress,
+    listener: Listener,
     *,
     retry_failed: bool = False,
     allow_code: bool = False,
@@ -76,8 +78,8 @@ def sweep(
         Holds a run folder for each run, summary.parquet and sweep.json.
     tell
         Called with a line for each run that ended.
-    progress
-        Makes the line that shows a run while it goes on.
+    listener
+        Hears of each run while it goes on.
     retry_failed
         Try again what failed, even if nothing has changed.
     allow_code
@@ -104,7 +106,18 @@ def sweep(
         again = FAILED if retry_failed else ()
         todo = [p for p in plan if states[p.run.name] in (NOT_RUN, *again)]
         try:
-            ran = _do_all(todo, path, out, states, tell, progress, allow_code=allow_code)
+            with SharedPools() as pools:
+                settings = SweepSettings(pools, listener, allow_code)
+                ran = 0
+                for run in _pooled(todo):
+                    states[run.name] = NOT_RUN
+                    write_state(out, path, states, running=run.name)
+                    found = do_sweep_run(run, out / run.name, settings)
+                    if found is RunStatus.INTERRUPTED:
+                        break
+                    states[run.name] = found
+                    ran += 1
+                    tell(f"[{ran}/{len(todo)}] {run.name}: {found}")
         finally:
             write_state(out, path, states)
             rows = summary_rows(out, plan, states)
@@ -112,32 +125,12 @@ def sweep(
     return SweepResult(rows, ran, interrupted=ran < len(todo))
 
 
-def _do_all(
-    todo: list[PlannedRun],
-    path: Path,
-    out: Path,
-    states: dict[str, str],
-    tell: Tell,
-    progress: Progress,
-    *,
-    allow_code: bool,
-) -> int:
-    """Do the runs until Ctrl-C and note in `states` how each ended; how many did."""
+def _pooled(todo: list[PlannedRun]) -> list[SweepRun]:
+    """Return the runs in their order, but with those that share workers one after the other."""
     together: dict[str, list[SweepRun]] = defaultdict(list)
     for planned in todo:
         together[planned.pool].append(planned.run)
-    ordered = [run for each in together.values() for run in each]
-    with SharedPools() as pools:
-        for i, run in enumerate(ordered):
-            states[run.name] = NOT_RUN
-            write_state(out, path, states, running=run.name)
-            try:
-                found = do_run(run, out / run.name, pools, progress, allow_code=allow_code)
-            except KeyboardInterrupt:
-                return i
-            states[run.name] = found
-            tell(f"[{i + 1}/{len(ordered)}] {run.name}: {found}")
-    return len(ordered)
+    return [run for each in together.values() for run in each]
 
 
 def _check_all(runs: list[SweepRun], *, allow_code: bool) -> list[PlannedRun]:

@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 import cluster_est as ce
-from cluster_est.cli.entry_point import _parser
+from cluster_est.cli.parser import make_parser
 from cluster_est.config.reader import Config
 from cluster_est.config.sections.sweep import SweepSections
 from cluster_est.config.toml import inline
@@ -149,7 +149,7 @@ def _columns(columns: Sequence[ColumnDescription]) -> str:
 
 def _commands() -> dict[str, argparse.ArgumentParser]:
     """The parser of each command by its name."""
-    for action in _parser()._actions:
+    for action in make_parser()._actions:
         if isinstance(action, argparse._SubParsersAction):
             return dict(action.choices)
     return {}

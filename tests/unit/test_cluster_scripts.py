@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from cluster_est.cli.entry_point import _parse
+from cluster_est.cli.parser import parse
 
 FOLDER = Path(__file__).parents[2] / "scripts" / "cluster"
 SHELL = sorted(FOLDER.glob("*.sh"))
@@ -44,11 +44,11 @@ def read(name):
 def check_command(words):
     """A command of this project that its own command line accepts."""
     assert words[0] == "cluster-est"
-    return _parse(words[1:])
+    return parse(words[1:])
 
 
 @pytest.mark.parametrize("script", SHELL, ids=lambda path: path.name)
-def test_shell_scripts_parse(script):
+def test_shell_scriptsparse(script):
     subprocess.run(["bash", "-n", str(script)], check=True)
 
 

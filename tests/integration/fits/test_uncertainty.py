@@ -21,7 +21,7 @@ from cluster_est import (
     Solver,
 )
 from cluster_est.problem.space import make_space
-from cluster_est.running.resources import open_executor
+from cluster_est.running.environment import open_executor
 from cluster_est.running.runner import Runner, SearchRequest
 from cluster_est.uncertainty import (
     UncertaintySettings,

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from support.problems.springs import ROOT
 
-from cluster_est import Experiment, Input, Model, Output, Parameter, Problem, Resources, Solver
+from cluster_est import Experiment, Input, Model, Output, Parameter, Problem, Solver
 from cluster_est.closed_loop.prepare import open_bench
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.running.environment import RunEnvironment
 from workers.messages import FloatArray
 
 
@@ -101,7 +102,7 @@ def missing_effect_problem(
 @contextmanager
 def opened(problem: Problem, settings: LoopSettings | None = None) -> Iterator[LoopWorkbench]:
     """A workbench with one local worker."""
-    with open_bench(problem, Resources(), settings or LoopSettings(), 0, None, None) as bench:
+    with open_bench(problem, RunEnvironment(), settings or LoopSettings(), 0) as bench:
         yield bench
 
 

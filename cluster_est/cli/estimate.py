@@ -1,0 +1,65 @@
+"""The commands that run: fit, close-loop and sweep."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+
+from rich.console import Console
+
+from cluster_est.cli.exit_codes import ExitCode
+from cluster_est.cli.loop_printing import print_any_run
+from cluster_est.cli.printing import say
+from cluster_est.cli.sweep_printing import print_sweep
+from cluster_est.cli.terminal import complain, terminal_listener
+from cluster_est.configured_run import Destination, do_run, read_run
+from cluster_est.run_folder.context import Existing
+from cluster_est.run_folder.run_identity import RunKind, RunStatus
+from cluster_est.sweep.sweep import sweep as run_sweep
+
+EXIT_CODES = {
+    RunStatus.DONE: ExitCode.DONE,
+    RunStatus.NOT_CONVERGED: ExitCode.NO_SOLUTION,
+    RunStatus.FAILED: ExitCode.NO_SOLUTION,
+    RunStatus.INTERRUPTED: ExitCode.INTERRUPTED,
+}
+
+
+def fit(options: Namespace) -> int:
+    """Estimate, write the run folder, print the tables."""
+    return _run(options, RunKind.FIT)
+
+
+def close_loop(options: Namespace) -> int:
+    """Find what the model lacks, write the run folder, print what was found."""
+    return _run(options, RunKind.CLOSED_LOOP)
+
+
+def _run(options: Namespace, kind: RunKind) -> int:
+    run = read_run(options.config, options.overrides, kind, allow_code=options.allow_code)
+    existing = Existing.OVERWRITE if options.overwrite else Existing.REFUSE
+    existing = Existing.RESUME if options.resume else existing
+    to = Destination(options.out, existing, report=not options.no_report)
+    end = do_run(run, to, terminal_listener())
+    if end.stopped:
+        complain(end.stopped)
+        return EXIT_CODES[end.status]
+    print_any_run(Console(), options.out)
+    if (options.out / "report.html").is_file():
+        say(Console(), f"report: {options.out / 'report.html'}")
+    return EXIT_CODES[end.status]
+
+
+def sweep(options: Namespace) -> int:
+    """Do what a sweep still lacks, and print a line for each of its runs."""
+    swept = run_sweep(
+        options.sweep,
+        options.out,
+        lambda text: say(Console(stderr=True), text),
+        terminal_listener(),
+        retry_failed=options.retry_failed,
+        allow_code=options.allow_code,
+    )
+    print_sweep(Console(), options.out, swept.rows, swept.ran)
+    if swept.interrupted:
+        return ExitCode.INTERRUPTED
+    return ExitCode.DONE if swept.success else ExitCode.NO_SOLUTION

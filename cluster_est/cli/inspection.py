@@ -1,0 +1,76 @@
+"""The commands on a run folder: show, report, watch, replay and export."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+
+from rich.console import Console
+
+from cluster_est.cli.exit_codes import ExitCode
+from cluster_est.cli.loop_printing import print_any_run
+from cluster_est.cli.printing import print_iterations, say
+from cluster_est.cli.replay_printing import print_answer, print_failures, print_question
+from cluster_est.run_folder.replay import prepare, read_logged
+from cluster_est.run_folder.replay import replay as run_replay
+
+
+def show(options: Namespace) -> int:
+    """Print the tables of a run, what failed in it, or one search's iterations."""
+    run_folder = options.run_folder
+    if options.failures:
+        print_failures(Console(), run_folder)
+    elif options.iterations or options.search is not None:
+        print_iterations(Console(), run_folder, options.search)
+    else:
+        print_any_run(Console(), run_folder)
+    return ExitCode.DONE
+
+
+def report(options: Namespace) -> int:
+    """Write the report of a run."""
+    from cluster_est.report import write_report  # not everybody wants to wait for Jinja
+
+    say(Console(), f"report: {write_report(options.run_folder, options.out)}")
+    return ExitCode.DONE
+
+
+def watch(options: Namespace) -> int:
+    """Follow a run until it ends."""
+    from cluster_est.report.watch import follow
+    from cluster_est.report.watch_printing import WatchTable
+
+    with WatchTable(Console()) as table:
+        follow(options.run_folder, options.every, table.show, html=options.html)
+    return ExitCode.DONE
+
+
+def replay(options: Namespace) -> int:
+    """Run one logged simulation again, in a process of its own that shows the FMU's messages."""
+    logged = read_logged(options.run_folder, options.number)
+    question = prepare(options.run_folder, logged, options.config, allow_code=options.allow_code)
+    print_question(Console(), logged, question)
+    outcome = run_replay(question)
+    print_answer(Console(), logged, outcome)
+    return ExitCode.DONE if outcome.ok else ExitCode.NO_SOLUTION
+
+
+def export(options: Namespace) -> int:
+    """Write what a run has found, in the forms that are asked for."""
+    from cluster_est.export.write import ExportRequest
+    from cluster_est.export.write import export as run_export  # SymPy takes long to import
+
+    wanted = ExportRequest(options.fmu, options.ssv, options.modelica, options.text)
+    written = run_export(
+        options.run_folder,
+        options.config,
+        options.experiment,
+        wanted,
+        allow_code=options.allow_code,
+    )
+    for printed in written.printed:
+        say(Console(), printed)
+    for note in written.notes:
+        say(Console(stderr=True), f"cluster-est: {note}")
+    for path in written.files:
+        say(Console(stderr=True), f"{path}")
+    return ExitCode.DONE

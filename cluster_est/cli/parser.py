@@ -1,0 +1,208 @@
+"""The arguments of every command."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Parse arguments, with key=value arguments anywhere, before and after the options."""
+    parser = make_parser()
+    options, rest = parser.parse_known_args(arguments)
+    for argument in rest:
+        if argument.startswith("-") or "=" not in argument or "overrides" not in options:
+            parser.error(f"unrecognized argument: {argument}; overrides are written key=value")
+    if rest:
+        options.overrides = [*options.overrides, *rest]
+    return options
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Make the parser; `command` of what it returns names the command."""
+    parser = argparse.ArgumentParser(
+        prog="cluster-est",
+        description="Estimate the parameters and initial states of an FMU from many measured "
+        "experiments at once.",
+        epilog="KEY=VALUE overrides a key of the config, as in method.options.trials=8. "
+        "Exit codes: 0 done, 1 no solution, 2 bad input, 130 interrupted.",
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
+
+    _add_init(commands)
+    check = _command(
+        commands,
+        "check",
+        "say what is wrong with a config, its data and its FMU, or with an FMU alone",
+        config="the TOML file, or an FMU",
+    )
+    check.add_argument(
+        "--seconds",
+        type=_seconds,
+        default=None,
+        help="that all checks share (default 4); 0: only read everything",
+    )
+
+    fit = _command(commands, "fit", "estimate the parameters")
+    loop = _command(commands, "close-loop", "find what the model lacks, add it and fit again")
+    for command in (fit, loop):
+        command.add_argument("--out", type=Path, required=True, help="folder to write the run to")
+        present = command.add_mutually_exclusive_group()
+        present.add_argument(
+            "--overwrite", action="store_true", help="replace the run in that folder"
+        )
+        present.add_argument(
+            "--resume",
+            action="store_true",
+            help="take up the run in that folder where it was interrupted; begin if there is none",
+        )
+        command.add_argument("--no-report", action="store_true", help="write no report.html")
+
+    simulate = _command(
+        commands,
+        "simulate",
+        "simulate every experiment, at the start values or as a run has found them",
+    )
+    simulate.add_argument(
+        "--out", type=Path, required=True, help="table to write: .parquet, .feather or .csv"
+    )
+    simulate.add_argument(
+        "--run", dest="run_folder", type=Path, help="take the values from this run's estimates"
+    )
+
+    show = commands.add_parser("show", help="print a run's parameters and errors")
+    show.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    show.add_argument("--iterations", action="store_true", help="print the iteration table instead")
+    show.add_argument("--failures", action="store_true", help="list what failed, for replay")
+    show.add_argument("--search", help="of this search, such as 'start 3'; without: of the best")
+    _add_report(commands)
+    _add_watch(commands)
+    _add_export(commands)
+    _add_sweep(commands)
+    _add_replay(commands)
+    return parser
+
+
+def _add_init(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "write a first config for an FMU and measured tables"
+    init = commands.add_parser("init", help=summary, description=summary[0].upper() + summary[1:])
+    init.add_argument("fmu", metavar="FMU", type=Path, help="the model")
+    init.add_argument(
+        "data",
+        metavar="DATA",
+        type=Path,
+        nargs="+",
+        help="tables, one an experiment: .csv, .parquet, .feather, .mat; the last is held out",
+    )
+    init.add_argument(
+        "--out", type=Path, help="TOML file to write; without: the FMU's name, in this folder"
+    )
+    init.add_argument("--overwrite", action="store_true", help="replace that file")
+
+
+def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "write a run's report, one HTML file that needs no network"
+    report = commands.add_parser(
+        "report", help=summary, description=summary[0].upper() + summary[1:]
+    )
+    report.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    report.add_argument("--out", type=Path, help="file to write; without: RUN/report.html")
+
+
+def _add_watch(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "follow a run from another terminal or machine, by its folder alone"
+    watch = commands.add_parser("watch", help=summary, description=summary[0].upper() + summary[1:])
+    watch.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    watch.add_argument("--html", action="store_true", help="keep RUN/report.html fresh too")
+    watch.add_argument(
+        "--every", metavar="SECONDS", type=_period, default=1.0, help="between two looks (1)"
+    )
+
+
+def _add_sweep(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "do every fit of a sweep that is not done yet"
+    sweep = commands.add_parser("sweep", help=summary, description=summary[0].upper() + summary[1:])
+    sweep.add_argument("sweep", metavar="SWEEP", type=Path, help="the TOML file of the sweep")
+    sweep.add_argument(
+        "--out", type=Path, required=True, help="folder with a run folder for each run"
+    )
+    sweep.add_argument(
+        "--retry-failed", action="store_true", help="try again what failed, even if unchanged"
+    )
+    _add_allow_code(sweep)
+
+
+def _add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "run one logged simulation again and show what the FMU says"
+    replay = commands.add_parser(
+        "replay", help=summary, description=summary[0].upper() + summary[1:]
+    )
+    replay.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    replay.add_argument(
+        "number", metavar="ID", type=int, help="row of the log, from 0; see show RUN --failures"
+    )
+    replay.add_argument(
+        "--config", type=Path, help="the config that the run was made from, if it has moved"
+    )
+    _add_allow_code(replay)
+
+
+def _add_export(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "write what a run has found: a repaired FMU, a parameter set, equations"
+    export = commands.add_parser(
+        "export", help=summary, description=summary[0].upper() + summary[1:]
+    )
+    export.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    export.add_argument(
+        "--fmu", type=Path, help="write the FMU with the estimates and effects in it (.fmu)"
+    )
+    export.add_argument("--ssv", type=Path, help="write the values as an SSP parameter set (.ssv)")
+    export.add_argument(
+        "--modelica", action="store_true", help="print the effects as equations of Modelica"
+    )
+    export.add_argument("--text", action="store_true", help="print values and effects as text")
+    export.add_argument(
+        "--experiment", metavar="ID", help="whose values, where parameters have one for each"
+    )
+    export.add_argument(
+        "--config", type=Path, help="the config that the run was made from, if it has moved"
+    )
+    _add_allow_code(export)
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    summary: str,
+    config: str = "the TOML file",
+) -> argparse.ArgumentParser:
+    command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:])
+    command.add_argument("config", metavar="CONFIG", type=Path, help=config)
+    command.add_argument(
+        "overrides", metavar="KEY=VALUE", nargs="*", help="overrides of keys of the config"
+    )
+    _add_allow_code(command)
+    return command
+
+
+def _add_allow_code(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--allow-code",
+        action="store_true",
+        help="let Python functions that the config names run, here and on the workers",
+    )
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if seconds != 0.0 and not 0.5 <= seconds < 1e6:
+        raise argparse.ArgumentTypeError(f"must be 0 or a number from 0.5 on but is {text}")
+    return seconds
+
+
+def _period(text: str) -> float:
+    seconds = float(text)
+    if not 0.1 <= seconds < 1e5:
+        raise argparse.ArgumentTypeError(f"must be a number from 0.1 to 100000 but is {text}")
+    return seconds

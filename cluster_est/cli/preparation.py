@@ -1,0 +1,89 @@
+"""The commands before a run: init and check."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+
+from cluster_est.cli.exit_codes import ExitCode
+from cluster_est.cli.preflight_printing import print_page
+from cluster_est.cli.printing import print_check, print_model, say
+from cluster_est.config.build import build_resources
+from cluster_est.config.reader import Config
+from cluster_est.configured_run import read_run
+from cluster_est.drafting import draft, unit_mismatches, write
+from cluster_est.errors import ConfigError, ModelError
+from cluster_est.preflight import SECONDS, CheckFinding, CheckPage, bare_problem, examine
+from cluster_est.problem.problem import Problem
+from cluster_est.run_folder.run_identity import RunKind
+from cluster_est.running.resources import Resources
+
+
+def init(options: Namespace) -> int:
+    """Write a first config, and say what to fill in or to do next."""
+    out = options.out or Path(f"{options.fmu.stem}.toml")
+    if out.is_dir():
+        raise ConfigError(f"--out: {out} must be a file but is a folder; name a file in it")
+    if out.exists() and not options.overwrite:
+        raise ConfigError(
+            f"--out: {out} is there already; choose another, or replace it with --overwrite"
+        )
+    found = draft(options.fmu, options.data)
+    text = write(found, out.parent)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(text.toml, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise ConfigError(f"--out: {out} cannot be written ({error}); choose another") from error
+    console = Console()
+    for number, line in text.open:
+        say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
+    for name in dict.fromkeys(name for run in found.runs for name in run.unfed):
+        where = ", ".join(repr(run.id) for run in found.runs if name in run.unfed)
+        say(console, f"{out}: no column of {where} is like input {name!r}; it stays as it starts")
+    say(console, f"{out} is written; look through it, then: cluster-est check {out}")
+    return ExitCode.DONE
+
+
+def check(options: Namespace) -> int:
+    """Read everything, try the FMU out in processes of its own, print a page; change nothing."""
+    console, path = Console(), options.config
+    seconds = SECONDS if options.seconds is None else options.seconds
+    if path.suffix.lower() == ".fmu":
+        bare = bare_problem(path)
+        print_model(console, bare, "its own start values")
+        page = examine(bare, Resources(), seconds, declared=False)
+        print_page(console, page)
+        return _verdict(page)
+    run = read_run(path, options.overrides, RunKind.FIT, allow_code=options.allow_code)
+    config, problem = run.identity.config, run.identity.problem
+    page = examine(problem, build_resources(config), seconds)
+    page = replace(page, findings=(*page.findings, *_units(config, problem)))
+    print_model(console, problem, f"method {config.method.name}")
+    if page.simulations:
+        print_check(console, problem, page.simulations)
+    print_page(console, page)
+    return _verdict(page)
+
+
+def _units(config: Config, problem: Problem) -> list[CheckFinding]:
+    """A line for each column whose name says another unit than its variable has."""
+    return [
+        CheckFinding(
+            "problem",
+            "units",
+            f"column '{m.column}' is given to {m.variable}, which is in {m.wanted}, as it is",
+            f'columns."{m.column}" = {{ factor = {m.change.factor:.12g}, '
+            f"offset = {m.change.offset:.12g} }}; with factor = 1 alone if the name is wrong",
+        )
+        for m in unit_mismatches(config, problem.describe())
+    ]
+
+
+def _verdict(page: CheckPage) -> int:
+    if not page.loads:
+        raise ModelError(page.findings[0].found)
+    return ExitCode.DONE if page.good else ExitCode.NO_SOLUTION

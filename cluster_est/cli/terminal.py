@@ -1,0 +1,29 @@
+"""This terminal as the listener of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+
+from cluster_est.cli.printing import say
+from cluster_est.cli.progress import ProgressLine
+from cluster_est.configured_run import Listener
+from cluster_est.running.records import Budget, Show
+
+
+def complain(text: str) -> None:
+    """Print a sentence beside the output, with the program's name."""
+    say(Console(stderr=True), f"cluster-est: {text}")
+
+
+def terminal_listener() -> Listener:
+    """Make a listener that prints to standard error, and shows a line while a run goes on."""
+    return Listener(complain, _progress)
+
+
+@contextmanager
+def _progress(budget: Budget) -> Iterator[Show]:
+    with ProgressLine(Console(stderr=True), budget) as line:
+        yield line.show

@@ -1,0 +1,246 @@
+"""The recipe of a run from a config: read and check it, open or resume its folder, run, finish.
+
+`cluster-est fit`, `cluster-est close-loop` and every run of a sweep go through `do_run`, so that
+the same config gives the same bits and the same run.json, whoever asks for it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from cluster_est.config.build import (
+    build_method,
+    build_multistart,
+    build_problem,
+    build_resources,
+    build_settings,
+    build_uncertainty,
+)
+from cluster_est.config.reader import Config, read_config
+from cluster_est.errors import BudgetError, ProblemError
+from cluster_est.fit import FitPlan, check_search, fit_in
+from cluster_est.problem.space import make_space
+from cluster_est.results.result import Result
+from cluster_est.run_folder.context import Existing, RunContext
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind, RunStatus
+from cluster_est.running.environment import OwnWorkers, RunEnvironment, WorkerSource
+from cluster_est.running.interrupts import stopped_by
+from cluster_est.running.records import Budget, Show
+
+if TYPE_CHECKING:
+    from cluster_est.closed_loop.findings.result import LoopResult
+
+STOP = "stop"
+"""File in a run folder that ends the run as Ctrl-C does."""
+
+
+@dataclass(frozen=True)
+class ConfiguredRun(ABC):
+    """A run as its config has it: everything is read and checked, nothing simulated.
+
+    Attributes
+    ----------
+    identity
+        Kind, config and problem.
+    """
+
+    kind: ClassVar[RunKind]
+    identity: RunIdentity
+
+    @abstractmethod
+    def compute(self, environment: RunEnvironment) -> Result | LoopResult:
+        """Do what the config asks for.
+
+        Raises
+        ------
+        ClusterEstError
+            If model, experiments and machine do not fit together.
+        """
+
+
+@dataclass(frozen=True)
+class ConfiguredFit(ConfiguredRun):
+    """A fit; `plan` is how."""
+
+    kind = RunKind.FIT
+    plan: FitPlan
+
+    def compute(self, environment: RunEnvironment) -> Result:
+        """Estimate the parameters."""
+        return fit_in(environment, self.identity.problem, self.plan)
+
+
+@dataclass(frozen=True)
+class ConfiguredLoop(ConfiguredRun):
+    """A closed loop."""
+
+    kind = RunKind.CLOSED_LOOP
+
+    def compute(self, environment: RunEnvironment) -> LoopResult:
+        """Find what the model lacks."""
+        from cluster_est.closed_loop.loop import close_loop_in  # needs SymPy, which is slow
+
+        config, problem = self.identity.config, self.identity.problem
+        return close_loop_in(environment, problem, build_settings(config), self.identity.seed)
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Who hears of a run while it goes on.
+
+    Attributes
+    ----------
+    say
+        Called with sentences that a user should know.
+    progress
+        Makes, for a budget, a context that shows how far the run is.
+    """
+
+    say: Callable[[str], None]
+    progress: Callable[[Budget], AbstractContextManager[Show]]
+
+
+@dataclass(frozen=True)
+class Destination:
+    """Where a run goes.
+
+    Attributes
+    ----------
+    out
+        The run folder.
+    existing
+        What becomes of a run that is there.
+    report
+        Whether report.html is written at the end.
+    begin_at_once
+        Open the folder before the first simulation: also a run that fails earlier leaves one.
+    """
+
+    out: Path
+    existing: Existing = Existing.REFUSE
+    report: bool = True
+    begin_at_once: bool = False
+
+
+@dataclass(frozen=True)
+class RunEnd:
+    """How a run ended.
+
+    Attributes
+    ----------
+    status
+        As in its run.json.
+    stopped
+        Why there is no result, as a sentence; "" where there is one, now or from before.
+    """
+
+    status: RunStatus
+    stopped: str = ""
+
+
+def read_run(path: Path, overrides: list[str], kind: RunKind, *, allow_code: bool) -> ConfiguredRun:
+    """Read a config and check all that it asks for.
+
+    Raises
+    ------
+    ClusterEstError
+        With all that is wrong.
+    """
+    return configure(read_config(path, overrides), path.parent, kind, allow_code=allow_code)
+
+
+def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) -> ConfiguredRun:
+    """Check all that a resolved config asks for, whose paths start from `base`.
+
+    Raises
+    ------
+    ClusterEstError
+        If something is wrong.
+    """
+    problem = build_problem(config, base, allow_code=allow_code)
+    identity = RunIdentity(kind, config, base, problem)
+    if kind is RunKind.CLOSED_LOOP:
+        build_settings(config)
+        make_space(problem, problem.indices("test"))
+        return ConfiguredLoop(identity)
+    plan = FitPlan(
+        build_method(config), identity.seed, build_multistart(config), build_uncertainty(config)
+    )
+    check_search(problem, plan)
+    make_space(problem, problem.indices("test"))
+    return ConfiguredFit(identity, plan)
+
+
+def do_run(
+    run: ConfiguredRun,
+    to: Destination,
+    listener: Listener,
+    source: WorkerSource | None = None,
+) -> RunEnd:
+    """Open or resume a run's folder, run, and write what was found.
+
+    Parameters
+    ----------
+    run
+        What to do.
+    to
+        Where its tables go.
+    listener
+        Hears of it on the way.
+    source
+        Where workers come from; its own if None.
+
+    Raises
+    ------
+    RunFolderError
+        If the folder holds what may not be replaced, or another run than the one to be resumed.
+    ClusterEstError
+        If model, experiments and machine do not fit together.
+    KeyboardInterrupt
+        If it is interrupted before anything was simulated.
+    """
+    context = RunContext(run.identity, to.out, to.existing, listener.say)
+    if context.finished:
+        return RunEnd(RunStatus.DONE)
+    if to.begin_at_once:
+        context.begin()
+    resources = build_resources(run.identity.config)
+    try:
+        with listener.progress(resources.budget) as show, context, stopped_by(to.out / STOP):
+            environment = RunEnvironment(
+                resources, context.monitor(show), context.earlier, source or OwnWorkers()
+            )
+            result = run.compute(environment)
+            status = context.finish(result)
+    except (KeyboardInterrupt, BudgetError, ProblemError) as error:
+        if context.folder is None:  # nothing was simulated: the input is to blame
+            raise
+        return _stopped(error, context)
+    finally:
+        if to.report and context.folder is not None:
+            _write_report(to.out, listener)
+    return RunEnd(status)
+
+
+def _stopped(error: BaseException, context: RunContext) -> RunEnd:
+    """A run that ended without a result, after simulations that stand in its log."""
+    interrupted = isinstance(error, KeyboardInterrupt)
+    why = "interrupted" if interrupted else str(error)
+    status = RunStatus.INTERRUPTED if interrupted else RunStatus.FAILED
+    return RunEnd(status, f"{why}; {context.steps}; the log is in {context.out}")
+
+
+def _write_report(run_folder: Path, listener: Listener) -> None:
+    """Write the report at the end of a run, without spoiling what the run has done."""
+    try:
+        from cluster_est.report import write_report  # not everybody wants to wait for Jinja
+
+        write_report(run_folder)
+    except Exception as error:
+        said = str(error) or type(error).__name__
+        listener.say(f"the report could not be written: {said}")

@@ -1,0 +1,177 @@
+"""A run's folder while the run goes on: begun, told of everything, ended whatever happens."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from cluster_est.errors import ExecutorError
+from cluster_est.run_folder.folder import RunFolder, RunResult, check_free
+from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.run_folder.reading import read_facts
+from cluster_est.run_folder.resume import check_resumable, is_finished
+from cluster_est.run_folder.run_identity import RunIdentity, RunStatus
+from cluster_est.running.environment import EarlierRun, Monitor
+from cluster_est.running.reset_policy import ResetDecision, recorded
+from cluster_est.running.runner import RunSnapshot, SearchIteration, Show, TaskOrigin
+from workers.messages import Outcome
+
+STAGES = {
+    "weights": "weighting the outputs",
+    "base": "fitting the declared model",
+    "leave one out": "predicting experiments that were left out",
+    "course": "screening the candidates",
+    "trial": "trying candidates",
+    "candidate": "refitting candidates",
+    "enlarged": "simulating with larger inputs",
+    "return": "fitting the declared model again",
+    "swap": "revising the effects",
+    "drop": "revising the effects",
+    "final": "the final fits",
+}
+"""Titles of the searches of a closed loop, by their names in the log."""
+
+
+class Existing(enum.Enum):
+    """What becomes of a run that the folder holds already."""
+
+    REFUSE = enum.auto()
+    OVERWRITE = enum.auto()
+    RESUME = enum.auto()
+
+
+class RunContext:
+    """Keeps the folder of one run.
+
+    The folder is opened with the first simulation, so that bad input leaves nothing behind.
+
+    Parameters
+    ----------
+    identity
+        What is run.
+    out
+        The folder.
+    existing
+        What becomes of a run that is there; one that is resumed is of the same identity.
+    say
+        Told, in sentences, what a user should know on the way.
+
+    Attributes
+    ----------
+    out
+        Its path.
+    folder
+        None until the first simulation has ended.
+    finished
+        Whether the run that is there has reached its end, so that nothing is left to do.
+    earlier
+        What an interrupted run has left.
+
+    Raises
+    ------
+    RunFolderError
+        If the folder holds what may not be replaced, or a run of something else.
+    """
+
+    def __init__(
+        self, identity: RunIdentity, out: Path, existing: Existing, say: Callable[[str], None]
+    ) -> None:
+        self._identity, self.out, self._say = identity, out, say
+        self._overwrite = existing is Existing.OVERWRITE
+        self._logged: LoggedOutcomes | None = None
+        self._reset: ResetDecision | None = None
+        self._searches: dict[str, None] = {}
+        self.folder: RunFolder | None = None
+        self.finished = False
+        self.earlier: EarlierRun | None = None
+        if existing is not Existing.RESUME:
+            check_free(out, overwrite=self._overwrite)
+        elif check_resumable(out, identity):
+            self._take_up()
+
+    def _take_up(self) -> None:
+        """Go on where the run that is there has stopped."""
+        self.finished = is_finished(self.out)
+        if self.finished:
+            self._say(f"{self.out} holds a finished run")
+            return
+        self._logged = LoggedOutcomes(self.out / "evaluations")
+        self.earlier = EarlierRun(self._logged, recorded(read_facts(self.out)))
+        count = len(self._logged)
+        self._say(f"{self.out} is resumed; {count} simulations stand in its log")
+
+    def begin(self) -> RunFolder:
+        """Open the folder, if it is not open yet."""
+        if self.folder is None:
+            self.folder = RunFolder(
+                self.out, self._identity, self._logged, overwrite=self._overwrite
+            )
+            if self._reset is not None:
+                self.folder.note_reset(self._reset)
+        return self.folder
+
+    def monitor(self, show: Show) -> Monitor:
+        """Make a monitor that keeps what it is told, and passes on what is shown."""
+
+        def both(snapshot: RunSnapshot) -> None:
+            show(snapshot)
+            if self.folder is not None:
+                self.folder.show(snapshot)
+
+        return Monitor(self._record, both, self._note, self._note_reset)
+
+    def finish(self, result: RunResult) -> RunStatus:
+        """Write all tables, and return how the run stands."""
+        return self.begin().write(result)
+
+    @property
+    def steps(self) -> str:
+        """How far it came, as part of a sentence."""
+        if not self._searches:
+            return "stopped before the first simulation"
+        *done, last = dict.fromkeys(STAGES.get(name, name) for name in self._searches)
+        return f"stopped while {last}" + (f", after {', '.join(done)}" if done else "")
+
+    def _record(self, origin: TaskOrigin, outcome: Outcome) -> None:
+        folder = self.begin()
+        self._searches.pop(origin.search, None)
+        self._searches[origin.search] = None
+        folder.record(origin, outcome)
+
+    def _note(self, iteration: SearchIteration) -> None:
+        if self.folder is not None:
+            self.folder.note(iteration)
+
+    def _note_reset(self, decision: ResetDecision) -> None:
+        self._reset = decision
+        if self.folder is not None:
+            self.folder.note_reset(decision)
+        if not decision.plain:
+            self._say(decision.sentence)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Say in the run folder how a run ended that did not end by itself."""
+        if self.folder is not None and error is not None:
+            reason, status = _ending(error)
+            self.folder.abandon(f"{reason}; {self.steps}", status)
+
+
+def _ending(error: BaseException) -> tuple[str, RunStatus]:
+    """Why a run ended, and how it stands: what is not its own fault lets it be taken up again."""
+    if isinstance(error, KeyboardInterrupt):
+        return RunStatus.INTERRUPTED, RunStatus.INTERRUPTED
+    reason = str(error) or type(error).__name__
+    if isinstance(error, ExecutorError):
+        return reason, RunStatus.INTERRUPTED
+    return reason, RunStatus.FAILED

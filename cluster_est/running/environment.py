@@ -1,0 +1,158 @@
+"""What surrounds a run: workers, a budget, who is told of it, and what an earlier run has left."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+
+from cluster_est.executors import Executor, WorkerPool
+from cluster_est.executors.base import OutcomeSource
+from cluster_est.executors.log_replay import LogReplayExecutor
+from cluster_est.problem.problem import Problem
+from cluster_est.running.reset_policy import ResetDecision, open_with_reset
+from cluster_est.running.resources import Resources
+from cluster_est.running.runner import Note, Record, Runner, Show
+
+
+@dataclass(frozen=True)
+class Monitor:
+    """Who is told what happens in a run.
+
+    Attributes
+    ----------
+    record, show, note
+        Called for each simulation, whenever something came back, and for each iteration; see
+        `Runner`.
+    reset
+        Called with what every simulation begins with, before the first one that counts.
+    """
+
+    record: Record | None = None
+    show: Show | None = None
+    note: Note | None = None
+    reset: Callable[[ResetDecision], None] | None = None
+
+
+@dataclass(frozen=True)
+class EarlierRun:
+    """What an interrupted run has left for the one that takes it up again.
+
+    Attributes
+    ----------
+    outcomes
+        What it has simulated.
+    reset
+        What its simulations began with, if that had been decided.
+    """
+
+    outcomes: OutcomeSource
+    reset: ResetDecision | None = None
+
+
+class WorkerSource(ABC):
+    """Where a run has its workers from."""
+
+    @abstractmethod
+    def lease(
+        self, problem: Problem, resources: Resources, known: ResetDecision | None
+    ) -> AbstractContextManager[tuple[WorkerPool, ResetDecision]]:
+        """Give workers for a problem, for as long as the context lasts.
+
+        Parameters
+        ----------
+        problem, resources
+            What they simulate, and where.
+        known
+            What every simulation begins with, if that was decided before.
+
+        Raises
+        ------
+        ModelError, ExecutorError
+            If there are no workers to be had.
+        """
+
+
+class OwnWorkers(WorkerSource):
+    """Workers that are started for a run and end with it."""
+
+    @contextmanager
+    def lease(
+        self, problem: Problem, resources: Resources, known: ResetDecision | None
+    ) -> Iterator[tuple[WorkerPool, ResetDecision]]:
+        pool, decision = open_with_reset(problem, resources, known)
+        with pool:
+            yield pool, decision
+
+
+@dataclass(frozen=True)
+class RunEnvironment:
+    """All that surrounds a run.
+
+    Attributes
+    ----------
+    resources
+        What a user chooses: executor, budget, limits.
+    monitor
+        Who is told what happens.
+    earlier
+        What an interrupted run has left, if this one takes it up again.
+    source
+        Where its workers come from.
+    """
+
+    resources: Resources = field(default_factory=Resources)
+    monitor: Monitor = field(default_factory=Monitor)
+    earlier: EarlierRun | None = None
+    source: WorkerSource = field(default_factory=OwnWorkers)
+
+    @contextmanager
+    def executor(self, problem: Problem) -> Iterator[Executor]:
+        """Give workers for a problem, behind the log of the earlier run if there is one.
+
+        Raises
+        ------
+        ModelError, ExecutorError
+            If there are no workers to be had.
+        """
+        known = None if self.earlier is None else self.earlier.reset
+        with self.source.lease(problem, self.resources, known) as (pool, decision):
+            if self.monitor.reset is not None:
+                self.monitor.reset(decision)
+            if self.earlier is None:
+                yield pool
+                return
+            log = self.earlier.outcomes
+            yield LogReplayExecutor(pool, problem.model, problem.experiments, log)
+
+    def runner(
+        self, executor: Executor, *, record: Record | None = None, whole: bool = False
+    ) -> Runner:
+        """Make a runner on an executor.
+
+        Parameters
+        ----------
+        executor
+            Of this environment.
+        record
+            Takes the place of the monitor's.
+        whole
+            See `Runner`.
+        """
+        monitor = self.monitor
+        told = record or monitor.record
+        return Runner(
+            executor, self.resources.budget, told, monitor.show, monitor.note, whole=whole
+        )
+
+
+def open_executor(problem: Problem, resources: Resources) -> WorkerPool:
+    """Start the workers for a problem; the caller closes them.
+
+    Raises
+    ------
+    ModelError, ExecutorError
+        If there are none to be had.
+    """
+    return open_with_reset(problem, resources)[0]
