@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from cluster_est.errors import ExecutorError
+from cluster_est.errors import ClusterEstError, ExecutorError
 from cluster_est.run_folder.folder import RunFolder, RunResult, check_free
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.reading import read_facts
@@ -171,7 +171,8 @@ def _ending(error: BaseException) -> tuple[str, RunStatus]:
     """Why a run ended, and how it stands: what is not its own fault lets it be taken up again."""
     if isinstance(error, KeyboardInterrupt):
         return RunStatus.INTERRUPTED, RunStatus.INTERRUPTED
-    reason = str(error) or type(error).__name__
     if isinstance(error, ExecutorError):
-        return reason, RunStatus.INTERRUPTED
-    return reason, RunStatus.FAILED
+        return str(error), RunStatus.INTERRUPTED
+    if isinstance(error, ClusterEstError):
+        return str(error), RunStatus.FAILED
+    return f"{type(error).__name__}: {error}", RunStatus.FAILED

@@ -14,6 +14,8 @@ import ray
 from support.problems.springs import ROOT
 
 from cluster_est.cli import main
+from cluster_est.configured_run import ConfiguredFit, ConfiguredRun, Destination, RunEnd
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.config.toml import to_toml
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.local import LocalExecutor
@@ -38,13 +40,13 @@ Fits = list[str]
 def fits(monkeypatch: pytest.MonkeyPatch) -> Fits:
     """The folders of the fits that are really done."""
     done: Fits = []
-    real = sweep_run._fit_on
+    real = sweep_run.do_run
 
-    def counted(executor: Any, problem: Any, config: Any, folder: Any, show: Any) -> Any:
-        done.append(folder.path.name)
-        return real(executor, problem, config, folder, show)
+    def counted(run: ConfiguredRun, to: Destination, *others: Any) -> RunEnd:
+        done.append(to.out.name)
+        return real(run, to, *others)
 
-    monkeypatch.setattr(sweep_run, "_fit_on", counted)
+    monkeypatch.setattr(sweep_run, "do_run", counted)
     return done
 
 
@@ -152,41 +154,43 @@ def test_a_larger_budget_tries_again(sweep, fits):
     assert fits == ["spring", "spring"]
 
 
-def test_whatever_goes_wrong_in_a_run_is_its_own(sweep, monkeypatch):
-    real = sweep_run._fit_on
+def test_whatever_goes_wrong_in_a_run_is_its_own(sweep, fits, monkeypatch):
+    real = ConfiguredFit.compute
 
-    def broken(executor: Any, problem: Any, config: Any, folder: Any, show: Any) -> Any:
-        if folder.path.name == NAMES[0]:
+    def broken(run: ConfiguredFit, environment: RunEnvironment) -> Any:
+        if fits[-1] == NAMES[0]:
             raise FloatingPointError("out of luck")
-        return real(executor, problem, config, folder, show)
+        return real(run, environment)
 
-    monkeypatch.setattr(sweep_run, "_fit_on", broken)
+    monkeypatch.setattr(ConfiguredFit, "compute", broken)
     code, printed, _ = sweep()
     assert code == 1
     assert "4 runs: 1 failed, 3 done" in printed
-    assert facts(NAMES[0])["message"] == "FloatingPointError: out of luck"
+    said = facts(NAMES[0])["message"]
+    assert said == "FloatingPointError: out of luck; stopped before the first simulation"
 
 
 @pytest.mark.parametrize(
     ("error", "expected"), [(KeyboardInterrupt(), 130), (ExecutorError("no workers"), 2)]
 )
 def test_the_next_call_goes_on_where_one_stopped(sweep, fits, monkeypatch, error, expected):
-    counted = sweep_run._fit_on
+    real = ConfiguredFit.compute
 
-    def stopping(executor: Any, problem: Any, config: Any, folder: Any, show: Any) -> Any:
-        if len(fits) == 2:
+    def stopping(run: ConfiguredFit, environment: RunEnvironment) -> Any:
+        if len(fits) == 3:
             raise error
-        return counted(executor, problem, config, folder, show)
+        return real(run, environment)
 
-    monkeypatch.setattr(sweep_run, "_fit_on", stopping)
+    monkeypatch.setattr(ConfiguredFit, "compute", stopping)
     assert sweep()[0] == expected
     rows = pq.read_table("out/summary.parquet").to_pylist()
     assert sorted(row["status"] for row in rows) == ["done", "done", "not run", "not run"]
-    monkeypatch.setattr(sweep_run, "_fit_on", counted)
-    first = fits.copy()
+    monkeypatch.setattr(ConfiguredFit, "compute", real)
+    first, stopped = fits[:2], fits[2]
+    fits.clear()
     assert sweep()[0] == 0
-    assert sorted(fits) == NAMES  # each once
-    assert fits[:2] == first
+    assert sorted(first + fits) == NAMES  # each once
+    assert fits[0] == stopped
 
 
 def test_an_interrupt_among_many_starts_ends_the_sweep(sweep, fits, monkeypatch):

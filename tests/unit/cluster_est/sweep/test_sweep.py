@@ -7,21 +7,23 @@ import os
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.spoiled import valid_tree, write_input
 
-from cluster_est import Problem, build_problem
+from cluster_est import Problem, Solver, build_problem
 from cluster_est.config.toml import to_toml
 from cluster_est.errors import ConfigError, RunFolderError
+from cluster_est.executors import WorkerPool
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.running.resources import Resources
 from cluster_est.sweep.lock import LOCK, locked
 from cluster_est.sweep.matrix import read_sweep
 from cluster_est.sweep.pool import SharedPools
-from workers.messages import Task
+from workers.messages import Limits, Task
 
 METHODS = {
     "name": "method",
@@ -203,22 +205,46 @@ def test_only_who_claims_a_stale_lock_may_replace_it(tmp_path):
         pass
 
 
+def leased(pools: SharedPools, problem: Problem, resources: Resources | None = None) -> WorkerPool:
+    """The workers that a run is given."""
+    with pools.lease(problem, resources or Resources(), None) as (pool, _):
+        return pool
+
+
 def test_workers_stay_for_the_same_experiments(tmp_path):
     three_experiments(tmp_path)
     opened = [problem_of(tmp_path, ids) for ids in (["a", "b"], ["a", "b"], ["a"])]
     with SharedPools() as pools:
-        first = pools.open(opened[0], Resources())
-        assert pools.open(opened[1], Resources()) is first
-        assert pools.open(opened[2], Resources()) is not first
+        first = leased(pools, opened[0])
+        assert leased(pools, opened[1]) is first
+        assert leased(pools, opened[2]) is not first
         assert isinstance(first, LocalExecutor)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"model": {"solver": Solver("rk4")}},
+        {"model": {"renew": "instance"}},
+        {"resources": {"limits": Limits(seconds=1.0)}},
+        {"resources": {"workers": 2}},
+    ],
+)
+def test_workers_do_not_stay_for_a_run_that_asks_for_others(tmp_path, other):
+    write_input(tmp_path)
+    problem = problem_of(tmp_path, ["a"])
+    changed = replace(problem, model=replace(problem.model, **other.get("model", {})))
+    with SharedPools() as pools:
+        first = leased(pools, problem)
+        assert leased(pools, changed, Resources(**other.get("resources", {}))) is not first
 
 
 def test_workers_with_work_left_are_replaced(tmp_path):
     write_input(tmp_path)
     problem = problem_of(tmp_path, ["a"])
     with SharedPools() as pools:
-        first = pools.open(problem, Resources())
+        first = leased(pools, problem)
         first.submit([Task(0, 0, np.array([1.0, 25.0]))])
-        second = pools.open(problem, Resources())
+        second = leased(pools, problem)
         assert second is not first
         assert not second.busy
