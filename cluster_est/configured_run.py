@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from cluster_est.config.build import (
     build_method,
@@ -46,11 +46,13 @@ class ConfiguredRun(ABC):
     Attributes
     ----------
     identity
-        Kind, config and problem.
+        Its kind, problem and hash.
+    config
+        All that it was made from.
     """
 
-    kind: ClassVar[RunKind]
     identity: RunIdentity
+    config: Config
 
     @abstractmethod
     def compute(self, environment: RunEnvironment) -> Result | LoopResult:
@@ -67,7 +69,6 @@ class ConfiguredRun(ABC):
 class ConfiguredFit(ConfiguredRun):
     """A fit; `plan` is how."""
 
-    kind = RunKind.FIT
     plan: FitPlan
 
     def compute(self, environment: RunEnvironment) -> Result:
@@ -79,14 +80,12 @@ class ConfiguredFit(ConfiguredRun):
 class ConfiguredLoop(ConfiguredRun):
     """A closed loop."""
 
-    kind = RunKind.CLOSED_LOOP
-
     def compute(self, environment: RunEnvironment) -> LoopResult:
         """Find what the model lacks."""
         from cluster_est.closed_loop.loop import close_loop_in  # needs SymPy, which is slow
 
-        config, problem = self.identity.config, self.identity.problem
-        return close_loop_in(environment, problem, build_settings(config), self.identity.seed)
+        settings, identity = build_settings(self.config), self.identity
+        return close_loop_in(environment, identity.problem, settings, identity.seed)
 
 
 @dataclass(frozen=True)
@@ -163,17 +162,17 @@ def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) ->
         If something is wrong.
     """
     problem = build_problem(config, base, allow_code=allow_code)
-    identity = RunIdentity(kind, config, base, problem)
+    identity = RunIdentity.of(kind, config, base, problem)
     if kind is RunKind.CLOSED_LOOP:
         build_settings(config)
         make_space(problem, problem.indices("test"))
-        return ConfiguredLoop(identity)
+        return ConfiguredLoop(identity, config)
     plan = FitPlan(
         build_method(config), identity.seed, build_multistart(config), build_uncertainty(config)
     )
     check_search(problem, plan)
     make_space(problem, problem.indices("test"))
-    return ConfiguredFit(identity, plan)
+    return ConfiguredFit(identity, config, plan)
 
 
 def do_run(
@@ -209,7 +208,7 @@ def do_run(
         return RunEnd(RunStatus.DONE)
     if to.begin_at_once:
         context.begin()
-    resources = build_resources(run.identity.config)
+    resources = build_resources(run.config)
     try:
         with listener.progress(resources.budget) as show, context, stopped_by(to.out / STOP):
             environment = RunEnvironment(

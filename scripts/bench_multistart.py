@@ -24,6 +24,7 @@ import cluster_est as ce
 from cluster_est.fit import fit
 from cluster_est.problem.space import make_space
 from cluster_est.run_folder.folder import RunFolder
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.environment import open_executor
 from cluster_est.running.multistart import Multistart, make_starts, search_from_starts
 from cluster_est.running.resources import Resources, one_blas_thread
@@ -73,7 +74,7 @@ def in_one_queue(
     problem: ce.Problem, multistart: Multistart, workers: int, path: Path
 ) -> list[np.ndarray]:
     """Fit from all starts at once on Ray; what each found."""
-    folder = RunFolder(path, problem, "", "bench", 0)
+    folder = RunFolder(path, RunIdentity(RunKind.FIT, problem, "", "bench", 0))
     result = fit(
         problem,
         resources=Resources("ray", workers),

@@ -59,7 +59,7 @@ def check(options: Namespace) -> int:
         print_page(console, page)
         return _verdict(page)
     run = read_run(path, options.overrides, RunKind.FIT, allow_code=options.allow_code)
-    config, problem = run.identity.config, run.identity.problem
+    config, problem = run.config, run.identity.problem
     page = examine(problem, build_resources(config), seconds)
     page = replace(page, findings=(*page.findings, *_units(config, problem)))
     print_model(console, problem, f"method {config.method.name}")

@@ -21,7 +21,7 @@ from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.errors import RunFolderError
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.result import Result
-from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings
+from cluster_est.run_folder.evaluation_log import EvaluationLog
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
 from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunStatus, versions
@@ -87,13 +87,12 @@ class RunFolder:
         self._write_status(RunStatus.RUNNING, {})
 
     def _open_log(self) -> EvaluationLog:
-        log = self._identity.config.log
         return EvaluationLog(
             self.path / "evaluations",
             self._problem.model.key,
             [(e.id, e.key) for e in self._problem.experiments],
             self._metadata,
-            LogSettings(log.residuals, log.max_megabytes),
+            self._identity.log,
             0 if self._logged is None else self._logged.next_segment,
         )
 
@@ -181,6 +180,7 @@ class RunFolder:
         partial.rename(self.path / f"{name}.parquet")
 
     def _write_status(self, status: RunStatus, numbers: dict[str, Any]) -> None:
+        base = self._identity.base
         facts = {
             "format": FORMAT,
             "status": status,
@@ -189,7 +189,7 @@ class RunFolder:
             "seed": self._identity.seed,
             "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._begin)),
             "config_hash": self._config_hash,
-            "config_folder": str(self._identity.base.resolve()),
+            "config_folder": "" if base is None else str(base.resolve()),
             "fmu": {
                 "name": self._problem.model.name,
                 "sha256": self._problem.model.archive_hash,

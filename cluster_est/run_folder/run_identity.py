@@ -6,14 +6,15 @@ import enum
 import json
 import platform
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from cluster_est.config.reader import Config
 from cluster_est.config.toml import to_toml
 from cluster_est.problem.problem import Problem
+from cluster_est.run_folder.evaluation_log import LogSettings
 from workers.messages import content_hash
 
 DECISIVE = ("cluster-est", "cma", "numba", "numpy", "pymoo", "scipy", "sympy")
@@ -54,33 +55,39 @@ class RunIdentity:
     ----------
     kind
         A fit or a closed loop.
-    config, base
-        The resolved config, and the folder that its paths start from.
     problem
-        What the config describes.
+        What is run.
+    config_text, config_hash
+        The resolved config as TOML, and the hash of what determines the result.
+    seed
+        Of the run's random generators.
+    base
+        The folder that the config's paths start from; None if there is none.
+    log
+        How much of each simulation is kept.
     """
 
     kind: RunKind
-    config: Config
-    base: Path
     problem: Problem
+    config_text: str
+    config_hash: str
+    seed: int
+    base: Path | None = None
+    log: LogSettings = field(default_factory=LogSettings)
 
-    @property
-    def config_text(self) -> str:
-        """The resolved config as TOML."""
-        return to_toml(self.config.model_dump(mode="python"))
-
-    @property
-    def config_hash(self) -> str:
-        """Hash of what determines the result."""
-        tree = self.config.model_dump(mode="json", exclude_defaults=False)
-        return hash_config(tree, self.kind.unused_section)
-
-    @property
-    def seed(self) -> int:
-        """Of the run's random generators."""
-        fit = self.kind is RunKind.FIT
-        return self.config.method.seed if fit else self.config.closed_loop.seed
+    @classmethod
+    def of(cls, kind: RunKind, config: Config, base: Path, problem: Problem) -> Self:
+        """Return the identity of what a resolved config describes."""
+        tree = config.model_dump(mode="json", exclude_defaults=False)
+        return cls(
+            kind,
+            problem,
+            to_toml(config.model_dump(mode="python")),
+            hash_config(tree, kind.unused_section),
+            config.method.seed if kind is RunKind.FIT else config.closed_loop.seed,
+            base,
+            LogSettings(config.log.residuals, config.log.max_megabytes),
+        )
 
 
 def versions() -> dict[str, str]:

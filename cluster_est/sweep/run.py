@@ -64,9 +64,10 @@ def check_run(run: SweepRun, *, allow_code: bool) -> PlannedRun:
     ClusterEstError
         If something is wrong.
     """
-    identity = read_sweep_run(run, allow_code=allow_code).identity
-    resources = build_resources(identity.config)
-    budget = {k: v for k, v in identity.config.budget.model_dump().items() if v is not None}
+    configured = read_sweep_run(run, allow_code=allow_code)
+    identity, config = configured.identity, configured.config
+    resources = build_resources(config)
+    budget = {k: v for k, v in config.budget.model_dump().items() if v is not None}
     pool = content_hash([repr(pool_key(identity.problem, resources))])
     ray = (resources.workers, resources.address) if resources.executor == "ray" else None
     return PlannedRun(run, fingerprint(identity), budget, pool, ray)

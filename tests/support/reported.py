@@ -11,6 +11,7 @@ from support.problems.springs import spring_problem
 
 from cluster_est.fit import fit
 from cluster_est.run_folder.folder import RunFolder
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 
 HOSTILE = '</script><img src=x onerror="alert(1)"><b>&amp;'
 
@@ -22,7 +23,7 @@ def fitted_run(folder: Path, **options) -> Path:
     problem = spring_problem(noise=0.01, **options).problem
     *others, last = problem.experiments
     problem = replace(problem, experiments=(*others, replace(last, role="test")))
-    written = RunFolder(folder, problem, f"# {HOSTILE}\n", "hash", 0)
+    written = RunFolder(folder, RunIdentity(RunKind.FIT, problem, f"# {HOSTILE}\n", "hash", 0))
     result = fit(problem, record=written.record, show=written.show, note=written.note)
     written.write(result)
     return folder

@@ -21,6 +21,7 @@ from cluster_est.report import watch as watching
 from cluster_est.report.watch import RunFollower, RunView, follow
 from cluster_est.report.watch_printing import WatchTable, rendered
 from cluster_est.run_folder.folder import RunFolder
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.records import SearchIteration, TaskOrigin, RunSnapshot
 from workers.messages import Outcome, Status
 
@@ -48,7 +49,7 @@ def fill(folder: RunFolder, numbers: range, problem) -> None:
 
 def test_a_run_is_followed_while_it_grows(tmp_path):
     problem = spring_problem(experiments=2).problem
-    run = RunFolder(tmp_path / "run", problem, "", "hash", 0)
+    run = RunFolder(tmp_path / "run", RunIdentity(RunKind.FIT, problem, "", "hash", 0))
     clock = iter(range(100))
     follower = RunFollower(tmp_path / "run", lambda: float(next(clock)))
     assert follower.look().simulations == 0
@@ -81,7 +82,7 @@ def test_a_run_is_followed_while_it_grows(tmp_path):
 
 def test_only_what_is_new_is_read(tmp_path, monkeypatch):
     problem = spring_problem(experiments=2).problem
-    run = RunFolder(tmp_path / "run", problem, "", "hash", 0)
+    run = RunFolder(tmp_path / "run", RunIdentity(RunKind.FIT, problem, "", "hash", 0))
     follower = RunFollower(tmp_path / "run")
     batches = []
     added = follower.tail.counts.add
@@ -122,7 +123,7 @@ def test_it_ends_with_the_run_and_keeps_the_report_fresh(tmp_path, monkeypatch):
     monkeypatch.setattr(watching, "HTML_SECONDS", 0.05)
     problem = spring_problem(experiments=2, noise=0.01).problem
     path = tmp_path / "run"
-    run = RunFolder(path, problem, "", "hash", 0)
+    run = RunFolder(path, RunIdentity(RunKind.FIT, problem, "", "hash", 0))
     seen: list[RunView] = []
     pages: list[str] = []
 
