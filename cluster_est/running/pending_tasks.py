@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cluster_est.executors.base import Executor
+from cluster_est.methods.base import Points
 from cluster_est.problem.space import SearchSpace
 from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.search_state import OutcomeCache, Question, SearchState
@@ -53,8 +54,24 @@ class PendingTasks:
         self._origins[task.id] = origin
         return task
 
-    def ask(self, slot: Slot, experiment: int, values: FloatArray) -> Task | None:
-        """A task for what is not known yet and nobody has asked for; else the slot is filled."""
+    def request(self, search: SearchState, points: Points) -> Iterator[Task]:
+        """Give the tasks of a search's next points, experiment by experiment.
+
+        What is known already, or asked for by another search, takes no task.
+        """
+        space = search.request.space
+        first = search.expect(points)
+        values = [space.physical(x) for x in points.x]
+        places = [(p, e) for e in range(len(space.experiments)) for p in range(len(points.x))]
+        if points.asynchronous:  # a point is answered when it is complete, so one after the other
+            places.sort()
+        for p, e in places:
+            task = self._ask((search, first + p, e), space.experiments[e], values[p][e])
+            if task is not None:
+                yield task
+
+    def _ask(self, slot: Slot, experiment: int, values: FloatArray) -> Task | None:
+        """Make a task for what is not known and nobody has asked for; else fill the slot."""
         search, index, place = slot
         space = search.request.space
         effects, want = space.problem.effects, space.wants[place]

@@ -7,15 +7,14 @@ experiments, so a search sees the same numbers whatever the workers did.
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.errors import BudgetError
 from cluster_est.executors.base import Executor
 from cluster_est.methods.base import Ending, Evaluation, Points, Solution
+from cluster_est.running.budget_watch import BudgetWatch
 from cluster_est.running.interrupts import DeferredInterrupts, later
 from cluster_est.running.pending_tasks import PendingTasks
 from cluster_est.running.records import (
@@ -27,7 +26,7 @@ from cluster_est.running.records import (
     Show,
     TaskOrigin,
 )
-from cluster_est.running.search_state import PendingPoint, SearchRequest, SearchState, suited
+from cluster_est.running.search_state import SearchRequest, SearchState, suited
 from workers.messages import Effect, FloatArray, Outcome, Status, Task, Want
 
 __all__ = [
@@ -79,23 +78,28 @@ class Runner:
         whole: bool = False,
     ) -> None:
         self._executor = executor
-        self._budget = budget or Budget()
-        self._questions = PendingTasks(executor, record or (lambda origin, outcome: None))
-        self._show = show or (lambda snapshot: None)
-        self._iteration = note or (lambda iteration: None)
+        self._budget = BudgetWatch(budget or Budget())
+        self._pending = PendingTasks(executor, record or (lambda *_: None))
+        self._show = show or (lambda *_: None)
+        self._note = note or (lambda *_: None)
         self._whole = whole
-        self._begin = time.monotonic()
-        self.evaluations = 0
         self.interrupted = False
         """Whether it was: no search goes on after that, and simulations get a few seconds."""
 
     @property
+    def evaluations(self) -> int:
+        """Points that were asked for, those of all searches together."""
+        return self._budget.evaluations
+
+    @property
     def simulations(self) -> int:
-        return self._questions.simulations
+        """Simulations that were run or found in a log."""
+        return self._pending.simulations
 
     @property
     def failures(self) -> int:
-        return self._questions.failures
+        """Those of them that failed."""
+        return self._pending.failures
 
     def run(
         self,
@@ -151,7 +155,7 @@ class Runner:
     def _interrupt(self) -> None:
         """From now on nothing of what was asked for is wanted any more."""
         self.interrupted = True
-        self._questions.drop_all()
+        self._pending.drop_all()
 
     def _run(
         self,
@@ -188,7 +192,7 @@ class Runner:
             if at_once is not None and under_way >= at_once:
                 return
             search = waiting.pop()
-            if self._exhausted() and begun:
+            if self._budget.exhausted and begun:
                 self._finish(search, Ending.BUDGET)
             else:
                 self._advance(search, None)
@@ -223,7 +227,7 @@ class Runner:
         tasks = []
         for row, experiment in zip(values, experiments, strict=True):
             origin = TaskOrigin(name, 0, want, experiment, row, effects, want=want)
-            tasks.append(self._questions.task(origin, want))
+            tasks.append(self._pending.task(origin, want))
         own = {task.id for task in tasks}
         answers: dict[int, Outcome] = {}
         self._executor.submit(tasks)
@@ -246,7 +250,7 @@ class Runner:
 
     def _answer(self, own: set[int], outcome: Outcome, answers: dict[int, Outcome]) -> None:
         if outcome.task in own:
-            answers[outcome.task] = self._questions.note(outcome)
+            answers[outcome.task] = self._pending.note(outcome)
         else:  # left over from a search that was ended from outside
             self._receive(outcome)
 
@@ -264,7 +268,7 @@ class Runner:
                 search.solution = end.value
                 self._end(search)
                 return
-            if search.asked and self._exhausted():
+            if search.asked and self._budget.exhausted:
                 self._finish(search, Ending.BUDGET)
                 return
             self._ask(search, points)
@@ -273,29 +277,15 @@ class Runner:
             answers = search.take_answers()
 
     def _ask(self, search: SearchState, points: Points) -> None:
-        """Queue the tasks of a request, experiment by experiment; skip what is known already."""
-        space = search.request.space
+        """Queue the tasks of a request."""
         if points.progress is not None and points.progress != search.progress:
             search.progress = points.progress
-            self._iteration(SearchIteration(search.request.name, points.progress, search.asked))
+            self._note(SearchIteration(search.request.name, points.progress, search.asked))
         self._drop(search, points.drop)
-        search.asynchronous, search.purpose = points.asynchronous, points.purpose
-        search.sensitivities = points.sensitivities
-        first = search.asked
-        search.asked += len(points.x)
-        self.evaluations += len(points.x)
-        count = len(space.experiments)
-        for p, x in enumerate(points.x):
-            search.pending[first + p] = PendingPoint(first + p, x.copy(), [None] * count, count)
-        physical = [space.physical(x) for x in points.x]
-        places = [(p, e) for e in range(count) for p in range(len(points.x))]
-        if points.asynchronous:  # a point is answered when it is complete, so one after the other
-            places.sort()
+        self._budget.evaluations += len(points.x)
         tasks: list[Task] = []
-        for p, e in places:
-            slot = (search, first + p, e)
-            task = self._questions.ask(slot, space.experiments[e], physical[p][e])
-            tasks += [task] if task is not None else []
+        for task in self._pending.request(search, points):
+            tasks.append(task)
             if len(tasks) == SUBMITTED_AT_ONCE:  # workers begin while the others are prepared
                 self._executor.submit(tasks)
                 tasks = []
@@ -303,7 +293,7 @@ class Runner:
 
     def _receive(self, outcome: Outcome) -> None:
         """Hand an outcome to who waits for it; let those go on that have all they asked for."""
-        for search in self._questions.receive(outcome):
+        for search in self._pending.receive(outcome):
             if search.ready and search.solution is None:
                 self._advance(search, search.take_answers())
 
@@ -312,51 +302,23 @@ class Runner:
         for index in indices:
             search.pending.pop(index, None)
         if indices:
-            self._questions.drop_unwanted()
+            self._pending.drop_unwanted()
 
     def _finish(self, search: SearchState, ending: Ending) -> None:
         """End a search from outside, with the best point that it has seen."""
-        start = search.request.space.start
-        x = start if search.best_x is None else search.best_x
-        cost = np.nan if search.best is None else search.best.cost
-        search.solution = Solution(
-            x, cost, ending, iterations=search.progress.iteration, at=search.best
-        )
-        search.pending.clear()
+        search.cut_short(ending)
         self._end(search)
 
     def _end(self, search: SearchState) -> None:
         """Note how a search ended, as the last line of its table."""
-        solution = search.solution
-        if solution is None:
-            return
-        violation = np.nan
-        if search.request.space.constraint_names and solution.at is not None:
-            violation = solution.at.violation
-        last = replace(
-            search.progress,
-            iteration=solution.iterations,
-            cost=solution.cost,
-            violation=violation,
-            ending=solution.ending.name.lower(),
-        )
-        self._iteration(SearchIteration(search.request.name, last, search.asked))
-
-    def _exhausted(self) -> bool:
-        most, longest = self._budget.evaluations, self._budget.seconds
-        used = time.monotonic() - self._begin
-        return (most is not None and self.evaluations >= most) or (
-            longest is not None and used >= longest
-        )
+        last = search.last_line()
+        if last is not None:
+            self._note(SearchIteration(search.request.name, last, search.asked))
 
     def _refuse_if_exhausted(self, searches: Sequence[SearchState]) -> None:
         cut = [s for s in searches if s.solution and s.solution.ending is Ending.BUDGET]
-        if self._whole and self._exhausted() and (cut or not searches):
-            raise BudgetError(
-                f"budget: was used up after {self.evaluations} evaluations in "
-                f"{time.monotonic() - self._begin:.0f} s; raise budget.evaluations or "
-                "budget.seconds, or leave them out"
-            )
+        if self._whole and self._budget.exhausted and (cut or not searches):
+            raise self._budget.error()
 
     def _display(self, searches: Sequence[SearchState]) -> None:
         running = [s for s in searches if s.solution is None] or list(searches)
@@ -369,7 +331,7 @@ class Runner:
                 failures=self.failures,
                 busy=self._executor.busy,
                 workers=self._executor.workers,
-                seconds=time.monotonic() - self._begin,
+                seconds=self._budget.seconds,
             )
         )
 

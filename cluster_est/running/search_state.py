@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.methods.base import Evaluation, Method, Progress, Search, Solution
+from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.problem.space import SearchSpace
 from cluster_est.running.evaluation import judge
 from workers.messages import Effect, FloatArray, Outcome, Want
@@ -73,8 +73,18 @@ class SearchState:
             return bool(self.answers) or not self.pending
         return not self.pending
 
+    def expect(self, points: Points) -> int:
+        """Wait for points from now on, and return the index of the first of them."""
+        self.asynchronous, self.purpose = points.asynchronous, points.purpose
+        self.sensitivities = points.sensitivities
+        first, count = self.asked, len(self.request.space.experiments)
+        self.asked += len(points.x)
+        for p, x in enumerate(points.x):
+            self.pending[first + p] = PendingPoint(first + p, x.copy(), [None] * count, count)
+        return first
+
     def place(self, index: int, e: int, outcome: Outcome) -> None:
-        """Put an outcome where it is waited for; judge the point that it completes."""
+        """Put an outcome where it is waited for; evaluate the point that it completes."""
         point = self.pending.get(index)
         if point is None:  # dropped, or the search has ended
             return
@@ -93,6 +103,29 @@ class SearchState:
             if evaluation.ok and (self.best is None or evaluation.rank < self.best.rank):
                 self.best, self.best_x = evaluation, x
         return [evaluation for evaluation, _ in answers]
+
+    def cut_short(self, ending: Ending) -> None:
+        """End with the best point so far, or with the start where there is none."""
+        x = self.request.space.start if self.best_x is None else self.best_x
+        cost = np.nan if self.best is None else self.best.cost
+        self.solution = Solution(x, cost, ending, iterations=self.progress.iteration, at=self.best)
+        self.pending.clear()
+
+    def last_line(self) -> Progress | None:
+        """Return how it ended, as a line of its table; None if it has not."""
+        solution = self.solution
+        if solution is None:
+            return None
+        violation = np.nan
+        if self.request.space.constraint_names and solution.at is not None:
+            violation = solution.at.violation
+        return replace(
+            self.progress,
+            iteration=solution.iterations,
+            cost=solution.cost,
+            violation=violation,
+            ending=solution.ending.name.lower(),
+        )
 
 
 class OutcomeCache:
