@@ -1,4 +1,4 @@
-"""How a command ends, for the shell."""
+"""Exit codes of the commands."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import enum
 
 
 class ExitCode(enum.IntEnum):
-    """What a command returns."""
+    """The exit code of a command."""
 
     DONE = 0
     NO_SOLUTION = 1

@@ -1,4 +1,4 @@
-"""What a closed loop found, for a terminal."""
+"""The findings of a closed loop in a terminal."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def _print_errors(console: Console, rows: list[dict[str, Any]], facts: Facts) ->
 
 
 def _print_rest(console: Console, facts: Facts) -> None:
-    """What was not explained, and where could be looked."""
+    """Print the residual that is left, and the places that could be looked at."""
     for effect in facts["rejected"]:
         say(
             console,

@@ -102,7 +102,7 @@ def _rows(run_folder: Path, name: str) -> list[dict[str, Any]]:
 
 
 def print_model(console: Console, problem: Problem, more: str) -> None:
-    """What is simulated, and what was read around in its description."""
+    """Print the model, and the faults of its description that were read around."""
     model = problem.model
     say(
         console,
@@ -234,7 +234,7 @@ def _print_front(console: Console, rows: list[dict[str, Any]]) -> None:
 def _print_minima(
     console: Console, starts: list[dict[str, Any]], minima: list[dict[str, Any]]
 ) -> None:
-    """How many starts reached which minimum."""
+    """Print the number of starts that reached each minimum."""
     if not starts:
         return
     costs = {row["point"]: row["cost"] for row in minima}

@@ -1,4 +1,4 @@
-"""What a person sees while a fit runs: one line, and nothing where there is no terminal."""
+"""The line that a terminal shows while a fit runs; nothing where there is no terminal."""
 
 from __future__ import annotations
 

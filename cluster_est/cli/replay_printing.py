@@ -1,4 +1,4 @@
-"""What a replay and a list of failures show in a terminal."""
+"""Replays and lists of failures in a terminal."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def print_question(console: Console, logged: LoggedSimulation, question: ReplayR
 
 
 def print_answer(console: Console, logged: LoggedSimulation, outcome: Outcome) -> None:
-    """What came of it now, and whether that is the same."""
+    """Print the outcome, and whether it is the same as in the log."""
     cost = logged_cost(outcome, logged.want)
     say(console, f"now: {_ending(str(outcome.status), outcome.message, logged, cost)}")
     say(console, comparison(logged, outcome))

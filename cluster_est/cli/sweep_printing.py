@@ -15,7 +15,7 @@ HEADER = ["run", "status", "cost", "RMSE train", "test", "evaluations", "seconds
 
 
 def print_sweep(console: Console, out: Path, rows: list[dict[str, Any]], ran: int) -> None:
-    """How many runs are done, and a line for each."""
+    """Print the number of runs that are done, and a line for each."""
     counts = Counter(row["status"] for row in rows)
     listed = ", ".join(f"{count} {status}" for status, count in counts.items())
     say(console, f"sweep {out}: {len(rows)} runs: {listed}; {ran} of them in this call")

@@ -1,4 +1,4 @@
-"""This terminal as the listener of a run."""
+"""The terminal as the listener of a run."""
 
 from __future__ import annotations
 

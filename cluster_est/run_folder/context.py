@@ -36,7 +36,7 @@ STAGES = {
 
 
 class Existing(enum.Enum):
-    """What becomes of a run that the folder holds already."""
+    """The treatment of a run that the folder holds already."""
 
     REFUSE = enum.auto()
     OVERWRITE = enum.auto()
@@ -129,7 +129,7 @@ class RunContext:
 
     @property
     def steps(self) -> str:
-        """How far it came, as part of a sentence."""
+        """Say how far the run came, as part of a sentence."""
         if not self._searches:
             return "stopped before the first simulation"
         *done, last = dict.fromkeys(STAGES.get(name, name) for name in self._searches)

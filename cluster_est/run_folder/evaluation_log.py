@@ -40,7 +40,7 @@ SEGMENTS_AT_LEAST = 8
 
 @dataclass(frozen=True)
 class LogSettings:
-    """How much of each simulation is kept.
+    """The share of each simulation that is kept.
 
     What is left out is simulated again when the run is resumed, and changes no bit of it.
 

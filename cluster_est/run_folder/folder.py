@@ -226,7 +226,7 @@ def check_free(path: Path, *, overwrite: bool) -> None:
 
 
 def only_begun(path: Path) -> bool:
-    """Whether a folder holds what a run leaves that was killed before it simulated anything."""
+    """Return whether a folder holds what a run leaves that was killed before it simulated anything."""
     names = {each.name for each in path.iterdir()}
     log = path / "evaluations"
     return "evaluations" in names and names <= BEGUN and log.is_dir() and not any(log.iterdir())
@@ -255,7 +255,7 @@ def _numbers(result: Result) -> dict[str, Any]:
 
 
 def _notes(result: Result) -> list[str]:
-    """What to know about the simulations and the uncertainty, in sentences."""
+    """Notes on the simulations and the uncertainty, in sentences."""
     notes = list(result.problem.notes())
     if result.uncertainty is not None:
         notes += result.uncertainty.sentences

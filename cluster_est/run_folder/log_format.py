@@ -1,4 +1,4 @@
-"""What stands in the segments of an evaluation log, and how they are read and mended."""
+"""The format of an evaluation log's segments, and how they are read and mended."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def mend(path: Path) -> None:
     A kill in the middle of this loses nothing: only what cannot be read is cut off.
     """
     with pa.OSFile(str(path)) as opened:
-        end, _ = read_batches(opened, lambda position, batch: None)
+        end, _ = read_batches(opened, lambda *_: None)
     if end == 0:
         path.unlink()
         return
@@ -149,7 +149,7 @@ def read_log(folder: Path) -> pa.Table:
         raise RunFolderError(f"{folder}: must hold evaluation segments but holds none")
     for path in paths:
         with pa.OSFile(str(path)) as opened:
-            _, wrong = read_batches(opened, lambda position, batch: batches.append(batch))
+            _, wrong = read_batches(opened, lambda _, batch: batches.append(batch))
         if wrong:
             warnings.warn(f"{path}: its torn end was dropped ({wrong})", stacklevel=2)
     if not batches:

@@ -16,7 +16,7 @@ from cluster_est.run_folder.log_format import segments
 
 @dataclass
 class _SegmentPosition:
-    """How far a segment has been read."""
+    """The position up to which a segment has been read."""
 
     file: int = 0
     offset: int = 0

@@ -93,7 +93,7 @@ class LoggedOutcomes(OutcomeSource):
         return None
 
     def is_whole(self, row: int) -> bool:
-        """Whether the log has all of an outcome, so that it need not be simulated again."""
+        """Return whether the log has all of an outcome, so that it need not be simulated again."""
         return bool(self._whole[row])
 
     def outcome(self, row: int, task: int) -> Outcome:
@@ -117,7 +117,7 @@ class LoggedOutcomes(OutcomeSource):
         self._answered.add(task)
 
     def was_answered(self, task: int) -> bool:
-        """Whether that is so; it is forgotten then, because the next runner counts from 0."""
+        """Return whether that is so, and forget it, because the next runner counts from 0."""
         known = task in self._answered
         self._answered.discard(task)
         return known
@@ -142,7 +142,7 @@ def _keys(batch: pa.RecordBatch) -> IntArray:
 
 
 def _whole(batch: pa.RecordBatch) -> IntArray:
-    """Which rows have all that an answer needs."""
+    """Mark the rows that have all that an answer needs."""
     failed = pc.not_equal(batch.column("status"), str(Status.OK))
     want = batch.column("want")
     residuals = pc.is_valid(batch.column("residuals"))

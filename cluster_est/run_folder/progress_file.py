@@ -1,4 +1,4 @@
-"""How far a run is, in a small file: for who watches its folder from elsewhere.
+"""The progress of a run in a small file, for those who watch its folder from elsewhere.
 
 A line for each iteration of each search, and one a second for the whole run. It is a log and no
 result; nothing reads it to go on.

@@ -66,13 +66,13 @@ class LoggedSimulation:
 
     @property
     def summed(self) -> str:
-        """What of its residuals the cost is the sum of."""
+        """The function of the residuals whose sum is the cost."""
         return "absolute values" if self.want == "absolutes" else "squares"
 
 
 @dataclass(frozen=True)
 class ReplayRequest:
-    """What is to be simulated again.
+    """A logged simulation, ready to be run again.
 
     Attributes
     ----------
@@ -199,7 +199,7 @@ def prepare(
 
 
 def config_base(run_folder: Path, config: Path | None) -> Path:
-    """Where the paths of the run's config start from."""
+    """The folder that the paths of the run's config start from."""
     if config is not None:
         if not config.is_file():
             raise ConfigError(f"--config: there is no config file {config}; check the path")

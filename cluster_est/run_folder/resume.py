@@ -1,4 +1,4 @@
-"""Whether and how a run that was interrupted is taken up again."""
+"""The conditions under which an interrupted run is taken up again."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def _at(tree: Any, key: tuple[str, ...]) -> str:
 
 
 def _different_version(before: dict[str, str]) -> str:
-    """What of the software differs on which bits depend; not the last part of Python's version."""
+    """Name the software that differs and on which bits depend; Python's patch level does not count."""
     now = versions()
     for name in ("platform", *DECISIVE):
         if before.get(name) != now.get(name):

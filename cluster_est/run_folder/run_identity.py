@@ -1,4 +1,4 @@
-"""What a run is and depends on: its kind, its config, hashes and versions."""
+"""The identity of a run: its kind, its config, and the hashes and versions that it depends on."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UNHASHED = ("executor", "budget", "log")
 
 
 class RunKind(enum.Enum):
-    """What a run does with its config; each kind leaves one section of it unused."""
+    """The two kinds of runs from a config, each of which leaves one section of it unused."""
 
     FIT = "fit"
     CLOSED_LOOP = "close-loop"
@@ -38,7 +38,7 @@ class RunKind(enum.Enum):
 
 
 class RunStatus(enum.StrEnum):
-    """How a run stands, as run.json says it."""
+    """The state of a run, as run.json says it."""
 
     RUNNING = "running"
     DONE = "done"
@@ -49,7 +49,7 @@ class RunStatus(enum.StrEnum):
 
 @dataclass(frozen=True)
 class RunIdentity:
-    """What a run is, before it has done anything.
+    """Everything that tells a run from others, known before it begins.
 
     Attributes
     ----------

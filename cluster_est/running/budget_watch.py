@@ -34,7 +34,7 @@ class BudgetWatch:
 
     @property
     def exhausted(self) -> bool:
-        """Whether nothing new may be asked for."""
+        """True where nothing new may be asked for."""
         most, longest = self._budget.evaluations, self._budget.seconds
         return (most is not None and self.evaluations >= most) or (
             longest is not None and self.seconds >= longest

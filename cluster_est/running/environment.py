@@ -1,4 +1,4 @@
-"""What surrounds a run: workers, a budget, who is told of it, and what an earlier run has left."""
+"""The environment of a run: workers, budget, listeners, and the log of an earlier run."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Monitor:
 
 @dataclass(frozen=True)
 class EarlierRun:
-    """What an interrupted run has left for the one that takes it up again.
+    """The outcomes and decisions of an interrupted run, for the one that takes it up again.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class EarlierRun:
 
 
 class WorkerSource(ABC):
-    """Where a run has its workers from."""
+    """A supplier of workers: of its own for each run, or shared between runs."""
 
     @abstractmethod
     def lease(

@@ -1,4 +1,4 @@
-"""What the outcomes of a point mean: its cost and its constraints."""
+"""From the outcomes of a point to its cost and constraints."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class DeferredInterrupts:
 
     @contextlib.contextmanager
     def waiting(self) -> Iterator[None]:
-        """Where an interrupt may be raised, also one that was noted before."""
+        """Let interrupts be raised here, also those that were noted before."""
         self._waiting = True
         try:
             if self.noted:
@@ -68,7 +68,7 @@ class DeferredInterrupts:
         finally:
             self._waiting = False
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
+    def _note(self, _number: int, _frame: FrameType | None) -> None:
         self.noted += 1
         if self._waiting or self.noted >= INSISTED:
             raise KeyboardInterrupt
@@ -83,7 +83,7 @@ class _RaisingHandler:
     def __init__(self) -> None:
         self.noted = 0
 
-    def __call__(self, number: int, frame: FrameType | None) -> None:
+    def __call__(self, _number: int, _frame: FrameType | None) -> None:
         self.noted += 1
         raise KeyboardInterrupt
 

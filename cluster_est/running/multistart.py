@@ -65,13 +65,13 @@ class Multistart:
 
     @property
     def searches(self) -> int:
-        """How many."""
+        """Number of searches."""
         return max(self.n, 1 + len(self.points))
 
 
 @dataclass(frozen=True)
 class MultistartResult:
-    """What the searches found.
+    """The minima that the searches found.
 
     Attributes
     ----------
@@ -234,7 +234,7 @@ def _named(space: SearchSpace, values: Mapping[str, float]) -> FloatArray:
 def cluster(
     space: SearchSpace, solutions: Sequence[Solution], same: float
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Which solutions are one minimum: indices of the best of each, and the number of each one's.
+    """Return indices of the best solution of each minimum, and the minimum of each solution.
 
     Solutions that did not reach a minimum have the number -1.
     """

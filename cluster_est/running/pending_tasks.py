@@ -1,4 +1,4 @@
-"""What has been asked of the workers: who waits for each simulation, and what is known already.
+"""Tasks that were asked for: which searches wait for each, and the cache of outcomes.
 
 The same simulation is never asked for twice while it is under way or remembered.
 """

@@ -1,4 +1,4 @@
-"""What a runner is told, and what it tells: budget, origin of a task, progress of a search."""
+"""Records that a runner takes and gives: budget, origin of a task, progress of a search."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class TaskOrigin:
 
 @dataclass(frozen=True)
 class RunSnapshot:
-    """What a display shows."""
+    """The state of a run as a display shows it."""
 
     search: str
     progress: Progress

@@ -1,4 +1,4 @@
-"""Where a run happens, and for how long."""
+"""The resources of a run: executor, budget and limits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from workers.messages import Limits
 
 @dataclass(frozen=True)
 class Resources:
-    """Where a fit runs and how long it may take.
+    """The executor, the budget and the limits of a fit.
 
     Attributes
     ----------

@@ -137,7 +137,7 @@ class Runner:
         try:
             if not self.interrupted:
                 with DeferredInterrupts() as interrupts:
-                    enough = enough or (lambda solutions: False)
+                    enough = enough or (lambda _: False)
                     searches = self._run(searches, at_once, enough, interrupts)
         except KeyboardInterrupt:
             self._interrupt()

@@ -68,7 +68,7 @@ class SearchState:
 
     @property
     def ready(self) -> bool:
-        """Whether what it waits for is there."""
+        """True where all that it waits for is there."""
         if self.asynchronous:
             return bool(self.answers) or not self.pending
         return not self.pending

@@ -92,7 +92,7 @@ def _self() -> dict[str, Any]:
 
 
 def _is_gone(holder: dict[str, Any]) -> bool:
-    """Whether a process of this host certainly lives no more."""
+    """Return whether a process of this host certainly lives no more."""
     pid = holder.get("pid")
     if not isinstance(pid, int) or holder.get("host") != socket.gethostname():
         return False

@@ -28,7 +28,7 @@ UNDER_WAY = (RunStatus.RUNNING, RunStatus.INTERRUPTED)
 
 @dataclass(frozen=True)
 class SweepSettings:
-    """What all runs of a sweep are done with.
+    """Workers, listener and permissions that all runs of a sweep share.
 
     Attributes
     ----------

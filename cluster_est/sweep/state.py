@@ -1,4 +1,4 @@
-"""What a sweep has done already, read from its run folders, and its summary table."""
+"""The state of a sweep, read from its run folders, and its summary table."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def fingerprint(identity: RunIdentity) -> str:
 
 
 def status(folder: Path, planned: PlannedRun) -> str:
-    """Where a run stands: its own status, or "not run" if it must be run (again).
+    """Return the status of a run, "not run" if it must be run (again).
 
     Raises
     ------

@@ -32,7 +32,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class SweepResult:
-    """What a sweep came to.
+    """The result of a sweep.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class SweepResult:
 
     @property
     def success(self) -> bool:
-        """Whether every run reached a solution, now or in an earlier call."""
+        """True if every run reached a solution, now or in an earlier call."""
         return all(row["status"] == SUCCESS for row in self.rows)
 
 
