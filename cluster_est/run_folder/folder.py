@@ -226,7 +226,7 @@ def check_free(path: Path, *, overwrite: bool) -> None:
 
 
 def only_begun(path: Path) -> bool:
-    """Return whether a folder holds what a run leaves that was killed before it simulated anything."""
+    """Return whether a folder holds only what a run leaves that was killed at its very start."""
     names = {each.name for each in path.iterdir()}
     log = path / "evaluations"
     return "evaluations" in names and names <= BEGUN and log.is_dir() and not any(log.iterdir())

@@ -105,7 +105,7 @@ def _at(tree: Any, key: tuple[str, ...]) -> str:
 
 
 def _different_version(before: dict[str, str]) -> str:
-    """Name the software that differs and on which bits depend; Python's patch level does not count."""
+    """Name the software that differs and decides on bits; Python's patch level does not."""
     now = versions()
     for name in ("platform", *DECISIVE):
         if before.get(name) != now.get(name):
