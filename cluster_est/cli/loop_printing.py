@@ -9,8 +9,8 @@ from typing import Any
 
 from rich.console import Console
 
-from cluster_est.cli.printing import interval, number, print_run, print_table, say
-from cluster_est.run_folder.reading import read_facts, read_run_table
+from cluster_est.cli.printing import SHOWN, interval, number, print_run, print_table, say
+from cluster_est.run_folder.reading import StoredRun, read_stored_run
 
 Facts = Mapping[str, Any]
 
@@ -23,25 +23,26 @@ def print_any_run(console: Console, run_folder: Path) -> None:
     RunFolderError
         If there is no run.
     """
-    facts = read_facts(run_folder)
-    if facts.get("verdict"):
-        print_loop(console, run_folder, facts)
+    run = read_stored_run(run_folder, SHOWN)
+    if run.facts.get("verdict"):
+        print_loop(console, run)
     else:
-        print_run(console, run_folder)
+        print_run(console, run)
 
 
-def print_loop(console: Console, run_folder: Path, facts: Facts) -> None:
+def print_loop(console: Console, run: StoredRun) -> None:
     """Verdict, effects, parameters, errors before and after, and what to know."""
+    facts = run.facts
     say(console, f"verdict: {facts['verdict']}: {facts['summary']}")
     say(
         console,
-        f"run {run_folder}: {facts['simulations']} simulations ({facts['failures']} failed), "
+        f"run {run.path}: {facts['simulations']} simulations ({facts['failures']} failed), "
         f"{facts['seconds']:.1f} s",
     )
     for effect in facts["effects"]:
         _print_effect(console, effect)
-    _print_parameters(console, read_run_table(run_folder / "parameters.parquet"))
-    _print_errors(console, read_run_table(run_folder / "errors.parquet"), facts)
+    _print_parameters(console, run.tables["parameters"])
+    _print_errors(console, run.tables["errors"], facts)
     for note in facts["notes"]:
         say(console, f"note: {note}")
     _print_rest(console, facts)
@@ -50,7 +51,7 @@ def print_loop(console: Console, run_folder: Path, facts: Facts) -> None:
         say(console, "to name what was found in the config, so that cluster-est fit estimates it:")
         say(console, "")
         say(console, "\n".join(effect["config"] for effect in facts["effects"]))
-    say(console, f"tables: {run_folder}/*.parquet")
+    say(console, f"tables: {run.path}/*.parquet")
 
 
 def _print_effect(console: Console, effect: Facts) -> None:

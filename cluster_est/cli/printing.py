@@ -16,20 +16,17 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.rows import constraints_at_start
-from cluster_est.run_folder.reading import read_facts, read_run_table
+from cluster_est.run_folder.reading import StoredRun, read_stored_run
 from workers.fmu.description import nearest
 
+SHOWN = ("parameters", "errors", "constraints", "intervals", "front", "starts", "minima")
+"""Tables of a run that its summary is printed from."""
 
-def print_run(console: Console, run_folder: Path) -> None:
-    """A run's outcome, parameters and errors.
 
-    Raises
-    ------
-    RunFolderError
-        If there is no run.
-    """
-    facts = read_facts(run_folder)
-    say(console, f"run {run_folder}: {facts['status']}")
+def print_run(console: Console, run: StoredRun) -> None:
+    """Print a run's outcome, parameters and errors; `run` has the tables `SHOWN`."""
+    facts, tables = run.facts, run.tables
+    say(console, f"run {run.path}: {facts['status']}")
     if facts.get("message"):
         say(console, f"  {facts['message']}")
     if {"cost_before", "cost", "iterations", "evaluations", "simulations"} <= facts.keys():
@@ -40,28 +37,27 @@ def print_run(console: Console, run_folder: Path) -> None:
             f"{facts['simulations']} simulations ({facts['failures']} failed), "
             f"{facts['seconds']:.1f} s",
         )
-    tables = [run_folder / f"{name}.parquet" for name in ("parameters", "errors")]
-    if all(path.is_file() for path in tables):
-        _print_parameters(console, read_run_table(tables[0]))
-        _print_errors(console, read_run_table(tables[1]))
-        _print_constraints(console, _rows(run_folder, "constraints"))
-        _print_intervals(console, _rows(run_folder, "intervals"))
-        _print_front(console, _rows(run_folder, "front"))
-        _print_minima(console, _rows(run_folder, "starts"), _rows(run_folder, "minima"))
+    if run.ended:
+        _print_parameters(console, tables["parameters"])
+        _print_errors(console, tables["errors"])
+        _print_constraints(console, tables["constraints"])
+        _print_intervals(console, tables["intervals"])
+        _print_front(console, tables["front"])
+        _print_minima(console, tables["starts"], tables["minima"])
         for note in facts.get("notes") or []:
             say(console, f"note: {note}")
-        say(console, f"tables: {run_folder}/*.parquet")
+        say(console, f"tables: {run.path}/*.parquet")
 
 
 def print_iterations(console: Console, run_folder: Path, search: str | None = None) -> None:
-    """The iteration table of one search, of the best start if none is named.
+    """Print the iteration table of one search, of the best start if none is named.
 
     Raises
     ------
     RunFolderError
         If there is no such search.
     """
-    rows = _rows(run_folder, "searches")
+    rows = read_stored_run(run_folder, ["searches"]).tables["searches"]
     names = list(dict.fromkeys(row["search"] for row in rows))
     if search is None:
         ended = [row for row in rows if row["ending"] and row["cost"] is not None]
@@ -93,12 +89,6 @@ def _final_rank(row: dict[str, Any]) -> tuple[float, float]:
 
 def _blank(value: float | None) -> str:
     return "" if value is None or math.isnan(value) else f"{value:.6g}"
-
-
-def _rows(run_folder: Path, name: str) -> list[dict[str, Any]]:
-    """A table that not every run has."""
-    path = run_folder / f"{name}.parquet"
-    return read_run_table(path) if path.is_file() else []
 
 
 def print_model(console: Console, problem: Problem, more: str) -> None:

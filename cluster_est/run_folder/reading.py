@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,46 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cluster_est.errors import RunFolderError
+
+Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class StoredRun:
+    """Some of what a run folder holds.
+
+    Attributes
+    ----------
+    path
+        The folder.
+    facts
+        What run.json says.
+    tables
+        Rows by the name of their table; none for a table that the run does not have.
+    """
+
+    path: Path
+    facts: Mapping[str, Any]
+    tables: Mapping[str, Rows]
+
+    @property
+    def ended(self) -> bool:
+        """True if the run has written its results."""
+        return all((self.path / f"{name}.parquet").is_file() for name in ("parameters", "errors"))
+
+
+def read_stored_run(run_folder: Path, tables: Sequence[str]) -> StoredRun:
+    """Return the facts of a run, and those of its tables that are named.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no run, or it is damaged.
+    """
+    paths = {name: run_folder / f"{name}.parquet" for name in tables}
+    facts = read_facts(run_folder)
+    rows = {name: read_run_table(p) if p.is_file() else [] for name, p in paths.items()}
+    return StoredRun(run_folder, facts, rows)
 
 
 def read_facts(run_folder: Path) -> dict[str, Any]:
