@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.costs.base import Cost
 from workers.messages import FloatArray, IntArray
@@ -26,10 +27,12 @@ class GaussianLikelihood(Cost):
 
     name: ClassVar[str] = "likelihood"
 
+    @override
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
         counts, sums = _sums(residuals, _known(residuals, outputs))
         return float(np.add.reduce(counts * np.log(sums / counts)))
 
+    @override
     def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:
         outputs = _known(residuals, outputs)
         counts, sums = _sums(residuals, outputs)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.costs.base import Cost
 from workers.messages import FloatArray, IntArray
@@ -24,11 +25,13 @@ class _RobustCost(Cost):
 
     scale: float = field(default=1.0, metadata={"least": 1e-100})
 
+    @override
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
         with np.errstate(over="ignore"):
             z = (np.ascontiguousarray(residuals) / self.scale) ** 2
             return float(self.scale**2 * np.add.reduce(self._rho(z)))
 
+    @override
     def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:
         with np.errstate(over="ignore"):
             return self._slope((residuals / self.scale) ** 2)

@@ -126,7 +126,7 @@ class Evaluation:
 
     @property
     def feasible(self) -> bool:
-        """Whether it satisfies all constraints, to within `TOLERANCE`."""
+        """True if it satisfies all constraints, to within `TOLERANCE`."""
         return self.ok and self.violation <= TOLERANCE
 
     @property
@@ -151,13 +151,13 @@ class Evaluation:
 
     @property
     def rows(self) -> list[slice]:
-        """Where each experiment's residuals stand in `residuals`."""
+        """The rows of each experiment in `residuals`."""
         ends = np.cumsum([0, *(len(_residuals(outcome)) for outcome in self.outcomes)]).tolist()
         return [slice(a, b) for a, b in pairwise(ends)]
 
     @property
     def reason(self) -> str:
-        """Why the first failed simulation failed."""
+        """The status and message of the first simulation that failed; "" if none did."""
         failed = [outcome for outcome in self.outcomes if not outcome.ok]
         return f"{failed[0].status}: {failed[0].message}" if failed else ""
 
@@ -170,7 +170,7 @@ Search = Generator[Points, list[Evaluation], "Solution"]
 
 
 class Ending(enum.StrEnum):
-    """How a search ended. A member's text is what a person reads."""
+    """The end of a search. A member's text is what a person reads."""
 
     CONVERGED = "converged"
     PERFECT = "the residuals are zero"
@@ -198,7 +198,7 @@ class OtherPoint:
 
 @dataclass(frozen=True)
 class Solution:
-    """What a search found.
+    """The result of a search.
 
     Attributes
     ----------
@@ -236,24 +236,24 @@ class Solution:
 
 
 class Method(ABC):
-    """What picks the next points. Its attributes are its options."""
+    """A search method; its attributes are its options."""
 
     name: ClassVar[str]
-    """What the config calls it."""
+    """Its name in a config."""
 
     needs_residuals: ClassVar[bool]
-    """Whether it works on residuals, with `Cost.weights`, rather than on a cost of any kind."""
+    """True if it works on residuals, with `Cost.weights`, rather than on a cost of any kind."""
 
     needs_every_residual: ClassVar[bool] = True
-    """Whether it looks at single residuals. If not, long experiments may be answered with one
+    """True if it looks at single residuals. If not, long experiments may be answered with one
     number for each output in their place (`Cost.reduction`): costs are the same to rounding, and
     the space that it is given says what belongs to which output."""
 
     keeps_constraints: ClassVar[bool] = False
-    """Whether it can satisfy constraints other than bounds."""
+    """True if it can satisfy constraints other than bounds."""
 
     asynchronous: ClassVar[bool] = False
-    """Whether its result may depend on the order in which simulations end."""
+    """True if its result may depend on the order in which simulations end."""
 
     def check(self, space: SearchSpace) -> None:  # noqa: B027 - a method may have nothing to refuse
         """Refuse, before anything is simulated, a space that this method cannot search.

@@ -1,4 +1,4 @@
-"""What is to be found out about the uncertainty of a fit."""
+"""Settings of the uncertainty of a fit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cluster_est.errors import ProblemError
 
 @dataclass(frozen=True)
 class UncertaintySettings:
-    """Which intervals to compute besides those from the derivatives, which cost nothing.
+    """The intervals to compute besides those from derivatives, which cost nothing.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Spaces made of other spaces: started elsewhere, with an unknown kept, with other experiments."""
+"""Spaces derived from other spaces: another start, a fixed unknown, other experiments."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from workers.messages import FloatArray
 
 
 def moved(space: SearchSpace, x: FloatArray) -> SearchSpace:
-    """The same space, from which searches start at x.
+    """Return the space with the start x.
 
     The size of a noticeable change stays what it was: it comes from the start that the user gave,
     and an estimate that happens to be nearly 0 says nothing about it.
@@ -21,7 +21,7 @@ def moved(space: SearchSpace, x: FloatArray) -> SearchSpace:
 
 
 def without(space: SearchSpace, i: int, x: FloatArray) -> SearchSpace:
-    """The space in which unknown i is kept at its value in x, and the others start there."""
+    """Return the space in which unknown i is fixed at its value in x, and the others start at x."""
     unknown = space.unknowns[i]
     base = space.base.copy()
     # all experiments whose value is searched, so that their base values stay equal to each other
@@ -34,7 +34,7 @@ def without(space: SearchSpace, i: int, x: FloatArray) -> SearchSpace:
 
 
 def resampled(space: SearchSpace, positions: Sequence[int], x: FloatArray) -> SearchSpace:
-    """The space of some of the experiments, of which one may appear several times.
+    """Return the space of some experiments, of which one may appear several times.
 
     Copies of an experiment share its own unknowns, and each counts.
     """
@@ -70,7 +70,7 @@ def _started(
     x: FloatArray,
     kept: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
 ) -> SearchSpace:
-    """Both are cached properties that would follow from the unknowns' own starts."""
+    """Set start and sizes, cached properties that would follow from the unknowns' own starts."""
     vars(made)["start"] = np.clip(x[kept], space.lower[kept], space.upper[kept])
     vars(made)["typical"] = space.typical[kept]
     return made

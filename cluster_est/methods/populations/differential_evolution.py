@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.populations.generation import PopulationGoal, PopulationStrategy
 from cluster_est.methods.populations.method import PopulationMethod
@@ -46,9 +47,11 @@ class DifferentialEvolution(PopulationMethod):
     weight: float = field(default=0.6, metadata={"least": 0.0})
     crossover: float = field(default=0.9, metadata={"least": 0.0})
 
+    @override
     def usual_population(self, unknowns: int) -> int:
         return max(30, 10 * unknowns)
 
+    @override
     def strategy(
         self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
     ) -> PopulationStrategy:

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.base import Method, Search
 from cluster_est.methods.derivatives.differences import Differences
 from cluster_est.methods.sqp.hessian import Hessian
 from cluster_est.methods.sqp.scipy_constrained import scipy_search
-from cluster_est.methods.sqp.trust_region import SqpOptions, sequential_search
+from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
 from cluster_est.problem.space import SearchSpace
 
 
@@ -69,6 +70,7 @@ class Sqp(Method):
     hessian: Hessian = "auto"
     speculative_gradient: bool = False
 
+    @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         settings = SqpOptions(
             self.max_iterations,
@@ -80,5 +82,5 @@ class Sqp(Method):
             self.speculative_gradient,
         )
         if self.algorithm == "native":
-            return sequential_search(space, settings)
+            return trust_region_search(space, settings)
         return scipy_search(space, settings, self.algorithm)

@@ -1,8 +1,9 @@
-"""How far the columns of a Jacobian by finite differences may be off.
+"""Bounds on the errors of a Jacobian by finite differences, column by column.
 
 A direction that the data do not determine at all does not show as 0 in such a Jacobian, but as the
 sum of the errors of its columns: from the noise of the simulation over the step, and from the
-curvature times the step (forward) or its square (central); see `methods.differences`.
+curvature times the step (forward) or its square (central); see
+`methods.derivatives.differences`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ ABOUT_ZERO = 0.01
 
 
 def sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
-    """What a relative change of each unknown is relative to: itself, unless it is about 0."""
+    """Return the size to which a change of each unknown is relative: itself, unless about 0."""
     logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
     own = np.where(np.abs(x) > ABOUT_ZERO * space.typical, np.abs(x), space.typical)
     return np.where(logarithmic, 1.0, own)
@@ -34,16 +35,16 @@ def column_errors(
     outputs: float,
     steps: FloatArray | None,
 ) -> FloatArray:
-    """(unknowns,): the error of each column over its norm, with a margin.
+    """Return (unknowns,): the error of each column over its norm, with a margin.
 
     Parameters
     ----------
     space, x
-        Where.
+        The space and the point.
     sensitivity : (unknowns,)
         Norms of the columns, for a relative change of each unknown.
     outputs
-        The norm of what was simulated, in units of the residuals.
+        The norm of the simulated outputs, in units of the residuals.
     steps
         Of the differences; forward ones are assumed where they are not known. Whether they were
         forward or central is told from their size.
@@ -64,20 +65,20 @@ def column_errors(
 def measured_errors(
     space: SearchSpace, sensitivity: FloatArray, outputs: float, reach: float
 ) -> FloatArray:
-    """The same where directions were measured with steps of this relative size; see `sharpen`."""
+    """Return them for directions measured with steps of this relative size; see `sharpen`."""
     noise = relative_noise(space.problem.model.solver)
     curvature = np.full(space.size, reach**4)
     return _errors(curvature, np.full(space.size, noise * outputs / reach), sensitivity)
 
 
 def _errors(curvature: FloatArray, noise: FloatArray, sensitivity: FloatArray) -> FloatArray:
-    """A column that is not larger than its noise is nothing but error."""
+    """Return relative errors; a column that is not larger than its noise is nothing but error."""
     over = np.divide(noise, sensitivity, out=np.full(len(noise), np.inf), where=sensitivity > 0.0)
     return np.asarray(np.maximum(SAFETY * (curvature + np.minimum(over, 1.0)), ROUNDING))
 
 
 def output_norm(space: SearchSpace, factor: FloatArray) -> float:
-    """The norm of the measured outputs, weighted like the residuals; 0 where nobody knows it."""
+    """Return the norm of the measured outputs, weighted like the residuals; 0 if not known."""
     parts = [np.zeros(0)]
     for e in space.experiments:
         experiment = space.problem.experiments[e]
