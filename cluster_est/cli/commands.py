@@ -72,8 +72,8 @@ def init(fmu: Path, data: list[Path], out: Path | None, *, overwrite: bool) -> i
     console = Console()
     for number, line in text.open:
         say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
-    for name in dict.fromkeys(name for run in found.runs for name in run.unfed):
-        where = ", ".join(repr(run.id) for run in found.runs if name in run.unfed)
+    for name in dict.fromkeys(name for run in found.runs for name in run.missing_inputs):
+        where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
         say(console, f"{out}: no column of {where} is like input {name!r}; it stays as it starts")
     say(console, f"{out} is written; look through it, then: cluster-est check {out}")
     return DONE

@@ -132,7 +132,14 @@ def interval_rows(
     """Return all intervals that took refits."""
     rows = [
         IntervalRow(
-            p.label, "profile", p.confidence, p.value, p.lower, p.upper, p.open_lower, p.open_upper
+            p.label,
+            "profile",
+            p.confidence,
+            p.value,
+            p.lower,
+            p.upper,
+            p.open_lower.value,
+            p.open_upper.value,
         )
         for p in profiles
     ]
