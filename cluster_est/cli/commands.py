@@ -39,7 +39,14 @@ from cluster_est.errors import BudgetError, ConfigError, ModelError, ProblemErro
 from cluster_est.fit import check_search
 from cluster_est.fit import fit as run_fit
 from cluster_est.fit import simulate as run_simulate
-from cluster_est.preflight import SECONDS, CheckFinding, CheckPage, bare_problem, examine
+from cluster_est.preflight import (
+    SECONDS,
+    CheckFinding,
+    CheckPage,
+    Verdict,
+    bare_problem,
+    run_checks,
+)
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.results.curves import residual_table, trajectory_table
@@ -85,7 +92,7 @@ def check(path: Path, overrides: list[str], *, allow_code: bool, seconds: float 
     if path.suffix.lower() == ".fmu":
         bare = bare_problem(path)
         print_model(console, bare, "its own start values")
-        page = examine(bare, Resources(), seconds, declared=False)
+        page = run_checks(bare, Resources(), seconds, declared=False)
         print_page(console, page)
         return _verdict(page)
     config = read_config(path, overrides)
@@ -93,7 +100,7 @@ def check(path: Path, overrides: list[str], *, allow_code: bool, seconds: float 
     method = build_method(config)
     check_search(problem, method, build_uncertainty(config), build_multistart(config))
     make_space(problem, problem.indices("test"))
-    page = examine(problem, build_resources(config), seconds)
+    page = run_checks(problem, build_resources(config), seconds)
     page = replace(page, findings=(*page.findings, *_units(config, problem)))
     print_model(console, problem, f"method {method.name}")
     if page.simulations:
@@ -106,7 +113,7 @@ def _units(config: Config, problem: Problem) -> list[CheckFinding]:
     """A line for each column whose name says another unit than its variable has."""
     return [
         CheckFinding(
-            "problem",
+            Verdict.PROBLEM,
             "units",
             f"column '{m.column}' is given to {m.variable}, which is in {m.wanted}, as it is",
             f'columns."{m.column}" = {{ factor = {m.change.factor:.12g}, '

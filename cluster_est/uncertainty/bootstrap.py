@@ -135,7 +135,6 @@ def bootstrap(
         If there are fewer than five experiments.
     """
     check_bootstrap(space)
-    count = len(space.experiments)
     spaces = _resampled_spaces(space, solution.x, settings.bootstrap, generator)
     seeds = generator.integers(0, 2**32, settings.bootstrap).tolist()
     requests = [
@@ -143,20 +142,30 @@ def bootstrap(
         for number, (each, seed) in enumerate(zip(spaces, seeds, strict=True))
     ]
     found = runner.run(requests, settings.at_once)
-    labels = tuple(space.unknowns[i].label for i in np.flatnonzero(is_shared(space)))
-    draws = [_draw(each, one, labels) for each, one in zip(spaces, found, strict=True)]
-    table = np.array([draw.estimates for draw in draws]).reshape(len(draws), len(labels))
-    estimates = space.estimates(solution.x)
+    draws = [_draw(each, one, space) for each, one in zip(spaces, found, strict=True)]
     return BootstrapResult(
-        labels=labels,
-        intervals=tuple(
-            percentile_interval(label, estimates[label], table[:, j], count, settings.confidence)
-            for j, label in enumerate(labels)
-        ),
+        labels=_shared_labels(space),
+        intervals=_intervals(space, solution.x, draws, settings.confidence),
         draws=tuple(draws),
         failures=sum(not _is_valid(one) for one in found),
         unfinished=sum(_is_valid(one) and not one.ending.success for one in found),
         confidence=settings.confidence,
+    )
+
+
+def _shared_labels(space: SearchSpace) -> tuple[str, ...]:
+    return tuple(space.unknowns[i].label for i in np.flatnonzero(is_shared(space)))
+
+
+def _intervals(
+    space: SearchSpace, x: FloatArray, draws: Sequence[BootstrapDraw], confidence: float
+) -> tuple[BootstrapInterval, ...]:
+    """Return the intervals of the shared unknowns."""
+    labels, estimates, count = _shared_labels(space), space.estimates(x), len(space.experiments)
+    table = np.array([draw.estimates for draw in draws]).reshape(len(draws), len(labels))
+    return tuple(
+        percentile_interval(label, estimates[label], table[:, j], count, confidence)
+        for j, label in enumerate(labels)
     )
 
 
@@ -191,13 +200,14 @@ def _is_valid(solution: Solution) -> bool:
     return bool(np.isfinite(solution.cost)) and solution.ending not in bad and not infeasible
 
 
-def _draw(space: SearchSpace, solution: Solution, labels: Sequence[str]) -> BootstrapDraw:
-    known = space.estimates(solution.x) if _is_valid(solution) else {}
+def _draw(resample: SearchSpace, solution: Solution, space: SearchSpace) -> BootstrapDraw:
+    """Return the refit of a resample, with the estimates of what the whole space shares."""
+    estimates = resample.estimates(solution.x) if _is_valid(solution) else {}
     return BootstrapDraw(
-        experiments=tuple(space.problem.experiments[e].id for e in space.experiments),
+        experiments=tuple(resample.problem.experiments[e].id for e in resample.experiments),
         cost=solution.cost,
         ending=solution.ending.name.lower(),
-        estimates=tuple(known.get(label, np.nan) for label in labels),
+        estimates=tuple(estimates.get(label, np.nan) for label in _shared_labels(space)),
     )
 
 

@@ -86,6 +86,13 @@ def derivatives(
         jacobians = yield from provider.jacobian(space, x, at, progress)
     else:
         jacobians = yield from jacobian(space, x, at, scheme, relative_step, progress)
+    return _from_jacobian(jacobians, residuals, weights)
+
+
+def _from_jacobian(
+    jacobians: ResidualJacobian, residuals: FloatArray, weights: FloatArray
+) -> CostDerivatives:
+    """Return 2 J'Wr and 2 J'WJ."""
     weighted = jacobians.matrix * weights[:, None]
     gradient = 2.0 * np.add.reduce(weighted * residuals[:, None], axis=0)
     gauss_newton = 2.0 * (jacobians.matrix.T @ weighted)

@@ -108,6 +108,7 @@ class PopulationMethod(Method):
 
     def goal(self, space: SearchSpace) -> PopulationGoal:
         """Return the goal: the least cost, unless a method says otherwise."""
+        del space  # of use to methods with several objectives
         return LeastCost(self.ftol, self.window)
 
 

@@ -101,12 +101,10 @@ def factorised_jacobian(
     layout, unbounded = layouts
     weighting, rows = _weighting(space, solution, jacobian.row_count)
     matrix, limits, scale = _scaled(space, solution, jacobian, weighting, difference_reach)
-    coordinates = null_space(layout.constraint_jacobian / scale[layout.shared])
-    factors = _factorise(matrix, layout, coordinates, limits, weak)
+    factors = _factorise(matrix, layout, scale, limits, weak)
     combinations = factors.combinations
     if any(layout.active_bounds):
-        basis = null_space(unbounded.constraint_jacobian / scale[unbounded.shared])
-        combinations = _factorise(matrix, unbounded, basis, limits, weak).combinations
+        combinations = _factorise(matrix, unbounded, scale, limits, weak).combinations
     scatter = weighting.scatter(factors.rank)
     spread = None if scatter.spread is None else [scatter.spread[row] for row in rows]
     chosen = [c for c in combinations if c.undetermined]
@@ -116,7 +114,7 @@ def factorised_jacobian(
         unbounded_layout=unbounded,
         weighting=weighting,
         scale=scale,
-        coordinates=coordinates,
+        coordinates=_coordinates(layout, scale),
         factors=factors,
         covariance=block_covariance(factors, spread),
         scatter=scatter,
@@ -143,13 +141,20 @@ def _scaled(
     return matrix.divided_columns(np.where(noise, np.inf, scale)), limits, scale
 
 
+def _coordinates(layout: UnknownLayout, scale: FloatArray) -> FloatArray:
+    """Return a basis of the shared unknowns' changes that satisfy the active constraints."""
+    return null_space(layout.constraint_jacobian / scale[layout.shared])
+
+
 def _factorise(
     matrix: BlockMatrix,
     layout: UnknownLayout,
-    coordinates: FloatArray,
+    scale: FloatArray,
     limits: FloatArray,
     weak: float,
 ) -> BlockFactors:
+    """Factorise a scaled Jacobian in the coordinates that satisfy the active constraints."""
+    coordinates = _coordinates(layout, scale)
     parts = blocks(matrix, layout, coordinates)
     local = tuple(limits[each] for each in layout.local)
     return factorise(parts, ErrorLimits(limits[layout.shared], local, coordinates), weak)

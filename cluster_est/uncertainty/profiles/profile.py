@@ -63,8 +63,8 @@ def profiles(
     Raises
     ------
     ProblemError
-        See `check_profiles`. Where it is only the solution that does not say how far the cost may
-        rise, such as one without residuals, the profiles are open and say so.
+        See `check_profiles`. Where only the solution does not determine the rise of the cost, such
+        as one without residuals, the profiles are open and say so.
     """
     check_profiles(space, settings)
     chosen = select(space, settings.profiles)
@@ -75,16 +75,12 @@ def profiles(
     rise = _rise(linear, settings)
     if not rise > 0.0:
         return tuple(_undetermined(space, solution, i, settings) for i in chosen)
-    here = moved(space, solution.x)
-    continuations = [
-        ProfileContinuation(
-            method,
-            ProfileTarget(i, side, solution.cost, rise, settings.steps, settings.max_steps),
-            _first_step(space, solution, linear, i, settings.steps),
-        )
-        for i in chosen
-        for side in (-1, 1)
-    ]
+    here, steps = moved(space, solution.x), (settings.steps, settings.max_steps)
+    continuations = []
+    for i in chosen:
+        first = _first_step(space, solution, linear, i, settings.steps)
+        targets = [ProfileTarget(i, side, solution.cost, rise, *steps) for side in (-1, 1)]
+        continuations += [ProfileContinuation(method, target, first) for target in targets]
     requests = [SearchRequest(_search_name(space, each), each, here) for each in continuations]
     found = runner.run(requests, settings.at_once)
     sides = [_side(*pair, here.start) for pair in zip(continuations, found, strict=True)]
