@@ -34,6 +34,7 @@ class Cost(ABC):
         """Return the weights of the residuals' squares for a least-squares method at this point.
 
         With weights w (n,) the gradient of F is 2 w r, so that sqrt(w) r and sqrt(w) J make the
-        right gradient and, where F bends no more than the squares, a step that lowers F. None for
-        a cost that is no function of residuals which a method could use in this way.
+        right gradient and, where the curvature of F is at most that of the squares, a step that
+        lowers F. None for a cost that is no function of residuals which a method could use in this
+        way.
         """

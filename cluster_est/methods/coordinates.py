@@ -1,6 +1,6 @@
 """Scaled coordinates of direct searches: 0 is the start, 1 a noticeable change.
 
-Bounds and constraints on parameters are kept here, because they cost no simulation.
+Points are projected here on bounds and constraints on parameters, which cost no simulation.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 EXACT = 1e-9
-"""Constraints on parameters are kept to this, in units of their own scale."""
+"""Largest violation of constraints on parameters, in units of their own scale."""
 PROJECTION_STEPS = 20
 STEPS_WITH_GIVEN_JACOBIAN = 4
 
@@ -27,7 +27,7 @@ class NearbyNormals:
     Attributes
     ----------
     inequalities : (inequalities, unknowns)
-        Outward normals of bounds and of inequalities on parameters within reach.
+        Outward normals of bounds and of inequalities on parameters within a distance.
     equalities : (equalities, unknowns)
         Normals of equalities on parameters.
     """

@@ -18,7 +18,7 @@ from workers.simulation.jacobian import AGREES
 TIGHTER = 100.0
 LEAST_RTOL = 1e-13
 GOOD, BAD = 1e-5, 1e-2
-"""Changes of the outputs, of their size, that need not and must concern somebody."""
+"""Relative changes of the outputs below which all is well, and above which there is a problem."""
 
 
 def accuracy(subject: CheckSubject) -> list[CheckFinding]:

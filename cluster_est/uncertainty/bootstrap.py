@@ -223,8 +223,8 @@ def percentile_interval(
     tail = (1.0 - confidence) / 2.0
     # a normal quantile in the place of a t quantile, and the variance of draws is too small by
     # (n - 1) / n: both are corrected by quantiles further out
-    reach = student.ppf(tail, experiments - 1) * np.sqrt(experiments / (experiments - 1.0))
-    outer = float(norm.cdf(reach))
+    quantile = student.ppf(tail, experiments - 1) * np.sqrt(experiments / (experiments - 1.0))
+    outer = float(norm.cdf(quantile))
     low, high = np.quantile(draws, [tail, 1.0 - tail]).tolist()
     lower, upper = np.quantile(draws, [outer, 1.0 - outer]).tolist()
     return BootstrapInterval(

@@ -11,7 +11,7 @@ from cluster_est.problem.space import SearchSpace, Unknown
 from workers.messages import FloatArray
 
 
-def moved(space: SearchSpace, x: FloatArray) -> SearchSpace:
+def with_start(space: SearchSpace, x: FloatArray) -> SearchSpace:
     """Return the space with the start x.
 
     The size of a noticeable change stays what it was: it comes from the start that the user gave,
@@ -20,7 +20,7 @@ def moved(space: SearchSpace, x: FloatArray) -> SearchSpace:
     return _made(space, space.unknowns, space.base, x, np.arange(space.size))
 
 
-def without(space: SearchSpace, i: int, x: FloatArray) -> SearchSpace:
+def with_fixed_unknown(space: SearchSpace, i: int, x: FloatArray) -> SearchSpace:
     """Return the space in which unknown i is fixed at its value in x, and the others start at x."""
     unknown = space.unknowns[i]
     base = space.base.copy()
@@ -28,9 +28,9 @@ def without(space: SearchSpace, i: int, x: FloatArray) -> SearchSpace:
     for other in space.unknowns:
         if other.column == unknown.column:
             base[list(other.experiments), other.column] = unknown.to_physical(float(x[i]))
-    kept = np.delete(np.arange(space.size), i)
-    unknowns = tuple(space.unknowns[j] for j in kept)
-    return _made(space, unknowns, base, x, kept)
+    columns = np.delete(np.arange(space.size), i)
+    unknowns = tuple(space.unknowns[j] for j in columns)
+    return _made(space, unknowns, base, x, columns)
 
 
 def resampled(space: SearchSpace, positions: Sequence[int], x: FloatArray) -> SearchSpace:
@@ -41,16 +41,16 @@ def resampled(space: SearchSpace, positions: Sequence[int], x: FloatArray) -> Se
     places: dict[int, list[int]] = {}
     for new, old in enumerate(positions):
         places.setdefault(old, []).append(new)
-    unknowns, kept = [], []
+    unknowns, columns = [], []
     for i, unknown in enumerate(space.unknowns):
         found = sorted(new for old in unknown.experiments for new in places.get(old, []))
         if found:
             unknowns.append(replace(unknown, experiments=tuple(found)))
-            kept.append(i)
+            columns.append(i)
     chosen = list(positions)
     experiments = tuple(space.experiments[p] for p in chosen)
     made = SearchSpace(space.problem, experiments, tuple(unknowns), space.base[chosen])
-    return _started(made, space, x, np.array(kept, dtype=np.intp))
+    return _started(made, space, x, np.array(columns, dtype=np.intp))
 
 
 def _made(
@@ -58,19 +58,19 @@ def _made(
     unknowns: tuple[Unknown, ...],
     base: FloatArray,
     x: FloatArray,
-    kept: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
+    columns: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
 ) -> SearchSpace:
     made = SearchSpace(space.problem, space.experiments, unknowns, base)
-    return _started(made, space, x, kept)
+    return _started(made, space, x, columns)
 
 
 def _started(
     made: SearchSpace,
     space: SearchSpace,
     x: FloatArray,
-    kept: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
+    columns: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
 ) -> SearchSpace:
     """Set start and sizes, cached properties that would follow from the unknowns' own starts."""
-    vars(made)["start"] = np.clip(x[kept], space.lower[kept], space.upper[kept])
-    vars(made)["typical"] = space.typical[kept]
+    vars(made)["start"] = np.clip(x[columns], space.lower[columns], space.upper[columns])
+    vars(made)["typical"] = space.typical[columns]
     return made

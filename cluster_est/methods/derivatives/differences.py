@@ -33,7 +33,7 @@ NOISE_OF_CVODE = 10.0
 """The same of CVODE, which changes order and step in leaps; 1 to 100 on stiff models."""
 NOISE_FIXED = 1e-14
 NOISE_UNKNOWN = 1e-11
-"""Of a co-simulation FMU, whose solver nobody sees."""
+"""Of a co-simulation FMU, whose solver is not known."""
 
 
 @dataclass(frozen=True)

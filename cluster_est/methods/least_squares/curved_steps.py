@@ -23,7 +23,7 @@ EXTENSIONS = (2.0, 4.0)
 
 
 @dataclass(frozen=True)
-class TriedPoints:
+class TrialPoints:
     """Points that were tried from one point, the longest step first.
 
     Attributes
@@ -56,7 +56,7 @@ class TriedPoints:
 
 
 def curved_steps(
-    model: LocalModel, trials: TriedPoints, before: float
+    model: LocalModel, trials: TrialPoints, before: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return further steps to try, and the dampings of the trials that they follow from.
 
@@ -93,7 +93,7 @@ def curved_steps(
     return np.array(steps[:count]), np.array(dampings[:count])
 
 
-def _correction(model: LocalModel, trials: TriedPoints, i: int) -> FloatArray:
+def _correction(model: LocalModel, trials: TrialPoints, i: int) -> FloatArray:
     step = trials.steps[i]
     corrected = model.corrected(step, trials.evaluations[i], float(trials.dampings[i]))
     return np.asarray(corrected - step)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Points, Progress
-from cluster_est.methods.least_squares.curved_steps import TriedPoints, curved_steps
+from cluster_est.methods.least_squares.curved_steps import TrialPoints, curved_steps
 from cluster_est.methods.least_squares.local_model import LocalModel, unknown_sizes
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
@@ -106,12 +106,12 @@ class LeastSquaresIteration:
 
     def _try(
         self, state: IterationState, purpose: str, steps: FloatArray, dampings: FloatArray
-    ) -> Generator[Points, list[Evaluation], TriedPoints]:
+    ) -> Generator[Points, list[Evaluation], TrialPoints]:
         points = np.clip(state.x + steps, self.space.lower, self.space.upper)
         evaluations = yield Points(points, purpose, state.progress)
-        return TriedPoints(points, points - state.x, dampings, evaluations)
+        return TrialPoints(points, points - state.x, dampings, evaluations)
 
-    def _is_curved(self, state: IterationState, model: LocalModel, trials: TriedPoints) -> bool:
+    def _is_curved(self, state: IterationState, model: LocalModel, trials: TrialPoints) -> bool:
         """Return whether the longest trial's prediction was far above the best actual reduction."""
         finite = np.flatnonzero(np.isfinite(trials.costs))
         if not len(finite):
@@ -120,7 +120,7 @@ class LeastSquaresIteration:
         actual = max(state.at.cost - trials.least, 0.0)
         return predicted > max(CURVED_RATIO * actual, self.ftol * model.squares)
 
-    def _accept(self, state: IterationState, model: LocalModel, trials: TriedPoints) -> Result:
+    def _accept(self, state: IterationState, model: LocalModel, trials: TrialPoints) -> Result:
         best = trials.best
         x, step, damping = trials.points[best], trials.steps[best], float(trials.dampings[best])
         predicted, actual = model.predicted_reduction(step), state.at.cost - trials.least

@@ -7,7 +7,7 @@ predicted reduction is far above the best actual one, a third request follows th
 the trials have shown.
 
 Each step minimises the linear model within the bounds exactly, so a bound that becomes active does
-not bend the step of the other unknowns. Damping is scaled by the largest column norms seen, which
+not bend the step of the other unknowns. Damping is scaled by the largest column norms so far, which
 makes the iterates independent of the units of the unknowns.
 
 References: D. W. Marquardt, J. SIAM 11 (1963) 431-441, doi:10.1137/0111030; J. J. More, The

@@ -190,6 +190,6 @@ def _progress(before: FloatArray, now: FloatArray) -> float:
     """
     ranges = np.ptp(np.vstack([before, now]), axis=0)
     shifts = (before[:, None] - now[None]) / np.where(ranges > 0.0, ranges, 1.0)
-    ahead = np.ascontiguousarray(shifts.max(axis=2).min(axis=0))
+    epsilon = np.ascontiguousarray(shifts.max(axis=2).min(axis=0))
     gap = len(now) ** (-1.0 / (now.shape[1] - 1))
-    return float(np.add.reduce(ahead) / len(now) / gap)
+    return float(np.add.reduce(epsilon) / len(now) / gap)

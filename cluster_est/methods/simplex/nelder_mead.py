@@ -34,7 +34,7 @@ from cluster_est.methods.base import (
     Solution,
 )
 from cluster_est.methods.coordinates import ScaledCoordinates
-from cluster_est.methods.simplex.scalar_minimisation import minimise_one
+from cluster_est.methods.simplex.scalar_minimisation import minimise_scalar_unknown
 from cluster_est.methods.simplex.simplex import (
     SimplexVertex,
     VertexMoves,
@@ -135,7 +135,7 @@ class NelderMead(Method):
             return Solution(space.start, np.nan, Ending.START_FAILED, reason)
         if space.size == 1:
             limits = self.initial_step, self.xtol, self.max_iterations
-            return (yield from minimise_one(space, at, *limits))
+            return (yield from minimise_scalar_unknown(space, at, *limits))
         return (yield from _SimplexSearch(space, self, at).steps())
 
 
@@ -204,20 +204,20 @@ class _SimplexSearch:
 
     def _iterate(self) -> Generator[Points, list[Evaluation], None]:
         """Move the worst vertices along the lines through the centre of the others, or shrink."""
-        kept, moving = self._simplex[: -self._parallel], self._simplex[-self._parallel :]
-        moved = yield from self._follow_paths(kept, moving)
+        fixed, moving = self._simplex[: -self._parallel], self._simplex[-self._parallel :]
+        moved = yield from self._follow_paths(fixed, moving)
         if all(new is old for new, old in zip(moved, moving, strict=True)):
             best, *others = self._simplex
             closer = np.array([best.u + self._moves.shrink * (v.u - best.u) for v in others])
-            kept, moved = [best], (yield from self._ask(closer, "shrink"))
-        self._simplex = ordered(kept + moved)
+            fixed, moved = [best], (yield from self._ask(closer, "shrink"))
+        self._simplex = ordered(fixed + moved)
 
     def _follow_paths(
-        self, kept: list[SimplexVertex], moving: list[SimplexVertex]
+        self, fixed: list[SimplexVertex], moving: list[SimplexVertex]
     ) -> VertexRequests:
         """Return the vertices at which the paths of the moving vertices end."""
-        centre = np.add.reduce([v.u for v in kept]) / len(kept)
-        paths = [self._moves.path(v, kept) for v in moving]
+        centre = np.add.reduce([v.u for v in fixed]) / len(fixed)
+        paths = [self._moves.path(v, fixed) for v in moving]
         ends = list(moving)
         evaluated: dict[tuple[int, float], SimplexVertex] = {}
         wanted = {i: next(path) for i, path in enumerate(paths)}

@@ -26,7 +26,7 @@ LEAST_TOLERANCE = 1e-12
 """SciPy would not end without any."""
 
 
-def minimise_one(
+def minimise_scalar_unknown(
     space: SearchSpace, start: Evaluation, step: float, xtol: float, max_evaluations: int
 ) -> Search:
     """Search one unknown.

@@ -45,18 +45,18 @@ class VertexMoves:
         return self.reflect, self.expand, self.outside, self.inside
 
     def path(
-        self, vertex: SimplexVertex, kept: list[SimplexVertex]
+        self, vertex: SimplexVertex, fixed: list[SimplexVertex]
     ) -> Generator[float, SimplexVertex, SimplexVertex]:
         """Yield the moves that a vertex tries one after the other; return where it ends.
 
-        That is the vertex itself if nothing is better. Of the vertices that are `kept` the
+        That is the vertex itself if nothing is better. Of the vertices that are `fixed` the
         first is the best and the last the worst.
         """
         reflected = yield self.reflect
-        if reflected.cost < kept[0].cost:
+        if reflected.cost < fixed[0].cost:
             expanded = yield self.expand
             return expanded if expanded.cost < reflected.cost else reflected
-        if reflected.cost < kept[-1].cost:
+        if reflected.cost < fixed[-1].cost:
             return reflected
         if reflected.cost < vertex.cost:
             contracted = yield self.outside

@@ -57,7 +57,7 @@ class LinearisationHistory:
     def extend(
         self, model: QuadraticSubproblem, x: FloatArray, radii: FloatArray
     ) -> QuadraticSubproblem:
-        """Return a model of the surroundings of a point with the linearisations from near it.
+        """Return the model around a point, with the linearisations at other points near it.
 
         None of them may exceed the constraint's value at the point itself, which is the largest of
         all functions there: where that of a curved one does, it is lowered.

@@ -3,7 +3,7 @@
 Two approximations compete. Gauss-Newton's matrix of the cost, 2 J'WJ, is
 right where residuals are small and constraints straight. A quasi-Newton matrix is that one, or a
 multiple of the identity where there is none, updated by the change of the gradient along each of
-the last steps: it learns what large residuals and bent constraints add. Whichever predicted the
+the last steps: it takes up what large residuals and curved constraints add. Whichever predicted the
 last steps better makes the next one, as in J. E. Dennis, D. M. Gay, R. E. Welsch, ACM TOMS 7 (1981)
 348-368, doi:10.1145/355958.355965.
 
@@ -30,7 +30,7 @@ ERROR_DECAY = 0.5
 RIDGE = 1e-12
 
 
-class CurvatureHistory:
+class HessianApproximations:
     """Two approximations of the Hessian, updated at each iterate, and their prediction errors."""
 
     def __init__(self, kind: Hessian) -> None:

@@ -19,7 +19,7 @@ from cluster_est.methods.sqp.constraint_linearisations import (
     LinearisationHistory,
     is_jump,
 )
-from cluster_est.methods.sqp.hessian import CurvatureHistory, Hessian
+from cluster_est.methods.sqp.hessian import Hessian, HessianApproximations
 from cluster_est.methods.sqp.penalty import PenaltyParameter
 from cluster_est.methods.sqp.quadratic_program import QuadraticSubproblem, penalised_step
 from cluster_est.problem.space import SearchSpace
@@ -69,7 +69,7 @@ class SqpLocalModel:
         self._space, self._feasibility_only = space, feasibility_only
         self._equality = space.equality
         self._logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
-        self._hessian = CurvatureHistory(hessian)
+        self._hessian = HessianApproximations(hessian)
         self._history = LinearisationHistory(self._equality, 2 * space.size)
         self._sizes = space.typical
         nowhere = np.full(space.size, np.nan)

@@ -22,8 +22,8 @@ class Sqp(Method):
 
     For a cost under constraints, and for costs that are no sum of squares. It finds the minimum
     that the start leads to; for others use several starts. Without constraints `least_squares` is
-    better where the cost is a sum of squares. It needs slopes: where simulations jump or are noisy
-    beyond their tolerance, use `pattern_search`.
+    better where the cost is a sum of squares. It needs derivatives: where simulations jump or are
+    noisy beyond their tolerance, use `pattern_search`.
 
     Where there is nothing to minimise it ends at the first point that satisfies all constraints.
 
@@ -36,7 +36,7 @@ class Sqp(Method):
     max_iterations
         Limit on the number of steps for "native", else on the number of derivatives.
     ftol
-        Converged when a step neither promises nor brings a change of the cost by more than this
+        Converged when the predicted and the actual change of the cost by a step are at most this
         part of it. "slsqp": its ftol, with the cost in units of its size at the start.
     xtol
         Converged when only steps shorter than this part of each unknown lower the cost, as at a
@@ -48,7 +48,7 @@ class Sqp(Method):
     relative_step
         Relative step of the differences; 0 takes the one that suits the solver's noise.
     hessian
-        "auto" takes Gauss-Newton's matrix or quasi-Newton updates of it, whichever foretold the
+        "auto" takes Gauss-Newton's matrix or quasi-Newton updates of it, whichever predicted the
         last steps better. "gauss_newton" suits good fits, "quasi_newton" large residuals. "slsqp"
         has updates only, "trust_constr" Gauss-Newton's unless this is "quasi_newton".
     speculative_gradient

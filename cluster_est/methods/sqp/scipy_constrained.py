@@ -1,8 +1,8 @@
 """SciPy's constrained minimisers: SLSQP, and the trust region `trust-constr`.
 
 They see unknowns in units of their typical sizes and a cost that is 1 or less at the start, because
-their tolerances are absolute. They know no failed simulation: they are told of a cost so large that
-they shorten their step. Whatever they return, the best point that they asked for is the solution.
+their tolerances are absolute. They have no failed simulations: a large cost takes their place, so
+that they shorten their step. Whatever they return, the best point that they asked for is the solution.
 
 References: D. Kraft, ACM TOMS 20 (1994) 262-281, doi:10.1145/192115.192124; R. H. Byrd, M. E.
 Hribar, J. Nocedal, SIAM J. Optim. 9 (1999) 877-900, doi:10.1137/S1052623497325107.

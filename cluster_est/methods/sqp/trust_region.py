@@ -52,7 +52,7 @@ ACCEPTED, POOR, GOOD = 0.05, 0.25, 0.75
 """Values of rho: the least that is accepted, and those that shrink and widen the region."""
 SHRINK, WIDEN = 0.25, 3.0
 FLOOR = 1e-16
-"""A cost this much smaller than the largest seen counts as zero."""
+"""A cost this much smaller than the largest so far counts as zero."""
 NEARLY_OPTIMAL = 1e-3
 AT_A_KINK = (
     "no step longer than xtol lowers the cost; the gradient is not zero there, as at a kink or "
@@ -180,9 +180,9 @@ class _TrustRegionSearch:
         self, x: FloatArray, at: Evaluation
     ) -> Generator[Points, list[Evaluation], None]:
         """Ask for the derivatives, unless they came with the trial."""
-        requests, known, self._speculative = self._derivatives(x, at), self._speculative, None
-        if known is not None and np.array_equal(known[0], x):
-            found = run_with(requests, lambda _: known[1])
+        requests, answered, self._speculative = self._derivatives(x, at), self._speculative, None
+        if answered is not None and np.array_equal(answered[0], x):
+            found = run_with(requests, lambda _: answered[1])
         else:
             found = yield from requests
         self._model.move_to(x, at, found, self._multipliers)

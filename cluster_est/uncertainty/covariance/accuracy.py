@@ -21,7 +21,7 @@ ABOUT_ZERO = 0.01
 """Of the typical size."""
 
 
-def sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
+def relative_sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
     """Return the size to which a change of each unknown is relative: itself, unless about 0."""
     logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
     own = np.where(np.abs(x) > ABOUT_ZERO * space.typical, np.abs(x), space.typical)
@@ -46,29 +46,29 @@ def column_errors(
     outputs
         The norm of the simulated outputs, in units of the residuals.
     steps
-        Of the differences; forward ones are assumed where they are not known. Whether they were
-        forward or central is told from their size.
+        Of the differences; forward ones are assumed where they are not known. Their size
+        shows whether they were forward or central.
     """
     noise = relative_noise(space.problem.model.solver)
     usual = difference_steps(space, x, "forward", 0.0)
     steps = np.abs(usual if steps is None else np.where(steps != 0.0, steps, usual))
-    # the scheme is told by steps that have the size that it gives them
+    # the scheme follows from the size of the steps
     asked = float(np.median(steps / np.where(usual != 0.0, np.abs(usual), 1.0))) if len(x) else 1.0
     central = asked > noise ** (-1.0 / 12.0)  # the middle between both, on a logarithmic scale
     one_sided = (x + steps > space.upper) | (x - steps < space.lower)
-    relative = steps / sizes(space, x)
+    relative = steps / relative_sizes(space, x)
     curvature = np.where(one_sided | (not central), relative, relative**2)
     least = np.finfo(float).tiny
     return _errors(curvature, noise * outputs / np.maximum(relative, least), sensitivity)
 
 
 def measured_errors(
-    space: SearchSpace, sensitivity: FloatArray, outputs: float, reach: float
+    space: SearchSpace, sensitivity: FloatArray, outputs: float, measured_step: float
 ) -> FloatArray:
     """Return them for directions measured with steps of this relative size; see `sharpen`."""
     noise = relative_noise(space.problem.model.solver)
-    curvature = np.full(space.size, reach**4)
-    return _errors(curvature, np.full(space.size, noise * outputs / reach), sensitivity)
+    curvature = np.full(space.size, measured_step**4)
+    return _errors(curvature, np.full(space.size, noise * outputs / measured_step), sensitivity)
 
 
 def _errors(curvature: FloatArray, noise: FloatArray, sensitivity: FloatArray) -> FloatArray:

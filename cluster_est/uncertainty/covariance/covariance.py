@@ -28,7 +28,7 @@ from cluster_est.uncertainty.covariance.layout import (
     ActiveBound,
     UnknownLayout,
     active_bounds,
-    lay_out,
+    unknown_layout,
 )
 from cluster_est.uncertainty.covariance.result import (
     ConfidenceInterval,
@@ -49,7 +49,7 @@ def intervals(space: SearchSpace, solution: Solution) -> list[ConfidenceInterval
     return list(assess(space, solution).intervals)
 
 
-def assess(space: SearchSpace, solution: Solution, reach: float = 0.0) -> Uncertainty:
+def assess(space: SearchSpace, solution: Solution, measured_step: float = 0.0) -> Uncertainty:
     """Return the uncertainty of a solution from its Jacobian, without simulations.
 
     Parameters
@@ -57,27 +57,27 @@ def assess(space: SearchSpace, solution: Solution, reach: float = 0.0) -> Uncert
     space, solution
         The space that was searched, and the solution with its `jacobian` and, for any cost but the
         sum of squares, `at`. See `linearise` where a method leaves none.
-    reach
-        Of `sharpen`, if it was called.
+    measured_step
+        The second result of `sharpen`, if it was called.
     """
-    system = scaled_jacobian(space, solution, reach)
+    system = scaled_jacobian(space, solution, measured_step)
     if system is None:
         return _nothing(space, solution)
     return _report(space, solution.x, system)
 
 
 def scaled_jacobian(
-    space: SearchSpace, solution: Solution, reach: float = 0.0, weak: float = WEAK
+    space: SearchSpace, solution: Solution, measured_step: float = 0.0, weak: float = WEAK
 ) -> ScaledJacobian | None:
     """Return the factorised Jacobian of a solution; None if it lacks the Jacobian or values."""
-    known = solution.at is not None or isinstance(space.problem.cost, SumSquared)
-    if not has_jacobian(solution) or not known or not np.isfinite(solution.cost):
+    has_values = solution.at is not None or isinstance(space.problem.cost, SumSquared)
+    if not has_jacobian(solution) or not has_values or not np.isfinite(solution.cost):
         return None
     constraints = np.zeros(0) if solution.at is None else solution.at.constraints
-    layout = lay_out(space, solution.x, constraints)
-    unbounded = lay_out(space, solution.x, constraints, held=False)
+    layout = unknown_layout(space, solution.x, constraints)
+    unbounded = unknown_layout(space, solution.x, constraints, held=False)
     return factorised_jacobian(
-        space, solution, (layout, unbounded), difference_reach=reach, weak=weak
+        space, solution, (layout, unbounded), measured_step=measured_step, weak=weak
     )
 
 
@@ -136,9 +136,9 @@ def _interval(
     space: SearchSpace, x: FloatArray, i: int, error: float, width: float, at_bound: ActiveBound
 ) -> ConfidenceInterval:
     unknown = space.unknowns[i]
-    known = bool(np.isfinite(error)) and np.isfinite(width)
-    low = unknown.to_physical(float(x[i] - width * error)) if known else np.nan
-    high = unknown.to_physical(float(x[i] + width * error)) if known else np.nan
+    finite = bool(np.isfinite(error)) and np.isfinite(width)
+    low = unknown.to_physical(float(x[i] - width * error)) if finite else np.nan
+    high = unknown.to_physical(float(x[i] + width * error)) if finite else np.nan
     physical = error * unknown.to_physical(float(x[i])) if unknown.log else error
     return ConfidenceInterval(float(physical), low, high, at_bound)
 
@@ -153,14 +153,14 @@ def _derived(
     gradients = {label: np.zeros(space.size) for label in values}
     for i in range(space.size):  # held ones too: they may be in undetermined directions
         step = np.cbrt(np.finfo(float).eps) * max(abs(float(x[i])), float(space.typical[i]))
-        high, low = x.copy(), x.copy()
-        high[i] = min(x[i] + step, space.upper[i])
-        low[i] = max(x[i] - step, space.lower[i])
-        ahead, behind = space.derived(high), space.derived(low)
+        x_plus, x_minus = x.copy(), x.copy()
+        x_plus[i] = min(x[i] + step, space.upper[i])
+        x_minus[i] = max(x[i] - step, space.lower[i])
+        plus, minus = space.derived(x_plus), space.derived(x_minus)
         for label in values:
             # a value that is the same in all experiments may be so at x alone, by chance
-            change = ahead.get(label, np.nan) - behind.get(label, np.nan)
-            gradients[label][i] = change / (high[i] - low[i])
+            change = plus.get(label, np.nan) - minus.get(label, np.nan)
+            gradients[label][i] = change / (x_plus[i] - x_minus[i])
     found = []
     for label, value in values.items():
         error = _delta_method_error(system, gradients[label] / system.scale)

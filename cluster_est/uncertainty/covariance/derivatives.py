@@ -14,15 +14,15 @@ from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import jacobian, relative_noise
 from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner, SearchRequest
-from cluster_est.uncertainty.covariance.accuracy import sizes
+from cluster_est.uncertainty.covariance.accuracy import relative_sizes
 from cluster_est.uncertainty.covariance.covariance import assess, scaled_jacobian
 from cluster_est.uncertainty.covariance.jacobian import has_jacobian, jacobian_blocks, with_jacobian
 from cluster_est.uncertainty.covariance.result import Uncertainty
 from cluster_est.uncertainty.covariance.system import ScaledJacobian, vectors
-from cluster_est.uncertainty.spaces import moved
+from cluster_est.uncertainty.spaces import with_start
 from workers.messages import FloatArray
 
-LEAST_REACH, LARGEST_REACH = 1e-3, 3e-2
+LEAST_STEP, LARGEST_STEP = 1e-3, 3e-2
 SUSPECT = 1e-2
 """Directions up to this ratio are measured again. A kink in an equation, such as a dead zone's,
 makes an adaptive solver's result jump by more than its tolerance; over the step of a difference
@@ -48,9 +48,9 @@ def examine(runner: Runner, space: SearchSpace, solution: Solution) -> Uncertain
         The space that was searched, and the solution.
     """
     solution = linearise(runner, space, solution)
-    sharp, reach = sharpen(runner, space, solution)
-    found = assess(space, sharp, reach)
-    if not found.directions or reach > 0.0:
+    sharp, step = sharpen(runner, space, solution)
+    found = assess(space, sharp, step)
+    if not found.directions or step > 0.0:
         return found
     note = (
         "what is said of directions was not confirmed by simulations, because some failed close "
@@ -69,8 +69,8 @@ def linearise(runner: Runner, space: SearchSpace, solution: Solution) -> Solutio
     if has_jacobian(solution) and solution.at is not None:
         return solution
     asked = _CentralJacobian(not has_jacobian(solution))
-    here = moved(space, solution.x)
-    (found,) = runner.run([SearchRequest("derivatives", asked, here)])
+    start_space = with_start(space, solution.x)
+    (found,) = runner.run([SearchRequest("derivatives", asked, start_space)])
     if not found.ending.success:
         return solution
     solution = replace(solution, cost=found.cost, at=found.at)
@@ -91,24 +91,24 @@ def sharpen(runner: Runner, space: SearchSpace, solution: Solution) -> tuple[Sol
     -------
     solution
         With a Jacobian whose products with these directions are the measured ones.
-    reach
+    step
         The relative step that was used; 0 if there was nothing to measure or it failed.
     """
-    system, reach = scaled_jacobian(space, solution, weak=SUSPECT), 0.0
+    system, step = scaled_jacobian(space, solution, weak=SUSPECT), 0.0
     for _ in range(ROUNDS):
         if system is None or not system.combinations:
             break
         found = _measured(runner, space, solution, system)
         if found is None:
             break
-        solution, reach = found
+        solution, step = found
         least = min(direction.ratio for direction in system.combinations)
-        system = scaled_jacobian(space, solution, reach, SUSPECT)
+        system = scaled_jacobian(space, solution, step, SUSPECT)
         if system is None or not any(
             not c.undetermined and c.ratio < REPEATED * least for c in system.combinations
         ):
             break
-    return solution, reach
+    return solution, step
 
 
 def _measured(
@@ -120,34 +120,36 @@ def _measured(
     found = vectors(space, system.unbounded_layout, system.combinations)
     basis = np.asarray(np.linalg.qr(found.T)[0])
     directions = basis.T / system.scale
-    lengths, reach = _lengths(space, solution.x, directions)
+    lengths, step = _lengths(space, solution.x, directions)
     own_step = (
         0.0
         if solution.difference_steps is None
         else float(
-            np.max(np.abs(solution.difference_steps) / sizes(space, solution.x), initial=0.0)
+            np.max(
+                np.abs(solution.difference_steps) / relative_sizes(space, solution.x), initial=0.0
+            )
         )
     )
-    if reach <= own_step:
+    if step <= own_step:
         return None
     asked = _DirectionalDifferences(directions * lengths[:, None])
-    here = moved(space, solution.x)
-    (measured,) = runner.run([SearchRequest("directions", asked, here)])
+    start_space = with_start(space, solution.x)
+    (measured,) = runner.run([SearchRequest("directions", asked, start_space)])
     if measured.jacobian is None or solution.at is None:
         return None
     products = measured.jacobian / lengths
-    return with_jacobian(solution, _corrected(matrix, system, basis, products)), reach
+    return with_jacobian(solution, _corrected(matrix, system, basis, products)), step
 
 
 def _lengths(space: SearchSpace, x: FloatArray, directions: FloatArray) -> tuple[FloatArray, float]:
     """Return the step along each direction, and the least relative change by one."""
     noise = relative_noise(space.problem.model.solver)
-    reach = min(max(noise**0.2, LEAST_REACH), LARGEST_REACH)
-    largest = np.max(np.abs(directions) / sizes(space, x), axis=1)
+    step = min(max(noise**0.2, LEAST_STEP), LARGEST_STEP)
+    largest = np.max(np.abs(directions) / relative_sizes(space, x), axis=1)
     distance = np.minimum(space.upper - x, x - space.lower)
     with np.errstate(divide="ignore"):
         most = np.min(np.where(directions != 0.0, distance / np.abs(directions), np.inf), axis=1)
-    lengths = np.minimum(reach / largest, most)
+    lengths = np.minimum(step / largest, most)
     return lengths, float(np.min(lengths * largest))
 
 

@@ -66,7 +66,7 @@ def is_shared(space: SearchSpace) -> npt.NDArray[np.bool_]:
     return np.asarray(declared | several)
 
 
-def lay_out(
+def unknown_layout(
     space: SearchSpace, x: FloatArray, constraints: FloatArray, *, held: bool = True
 ) -> UnknownLayout:
     """Return the layout at a point whose constraints have these values, of which some may lack.

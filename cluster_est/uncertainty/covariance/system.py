@@ -80,7 +80,7 @@ def factorised_jacobian(
     solution: Solution,
     layouts: tuple[UnknownLayout, UnknownLayout],
     *,
-    difference_reach: float,
+    measured_step: float,
     weak: float = WEAK,
 ) -> ScaledJacobian:
     """Weight, scale and factorise the Jacobian of a solution.
@@ -91,7 +91,7 @@ def factorised_jacobian(
         The space, and the solution with a Jacobian.
     layouts
         `ScaledJacobian.layout` and `ScaledJacobian.unbounded_layout`.
-    difference_reach
+    measured_step
         The relative step with which undetermined directions were measured; 0 if they were not.
     weak
         Ratio up to which a direction counts as hardly determined.
@@ -100,7 +100,7 @@ def factorised_jacobian(
     assert jacobian is not None
     layout, unbounded = layouts
     weighting, rows = _weighting(space, solution, jacobian.row_count)
-    matrix, limits, scale = _scaled(space, solution, jacobian, weighting, difference_reach)
+    matrix, limits, scale = _scaled(space, solution, jacobian, weighting, measured_step)
     factors = _factorise(matrix, layout, scale, limits, weak)
     combinations = factors.combinations
     if any(layout.active_bounds):
@@ -129,13 +129,13 @@ def _scaled(
     solution: Solution,
     jacobian: BlockMatrix,
     weighting: RowWeighting,
-    reach: float,
+    measured_step: float,
 ) -> tuple[BlockMatrix, FloatArray, FloatArray]:
     """Return the weighted, scaled Jacobian, the relative errors of its columns, and the scale."""
     matrix = jacobian.scaled_rows(weighting.factor)
     norms = matrix.norms()
     scale = np.where(norms > 0.0, norms, 1.0)
-    limits = _limits(space, solution, weighting, norms, reach)
+    limits = _limits(space, solution, weighting, norms, measured_step)
     noise = limits >= 1.0  # such columns would mix with others that are determined
     limits[noise] = accuracy.ROUNDING
     return matrix.divided_columns(np.where(noise, np.inf, scale)), limits, scale
@@ -203,13 +203,17 @@ def _weighting(
 
 
 def _limits(
-    space: SearchSpace, solution: Solution, weighting: RowWeighting, norms: FloatArray, reach: float
+    space: SearchSpace,
+    solution: Solution,
+    weighting: RowWeighting,
+    norms: FloatArray,
+    measured_step: float,
 ) -> FloatArray:
     """Return the relative error of each column."""
     x = solution.x
-    sensitivity = norms * accuracy.sizes(space, x)
-    known = accuracy.output_norm(space, weighting.factor)
-    outputs = max(known, float(sensitivity.max(initial=0.0)))
-    if reach > 0.0:
-        return accuracy.measured_errors(space, sensitivity, outputs, reach)
+    sensitivity = norms * accuracy.relative_sizes(space, x)
+    measured = accuracy.output_norm(space, weighting.factor)
+    outputs = max(measured, float(sensitivity.max(initial=0.0)))
+    if measured_step > 0.0:
+        return accuracy.measured_errors(space, sensitivity, outputs, measured_step)
     return accuracy.column_errors(space, x, sensitivity, outputs, solution.difference_steps)

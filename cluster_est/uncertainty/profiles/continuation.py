@@ -16,7 +16,7 @@ from cluster_est.problem.space import SearchSpace
 from cluster_est.uncertainty.profiles.embedded_search import RequestedIndices, embedded, refit
 from cluster_est.uncertainty.profiles.profile_steps import ProfileSteps, ProfileTarget, RefitPoint
 from cluster_est.uncertainty.profiles.result import ProfileEnd
-from cluster_est.uncertainty.spaces import without
+from cluster_est.uncertainty.spaces import with_fixed_unknown
 
 FAILURE_FACTOR = 0.25
 """Of the step, after a refit that failed."""
@@ -69,7 +69,7 @@ class ProfileContinuation(Method):
                 break
             x = steps.predicted(value)
             progress = Progress(number, steps.inside[-1].cost, step=steps.length)
-            search = refit(self.inner, without(space, i, x), generator)
+            search = refit(self.inner, with_fixed_unknown(space, i, x), generator)
             solution = yield from embedded(search, x, i, requested, progress)
             if _is_valid(solution):
                 steps.add(np.insert(solution.x, i, value), solution.cost)

@@ -39,7 +39,7 @@ def refit(method: Method, space: SearchSpace, generator: np.random.Generator) ->
 def embedded(
     search: Search, x: FloatArray, i: int, requested: RequestedIndices, progress: Progress
 ) -> Search:
-    """Drive a search of the space without unknown i in the full space, where that is x[i].
+    """Run a search of the space without unknown i in the full space, where that is x[i].
 
     Both number points in their own way. Points that an earlier search left unanswered are dropped.
     """

@@ -32,7 +32,7 @@ from cluster_est.uncertainty.profiles.continuation import ProfileContinuation, P
 from cluster_est.uncertainty.profiles.profile_steps import ProfileTarget, RefitPoint, crossing
 from cluster_est.uncertainty.profiles.result import ProfileEnd, ProfilePoint, ProfileResult
 from cluster_est.uncertainty.settings import UncertaintySettings
-from cluster_est.uncertainty.spaces import moved
+from cluster_est.uncertainty.spaces import with_start
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
 
@@ -75,15 +75,17 @@ def profiles(
     rise = _rise(linear, settings)
     if not rise > 0.0:
         return tuple(_undetermined(space, solution, i, settings) for i in chosen)
-    here, steps = moved(space, solution.x), (settings.steps, settings.max_steps)
+    start_space, steps = with_start(space, solution.x), (settings.steps, settings.max_steps)
     continuations = []
     for i in chosen:
         first = _first_step(space, solution, linear, i, settings.steps)
         targets = [ProfileTarget(i, side, solution.cost, rise, *steps) for side in (-1, 1)]
         continuations += [ProfileContinuation(method, target, first) for target in targets]
-    requests = [SearchRequest(_search_name(space, each), each, here) for each in continuations]
+    requests = [
+        SearchRequest(_search_name(space, each), each, start_space) for each in continuations
+    ]
     found = runner.run(requests, settings.at_once)
-    sides = [_side(*pair, here.start) for pair in zip(continuations, found, strict=True)]
+    sides = [_side(*pair, start_space.start) for pair in zip(continuations, found, strict=True)]
     pairs = zip(sides[::2], sides[1::2], strict=True)
     return tuple(_result(space, solution, *pair, settings) for pair in pairs)
 

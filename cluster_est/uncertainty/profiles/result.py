@@ -18,7 +18,7 @@ class ProfileEnd(enum.StrEnum):
 
 @dataclass(frozen=True)
 class ProfilePoint:
-    """A refit: the kept value, the cost, and all unknowns, in physical units.
+    """A refit: the fixed value, the cost, and all unknowns, in physical units.
 
     `root` is the signed root of the rise of the cost, -1 and 1 at the ends of the interval.
     """
@@ -36,7 +36,7 @@ class ProfileResult:
     Attributes
     ----------
     label, value, cost
-        Whose it is, its estimate and the cost there.
+        Of the unknown: its label, its estimate and the cost there.
     rise, confidence
         How much higher the cost is at the ends of the interval.
     points
