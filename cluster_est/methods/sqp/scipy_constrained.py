@@ -2,7 +2,8 @@
 
 They see unknowns in units of their typical sizes and a cost that is 1 or less at the start, because
 their tolerances are absolute. They have no failed simulations: a large cost takes their place, so
-that they shorten their step. Whatever they return, the best point that they asked for is the solution.
+that they shorten their step. Whatever they return, the best point that they asked for is the
+solution.
 
 References: D. Kraft, ACM TOMS 20 (1994) 262-281, doi:10.1145/192115.192124; R. H. Byrd, M. E.
 Hribar, J. Nocedal, SIAM J. Optim. 9 (1999) 877-900, doi:10.1137/S1052623497325107.
