@@ -44,11 +44,11 @@ class Progress:
     step
         Length of the last step, in units of each unknown's own scale.
     optimality
-        How far from a minimum; 0 at one.
+        Distance from a minimum; 0 at one.
     damping
         The method's damping, mesh or simplex size.
     violation
-        How far the best point is from satisfying all constraints; NaN where there are none.
+        Largest violation of a constraint at the best point; NaN where there are none.
     ending
         Name of the ending, in the last line of a search.
     """
@@ -71,9 +71,9 @@ class Points:
     x : (points, unknowns)
         In search coordinates.
     purpose
-        What for, in one word, for the log: "start", "jacobian", "trial", ...
+        In one word, for the log: "start", "jacobian", "trial", ...
     progress
-        Where the method stands, for the display and the table.
+        A line for the display and the table.
     asynchronous
         Answer as soon as any point of this search is there, and with all that are.
     drop
@@ -207,9 +207,9 @@ class Solution:
     cost
         Its cost; NaN if not even the start could be simulated.
     ending, message
-        Why it stopped.
+        The reason why it stopped.
     iterations
-        How many.
+        Their number.
     jacobian : (residuals, unknowns) or None
         d residuals / d x at `x`, where the method has it and it is not too large.
     block_jacobian

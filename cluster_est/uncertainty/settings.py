@@ -18,8 +18,9 @@ class UncertaintySettings:
         "shared" for all that several experiments determine, or "all". A profile costs some ten
         fits of the other unknowns, which begin close to their minimum.
     bootstrap
-        How often to draw experiments and fit again; 0 for not at all. Take at least 200, and 1000
-        where there are fewer than 10 experiments: the ends of the intervals are then rare draws.
+        Number of draws of experiments, each fitted again; 0 for not at all. Take at least 200, and
+        1000 where there are fewer than 10 experiments: the ends of the intervals are then rare
+        draws.
     confidence
         Of profiles and bootstrap.
     steps

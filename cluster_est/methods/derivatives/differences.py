@@ -47,7 +47,7 @@ class ResidualJacobian:
     frozen : (unknowns,)
         Unknowns whose derivative could not be computed because a simulation failed.
     steps : (unknowns,)
-        What was added to each unknown.
+        The difference step of each unknown.
     constraint_jacobian : (constraints, unknowns)
         Derivatives of `Evaluation.constraints`; zero in frozen columns too.
     """

@@ -50,7 +50,7 @@ class JacobianProvider:
     scheme
         Of the differences; None as long as sensitivities are taken.
     note
-        Why they are not taken any more; "" if nothing is wrong.
+        The reason for differences instead of sensitivities; "" if there is none.
     """
 
     def __init__(self, space: SearchSpace, differences: Differences, relative_step: float) -> None:

@@ -71,7 +71,7 @@ class LeastSquaresIteration:
     Attributes
     ----------
     space
-        What is searched.
+        The space that is searched.
     trials
         Steps tried at once, each with ten times the damping of the one before.
     ftol, xtol

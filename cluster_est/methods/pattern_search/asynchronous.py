@@ -37,9 +37,9 @@ class AsynchronousPatternSearch(PatternMethod):
     Attributes
     ----------
     outstanding
-        How many points are asked for and not answered at any time, slow ones not counted; 0 for
-        twice the number of unknowns. Should be more than there are workers: those that wait fill
-        gaps.
+        Number of points that are requested and not answered at any time, slow ones not counted; 0
+        for twice the number of unknowns. Should be more than there are workers: those that wait
+        fill gaps.
     basis, axes, search_step, search_points, initial_mesh, mesh_tolerance, expansion, contraction
         As in `pattern_search`, for each direction on its own.
     max_iterations

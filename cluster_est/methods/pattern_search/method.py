@@ -54,12 +54,12 @@ class PatternSearch(PatternMethod):
         parameters that act independently of each other. "random": others after each poll that
         failed, from the seed; to try where the search ends too early at an edge.
     search_step
-        What is asked for besides the poll, in the same request: "quadratic", the minima of a model
+        Further points in the same request as the poll: "quadratic", the minima of a model
         through the points polled nearby, which makes the search much faster wherever the cost is
         anything like smooth, and costs two points; "latin_hypercube", points scattered around the
         best, against shallow minima; "none".
     search_points
-        How many points a Latin hypercube has; 0 for as many as there are unknowns.
+        Number of points of a Latin hypercube; 0 for as many as there are unknowns.
     initial_mesh
         The first mesh, in noticeable changes: of the start value itself, of 1 in a logarithm, of
         the range of the bounds if that is less, or of a tenth of it where the start is 0.

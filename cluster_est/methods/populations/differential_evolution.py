@@ -32,8 +32,8 @@ class DifferentialEvolution(PopulationMethod):
         with fewer, the differences soon take only few values. Between several minima the best cost
         may stand still for long, so the window is wide.
     base
-        Where steps begin: "rand" at any point of the population, which searches most widely;
-        "best" at its best point, which is faster and more easily caught in a local minimum.
+        The point where steps begin: "rand" at any point of the population, which searches most
+        widely; "best" at its best point, which is faster and more easily caught in a local minimum.
     weight
         Of the differences. Raise it if the population shrinks too early.
     crossover

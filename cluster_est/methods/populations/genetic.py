@@ -36,8 +36,8 @@ class GeneticAlgorithm(PopulationMethod):
         mutations still lead on. So nearness counts only where `xtol` is raised from 0, and a cost
         that hardly falls ends the search sooner.
     crossover_eta, mutation_eta
-        How much children resemble their parents, and a mutated value the one before: with larger
-        numbers more, so that the search is finer and less wide.
+        Resemblance of children to their parents, and of a mutated value to the one before: more
+        with larger numbers, so that the search is finer and less wide.
     crossover_probability
         Part of the pairs of parents that mix.
     """

@@ -38,7 +38,7 @@ class Isres(PopulationMethod):
     gamma
         Length of the steps along the differences of the best points.
     alpha
-        How fast step lengths change: 0.2 smooths out chance.
+        Rate of change of the step lengths: 0.2 smooths out chance.
     """
 
     name: ClassVar[str] = "isres"

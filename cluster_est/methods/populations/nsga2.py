@@ -46,8 +46,8 @@ class Nsga2(PopulationMethod):
     Attributes
     ----------
     objectives
-        What has a cost of its own: each output variable over all experiments ("outputs"), or each
-        experiment with all its outputs ("experiments").
+        The parts with a cost of their own: each output variable over all experiments ("outputs"),
+        or each experiment with all its outputs ("experiments").
     population, max_generations
         Of every `PopulationMethod`. The usual population is 100 points; there can be as many
         compromises.

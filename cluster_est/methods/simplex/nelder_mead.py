@@ -75,10 +75,11 @@ class NelderMead(Method):
         outside are moved onto the bounds. Where a minimum lies on many bounds, prefer
         `pattern_search`.
     parallel
-        How many vertices, from the worst on, are moved at once: at most half as many as there are
-        unknowns, as more let the simplex collapse. 1 is the classical method. With four unknowns
-        or more, 2 takes about half the rounds for about as many simulations, where workers would
-        be idle otherwise because they are more than the experiments; even more is rarely better.
+        Number of vertices, from the worst on, that are moved at once: at most half as many as there
+        are unknowns, as more let the simplex collapse. 1 is the classical method. With four
+        unknowns or more, 2 takes about half the rounds for about as many simulations, where workers
+        would be idle otherwise because they are more than the experiments; even more is rarely
+        better.
     speculative
         Ask for a vertex's reflection, expansion and both contractions at once, rather than for
         what the reflection calls for. The same search, in fewer rounds and with more simulations;

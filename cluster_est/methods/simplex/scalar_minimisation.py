@@ -44,7 +44,7 @@ def minimise_scalar_unknown(
     step
         First step downhill, in noticeable changes.
     xtol
-        How far the minimum may be off, in noticeable changes.
+        Tolerance of the minimum, in noticeable changes.
     max_evaluations
         Limit, apart from a few.
     """

@@ -26,7 +26,7 @@ class EvaluationCache:
     Parameters
     ----------
     space, ask
-        Where to search, and how to have points evaluated.
+        The space that is searched, and the function that has points evaluated.
     scheme, relative_step
         Of the differences; the scheme may be changed.
     """

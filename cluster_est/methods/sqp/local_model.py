@@ -58,7 +58,7 @@ class SqpLocalModel:
     Parameters
     ----------
     space
-        Where to search.
+        The space that is searched.
     hessian
         The approximation of the Hessian; see `Sqp`.
     feasibility_only

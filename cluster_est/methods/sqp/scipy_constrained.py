@@ -46,7 +46,7 @@ ENDLESS = 1_000_000
 GRADIENT_TOLERANCE = 1e-14
 """Next to none: trust-constr takes a stationary point of its barrier for one of the problem."""
 BARRIER_MARGIN = 0.01
-"""How far from a bound the barrier of trust-constr must begin, in typical sizes."""
+"""Distance from a bound at which the barrier of trust-constr begins, in typical sizes."""
 
 
 class _FeasiblePointError(Exception):

@@ -38,7 +38,7 @@ class ProfileResult:
     label, value, cost
         Of the unknown: its label, its estimate and the cost there.
     rise, confidence
-        How much higher the cost is at the ends of the interval.
+        Of the cost at the ends of the interval, and their confidence.
     points
         From low to high values, the optimum among them; `labels` are those of their estimates.
     lower, upper
