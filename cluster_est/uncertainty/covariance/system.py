@@ -101,10 +101,12 @@ def factorised_jacobian(
     layout, unbounded = layouts
     weighting, rows = _weighting(space, solution, jacobian.row_count)
     matrix, limits, scale = _scaled(space, solution, jacobian, weighting, measured_step)
-    factors = _factorise(matrix, layout, scale, limits, weak)
+    coordinates = _coordinates(layout, scale)
+    factors = _factorise(matrix, layout, coordinates, limits, weak)
     combinations = factors.combinations
     if any(layout.active_bounds):
-        combinations = _factorise(matrix, unbounded, scale, limits, weak).combinations
+        basis = _coordinates(unbounded, scale)
+        combinations = _factorise(matrix, unbounded, basis, limits, weak).combinations
     scatter = weighting.scatter(factors.rank)
     spread = None if scatter.spread is None else [scatter.spread[row] for row in rows]
     chosen = [c for c in combinations if c.undetermined]
@@ -114,7 +116,7 @@ def factorised_jacobian(
         unbounded_layout=unbounded,
         weighting=weighting,
         scale=scale,
-        coordinates=_coordinates(layout, scale),
+        coordinates=coordinates,
         factors=factors,
         covariance=block_covariance(factors, spread),
         scatter=scatter,
@@ -149,12 +151,11 @@ def _coordinates(layout: UnknownLayout, scale: FloatArray) -> FloatArray:
 def _factorise(
     matrix: BlockMatrix,
     layout: UnknownLayout,
-    scale: FloatArray,
+    coordinates: FloatArray,
     limits: FloatArray,
     weak: float,
 ) -> BlockFactors:
-    """Factorise a scaled Jacobian in the coordinates that satisfy the active constraints."""
-    coordinates = _coordinates(layout, scale)
+    """Factorise a scaled Jacobian in coordinates of the shared unknowns."""
     parts = blocks(matrix, layout, coordinates)
     local = tuple(limits[each] for each in layout.local)
     return factorise(parts, ErrorLimits(limits[layout.shared], local, coordinates), weak)
