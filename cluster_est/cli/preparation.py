@@ -16,7 +16,14 @@ from cluster_est.config.reader import Config
 from cluster_est.configured_run import read_run
 from cluster_est.drafting import draft, unit_mismatches, write
 from cluster_est.errors import ConfigError, ModelError
-from cluster_est.preflight import SECONDS, CheckFinding, CheckPage, bare_problem, examine
+from cluster_est.preflight import (
+    SECONDS,
+    CheckFinding,
+    CheckPage,
+    Verdict,
+    bare_problem,
+    run_checks,
+)
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.running.resources import Resources
@@ -41,8 +48,8 @@ def init(options: Namespace) -> int:
     console = Console()
     for number, line in text.open:
         say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
-    for name in dict.fromkeys(name for run in found.runs for name in run.unfed):
-        where = ", ".join(repr(run.id) for run in found.runs if name in run.unfed)
+    for name in dict.fromkeys(name for run in found.runs for name in run.missing_inputs):
+        where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
         say(console, f"{out}: no column of {where} is like input {name!r}; it stays as it starts")
     say(console, f"{out} is written; look through it, then: cluster-est check {out}")
     return ExitCode.DONE
@@ -55,12 +62,12 @@ def check(options: Namespace) -> int:
     if path.suffix.lower() == ".fmu":
         bare = bare_problem(path)
         print_model(console, bare, "its own start values")
-        page = examine(bare, Resources(), seconds, declared=False)
+        page = run_checks(bare, Resources(), seconds, declared=False)
         print_page(console, page)
         return _verdict(page)
     run = read_run(path, options.overrides, RunKind.FIT, allow_code=options.allow_code)
     config, problem = run.config, run.identity.problem
-    page = examine(problem, build_resources(config), seconds)
+    page = run_checks(problem, build_resources(config), seconds)
     page = replace(page, findings=(*page.findings, *_units(config, problem)))
     print_model(console, problem, f"method {config.method.name}")
     if page.simulations:
@@ -73,7 +80,7 @@ def _units(config: Config, problem: Problem) -> list[CheckFinding]:
     """A line for each column whose name says another unit than its variable has."""
     return [
         CheckFinding(
-            "problem",
+            Verdict.PROBLEM,
             "units",
             f"column '{m.column}' is given to {m.variable}, which is in {m.wanted}, as it is",
             f'columns."{m.column}" = {{ factor = {m.change.factor:.12g}, '

@@ -1,4 +1,4 @@
-"""Costs: how the residuals of all experiments become one number. One file a family of costs.
+"""Costs: functions from the residuals of all experiments to one number. One file a family.
 
 A new cost is one file with a subclass of `Cost` and one line here.
 """

@@ -1,4 +1,4 @@
-"""The contract of a cost."""
+"""The interface of a cost."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ class Cost(ABC):
     """
 
     name: ClassVar[str]
-    """What the config calls it."""
+    """Its name in a config."""
 
     smooth: ClassVar[bool] = True
-    """Whether it has a gradient everywhere, and so `weights`."""
+    """True if it has a gradient everywhere, and so `weights`."""
 
     reduction: ClassVar[Reduction | None] = None
-    """What may take the place of the residuals of an output in an experiment: one number, of which
-    `value` is the same. None for a cost that needs each of them, which is most costs."""
+    """A number that may take the place of the residuals of an output in an experiment, because
+    `value` of it is the same. None for a cost that needs each residual, as most costs do."""
 
     @abstractmethod
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
-        """The cost of all residuals, both (n,), at one point. It does not depend on their order."""
+        """Return the cost of all residuals (n,) at one point. It does not depend on their order."""
 
     @abstractmethod
     def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:
-        """How a least-squares method should weight the squares of the residuals at this point.
+        """Return the weights of the residuals' squares for a least-squares method at this point.
 
         With weights w (n,) the gradient of F is 2 w r, so that sqrt(w) r and sqrt(w) J make the
-        right gradient and, where F bends no more than the squares, a step that lowers F. None for
-        a cost that is no function of residuals which a method could use in this way.
+        right gradient and, where the curvature of F is at most that of the squares, a step that
+        lowers F. None for a cost that is no function of residuals which a method could use in this
+        way.
         """

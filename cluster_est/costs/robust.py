@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.costs.base import Cost
 from workers.messages import FloatArray, IntArray
@@ -20,25 +21,27 @@ from workers.messages import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class _RobustCost(Cost):
-    """What the robust costs share: only rho differs."""
+    """A robust cost; its subclasses define rho."""
 
     scale: float = field(default=1.0, metadata={"least": 1e-100})
 
+    @override
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
         with np.errstate(over="ignore"):
             z = (np.ascontiguousarray(residuals) / self.scale) ** 2
             return float(self.scale**2 * np.add.reduce(self._rho(z)))
 
+    @override
     def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:
         with np.errstate(over="ignore"):
-            return self._slope((residuals / self.scale) ** 2)
+            return self._rho_derivative((residuals / self.scale) ** 2)
 
     @abstractmethod
     def _rho(self, z: FloatArray) -> FloatArray: ...
 
     @abstractmethod
-    def _slope(self, z: FloatArray) -> FloatArray:
-        """d rho / dz."""
+    def _rho_derivative(self, z: FloatArray) -> FloatArray:
+        """Return d rho / dz."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class HuberCost(_RobustCost):
     def _rho(self, z: FloatArray) -> FloatArray:
         return np.asarray(np.where(z <= 1.0, z, 2.0 * np.sqrt(z) - 1.0))
 
-    def _slope(self, z: FloatArray) -> FloatArray:
+    def _rho_derivative(self, z: FloatArray) -> FloatArray:
         return 1.0 / np.sqrt(np.maximum(z, 1.0))
 
 
@@ -80,7 +83,7 @@ class SoftL1(_RobustCost):
         finite = np.minimum(z, np.finfo(float).max)
         return np.where(z <= finite, 2.0 * finite / (np.sqrt(1.0 + finite) + 1.0), np.inf)
 
-    def _slope(self, z: FloatArray) -> FloatArray:
+    def _rho_derivative(self, z: FloatArray) -> FloatArray:
         return 1.0 / np.sqrt(1.0 + z)
 
 
@@ -101,5 +104,5 @@ class CauchyCost(_RobustCost):
     def _rho(self, z: FloatArray) -> FloatArray:
         return np.asarray(np.log1p(z))
 
-    def _slope(self, z: FloatArray) -> FloatArray:
+    def _rho_derivative(self, z: FloatArray) -> FloatArray:
         return 1.0 / (1.0 + z)

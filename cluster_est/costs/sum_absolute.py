@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.costs.base import Cost
 from workers.messages import FloatArray, IntArray, Reduction
@@ -24,9 +25,11 @@ class SumAbsolute(Cost):
     smooth: ClassVar[bool] = False
     reduction: ClassVar[Reduction | None] = "absolutes"
 
+    @override
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
         with np.errstate(over="ignore"):
             return float(np.add.reduce(np.abs(np.ascontiguousarray(residuals))))
 
+    @override
     def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:
         return None

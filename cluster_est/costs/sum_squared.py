@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.costs.base import Cost
 from workers.messages import FloatArray, IntArray, Reduction
@@ -22,10 +23,12 @@ class SumSquared(Cost):
     name: ClassVar[str] = "sse"
     reduction: ClassVar[Reduction | None] = "squares"
 
+    @override
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
         # not a dot product, whose rounding depends on the number of threads of the BLAS library
         with np.errstate(over="ignore"):  # an infinite cost is refused like any that is too high
             return float(np.add.reduce(residuals * residuals))
 
+    @override
     def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:
         return np.ones_like(residuals)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.costs.base import Cost
 from workers.messages import FloatArray, IntArray
@@ -21,8 +22,10 @@ class TotalCost(Cost):
 
     name: ClassVar[str] = "total"
 
+    @override
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
         return float(np.add.reduce(np.ascontiguousarray(residuals)))
 
+    @override
     def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:
         return None

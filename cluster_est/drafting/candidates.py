@@ -1,4 +1,4 @@
-"""Which of an FMU's parameters are likely to be estimated, and between which bounds."""
+"""Parameters of an FMU that are likely to be estimated, and their bounds."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class ParameterCandidate:
     Attributes
     ----------
     bounds
-        Lower and upper; None where nothing is known and nothing can be guessed.
+        Lower and upper; None where they are not known and cannot be guessed.
     origin
-        Where the bounds are from, for a comment.
+        The origin of the bounds, for a comment.
     why_not
-        Why it is not estimated at first; "" if it is.
+        The reason why it is not estimated at first; "" if it is.
     per
         "experiment" if each is likely to have a value of its own; else "".
     """
@@ -48,7 +48,7 @@ class ParameterCandidate:
 
 
 def candidates(description: ModelDescription) -> list[ParameterCandidate]:
-    """Every real parameter with a start value, in the FMU's order; the likely ones active."""
+    """Return each real parameter with a start value, in the FMU's order; likely ones active."""
     found = []
     active = 0
     for variable in description.variables.values():
@@ -65,7 +65,7 @@ def candidates(description: ModelDescription) -> list[ParameterCandidate]:
 
 
 def initial_states(description: ModelDescription) -> list[ModelVariable]:
-    """States whose start can be set."""
+    """Return the states whose start can be set."""
     states = (description.variables[name] for name in description.states)
     return [v for v in states if v.settable and v.kind == "real"]
 
@@ -76,7 +76,7 @@ def _can_be_estimated(variable: ModelVariable) -> bool:
 
 
 def _why_not(variable: ModelVariable, start: float) -> str:
-    """Why a parameter is none of the likely ones; "" if it is one."""
+    """Return why a parameter is none of the likely ones; "" if it is one."""
     if variable.size > 1:
         return "one element of an array"
     if variable.name in _CONSTANTS:

@@ -1,4 +1,4 @@
-"""The columns of a measured table: names, units, and which of them is the time."""
+"""The columns of a measured table: names, units, and the time among them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cluster_est.problem.data import MeasuredTable, read_table
 from workers.messages import FloatArray
 
 TIMES = ("time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp")
-"""What a time column may be called, folded."""
+"""Names of a time column, folded."""
 
 LEAST_NOISE = 1e-3
 """Of a signal's standard deviation."""
@@ -52,7 +52,7 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class TableColumns:
-    """What a table offers.
+    """The columns of a table.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class TableColumns:
 
 
 def fold(name: str) -> str:
-    """A name without case, blanks, underscores and brackets: "Motor_Speed" is "motorspeed"."""
+    """Return a name without case, blanks, underscores, brackets: "motorspeed" of "Motor_Speed"."""
     return "".join(letter for letter in name.casefold() if letter.isalnum())
 
 
@@ -106,7 +106,7 @@ def read_columns(path: Path) -> TableColumns:
 
 
 def _numbers(table: MeasuredTable) -> tuple[dict[str, FloatArray], list[str]]:
-    """Columns in which numbers were measured by name, and the names of the others."""
+    """Return the columns of numbers by name, and the names of the others."""
     found, others = {}, list(table.unusable)
     for name in table.columns:
         try:
@@ -122,22 +122,24 @@ def _numbers(table: MeasuredTable) -> tuple[dict[str, FloatArray], list[str]]:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """ "force" and "N" of "force [N]"; the unit is "" where there is none."""
-    known = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
-    if known is None or not known.group(1).strip():
+    """Return "force" and "N" of "force [N]"; the unit is "" where there is none."""
+    found = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
+    if found is None or not found.group(1).strip():
         return name, ""
-    return known.group(1).strip(), known.group(2).strip()
+    return found.group(1).strip(), found.group(2).strip()
 
 
 def _noise(values: FloatArray) -> float:
-    """From second differences, which a smooth signal has hardly any of; their median, so that a
-    few jumps do not count. At least a part of the signal's own spread: sensors are no better.
+    """Estimate the standard deviation of a signal's noise from second differences.
+
+    A smooth signal has hardly any. Their median is taken, so that a few jumps do not count, and at
+    least a part of the signal's own deviation: sensors are no better.
     """
-    known = values[np.isfinite(values)]
-    if len(known) < LEAST_SAMPLES:
+    finite = values[np.isfinite(values)]
+    if len(finite) < LEAST_SAMPLES:
         return 0.0
-    spread = float(1.4826 * np.median(np.abs(np.diff(known, 2))) / np.sqrt(6.0))
-    return max(spread, LEAST_NOISE * float(np.std(known)))
+    spread = float(1.4826 * np.median(np.abs(np.diff(finite, 2))) / np.sqrt(6.0))
+    return max(spread, LEAST_NOISE * float(np.std(finite)))
 
 
 def _is_time(column: TableColumn) -> bool:

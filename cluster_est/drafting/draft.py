@@ -1,4 +1,4 @@
-"""What a first config says, before it is text."""
+"""The content of a first config, before it is text."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class DraftExperiment:
     id, columns, role
         Of the experiment.
     inputs, outputs
-        What the FMU offers, and the columns found for it.
+        The variables of the FMU, and the columns found for them.
     further
         Other variables of the FMU that have a column of their name.
     """
@@ -38,14 +38,14 @@ class DraftExperiment:
     further: tuple[ColumnMatch, ...]
 
     @property
-    def unfed(self) -> tuple[str, ...]:
-        """Inputs that no column is like."""
+    def missing_inputs(self) -> tuple[str, ...]:
+        """Names of inputs without a similar column."""
         return tuple(m.variable.name for m in self.inputs if m.column is None and not m.similar)
 
 
 @dataclass(frozen=True)
 class ConfigDraft:
-    """All that a first config is written from."""
+    """The content of a first config."""
 
     fmu: Path
     description: ModelDescription
@@ -55,7 +55,7 @@ class ConfigDraft:
 
 
 def draft(fmu: Path, data: Sequence[Path]) -> ConfigDraft:
-    """Look at an FMU and at measured tables.
+    """Draft a config from an FMU and measured tables.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def _check_once(data: Sequence[Path]) -> None:
 
 
 def _ids(data: Sequence[Path]) -> list[str]:
-    """Names of the files, with a number where several are called the same."""
+    """Return the names of the files, with a number where several are the same."""
     stems = [path.stem for path in data]
     found: list[str] = []
     for stem in stems:

@@ -1,4 +1,4 @@
-"""Which column belongs to which variable of the FMU."""
+"""Matches between the columns of a table and the variables of an FMU."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _PARTS = re.compile(r"[A-Z]?[a-z0-9]+|[A-Z0-9]+")
 
 @dataclass(frozen=True)
 class ColumnMatch:
-    """A variable and what the table has for it.
+    """A variable and its column.
 
     Attributes
     ----------
     column
-        The column that it is, by its name; None if none is for certain.
+        The column of its name; None if there is none.
     similar
-        One that it may be; None if there is none, or `column` is known.
+        A suggestion; None if there is none, or `column` is certain.
     """
 
     variable: ModelVariable
@@ -36,11 +36,10 @@ class ColumnMatch:
 
 
 def match(variables: Sequence[ModelVariable], columns: Sequence[TableColumn]) -> list[ColumnMatch]:
-    """Give each variable its column: the same name, then the same but for case, blanks,
-    underscores and brackets. Where neither decides, a similar column is a suggestion, or the only
-    one that is left.
+    """Match each variable to a column, and no column twice.
 
-    No column is given twice.
+    A column has the same name, or the same but for case, blanks, underscores and brackets. Where
+    neither decides, a similar column is a suggestion, or the only one that is left.
     """
     sure = same(variables, columns)
     left = [c for c in columns if c not in sure.values()]
@@ -57,7 +56,7 @@ def match(variables: Sequence[ModelVariable], columns: Sequence[TableColumn]) ->
 def same(
     variables: Sequence[ModelVariable], columns: Sequence[TableColumn]
 ) -> dict[str, TableColumn]:
-    """The columns that are certain, by the variable's name."""
+    """Return the columns that are certain, by the variable's name."""
     sure = _same([(v, v.name) for v in variables], [(c, c.name) for c in columns])
     sure |= _same([(v, v.name) for v in variables], [(c, c.plain) for c in columns], sure)
     folded = [(v, fold(v.name)) for v in variables]
@@ -65,7 +64,7 @@ def same(
 
 
 def _last_one(found: list[ColumnMatch], left: list[TableColumn]) -> list[ColumnMatch]:
-    """Where one variable and one column are left over, the column is a suggestion for it."""
+    """Suggest the column if one variable and one column are left over."""
     open_ = [i for i, m in enumerate(found) if m.column is None and m.similar is None]
     if len(open_) == len(left) == 1:
         found[open_[0]] = replace(found[open_[0]], similar=left[0])
@@ -77,18 +76,18 @@ def _same(
     columns: list[tuple[TableColumn, str]],
     taken: dict[str, TableColumn] | None = None,
 ) -> dict[str, TableColumn]:
-    """Columns by variable where a key is the same, and on each side there once."""
+    """Return columns by variable where a key is the same and unique on both sides."""
     taken = taken or {}
     free = [(c, key) for c, key in columns if c not in taken.values()]
     open_ = [(v, key) for v, key in variables if v.name not in taken]
     counts = Counter(key for _, key in free)
     wanted = Counter(key for _, key in open_)
-    known = {key: c for c, key in free if key and counts[key] == 1}
-    return {v.name: known[key] for v, key in open_ if key in known and wanted[key] == 1}
+    unique = {key: c for c, key in free if key and counts[key] == 1}
+    return {v.name: unique[key] for v, key in open_ if key in unique and wanted[key] == 1}
 
 
 def _most_similar(variable: ModelVariable, columns: list[TableColumn]) -> TableColumn | None:
-    """The column that looks most like the variable's name, its last part or its description."""
+    """Return the column most similar to the variable's name, its last part or description."""
     scores = [(_score(variable, column), -i) for i, column in enumerate(columns)]
     score, place = max(scores, default=(0.0, 0))
     return columns[-place] if score >= SIMILAR else None

@@ -1,4 +1,4 @@
-"""Columns whose name says another unit than that of the variable that they are given to."""
+"""Columns with another unit in their name than that of their variable."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from workers.fmu.description import ModelDescription
 
 @dataclass(frozen=True)
 class UnitMismatch:
-    """A column that a config takes as it is, though it seems to be in another unit.
+    """A column without a conversion in the config, though it seems to be in another unit.
 
     Attributes
     ----------
     column, unit
         Its name, and the unit in it.
     variable, wanted
-        What it is given to, and the unit of that.
+        Its variable, and the variable's unit.
     change
-        From the one to the other.
+        The conversion from one to the other.
     """
 
     column: str
@@ -33,10 +33,10 @@ class UnitMismatch:
 
 
 def unit_mismatches(config: Config, description: ModelDescription) -> list[UnitMismatch]:
-    """Each such column once, whatever the number of experiments that have it.
+    """Return each such column once, whatever the number of experiments that have it.
 
-    A column that the config has an entry for under `columns` is not looked at, nor one whose unit
-    is not known.
+    A column with an entry under `columns` in the config is left out, and so is one whose unit is
+    not known.
     """
     pairs = (
         pair
@@ -55,8 +55,8 @@ def _mismatches(
     pairs: dict[tuple[str, str | None], None], description: ModelDescription
 ) -> Iterator[UnitMismatch]:
     for variable, column in pairs:
-        known = description.variables.get(variable)
-        wanted = "s" if known is None else known.unit
+        found = description.variables.get(variable)
+        wanted = "s" if found is None else found.unit
         unit = split_unit(column or "")[1]
         if not unit or not wanted or same_unit(unit, wanted):
             continue

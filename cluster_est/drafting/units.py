@@ -1,4 +1,4 @@
-"""Units by their usual spellings: whether two are the same, and what to multiply by if not."""
+"""Units by their usual spellings, and conversions between them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class _BaseUnit:
     offset: float = 0.0
 
 
-_KNOWN = {
+_UNITS = {
     "cm": _BaseUnit("m", 1e-2),
     "min": _BaseUnit("s", 60.0),
     "h": _BaseUnit("s", 3600.0),
@@ -66,7 +66,7 @@ _KNOWN = {
 
 
 def spelled(unit: str) -> str:
-    """A unit in one spelling."""
+    """Return a unit in its usual spelling."""
     text = unit.strip()
     for other, usual in SPELLINGS.items():
         if text == other or len(other) == 1:
@@ -75,18 +75,18 @@ def spelled(unit: str) -> str:
 
 
 def same_unit(one: str, other: str) -> bool:
-    """Whether two spellings mean the same unit."""
+    """Return whether two spellings mean the same unit."""
     return spelled(one) == spelled(other)
 
 
 def conversion(given: str, wanted: str) -> UnitConversion | None:
-    """How numbers in one unit become numbers in another; None if that is not known."""
-    a, b = _KNOWN.get(spelled(given)), _KNOWN.get(spelled(wanted))
+    """Return the conversion from one unit to another; None if it is not known."""
+    a, b = _UNITS.get(spelled(given)), _UNITS.get(spelled(wanted))
     if a is None or b is None or a.base != b.base:
         return None
-    return UnitConversion(_tidy(a.factor / b.factor), _tidy((a.offset - b.offset) / b.factor))
+    return UnitConversion(_rounded(a.factor / b.factor), _rounded((a.offset - b.offset) / b.factor))
 
 
-def _tidy(number: float) -> float:
-    """Without the last digit's rounding, where that is all there is."""
+def _rounded(number: float) -> float:
+    """Return a number without the rounding of its last digits."""
     return float(f"{number:.12g}")

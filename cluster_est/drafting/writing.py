@@ -19,7 +19,7 @@ from workers.fmu.variable import ModelVariable
 MOST_OPEN = 20
 """Outputs that are looked at for a comment where no column is like them."""
 FILL_IN = "FILL IN"
-"""Begins a value that only the user knows; `check` refuses it and says where it stands."""
+"""Begins a value that only the user knows; `check` refuses it and names its line."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class ConfigText:
 
     @property
     def open(self) -> tuple[tuple[int, str], ...]:
-        """Lines, from 1, that must be filled in, with what they say."""
+        """Lines, from 1, that must be filled in, with their texts."""
         lines = enumerate(self.toml.split("\n"), 1)
         return tuple((i, line) for i, line in lines if FILL_IN in line and line[0] != "#")
 
@@ -62,7 +62,7 @@ def _model(draft: ConfigDraft, folder: Path) -> Iterator[str]:
     yield f"fmu = {inline(_relative(draft.fmu, folder))}"
     exchange = "model_exchange" in description.interfaces
     chosen = "model_exchange" if exchange else description.interfaces[0]
-    yield f'interface = "{chosen}"  # {_why(description, chosen)}'
+    yield f'interface = "{chosen}"  # {_why(description)}'
     if exchange:
         yield (
             'solver = "dormand_prince"  # adaptive; if check says that the model is stiff: "cvode"'
@@ -74,7 +74,8 @@ def _model(draft: ConfigDraft, folder: Path) -> Iterator[str]:
     yield f"# step = {inline(step or 0.01)}  # {said}"
 
 
-def _why(description: ModelDescription, chosen: str) -> str:
+def _why(description: ModelDescription) -> str:
+    """Return why an interface was chosen, for a comment."""
     if len(description.interfaces) == 1:
         return "the only one that the FMU offers"
     return f"of {' and '.join(description.interfaces)}: every effect can be tried in it"
@@ -108,7 +109,7 @@ def _parameter(candidate: ParameterCandidate) -> str:
 
 
 def _said(variable: ModelVariable, more: str = "") -> str:
-    """A comment: unit and description of a variable."""
+    """Return a comment with the unit and description of a variable."""
     unit = f"[{variable.unit}]" if variable.unit else ""
     parts = [" ".join(part for part in (unit, variable.description) if part), more]
     text = "; ".join(part for part in parts if part)
@@ -130,11 +131,11 @@ def _experiment(run: DraftExperiment, folder: Path) -> Iterator[str]:
         yield 'role = "test"  # held out: reported, never fitted'
     matches = (*run.inputs, *run.outputs, *run.further)
     used = {m.column for m in matches} | {m.similar for m in matches}
-    idle = [c for c in columns.signals if c not in used]
-    if idle:
-        yield f"# columns without a variable of the FMU: {', '.join(c.name for c in idle)}"
+    unused = [c for c in columns.signals if c not in used]
+    if unused:
+        yield f"# columns without a variable of the FMU: {', '.join(c.name for c in unused)}"
         yield from _open_outputs(run)
-        yield from _open_conversions(run, idle)
+        yield from _open_conversions(run, unused)
     if columns.unusable:
         yield f"# columns that hold no numbers: {', '.join(columns.unusable)}"
 
@@ -167,58 +168,58 @@ def _input(match: ColumnMatch, columns: tuple[TableColumn, ...]) -> Iterator[str
 
 
 def _outputs(run: DraftExperiment) -> Iterator[str]:
-    known = [m for m in (*run.outputs, *run.further) if m.column is not None]
+    certain = [m for m in (*run.outputs, *run.further) if m.column is not None]
     for match in run.outputs:
         variable = match.variable
         key = dotted("outputs", variable.name)
         if match.column is not None:
             yield f"{key} = {inline(match.column.name)}{_said(variable)}"
-        elif known and match.similar is not None:
+        elif certain and match.similar is not None:
             value = inline(match.similar.name)
             yield f"# {key} = {value}{_said(variable, 'only similar: uncomment if it is')}"
-        elif not known and (match.similar is not None or match is run.outputs[0]):
+        elif not certain and (match.similar is not None or match is run.outputs[0]):
             value = f'"{FILL_IN}: a column"' if match.similar is None else _guess(match.similar)
             yield f"{key} = {value}{_said(variable, _choices(run.columns.signals))}"
     for match in run.further:
         if match.column is not None:
             key = dotted("outputs", match.variable.name)
             yield f"{key} = {inline(match.column.name)}{_said(match.variable, 'no output')}"
-    if not known and not run.outputs:
+    if not certain and not run.outputs:
         yield "# The FMU has no output: name a variable that it computes, as it is called there."
         yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
 
 
 def _open_outputs(run: DraftExperiment) -> Iterator[str]:
-    """Outputs that one of the columns that are left may be, though its name does not say so."""
-    known = any(m.column is not None for m in (*run.outputs, *run.further))
+    """Yield outputs that may be one of the columns left over, though no name is similar."""
+    certain = any(m.column is not None for m in (*run.outputs, *run.further))
     first = run.outputs[:1]
     for match in run.outputs[:MOST_OPEN]:
-        asked = not known and match in first
+        asked = not certain and match in first
         if match.column is None and match.similar is None and not asked:
             variable = match.variable
             said = _said(variable, "no column is like it")
             yield f'# {dotted("outputs", variable.name)} = "COLUMN"{said}'
 
 
-def _open_conversions(run: DraftExperiment, idle: list[TableColumn]) -> Iterator[str]:
-    """How the columns that are left are converted, if one of the open variables is theirs."""
+def _open_conversions(run: DraftExperiment, unused: list[TableColumn]) -> Iterator[str]:
+    """Yield conversions of the columns left over, in case one is an open variable."""
     open_ = [m.variable.unit for m in (*run.inputs, *run.outputs) if m.column is None]
-    for column in idle:
+    for column in unused:
         for unit in dict.fromkeys(open_):
-            known = conversion(column.unit, unit) if column.unit and unit else None
-            if known is not None and not same_unit(column.unit, unit):
+            found = conversion(column.unit, unit) if column.unit and unit else None
+            if found is not None and not same_unit(column.unit, unit):
                 why = f"if its variable is in {unit}"
                 yield from (f"# {line}" for line in _conversion(column, unit, why))
 
 
 def _compared(run: DraftExperiment) -> list[tuple[ModelVariable, TableColumn]]:
-    """Outputs that are written with a column, those among them that must be confirmed."""
-    known = [(m.variable, m.column) for m in (*run.outputs, *run.further) if m.column is not None]
-    return known or [(m.variable, m.similar) for m in run.outputs if m.similar is not None]
+    """Return the outputs that are written with a column, also one to be confirmed."""
+    certain = [(m.variable, m.column) for m in (*run.outputs, *run.further) if m.column is not None]
+    return certain or [(m.variable, m.similar) for m in run.outputs if m.similar is not None]
 
 
 def _sigmas(run: DraftExperiment) -> Iterator[str]:
-    """The noise of each output, as its samples suggest it: what several outputs are weighted by."""
+    """Yield guesses of the noise of each output, by which several outputs are weighted."""
     compared = _compared(run)
     guesses = [_in_unit(column.noise, column, variable) for variable, column in compared]
     several = len(compared) > 1 and all(guesses)
@@ -230,17 +231,17 @@ def _sigmas(run: DraftExperiment) -> Iterator[str]:
 
 
 def _in_unit(noise: float, column: TableColumn, variable: ModelVariable) -> float:
-    """A column's noise in the unit of its variable, to two digits."""
-    known = conversion(column.unit, variable.unit)
-    return float(f"{noise * (1.0 if known is None else known.factor):.2g}")
+    """Return a column's noise in the unit of its variable, to two digits."""
+    found = conversion(column.unit, variable.unit)
+    return float(f"{noise * (1.0 if found is None else found.factor):.2g}")
 
 
 def _conversions(run: DraftExperiment) -> Iterator[str]:
-    """Lines for columns whose unit is not that of their variable."""
+    """Yield lines for columns whose unit is not that of their variable."""
     if run.columns.time is not None and run.columns.time.unit:
         yield from _conversion(run.columns.time, "s", "times are in seconds")
-    fed = [(m.variable, m.column or m.similar) for m in run.inputs]
-    for variable, column in (*fed, *_compared(run)):
+    inputs = [(m.variable, m.column or m.similar) for m in run.inputs]
+    for variable, column in (*inputs, *_compared(run)):
         if column is not None and column.unit and variable.unit:
             yield from _conversion(column, variable.unit, f"{variable.name} is in {variable.unit}")
 
@@ -248,13 +249,13 @@ def _conversions(run: DraftExperiment) -> Iterator[str]:
 def _conversion(column: TableColumn, wanted: str, why: str) -> Iterator[str]:
     if same_unit(column.unit, wanted):
         return
-    known = conversion(column.unit, wanted)
-    if known is None:
+    found = conversion(column.unit, wanted)
+    if found is None:
         yield f"# {column.name} is in {column.unit} but {why}; if they differ, say how:"
         example = inline({"factor": 1.0})
         yield f"# {dotted('columns', column.name)} = {example}"
         return
-    value = {"factor": known.factor} | ({"offset": known.offset} if known.offset else {})
+    value = {"factor": found.factor} | ({"offset": found.offset} if found.offset else {})
     line = f"{dotted('columns', column.name)} = {inline(value)}"
     yield f"{line}  # from {column.unit}: {why}"
 
@@ -268,7 +269,7 @@ def _choices(columns: tuple[TableColumn, ...]) -> str:
 
 
 def _relative(path: Path, folder: Path) -> str:
-    """A path from a folder, with slashes; as it is where there is no way between them."""
+    """Return a path from a folder, with slashes; absolute where there is no relative one."""
     try:
         found = os.path.relpath(path.resolve(), folder.resolve())
     except ValueError:  # on another drive
@@ -277,5 +278,5 @@ def _relative(path: Path, folder: Path) -> str:
 
 
 def _clean(line: str) -> str:
-    """Without control characters, which TOML allows in no comment."""
+    """Return a line without control characters, which TOML allows in no comment."""
     return "".join(c if c >= " " and c != "\x7f" else " " for c in line)

@@ -1,4 +1,4 @@
-"""Methods: what picks the next points. One file a method.
+"""Search methods, which choose the points to evaluate. One file a method.
 
 A new method is one file with a subclass of `Method` and one line here.
 """

@@ -44,11 +44,11 @@ class Progress:
     step
         Length of the last step, in units of each unknown's own scale.
     optimality
-        How far from a minimum; 0 at one.
+        Distance from a minimum; 0 at one.
     damping
         The method's damping, mesh or simplex size.
     violation
-        How far the best point is from satisfying all constraints; NaN where there are none.
+        Largest violation of a constraint at the best point; NaN where there are none.
     ending
         Name of the ending, in the last line of a search.
     """
@@ -71,9 +71,9 @@ class Points:
     x : (points, unknowns)
         In search coordinates.
     purpose
-        What for, in one word, for the log: "start", "jacobian", "trial", ...
+        In one word, for the log: "start", "jacobian", "trial", ...
     progress
-        Where the method stands, for the display and the table.
+        A line for the display and the table.
     asynchronous
         Answer as soon as any point of this search is there, and with all that are.
     drop
@@ -126,7 +126,7 @@ class Evaluation:
 
     @property
     def feasible(self) -> bool:
-        """Whether it satisfies all constraints, to within `TOLERANCE`."""
+        """True if it satisfies all constraints, to within `TOLERANCE`."""
         return self.ok and self.violation <= TOLERANCE
 
     @property
@@ -151,13 +151,13 @@ class Evaluation:
 
     @property
     def rows(self) -> list[slice]:
-        """Where each experiment's residuals stand in `residuals`."""
+        """The rows of each experiment in `residuals`."""
         ends = np.cumsum([0, *(len(_residuals(outcome)) for outcome in self.outcomes)]).tolist()
         return [slice(a, b) for a, b in pairwise(ends)]
 
     @property
     def reason(self) -> str:
-        """Why the first failed simulation failed."""
+        """The status and message of the first simulation that failed; "" if none did."""
         failed = [outcome for outcome in self.outcomes if not outcome.ok]
         return f"{failed[0].status}: {failed[0].message}" if failed else ""
 
@@ -170,7 +170,7 @@ Search = Generator[Points, list[Evaluation], "Solution"]
 
 
 class Ending(enum.StrEnum):
-    """How a search ended. A member's text is what a person reads."""
+    """The end of a search. A member's text is what a person reads."""
 
     CONVERGED = "converged"
     PERFECT = "the residuals are zero"
@@ -198,7 +198,7 @@ class OtherPoint:
 
 @dataclass(frozen=True)
 class Solution:
-    """What a search found.
+    """The result of a search.
 
     Attributes
     ----------
@@ -207,9 +207,9 @@ class Solution:
     cost
         Its cost; NaN if not even the start could be simulated.
     ending, message
-        Why it stopped.
+        The reason why it stopped.
     iterations
-        How many.
+        Their number.
     jacobian : (residuals, unknowns) or None
         d residuals / d x at `x`, where the method has it and it is not too large.
     block_jacobian
@@ -236,24 +236,24 @@ class Solution:
 
 
 class Method(ABC):
-    """What picks the next points. Its attributes are its options."""
+    """A search method; its attributes are its options."""
 
     name: ClassVar[str]
-    """What the config calls it."""
+    """Its name in a config."""
 
     needs_residuals: ClassVar[bool]
-    """Whether it works on residuals, with `Cost.weights`, rather than on a cost of any kind."""
+    """True if it works on residuals, with `Cost.weights`, rather than on a cost of any kind."""
 
     needs_every_residual: ClassVar[bool] = True
-    """Whether it looks at single residuals. If not, long experiments may be answered with one
+    """True if it looks at single residuals. If not, long experiments may be answered with one
     number for each output in their place (`Cost.reduction`): costs are the same to rounding, and
     the space that it is given says what belongs to which output."""
 
     keeps_constraints: ClassVar[bool] = False
-    """Whether it can satisfy constraints other than bounds."""
+    """True if it can satisfy constraints other than bounds."""
 
     asynchronous: ClassVar[bool] = False
-    """Whether its result may depend on the order in which simulations end."""
+    """True if its result may depend on the order in which simulations end."""
 
     def check(self, space: SearchSpace) -> None:  # noqa: B027 - a method may have nothing to refuse
         """Refuse, before anything is simulated, a space that this method cannot search.

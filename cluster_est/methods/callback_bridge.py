@@ -1,7 +1,7 @@
-"""Libraries that call back, as generators: SciPy asks for a value and waits, a method yields.
+"""Adapt libraries that call a function back to searches, which are generators.
 
 The library runs in a thread of its own that is awake only while the generator is being advanced,
-so nothing of it depends on timing.
+so nothing depends on timing.
 """
 
 from __future__ import annotations
@@ -18,22 +18,25 @@ T = TypeVar("T")
 
 
 class SearchAbandoned(BaseException):
-    """Raised inside the library's thread when the search is closed."""
+    """Raised in the library's thread once its search is closed, to unwind the library's stack.
+
+    Not an `Exception`, because libraries catch those.
+    """
 
 
 def search_in_thread(solve: Callable[[Ask], Solution]) -> Search:
-    """Run `solve(ask)` in a thread and pass on what it asks for.
+    """Run `solve(ask)` in a thread and yield the points that it asks for.
 
     Parameters
     ----------
     solve
         Calls the library. `ask(points)` blocks until their evaluations are there.
     """
-    asked: queue.SimpleQueue[Points | Solution | BaseException] = queue.SimpleQueue()
+    requested: queue.SimpleQueue[Points | Solution | BaseException] = queue.SimpleQueue()
     answered: queue.SimpleQueue[list[Evaluation] | None] = queue.SimpleQueue()
 
     def ask(points: Points) -> list[Evaluation]:
-        asked.put(points)
+        requested.put(points)
         evaluations = answered.get()
         if evaluations is None:
             raise SearchAbandoned
@@ -41,17 +44,17 @@ def search_in_thread(solve: Callable[[Ask], Solution]) -> Search:
 
     def run() -> None:
         try:
-            asked.put(solve(ask))
+            requested.put(solve(ask))
         except SearchAbandoned:
             pass
-        except BaseException as error:  # handed to the coordinator's thread
-            asked.put(error)
+        except BaseException as error:  # raised again by the generator, which would wait for ever
+            requested.put(error)
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
     try:
         while True:
-            item = asked.get()
+            item = requested.get()
             if isinstance(item, Solution):
                 return item
             if isinstance(item, BaseException):
@@ -62,12 +65,12 @@ def search_in_thread(solve: Callable[[Ask], Solution]) -> Search:
         thread.join()
 
 
-def drive(steps: Generator[Points, list[Evaluation], T], ask: Ask) -> T:
-    """Run a generator to its end by asking directly, to use one of ours inside a library's call."""
+def run_with(requests: Generator[Points, list[Evaluation], T], ask: Ask) -> T:
+    """Return the result of a generator of requests that is answered by `ask` in a callback."""
     try:
-        points = next(steps)
+        points = next(requests)
         while True:
-            points = steps.send(ask(points))
+            points = requests.send(ask(points))
     except StopIteration as end:
         result: T = end.value
         return result

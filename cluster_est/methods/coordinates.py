@@ -1,6 +1,6 @@
-"""Coordinates in which a pattern search moves: 0 is the start, 1 a noticeable change.
+"""Scaled coordinates of direct searches: 0 is the start, 1 a noticeable change.
 
-Bounds and constraints on parameters are kept here, because they cost no simulation.
+Points are projected here on bounds and constraints on parameters, which cost no simulation.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 EXACT = 1e-9
-"""Constraints on parameters are kept to this, in units of their own scale."""
-CORRECTIONS = 20
-WITH_GIVEN_SLOPES = 4
+"""Largest violation of constraints on parameters, in units of their own scale."""
+PROJECTION_STEPS = 20
+STEPS_WITH_GIVEN_JACOBIAN = 4
 
 
 @dataclass(frozen=True)
 class NearbyNormals:
-    """What a point lies next to, as directions of unit length that lead out.
+    """Normals of the constraints near a point, of unit length.
 
     Attributes
     ----------
-    sides : (sides, unknowns)
-        Outward normals of bounds and of inequalities on parameters within reach.
-    equal : (equalities, unknowns)
+    inequalities : (inequalities, unknowns)
+        Outward normals of bounds and of inequalities on parameters within a distance.
+    equalities : (equalities, unknowns)
         Normals of equalities on parameters.
     """
 
-    sides: FloatArray
-    equal: FloatArray
+    inequalities: FloatArray
+    equalities: FloatArray
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class ScaledCoordinates:
         return (self.space.upper - self.space.start) / self.unit
 
     def x(self, u: FloatArray) -> FloatArray:
-        """The point in search coordinates; exactly on a bound where u is."""
+        """Return the point in search coordinates; exactly on a bound where u is."""
         inside = np.clip(self.space.start + self.unit * u, self.space.lower, self.space.upper)
         inside = np.where(u <= self.lower, self.space.lower, inside)
         return np.where(u >= self.upper, self.space.upper, inside)
@@ -68,58 +68,62 @@ class ScaledCoordinates:
         return np.clip(u, self.lower, self.upper)
 
     @cached_property
-    def tied(self) -> int:
-        """How many constraints on parameters there are."""
+    def parameter_constraint_count(self) -> int:
+        """Number of constraints on parameters."""
         return len(self.space.parameter_constraints(self.space.start))
 
     @cached_property
     def _equality(self) -> npt.NDArray[np.bool_]:
-        return self.space.equality[: self.tied]
+        return self.space.equality[: self.parameter_constraint_count]
 
-    def _excess(self, u: FloatArray) -> FloatArray:
-        """Constraints on parameters, those that are satisfied as 0."""
+    def _violations(self, u: FloatArray) -> FloatArray:
+        """Return the violations of the constraints on parameters, 0 for satisfied ones."""
         found = self.space.parameter_constraints(self.x(u))
         return np.where(~self._equality & (found <= 0.0), 0.0, found)
 
-    def _slopes(self, u: FloatArray) -> FloatArray:
+    def _jacobian(self, u: FloatArray) -> FloatArray:
+        """Return the derivatives of the constraints on parameters by u."""
         return self.space.parameter_constraint_slopes(self.x(u)) * self.unit
 
-    def allowed(self, u: FloatArray) -> bool:
-        """Whether u satisfies the constraints on parameters."""
-        return not self.tied or bool(np.all(np.abs(self._excess(u)) <= EXACT))
+    def is_feasible(self, u: FloatArray) -> bool:
+        """Return whether u satisfies the constraints on parameters."""
+        return not self.parameter_constraint_count or bool(
+            np.all(np.abs(self._violations(u)) <= EXACT)
+        )
 
-    def repaired(self, u: FloatArray, slopes: FloatArray | None = None) -> FloatArray | None:
-        """A point close to u within bounds and constraints on parameters; None if none is found.
+    def projected(self, u: FloatArray, jacobian: FloatArray | None = None) -> FloatArray | None:
+        """Return a point close to u that satisfies bounds and constraints on parameters, if found.
 
-        Gauss-Newton steps of least length; `slopes` are derivatives that will do at first.
+        By Gauss-Newton steps of least length; `jacobian` has derivatives for the first of them.
         """
         u = self.clip(u)
-        held = np.zeros(len(u), dtype=bool)
-        for i in range(CORRECTIONS if self.tied else 0):
-            excess = self._excess(u)
-            if np.isnan(excess).any():
+        at_bound = np.zeros(len(u), dtype=bool)
+        for i in range(PROJECTION_STEPS if self.parameter_constraint_count else 0):
+            violations = self._violations(u)
+            if np.isnan(violations).any():
                 return None
-            wrong = np.abs(excess) > EXACT
-            if not wrong.any():
+            violated = np.abs(violations) > EXACT
+            if not violated.any():
                 return u
-            known = slopes if slopes is not None and i < WITH_GIVEN_SLOPES else self._slopes(u)
-            matrix = np.where(held, 0.0, known[wrong])
-            moved = u - np.linalg.pinv(matrix) @ excess[wrong]
-            held |= (moved < self.lower) | (moved > self.upper)
+            given = jacobian is not None and i < STEPS_WITH_GIVEN_JACOBIAN
+            rows = jacobian if jacobian is not None and given else self._jacobian(u)
+            matrix = np.where(at_bound, 0.0, rows[violated])
+            moved = u - np.linalg.pinv(matrix) @ violations[violated]
+            at_bound |= (moved < self.lower) | (moved > self.upper)
             u = self.clip(moved)
-        return u if self.allowed(u) else None
+        return u if self.is_feasible(u) else None
 
-    def near(self, u: FloatArray, reach: float) -> tuple[NearbyNormals, FloatArray]:
-        """What lies within `reach` of u, and the slopes of the constraints on parameters there."""
+    def normals_near(self, u: FloatArray, distance: float) -> tuple[NearbyNormals, FloatArray]:
+        """Return the normals within a distance of u, and the constraints' Jacobian."""
         axes = np.eye(len(u))
-        sides = [axes[self.upper - u <= reach], -axes[u - self.lower <= reach]]
-        equal = np.zeros((0, len(u)))
-        slopes = self._slopes(u) if self.tied else equal
-        if self.tied:
+        inequalities = [axes[self.upper - u <= distance], -axes[u - self.lower <= distance]]
+        equalities = np.zeros((0, len(u)))
+        jacobian = self._jacobian(u) if self.parameter_constraint_count else equalities
+        if self.parameter_constraint_count:
             slack = -self.space.parameter_constraints(self.x(u))
-            rates = np.linalg.norm(slopes, axis=1)
-            normals = slopes / np.where(rates > 0.0, rates, 1.0)[:, None]
-            close = (rates > 0.0) & ~self._equality & (slack <= reach * rates)
-            sides.append(normals[close])
-            equal = normals[self._equality & (rates > 0.0)]
-        return NearbyNormals(np.concatenate(sides), equal), slopes
+            norms = np.linalg.norm(jacobian, axis=1)
+            normals = jacobian / np.where(norms > 0.0, norms, 1.0)[:, None]
+            close = (norms > 0.0) & ~self._equality & (slack <= distance * norms)
+            inequalities.append(normals[close])
+            equalities = normals[self._equality & (norms > 0.0)]
+        return NearbyNormals(np.concatenate(inequalities), equalities), jacobian

@@ -1,11 +1,11 @@
-"""What can be wrong with an FMU, a config or both, looked for before a fit.
+"""Checks of an FMU and a config before a fit.
 
-`examine` is the recipe. A check is a function of a `CheckSubject` that returns `CheckFinding`s, and
-an entry in `examine.CHECKS`; what it asks of the FMU is an `FmuProbe` in `workers`.
+`run_checks` runs them. A check is a function of a `CheckSubject` that returns `CheckFinding`s, and
+an entry in `checks.CHECKS`; it asks the FMU with an `FmuProbe` of `workers`.
 """
 
-from cluster_est.preflight.bare import bare_problem
-from cluster_est.preflight.examine import SECONDS, examine
-from cluster_est.preflight.findings import CheckFinding, CheckPage
+from cluster_est.preflight.bare_fmu import bare_problem
+from cluster_est.preflight.checks import SECONDS, run_checks
+from cluster_est.preflight.findings import CheckFinding, CheckPage, Verdict
 
-__all__ = ["SECONDS", "CheckFinding", "CheckPage", "bare_problem", "examine"]
+__all__ = ["SECONDS", "CheckFinding", "CheckPage", "Verdict", "bare_problem", "run_checks"]

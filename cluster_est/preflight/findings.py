@@ -1,13 +1,20 @@
-"""What a preflight finds: a line each."""
+"""The findings of a preflight."""
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
-from typing import Literal
 
 from cluster_est.results.output_errors import Simulation
 
-Verdict = Literal["ok", "note", "problem", "not done"]
+
+class Verdict(enum.StrEnum):
+    """The result of a check, as it is printed."""
+
+    OK = "ok"
+    NOTE = "note"
+    PROBLEM = "problem"
+    NOT_DONE = "not done"
 
 
 @dataclass(frozen=True)
@@ -17,13 +24,13 @@ class CheckFinding:
     Attributes
     ----------
     verdict
-        A "problem" keeps a fit from its goal; a "note" is worth a thought.
+        A problem keeps a fit from its goal; a note is worth a thought.
     check
-        What was looked at.
+        Name of the check.
     found
-        In numbers.
+        Its result, in numbers.
     do
-        What can be done, with the key of the config; empty if nothing needs to be.
+        Advice, with the key of the config; empty if nothing needs to be done.
     """
 
     verdict: Verdict
@@ -39,7 +46,7 @@ class CheckPage:
     Attributes
     ----------
     loads
-        Whether the FMU is there to be simulated at all.
+        True if the FMU can be simulated at all.
     simulations
         Of the experiments at the start values, as far as there was time.
     """
@@ -50,4 +57,5 @@ class CheckPage:
 
     @property
     def good(self) -> bool:
-        return not any(each.verdict == "problem" for each in self.findings)
+        """True if there are no problems."""
+        return not any(each.verdict is Verdict.PROBLEM for each in self.findings)

@@ -1,4 +1,4 @@
-"""Parameters: whether each does something, and whether they keep to what the FMU declares."""
+"""Checks of parameters: their effects, and the ranges that the FMU declares."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.methods.derivatives.differences import relative_noise
-from cluster_est.preflight.findings import CheckFinding
+from cluster_est.preflight.findings import CheckFinding, Verdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from cluster_est.problem.problem import Parameter
 from cluster_est.problem.space import Unknown
@@ -16,26 +16,26 @@ from workers.messages import FloatArray
 from workers.probes.probes import MovementProbe
 from workers.process.trial import NoAnswer
 
-MOVE = 0.01
-"""Of the size of a noticeable change."""
+CHANGE = 0.01
+"""Of an unknown, in noticeable changes."""
 UNKNOWN = 1e-300
-"""An effect that could not be looked for in every experiment."""
+"""Stands for an effect that was not computed in every experiment."""
 FAINT = 1e-9
 """An effect of less, of the outputs' size, drowns in rounding."""
 STEPS = tuple(10.0**-k for k in range(3, 9))
 """Relative steps of differences that are tried."""
-AGREE = 0.02
-"""How far slopes may differ that are still the same."""
+AGREEMENT = 0.02
+"""Largest relative difference of derivatives that count as the same."""
 
 
 def effects(subject: CheckSubject) -> list[CheckFinding]:
-    """Each parameter moved a little, alone."""
+    """Change each parameter a little, alone, and return its effect on the outputs."""
     unknowns = _unknowns(subject)
     if not unknowns:
         return []
-    points = np.array([_moved(subject, column, MOVE) for column, _ in unknowns])
-    probe = MovementProbe(*subject.where, points, max(subject.clock.left / 2.0, 0.1))
-    found = subject.ask(probe, 2, subject.clock.left)
+    points = np.array([_moved(subject, column, CHANGE) for column, _ in unknowns])
+    probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 2.0, 0.1))
+    found = subject.ask(probe, 2, subject.budget.left)
     if isinstance(found, NoAnswer):
         return [unanswered("parameters", found)]
     names = [unknown.label for _, unknown in unknowns]
@@ -43,7 +43,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
     sizes = {name: each for name, each in pairs if not isinstance(each, str)}
     for (column, unknown), (name, each) in zip(unknowns, pairs, strict=False):
         if each == 0.0:
-            sizes[name] = _elsewhere(subject, column, unknown)
+            sizes[name] = _effect_elsewhere(subject, column, unknown)
     lines = [_failed(name, each) for name, each in pairs if isinstance(each, str)]
     lines += [_dead(name, declared=subject.declared) for name, size in sizes.items() if size == 0.0]
     lines += [_faint(name, size) for name, size in sizes.items() if 0.0 < size < FAINT]
@@ -53,7 +53,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
         said = f"{len(alive)} of {len(names)} act on the outputs: moved by 1 % of its size, "
         said += f"{most} changes them by {alive[most]:.2g} of theirs"
         said += f", {least} by {alive[least]:.2g}" if least != most else ""
-        lines.append(CheckFinding("ok", "parameters", said))
+        lines.append(CheckFinding(Verdict.OK, "parameters", said))
         lines += _steps(subject, unknowns[names.index(most)][0]) if subject.repeats else []
     if len(found) < len(names):
         left = f"{len(names) - len(found)} of {len(names)} were not moved"
@@ -62,7 +62,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
 
 
 def _unknowns(subject: CheckSubject) -> list[tuple[int, Unknown]]:
-    """The first unknown of each of the model's parameters that acts on the experiment."""
+    """Return the first unknown of each of the model's parameters that acts on the experiment."""
     first: dict[str, tuple[int, Unknown]] = {}
     count = len(subject.problem.model.parameters)
     for column, unknown in enumerate(subject.space.unknowns):
@@ -71,13 +71,15 @@ def _unknowns(subject: CheckSubject) -> list[tuple[int, Unknown]]:
     return list(first.values())
 
 
-def _elsewhere(subject: CheckSubject, column: int, unknown: Unknown) -> float:
-    """The largest effect in other experiments; `UNKNOWN` where there is no time to look."""
+def _effect_elsewhere(subject: CheckSubject, column: int, unknown: Unknown) -> float:
+    """Return the first effect in other experiments; `UNKNOWN` without time for all of them."""
     for e in unknown.experiments:
         other = replace(subject, experiment=e)
         if e == subject.experiment:
             continue
-        probe = MovementProbe(*other.where, _moved(other, column, MOVE)[None], subject.clock.left)
+        probe = MovementProbe(
+            *other.probe_arguments, _moved(other, column, CHANGE)[None], subject.budget.left
+        )
         found = subject.ask(probe, 2)
         if isinstance(found, NoAnswer) or not found or isinstance(found[0], str):
             return UNKNOWN
@@ -87,7 +89,7 @@ def _elsewhere(subject: CheckSubject, column: int, unknown: Unknown) -> float:
 
 
 def _moved(subject: CheckSubject, column: int, share: float) -> FloatArray:
-    """The values with one unknown moved by a share of its size, inside its bounds."""
+    """Return values with one unknown changed by a share of its size, inside its bounds."""
     space = subject.space
     x = space.start.copy()
     step = share * float(space.typical[column])
@@ -99,53 +101,56 @@ def _moved(subject: CheckSubject, column: int, share: float) -> FloatArray:
 def _dead(name: str, *, declared: bool) -> CheckFinding:
     said = "is dead: the outputs do not depend on it at the start"
     if not declared:
-        return CheckFinding("note", f"parameter {name}", said, "it cannot be estimated from these")
+        return CheckFinding(
+            Verdict.NOTE, f"parameter {name}", said, "it cannot be estimated from these"
+        )
     do = f"parameters.{name}.fixed = true, or remove it, or measure what it acts on"
-    return CheckFinding("problem", f"parameter {name}", said, do)
+    return CheckFinding(Verdict.PROBLEM, f"parameter {name}", said, do)
 
 
 def _faint(name: str, size: float) -> CheckFinding:
     if size == UNKNOWN:
         said = "does not act in one experiment, and there was no time to try all others"
         return CheckFinding(
-            "not done", f"parameter {name}", said, "give it more time with --seconds"
+            Verdict.NOT_DONE, f"parameter {name}", said, "give it more time with --seconds"
         )
     said = f"hardly acts: moved by 1 % of its size it changes the outputs by {size:.2g} of theirs"
     return CheckFinding(
-        "note", f"parameter {name}", said, f"another parameters.{name}.start, or fix it"
+        Verdict.NOTE, f"parameter {name}", said, f"another parameters.{name}.start, or fix it"
     )
 
 
 def _failed(name: str, said: str) -> CheckFinding:
     do = f"another parameters.{name}.start or narrower bounds"
-    return CheckFinding("note", f"parameter {name}", f"moved by 1 % of its size: {said}", do)
+    return CheckFinding(Verdict.NOTE, f"parameter {name}", f"moved by 1 % of its size: {said}", do)
 
 
 def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
-    """Down to which relative step differences can be trusted."""
+    """Return the smallest relative step of trustworthy differences."""
     points = np.array([_moved(subject, column, step) for step in STEPS])
-    probe = MovementProbe(*subject.where, points, max(subject.clock.left / 3.0, 0.1))
+    probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 3.0, 0.1))
     found = subject.ask(probe, 1 + len(STEPS))
     if isinstance(found, NoAnswer):
         return [unanswered("differences", found)]
     pairs = zip(STEPS, found, strict=False)
-    slopes = [each / step for step, each in pairs if not isinstance(each, str)]
-    if len(slopes) < len(STEPS):
+    quotients = [each / step for step, each in pairs if not isinstance(each, str)]
+    if len(quotients) < len(STEPS):
         return [unanswered("differences", NoAnswer("simulations failed or took too long"))]
-    rule = slopes[1]
-    good = [s for s, slope in zip(STEPS, slopes, strict=True) if abs(slope - rule) <= AGREE * rule]
+    truth = quotients[1]
+    pairs = zip(STEPS, quotients, strict=True)
+    good = [step for step, each in pairs if abs(each - truth) <= AGREEMENT * truth]
     least = min(good, default=STEPS[0])
     usual = math.sqrt(relative_noise(subject.problem.model.solver))
     if least <= max(usual, STEPS[-1]):
         said = f"slopes hold down to relative steps of {least:.0e}; a fit takes {usual:.0e}"
-        return [CheckFinding("ok", "differences", said)]
+        return [CheckFinding(Verdict.OK, "differences", said)]
     said = f"slopes by {subject.space.unknowns[column].label} hold down to relative steps of "
     do = f"method.options.relative_step = {10.0 * least:.0e}, or a tighter model.rtol"
-    return [CheckFinding("note", "differences", f"{said}{least:.0e} only", do)]
+    return [CheckFinding(Verdict.NOTE, "differences", f"{said}{least:.0e} only", do)]
 
 
 def bounds(subject: CheckSubject) -> list[CheckFinding]:
-    """Start values and bounds against the FMU's minima, maxima and units."""
+    """Compare start values and bounds with the FMU's minima, maxima and units."""
     lines = []
     for parameter in subject.problem.parameters:
         if not parameter.auxiliary and parameter.target in subject.description.variables:
@@ -162,22 +167,22 @@ def _outside(subject: CheckSubject, parameter: Parameter) -> list[CheckFinding]:
     lines = []
     if not parameter.expression and not low <= parameter.start <= high:
         said = f"starts at {parameter.start:g} but {allowed}"
-        lines.append(CheckFinding("problem", where, said, f"another {key}.start"))
+        lines.append(CheckFinding(Verdict.PROBLEM, where, said, f"another {key}.start"))
     if not parameter.fixed and (
         (math.isfinite(parameter.lower) and parameter.lower < low)
         or (math.isfinite(parameter.upper) and parameter.upper > high)
     ):
         said = f"has bounds [{parameter.lower:g}, {parameter.upper:g}] but {allowed}"
-        lines.append(CheckFinding("note", where, said, f"{key}.bounds within those"))
+        lines.append(CheckFinding(Verdict.NOTE, where, said, f"{key}.bounds within those"))
     if parameter.unit and variable.unit and parameter.unit != variable.unit:
         said = f"is given in {parameter.unit} but the FMU counts in {variable.unit}"
         do = f"check {key}.start and bounds, which are in the FMU's unit"
-        lines.append(CheckFinding("note", where, said, do))
+        lines.append(CheckFinding(Verdict.NOTE, where, said, do))
     return lines
 
 
 def corners(subject: CheckSubject) -> list[CheckFinding]:
-    """All parameters at their lower, then at their upper bounds, where these are finite."""
+    """Simulate with all parameters at their lower, then at their upper bounds, where finite."""
     space = subject.space
     named = []
     for name, bound in (("lower", space.lower), ("upper", space.upper)):
@@ -186,13 +191,13 @@ def corners(subject: CheckSubject) -> list[CheckFinding]:
     if not named:
         return []
     points = np.array([point for _, point in named])
-    probe = MovementProbe(*subject.where, points, max(subject.clock.left / 3.0, 0.1))
+    probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 3.0, 0.1))
     found = subject.ask(probe, 1 + len(named))
     if isinstance(found, NoAnswer):
         return [unanswered("bounds", found)]
     lines = [
         CheckFinding(
-            "note",
+            Verdict.NOTE,
             "bounds",
             f"with all parameters at their {name} bounds: {each}",
             "narrower bounds; a search steps back from such points, but they cost it time",
@@ -203,4 +208,4 @@ def corners(subject: CheckSubject) -> list[CheckFinding]:
     if lines:
         return lines
     said = f"it can be simulated with all parameters at their {' and '.join(n for n, _ in named)}"
-    return [CheckFinding("ok", "bounds", f"{said} bounds")]
+    return [CheckFinding(Verdict.OK, "bounds", f"{said} bounds")]

@@ -1,4 +1,4 @@
-"""What is examined, and with how much time."""
+"""The problem that is checked, and the time for it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cluster_est.preflight.findings import CheckFinding
+from cluster_est.preflight.findings import CheckFinding, Verdict
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from workers.fmu.description import ModelDescription
@@ -18,7 +18,7 @@ from workers.probes.base import FmuProbe
 from workers.process.trial import NoAnswer, ProbeBench
 
 LEAST_SECONDS = 0.2
-"""With less left nothing more is asked."""
+"""With less left no probe is asked."""
 
 
 @dataclass
@@ -30,55 +30,57 @@ class TimeBudget:
 
     @classmethod
     def of(cls, seconds: float) -> TimeBudget:
+        """Start a budget now."""
         return cls(seconds, time.monotonic())
 
     @property
     def left(self) -> float:
+        """Seconds that are left."""
         return self.begun + self.seconds - time.monotonic()
 
 
 @dataclass(frozen=True)
 class CheckSubject:
-    """A problem on a bench.
+    """A problem with a process to probe its FMU in.
 
     Attributes
     ----------
     executor, workers
-        Name of the one that the config chooses, and how many workers.
+        Name and number of workers in the config.
     growth
         Bytes after which its processes are replaced.
-    one
-        Seconds of one simulation of `experiment`, measured at first.
+    simulation_seconds
+        Of the first simulation of `experiment`.
     experiment
-        The one that is tried out.
-    renew
-        What its simulations begin with, as soon as that is known.
+        Index of the experiment that is simulated.
+    reset_policy
+        For its simulations, once it is known.
     repeats
-        Whether a simulation gives the same twice, so that small differences mean something.
+        True if a simulation gives the same twice, so that small differences mean something.
     declared
-        Whether somebody wants the parameters to be estimated.
-    seen : (times, outputs)
-        What a process of its own made of the experiment, if known.
+        True if a config declares the parameters to be estimated.
+    trajectory : (times, outputs)
+        Of the experiment in a process of its own, if known.
     """
 
     problem: Problem
     description: ModelDescription
     bench: ProbeBench
-    clock: TimeBudget
+    budget: TimeBudget
     executor: str = "local"
     workers: int | None = None
     growth: float = 256.0 * 2**20
-    one: float = 0.0
+    simulation_seconds: float = 0.0
     experiment: int = 0
-    renew: Renewal = "reset"
+    reset_policy: Renewal = "reset"
     repeats: bool = True
     declared: bool = True
-    seen: FloatArray | None = None
+    trajectory: FloatArray | None = None
 
     @property
-    def where(self) -> tuple[int, FloatArray, Renewal]:
-        """What probes begin with: experiment, values, and how each simulation begins."""
-        return self.experiment, self.start, self.renew
+    def probe_arguments(self) -> tuple[int, FloatArray, Renewal]:
+        """The first arguments of a probe: experiment, values and reset policy."""
+        return self.experiment, self.start, self.reset_policy
 
     @cached_property
     def space(self) -> SearchSpace:
@@ -90,22 +92,22 @@ class CheckSubject:
         return self.at(self.space.start)
 
     def at(self, x: FloatArray) -> FloatArray:
-        """The same at a point of the space."""
+        """Return them at a point of the space."""
         count = len(self.problem.model.parameters)
         return np.ascontiguousarray(self.space.physical(x)[self.experiment, :count])
 
     def ask(self, probe: FmuProbe, simulations: int, most: float = 2.0) -> Any:
-        """Ask, if there is time for so many simulations; `NoAnswer` if not."""
-        left = self.clock.left
-        needed = simulations * self.one
+        """Ask, if there is time for so many simulations; return `NoAnswer` if not."""
+        left = self.budget.left
+        needed = simulations * self.simulation_seconds
         if left < max(LEAST_SECONDS, needed):
             return NoAnswer(f"it would take about {max(needed, LEAST_SECONDS):.2g} s", late=True)
         return self.bench.ask(probe, min(left, max(most, 3.0 * needed)))
 
 
 def unanswered(check: str, stopped: NoAnswer) -> CheckFinding:
-    """The line of a check that came to nothing."""
+    """Return the finding of a check without an answer."""
     if stopped.late:
         more = "give it more time with --seconds"
-        return CheckFinding("not done", check, f"no time left: {stopped.message}", more)
-    return CheckFinding("note", check, f"could not be found out: {stopped.message}")
+        return CheckFinding(Verdict.NOT_DONE, check, f"no time left: {stopped.message}", more)
+    return CheckFinding(Verdict.NOTE, check, f"could not be found out: {stopped.message}")

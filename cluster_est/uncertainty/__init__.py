@@ -1,4 +1,4 @@
-"""How well the data determine what was estimated.
+"""The uncertainty of estimates.
 
 `assess` needs no simulation: covariance, intervals, correlations and the directions that the data
 do not determine, from the Jacobian at the solution. `examine` simulates a few points for it

@@ -1,10 +1,10 @@
 """Bootstrap over experiments: intervals that need no assumption on the residuals.
 
 As many experiments as there are, are drawn with replacement, and everything is estimated again,
-from the optimum. How much the shared estimates scatter from draw to draw is how much they would
-scatter from one series of experiments to the next, whatever correlates the residuals within one:
-A. C. Davison, D. V. Hinkley, Bootstrap Methods and their Application (1997),
-doi:10.1017/CBO9780511802843, chapters 2 and 5.
+from the optimum. The scatter of the shared estimates from draw to draw is that from one series of
+experiments to the next, whatever correlates the residuals within one: A. C. Davison, D. V.
+Hinkley, Bootstrap Methods and their Application (1997), doi:10.1017/CBO9780511802843, chapters 2
+and 5.
 
 Take it where residuals are not white, or experiments differ by more than their noise. Not with few
 experiments, of which there are too few draws.
@@ -35,7 +35,7 @@ LEAST_DRAWS = 20
 
 @dataclass(frozen=True)
 class BootstrapDraw:
-    """One draw: which experiments, their cost, how the refit ended, and the shared estimates.
+    """One draw: its experiments, their cost, the ending of the refit, and the shared estimates.
 
     An estimate is NaN where none of the drawn experiments depends on it, or the refit failed.
     """
@@ -80,7 +80,7 @@ class BootstrapInterval:
 
 @dataclass(frozen=True)
 class BootstrapResult:
-    """What resampling the experiments says.
+    """The result of resampling the experiments.
 
     Attributes
     ----------
@@ -112,20 +112,20 @@ def bootstrap(
     settings: UncertaintySettings,
     generator: np.random.Generator,
 ) -> BootstrapResult:
-    """Draw experiments, refit, and see how much the shared estimates scatter.
+    """Draw experiments, refit, and return the scatter of the shared estimates.
 
     Repeated questions are answered by the runner without simulating again.
 
     Parameters
     ----------
     runner
-        Where the refits run.
+        For the refits.
     space, solution
-        What was searched, and the optimum.
+        The space that was searched, and the optimum.
     method
         Refits; a local one, because it starts at the optimum.
     settings
-        How many draws, and the confidence.
+        The number of draws, and the confidence.
     generator
         The source of the draws.
 
@@ -135,32 +135,47 @@ def bootstrap(
         If there are fewer than five experiments.
     """
     check_bootstrap(space)
-    count = len(space.experiments)
-    spaces = []
-    for _ in range(settings.bootstrap):
-        drawn = np.sort(generator.integers(0, count, count)).tolist()
-        spaces.append(resampled(space, drawn, solution.x))
+    spaces = _resampled_spaces(space, solution.x, settings.bootstrap, generator)
     seeds = generator.integers(0, 2**32, settings.bootstrap).tolist()
     requests = [
         SearchRequest(f"bootstrap {number}", method, each, seed)
         for number, (each, seed) in enumerate(zip(spaces, seeds, strict=True))
     ]
     found = runner.run(requests, settings.at_once)
-    labels = tuple(space.unknowns[i].label for i in np.flatnonzero(is_shared(space)))
-    draws = [_draw(each, one, labels) for each, one in zip(spaces, found, strict=True)]
-    table = np.array([draw.estimates for draw in draws]).reshape(len(draws), len(labels))
-    estimates = space.estimates(solution.x)
+    draws = [_draw(each, one, space) for each, one in zip(spaces, found, strict=True)]
     return BootstrapResult(
-        labels=labels,
-        intervals=tuple(
-            percentile_interval(label, estimates[label], table[:, j], count, settings.confidence)
-            for j, label in enumerate(labels)
-        ),
+        labels=_shared_labels(space),
+        intervals=_intervals(space, solution.x, draws, settings.confidence),
         draws=tuple(draws),
-        failures=sum(not _usable(one) for one in found),
-        unfinished=sum(_usable(one) and not one.ending.success for one in found),
+        failures=sum(not _is_valid(one) for one in found),
+        unfinished=sum(_is_valid(one) and not one.ending.success for one in found),
         confidence=settings.confidence,
     )
+
+
+def _shared_labels(space: SearchSpace) -> tuple[str, ...]:
+    return tuple(space.unknowns[i].label for i in np.flatnonzero(is_shared(space)))
+
+
+def _intervals(
+    space: SearchSpace, x: FloatArray, draws: Sequence[BootstrapDraw], confidence: float
+) -> tuple[BootstrapInterval, ...]:
+    """Return the intervals of the shared unknowns."""
+    labels, estimates, count = _shared_labels(space), space.estimates(x), len(space.experiments)
+    table = np.array([draw.estimates for draw in draws]).reshape(len(draws), len(labels))
+    return tuple(
+        percentile_interval(label, estimates[label], table[:, j], count, confidence)
+        for j, label in enumerate(labels)
+    )
+
+
+def _resampled_spaces(
+    space: SearchSpace, x: FloatArray, draws: int, generator: np.random.Generator
+) -> list[SearchSpace]:
+    """Return a space for each draw of as many experiments as there are, with replacement."""
+    count = len(space.experiments)
+    chosen = [np.sort(generator.integers(0, count, count)).tolist() for _ in range(draws)]
+    return [resampled(space, positions, x) for positions in chosen]
 
 
 def check_bootstrap(space: SearchSpace) -> None:
@@ -179,26 +194,27 @@ def check_bootstrap(space: SearchSpace) -> None:
         )
 
 
-def _usable(solution: Solution) -> bool:
+def _is_valid(solution: Solution) -> bool:
     bad = (Ending.START_FAILED, Ending.INFEASIBLE, Ending.BUDGET, Ending.INTERRUPTED)
     infeasible = solution.at is not None and not solution.at.feasible
     return bool(np.isfinite(solution.cost)) and solution.ending not in bad and not infeasible
 
 
-def _draw(space: SearchSpace, solution: Solution, labels: Sequence[str]) -> BootstrapDraw:
-    known = space.estimates(solution.x) if _usable(solution) else {}
+def _draw(resample: SearchSpace, solution: Solution, space: SearchSpace) -> BootstrapDraw:
+    """Return the refit of a resample, with the estimates of what the whole space shares."""
+    estimates = resample.estimates(solution.x) if _is_valid(solution) else {}
     return BootstrapDraw(
-        experiments=tuple(space.problem.experiments[e].id for e in space.experiments),
+        experiments=tuple(resample.problem.experiments[e].id for e in resample.experiments),
         cost=solution.cost,
         ending=solution.ending.name.lower(),
-        estimates=tuple(known.get(label, np.nan) for label in labels),
+        estimates=tuple(estimates.get(label, np.nan) for label in _shared_labels(space)),
     )
 
 
 def percentile_interval(
     label: str, value: float, draws: FloatArray, experiments: int, confidence: float
 ) -> BootstrapInterval:
-    """The intervals of one unknown from its draws, of so many experiments each."""
+    """Return the intervals of one unknown from its draws, of so many experiments each."""
     draws = draws[np.isfinite(draws)]
     used = len(draws)
     if used < LEAST_DRAWS:
@@ -206,9 +222,9 @@ def percentile_interval(
         return BootstrapInterval(label, value, none, none, none, none, none, none, none, used)
     tail = (1.0 - confidence) / 2.0
     # a normal quantile in the place of a t quantile, and the variance of draws is too small by
-    # (n - 1) / n: both are made good by going further out
-    reach = student.ppf(tail, experiments - 1) * np.sqrt(experiments / (experiments - 1.0))
-    outer = float(norm.cdf(reach))
+    # (n - 1) / n: both are corrected by quantiles further out
+    quantile = student.ppf(tail, experiments - 1) * np.sqrt(experiments / (experiments - 1.0))
+    outer = float(norm.cdf(quantile))
     low, high = np.quantile(draws, [tail, 1.0 - tail]).tolist()
     lower, upper = np.quantile(draws, [outer, 1.0 - outer]).tolist()
     return BootstrapInterval(

@@ -84,7 +84,7 @@ class IntervalRow:
 
 
 def correlation_rows(found: Uncertainty) -> list[CorrelationRow]:
-    """Those of the shared unknowns, then each local one's with them."""
+    """Return the rows of the shared unknowns, then those of each local one with them."""
     rows = [
         CorrelationRow(label, other, float(found.correlations[i, j]))
         for i, label in enumerate(found.shared)
@@ -99,7 +99,7 @@ def correlation_rows(found: Uncertainty) -> list[CorrelationRow]:
 
 
 def direction_rows(found: Uncertainty) -> list[DirectionRow]:
-    """One for each unknown of each direction."""
+    """Return one row for each unknown of each direction."""
     return [
         DirectionRow(number, d.kind, *each, d.ratio, d.limit, d.sentence)
         for number, d in enumerate(found.directions)
@@ -108,7 +108,7 @@ def direction_rows(found: Uncertainty) -> list[DirectionRow]:
 
 
 def profile_rows(found: Sequence[ProfileResult]) -> list[ProfileRow]:
-    """One for each unknown at each point."""
+    """Return one row for each unknown at each point."""
     return [
         ProfileRow(profile.label, number, p.value, p.cost, p.root, unknown, estimate)
         for profile in found
@@ -118,7 +118,7 @@ def profile_rows(found: Sequence[ProfileResult]) -> list[ProfileRow]:
 
 
 def bootstrap_rows(found: BootstrapResult) -> list[BootstrapRow]:
-    """One for each shared unknown in each draw."""
+    """Return one row for each shared unknown in each draw."""
     return [
         BootstrapRow(number, label, estimate, d.cost, d.ending, " ".join(d.experiments))
         for number, d in enumerate(found.draws)
@@ -129,10 +129,17 @@ def bootstrap_rows(found: BootstrapResult) -> list[BootstrapRow]:
 def interval_rows(
     profiles: Sequence[ProfileResult], bootstrap: BootstrapResult | None
 ) -> list[IntervalRow]:
-    """All intervals that took refits."""
+    """Return all intervals that took refits."""
     rows = [
         IntervalRow(
-            p.label, "profile", p.confidence, p.value, p.lower, p.upper, p.open_lower, p.open_upper
+            p.label,
+            "profile",
+            p.confidence,
+            p.value,
+            p.lower,
+            p.upper,
+            p.open_lower.value,
+            p.open_upper.value,
         )
         for p in profiles
     ]

@@ -1,4 +1,4 @@
-"""What is to be found out about the uncertainty of a fit."""
+"""Settings of the uncertainty of a fit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cluster_est.errors import ProblemError
 
 @dataclass(frozen=True)
 class UncertaintySettings:
-    """Which intervals to compute besides those from the derivatives, which cost nothing.
+    """The intervals to compute besides those from derivatives, which cost nothing.
 
     Attributes
     ----------
@@ -18,8 +18,9 @@ class UncertaintySettings:
         "shared" for all that several experiments determine, or "all". A profile costs some ten
         fits of the other unknowns, which begin close to their minimum.
     bootstrap
-        How often to draw experiments and fit again; 0 for not at all. Take at least 200, and 1000
-        where there are fewer than 10 experiments: the ends of the intervals are then rare draws.
+        Number of draws of experiments, each fitted again; 0 for not at all. Take at least 200, and
+        1000 where there are fewer than 10 experiments: the ends of the intervals are then rare
+        draws.
     confidence
         Of profiles and bootstrap.
     steps

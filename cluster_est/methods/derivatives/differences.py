@@ -24,7 +24,7 @@ from workers.messages import FloatArray, Solver
 
 Scheme = Literal["forward", "central"]
 Differences = Literal["auto", "forward", "central", "sensitivities"]
-"""What a user may choose."""
+"""The choices of a user."""
 LARGE = 2**23
 """Entries above which a solution keeps its Jacobian in blocks, where those are much smaller."""
 NOISE_OF_TOLERANCE = 1e-3
@@ -33,12 +33,12 @@ NOISE_OF_CVODE = 10.0
 """The same of CVODE, which changes order and step in leaps; 1 to 100 on stiff models."""
 NOISE_FIXED = 1e-14
 NOISE_UNKNOWN = 1e-11
-"""Of a co-simulation FMU, whose solver nobody sees."""
+"""Of a co-simulation FMU, whose solver is not known."""
 
 
 @dataclass(frozen=True)
 class ResidualJacobian:
-    """Derivatives at a point.
+    """The Jacobian of the residuals and of the constraints at a point.
 
     Attributes
     ----------
@@ -47,35 +47,35 @@ class ResidualJacobian:
     frozen : (unknowns,)
         Unknowns whose derivative could not be computed because a simulation failed.
     steps : (unknowns,)
-        What was added to each unknown.
-    constraints : (constraints, unknowns)
+        The difference step of each unknown.
+    constraint_jacobian : (constraints, unknowns)
         Derivatives of `Evaluation.constraints`; zero in frozen columns too.
     """
 
     blocks: BlockMatrix
     frozen: npt.NDArray[np.bool_]
     steps: FloatArray
-    constraints: FloatArray
+    constraint_jacobian: FloatArray
 
     @cached_property
     def matrix(self) -> FloatArray:
-        """(residuals, unknowns): the whole matrix, for those who need it in one piece."""
+        """The residuals' Jacobian as one array (residuals, unknowns)."""
         return self.blocks.dense()
 
     @property
-    def whole(self) -> FloatArray | None:
+    def dense_if_small(self) -> FloatArray | None:
         """`matrix`, unless it is too large for `Solution.jacobian`."""
-        return None if self.large is not None else self.matrix
+        return None if self.blocks_if_large is not None else self.matrix
 
     @property
-    def large(self) -> BlockMatrix | None:
+    def blocks_if_large(self) -> BlockMatrix | None:
         """`blocks`, where the whole matrix is too large."""
-        entries = self.blocks.height * self.blocks.size
+        entries = self.blocks.row_count * self.blocks.size
         return self.blocks if self.blocks.sparse and entries > LARGE else None
 
 
 def relative_noise(solver: Solver) -> float:
-    """How large the noise of a simulation is, relative to its result."""
+    """Return the noise of a simulation relative to its result."""
     if solver.name == "rk4":
         return NOISE_FIXED
     if solver.name == "cvode":
@@ -88,7 +88,7 @@ def relative_noise(solver: Solver) -> float:
 def difference_steps(
     space: SearchSpace, x: FloatArray, scheme: Scheme, relative: float
 ) -> FloatArray:
-    """A step for each unknown, with the sign that keeps forward differences within the bounds.
+    """Return a step for each unknown, with the sign that keeps forward differences within bounds.
 
     A relative step of 0 takes the one that suits the simulation's noise.
     """
@@ -97,8 +97,8 @@ def difference_steps(
         relative = noise ** (0.5 if scheme == "forward" else 1.0 / 3.0)
     logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
     size = np.where(logarithmic, 1.0, np.maximum(np.abs(x), space.typical))
-    room = np.maximum(space.upper - x, x - space.lower)
-    steps = np.minimum(relative * size, 0.5 * room)
+    distance = np.maximum(space.upper - x, x - space.lower)
+    steps = np.minimum(relative * size, 0.5 * distance)
     steps = (x + steps) - x
     return np.where(x + steps > space.upper, -steps, steps)
 
@@ -123,19 +123,28 @@ def jacobian(
         0 for the step that suits the solver.
     """
     steps = difference_steps(space, x, scheme, relative_step)
-    ahead = np.tile(x, (len(space.colours), 1))
-    behind = ahead.copy()
+    plus = np.tile(x, (len(space.colours), 1))
+    minus = plus.copy()
     for colour, members in enumerate(space.colours):
-        ahead[colour, members] += steps[members]
-        behind[colour, members] -= steps[members]
+        plus[colour, members] += steps[members]
+        minus[colour, members] -= steps[members]
     if scheme == "forward":
-        forward = yield Points(ahead, "jacobian", progress)
-        widths = ahead - x
-        return _assemble(space, x, at, steps, forward, [at] * len(forward), widths)
-    behind = np.clip(behind, space.lower, space.upper)
-    both = yield Points(np.vstack([ahead, behind]), "jacobian_central", progress)
-    high, low = both[: len(ahead)], both[len(ahead) :]
-    return _assemble(space, x, at, steps, high, low, ahead - behind)
+        forward = yield Points(plus, "jacobian", progress)
+        quotients = _ColouredDifferences(forward, [at] * len(forward), plus - x)
+        return _assemble(space, x, at, steps, quotients)
+    minus = np.clip(minus, space.lower, space.upper)
+    both = yield Points(np.vstack([plus, minus]), "jacobian_central", progress)
+    quotients = _ColouredDifferences(both[: len(plus)], both[len(plus) :], plus - minus)
+    return _assemble(space, x, at, steps, quotients)
+
+
+@dataclass(frozen=True)
+class _ColouredDifferences:
+    """Two evaluations for each colour, and their distances (colours, unknowns)."""
+
+    plus: list[Evaluation]
+    minus: list[Evaluation]
+    widths: FloatArray
 
 
 def _assemble(
@@ -143,17 +152,15 @@ def _assemble(
     x: FloatArray,
     at: Evaluation,
     steps: FloatArray,
-    ahead: list[Evaluation],
-    behind: list[Evaluation],
-    widths: FloatArray,
+    quotients: _ColouredDifferences,
 ) -> ResidualJacobian:
     """Take each unknown's column from the experiments that it acts on, in its colour's point."""
-    places = space.constraint_rows
+    constraint_rows = space.constraint_rows
     pairs = zip(at.rows, space.acting, strict=True)
-    parts = [np.zeros((row.stop - row.start, len(columns))) for row, columns in pairs]
+    blocks = [np.zeros((row.stop - row.start, len(columns))) for row, columns in pairs]
     constraints = np.zeros((len(space.constraint_names), space.size))
-    own = space.parameter_constraint_slopes(x)
-    constraints[: len(own)] = own
+    on_parameters = space.parameter_constraint_slopes(x)
+    constraints[: len(on_parameters)] = on_parameters
     frozen = np.zeros(space.size, dtype=bool)
     colour_of = np.zeros(space.size, np.intp)
     for colour, members in enumerate(space.colours):
@@ -161,17 +168,17 @@ def _assemble(
     for e, columns in enumerate(space.acting):
         for j, i in enumerate(columns.tolist()):
             colour = colour_of[i]
-            high, low = ahead[colour].outcomes[e], behind[colour].outcomes[e]
-            width = widths[colour, i]
-            if high.residuals is None or low.residuals is None or width == 0.0:
+            plus, minus = quotients.plus[colour].outcomes[e], quotients.minus[colour].outcomes[e]
+            width = quotients.widths[colour, i]
+            if plus.residuals is None or minus.residuals is None or width == 0.0:
                 frozen[i] = True
                 continue
-            parts[e][:, j] = (high.residuals - low.residuals) / width
-            if places[e].stop > places[e].start:
-                constraints[places[e], i] = (high.constraints - low.constraints) / width
-    for part, columns in zip(parts, space.acting, strict=True):
-        part[:, frozen[columns]] = 0.0
+            blocks[e][:, j] = (plus.residuals - minus.residuals) / width
+            if constraint_rows[e].stop > constraint_rows[e].start:
+                constraints[constraint_rows[e], i] = (plus.constraints - minus.constraints) / width
+    for block, columns in zip(blocks, space.acting, strict=True):
+        block[:, frozen[columns]] = 0.0
     constraints[:, frozen] = 0.0
     return ResidualJacobian(
-        BlockMatrix(tuple(parts), space.acting, space.size), frozen, steps, constraints
+        BlockMatrix(tuple(blocks), space.acting, space.size), frozen, steps, constraints
     )

@@ -34,22 +34,22 @@ class CostDerivatives:
     ----------
     gradient : (unknowns,)
         Of the cost; zero for frozen unknowns.
-    constraints : (constraints, unknowns)
+    constraint_jacobian : (constraints, unknowns)
         Of `Evaluation.constraints`; zero in frozen columns, too.
-    curvature : (unknowns, unknowns) or None
+    gauss_newton : (unknowns, unknowns) or None
         2 J'WJ, the Gauss-Newton matrix of the cost, where it has weights.
     frozen : (unknowns,)
         Unknowns whose derivatives could not be computed, because a simulation failed or a
         constraint has no value close by.
-    residuals
+    residual_jacobian
         The Jacobian of the residuals, where the cost has weights.
     """
 
     gradient: FloatArray
-    constraints: FloatArray
-    curvature: FloatArray | None
+    constraint_jacobian: FloatArray
+    gauss_newton: FloatArray | None
     frozen: npt.NDArray[np.bool_]
-    residuals: ResidualJacobian | None = field(default=None, repr=False)
+    residual_jacobian: ResidualJacobian | None = field(default=None, repr=False)
 
 
 def derivatives(
@@ -59,7 +59,8 @@ def derivatives(
     scheme: Scheme,
     relative_step: float,
     progress: Progress | None,
-    slopes: JacobianProvider | None = None,
+    *,
+    provider: JacobianProvider | None = None,
 ) -> Generator[Points, list[Evaluation], CostDerivatives]:
     """Ask, in one request, for all that the derivatives at `x` need.
 
@@ -72,24 +73,37 @@ def derivatives(
         cost has no weights; "central" costs two.
     relative_step
         0 for the step that suits the solver.
-    slopes
-        How Jacobians are taken, in place of the last two.
+    progress
+        For the table of iterations.
+    provider
+        The source of Jacobians, in place of `scheme` and `relative_step`.
     """
     residuals = at.residuals
     weights = space.problem.cost.weights(residuals, space.outputs)
     if weights is None:
-        return (yield from _of_cost(space, x, at, scheme, relative_step, progress))
-    if slopes is not None:
-        found = yield from slopes.jacobian(space, x, at, progress)
+        return (yield from _cost_differences(space, x, at, scheme, relative_step, progress))
+    if provider is not None:
+        jacobians = yield from provider.jacobian(space, x, at, progress)
     else:
-        found = yield from jacobian(space, x, at, scheme, relative_step, progress)
-    weighted = found.matrix * weights[:, None]
+        jacobians = yield from jacobian(space, x, at, scheme, relative_step, progress)
+    return _from_jacobian(jacobians, residuals, weights)
+
+
+def _from_jacobian(
+    jacobians: ResidualJacobian, residuals: FloatArray, weights: FloatArray
+) -> CostDerivatives:
+    """Return 2 J'Wr and 2 J'WJ."""
+    weighted = jacobians.matrix * weights[:, None]
     gradient = 2.0 * np.add.reduce(weighted * residuals[:, None], axis=0)
-    curvature = 2.0 * (found.matrix.T @ weighted)
-    return _sound(CostDerivatives(gradient, found.constraints, curvature, found.frozen, found))
+    gauss_newton = 2.0 * (jacobians.matrix.T @ weighted)
+    return _freeze_undefined(
+        CostDerivatives(
+            gradient, jacobians.constraint_jacobian, gauss_newton, jacobians.frozen, jacobians
+        )
+    )
 
 
-def _of_cost(
+def _cost_differences(
     space: SearchSpace,
     x: FloatArray,
     at: Evaluation,
@@ -97,40 +111,40 @@ def _of_cost(
     relative_step: float,
     progress: Progress | None,
 ) -> Generator[Points, list[Evaluation], CostDerivatives]:
-    """Differences of the cost itself: a point for each unknown, or two."""
+    """Ask for differences of the cost itself: a point for each unknown, or two."""
     steps = difference_steps(space, x, scheme, relative_step)
-    ahead = x + np.diag(steps)
-    behind = np.tile(x, (space.size, 1))
+    x_plus = x + np.diag(steps)
+    x_minus = np.tile(x, (space.size, 1))
     if scheme == "forward":
-        high = yield Points(ahead, "gradient", progress)
-        low = [at] * space.size
+        plus = yield Points(x_plus, "gradient", progress)
+        minus = [at] * space.size
     else:
-        behind = np.clip(x - np.diag(steps), space.lower, space.upper)
-        both = yield Points(np.vstack([ahead, behind]), "gradient_central", progress)
-        high, low = both[: space.size], both[space.size :]
-    widths = np.diagonal(ahead - behind)
+        x_minus = np.clip(x - np.diag(steps), space.lower, space.upper)
+        both = yield Points(np.vstack([x_plus, x_minus]), "gradient_central", progress)
+        plus, minus = both[: space.size], both[space.size :]
+    widths = np.diagonal(x_plus - x_minus)
     gradient = np.zeros(space.size)
     constraints = np.zeros((len(space.constraint_names), space.size))
     frozen = np.zeros(space.size, dtype=bool)
     for i, width in enumerate(widths.tolist()):
-        slope = (high[i].cost - low[i].cost) / width if width != 0.0 else np.nan
-        frozen[i] = not np.isfinite(slope)
+        derivative = (plus[i].cost - minus[i].cost) / width if width != 0.0 else np.nan
+        frozen[i] = not np.isfinite(derivative)
         if not frozen[i]:
-            gradient[i] = slope
-            constraints[:, i] = (high[i].constraints - low[i].constraints) / width
-    own = space.parameter_constraint_slopes(x)
-    constraints[: len(own)] = np.where(frozen, 0.0, own)
-    return _sound(CostDerivatives(gradient, constraints, None, frozen))
+            gradient[i] = derivative
+            constraints[:, i] = (plus[i].constraints - minus[i].constraints) / width
+    on_parameters = space.parameter_constraint_slopes(x)
+    constraints[: len(on_parameters)] = np.where(frozen, 0.0, on_parameters)
+    return _freeze_undefined(CostDerivatives(gradient, constraints, None, frozen))
 
 
-def _sound(found: CostDerivatives) -> CostDerivatives:
+def _freeze_undefined(found: CostDerivatives) -> CostDerivatives:
     """Freeze unknowns with which a constraint loses its value."""
-    lost = ~np.isfinite(found.constraints).all(axis=0)
-    if not lost.any():
+    undefined = ~np.isfinite(found.constraint_jacobian).all(axis=0)
+    if not undefined.any():
         return found
     return replace(
         found,
-        gradient=np.where(lost, 0.0, found.gradient),
-        constraints=np.where(lost, 0.0, found.constraints),
-        frozen=found.frozen | lost,
+        gradient=np.where(undefined, 0.0, found.gradient),
+        constraint_jacobian=np.where(undefined, 0.0, found.constraint_jacobian),
+        frozen=found.frozen | undefined,
     )

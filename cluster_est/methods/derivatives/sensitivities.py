@@ -1,4 +1,4 @@
-"""Jacobians that the model carries along with a simulation, for as long as they can be trusted.
+"""Jacobians by forward sensitivities of the model, for as long as they can be trusted.
 
 A worker gives the derivatives of the residuals by the physical values (see
 `workers.simulation.sensitivities`); the chain rule gives those by the unknowns. The first of them
@@ -10,6 +10,7 @@ their place where they are, or where the model has none.
 from __future__ import annotations
 
 from collections.abc import Generator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,23 +34,23 @@ AGREEMENT = 1e-3
 LEAST_EFFECT = 1e-3
 """An unknown that matters less than this part of the one that matters most is checked less."""
 
-Asking = Generator[Points, list[Evaluation], ResidualJacobian]
+JacobianRequests = Generator[Points, list[Evaluation], ResidualJacobian]
 
 
 class JacobianProvider:
-    """How a search takes its Jacobians.
+    """The source of a search's Jacobians: forward sensitivities or differences.
 
     Parameters
     ----------
     differences
-        "sensitivities" for those that the model carries along, and as "auto" where it has none.
+        "sensitivities" for the model's forward sensitivities, and as "auto" where it has none.
 
     Attributes
     ----------
     scheme
         Of the differences; None as long as sensitivities are taken.
     note
-        Why they are not any more; "" if nothing is wrong.
+        The reason for differences instead of sensitivities; "" if there is none.
     """
 
     def __init__(self, space: SearchSpace, differences: Differences, relative_step: float) -> None:
@@ -63,116 +64,116 @@ class JacobianProvider:
 
     @property
     def exact(self) -> bool:
-        """Whether no better ones are to be had."""
+        """True if there are no more exact ones."""
         return self.scheme != "forward"
 
     def refine(self) -> bool:
-        """Go over from forward to central differences, where that is left open; whether it was."""
+        """Change from forward to central differences if the user left that open; return whether."""
         if not self._automatic or self.exact:
             return False
         self.scheme = "central"
         return True
 
     def jacobian(
-        self, near: SearchSpace, x: FloatArray, at: Evaluation, progress: Progress | None
-    ) -> Asking:
-        """Ask for a Jacobian; `near` is the space, with the sizes for central differences."""
+        self, scaled: SearchSpace, x: FloatArray, at: Evaluation, progress: Progress | None
+    ) -> JacobianRequests:
+        """Ask for a Jacobian; `scaled` is the space with the sizes for central differences."""
         if self.scheme is None:
-            found = yield from carried(self._space, x, at, progress)
-            if isinstance(found, ResidualJacobian):
-                why = "" if self._checked else (yield from disagreement(self._space, x, found))
+            found = yield from forward_sensitivities(self._space, x, at, progress)
+            if isinstance(found, ResidualJacobian) and not self._checked:
                 self._checked = True
-            else:
-                why = found
-            if isinstance(found, ResidualJacobian) and not why:
+                found = (yield from check_sensitivities(self._space, x, found)) or found
+            if isinstance(found, ResidualJacobian):
                 return found
-            self.note, self.scheme = (
-                f"differences took the place of sensitivities: {why}",
-                "forward",
-            )
-        space = near if self.scheme == "central" else self._space
+            self.note = f"differences took the place of sensitivities: {found.reason}"
+            self.scheme = "forward"
+        space = scaled if self.scheme == "central" else self._space
         return (yield from jacobian(space, x, at, self.scheme, self._relative_step, progress))
 
 
-def carried(
+@dataclass(frozen=True)
+class UnusableSensitivities:
+    """Sensitivities that a model does not give, or that are wrong, and why."""
+
+    reason: str
+
+
+def forward_sensitivities(
     space: SearchSpace, x: FloatArray, at: Evaluation, progress: Progress | None
-) -> Generator[Points, list[Evaluation], ResidualJacobian | str]:
-    """Ask for one point with sensitivities. Returns the Jacobian, or why there is none."""
+) -> Generator[Points, list[Evaluation], ResidualJacobian | UnusableSensitivities]:
+    """Ask for one point with sensitivities and make the Jacobian of them."""
     (found,) = yield Points(x[None, :], "sensitivities", progress, sensitivities=True)
-    rows, places = at.rows, space.constraint_rows
-    parts = [
-        np.zeros((row.stop - row.start, len(c))) for row, c in zip(rows, space.acting, strict=True)
-    ]
     constraints = np.zeros((len(space.constraint_names), space.size))
-    own = space.parameter_constraint_slopes(x)
-    constraints[: len(own)] = own
+    on_parameters = space.parameter_constraint_slopes(x)
+    constraints[: len(on_parameters)] = on_parameters
     given: list[FloatArray] = []
     for outcome in found.outcomes:
         if outcome.sensitivities is None:
-            return outcome.message
+            return UnusableSensitivities(outcome.message)
         given.append(outcome.sensitivities)
-    for e, chain in enumerate(_chain(space, x)):
-        used = np.flatnonzero(chain.any(axis=1))
-        slopes = given[e][:, used]
-        if not np.isfinite(slopes).all():
-            bad = used[np.flatnonzero(~np.isfinite(slopes).all(axis=0))[0]]
+    blocks = []
+    for e, dp_dx in enumerate(_physical_derivatives(space, x)):
+        used = np.flatnonzero(dp_dx.any(axis=1))
+        dr_dp = given[e][:, used]
+        if not np.isfinite(dr_dp).all():
+            bad = used[np.flatnonzero(~np.isfinite(dr_dp).all(axis=0))[0]]
             name = space.problem.model.parameters[bad]
-            return f"the model has no finite ones by {name!r}"
-        columns = slopes @ chain[used]
-        parts[e] = columns[: len(parts[e])]
-        constraints[places[e], space.acting[e]] = columns[len(parts[e]) :]
-    blocks = BlockMatrix(tuple(parts), space.acting, space.size)
+            return UnusableSensitivities(f"the model has no finite ones by {name!r}")
+        dr_dx, count = dr_dp @ dp_dx[used], at.rows[e].stop - at.rows[e].start
+        blocks.append(dr_dx[:count])
+        constraints[space.constraint_rows[e], space.acting[e]] = dr_dx[count:]
+    matrix = BlockMatrix(tuple(blocks), space.acting, space.size)
     steps = difference_steps(space, x, "central", 0.0)
-    return ResidualJacobian(blocks, np.zeros(space.size, bool), steps, constraints)
+    return ResidualJacobian(matrix, np.zeros(space.size, bool), steps, constraints)
 
 
-def _chain(space: SearchSpace, x: FloatArray) -> list[FloatArray]:
-    """For each experiment (parameters, unknowns that act on it): d physical / d x."""
+def _physical_derivatives(space: SearchSpace, x: FloatArray) -> list[FloatArray]:
+    """Return, for each experiment, (parameters, unknowns that act on it): d physical / d x."""
     steps = CHAIN_STEP * np.where(x == 0.0, 1.0, np.maximum(np.abs(x), 1e-3 * space.typical))
-    parts = [np.zeros((len(space.problem.model.parameters), len(c))) for c in space.acting]
+    factors = [np.zeros((len(space.problem.model.parameters), len(c))) for c in space.acting]
     colour_of = np.zeros(space.size, np.intp)
-    tables = []
+    by_colour = []
     for colour, members in enumerate(space.colours):
         colour_of[members] = colour
-        ahead, behind = x.copy(), x.copy()
-        ahead[members] = np.minimum(x[members] + steps[members], space.upper[members])
-        behind[members] = np.maximum(x[members] - steps[members], space.lower[members])
-        tables.append((space.physical(ahead) - space.physical(behind), ahead - behind))
+        plus, minus = x.copy(), x.copy()
+        plus[members] = np.minimum(x[members] + steps[members], space.upper[members])
+        minus[members] = np.maximum(x[members] - steps[members], space.lower[members])
+        by_colour.append((space.physical(plus) - space.physical(minus), plus - minus))
     for e, columns in enumerate(space.acting):
         for j, i in enumerate(columns.tolist()):
-            change, widths = tables[colour_of[i]]
+            change, widths = by_colour[colour_of[i]]
             if widths[i] > 0.0:
-                parts[e][:, j] = change[e] / widths[i]
-    return parts
+                factors[e][:, j] = change[e] / widths[i]
+    return factors
 
 
-def disagreement(
+def check_sensitivities(
     space: SearchSpace, x: FloatArray, found: ResidualJacobian
-) -> Generator[Points, list[Evaluation], str]:
-    """Compare a Jacobian with a difference along one direction. Returns what is wrong, or ""."""
-    ahead, behind = _sides(space, x, found)
-    high, low = yield Points(np.vstack([ahead, behind]), "sensitivities_check")
-    if not (high.ok and low.ok):
-        return f"they could not be checked ({high.reason or low.reason})"
-    expected, change = found.matrix @ (ahead - behind), high.residuals - low.residuals
+) -> Generator[Points, list[Evaluation], UnusableSensitivities | None]:
+    """Compare a Jacobian with a difference along one direction; return what is wrong, if it is."""
+    x_plus, x_minus = _check_points(space, x, found)
+    plus, minus = yield Points(np.vstack([x_plus, x_minus]), "sensitivities_check")
+    if not (plus.ok and minus.ok):
+        return UnusableSensitivities(f"they could not be checked ({plus.reason or minus.reason})")
+    expected, change = found.matrix @ (x_plus - x_minus), plus.residuals - minus.residuals
     tolerance = AGREEMENT + 10.0 * (space.problem.model.solver.rtol or 0.0)
     whole = max(float(np.linalg.norm(change)), float(np.linalg.norm(expected)))
-    for e, row in enumerate(high.rows):
+    for e, row in enumerate(plus.rows):
         size = max(float(np.linalg.norm(change[row])), 0.01 * whole)
         error = float(np.linalg.norm(change[row] - expected[row]))
         if error > tolerance * size:
             name = space.problem.experiments[space.experiments[e]].id
-            return (
+            return UnusableSensitivities(
                 f"the FMU's directional derivatives disagree with differences by "
                 f"{100.0 * error / size:.2g} % in experiment {name!r}"
             )
-    return ""
+    return None
 
 
-def _sides(
+def _check_points(
     space: SearchSpace, x: FloatArray, found: ResidualJacobian
 ) -> tuple[FloatArray, FloatArray]:
-    """Two points between which every unknown that matters changes the residuals equally much."""
+    """Return two points between which each unknown that matters changes the residuals as much."""
     logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
     sizes = np.where(logarithmic, 1.0, np.maximum(np.abs(x), space.typical))
     effects = np.sqrt(np.add.reduce(found.matrix**2, axis=0)) * sizes

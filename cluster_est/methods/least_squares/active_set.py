@@ -1,10 +1,10 @@
 """The minimum of a strictly convex quadratic function within bounds, from unbounded minima.
 
-Unknowns that leave their bounds are fixed there, and fixed ones that the slope pulls back are
-freed, all at once as long as that lessens their number, else one at a time, which ends after
-finitely many rounds: J. J. Judice, F. M. Pires, Comput. Oper. Res. 21 (1994) 587-596,
-doi:10.1016/0305-0548(94)90106-6. A round costs the same however many change their places, so it
-suits problems of thousands of unknowns.
+Unknowns that leave their bounds are fixed there, and fixed ones whose multiplier has the wrong sign
+are freed, all at once as long as that lessens their number, else one at a time, which ends after
+finitely many rounds (block principal pivoting): J. J. Judice, F. M. Pires, Comput. Oper. Res. 21
+(1994) 587-596, doi:10.1016/0305-0548(94)90106-6. A round costs the same however many unknowns
+change, so it suits problems of thousands of unknowns.
 """
 
 from __future__ import annotations
@@ -19,63 +19,48 @@ from workers.messages import FloatArray
 ROUNDS = 60
 """After which the last minimum is moved into the bounds instead."""
 PATIENCE = 5
-"""Rounds without fewer wrong places, before places change one at a time."""
+"""Rounds without fewer infeasibilities, before one unknown changes at a time."""
 ROUNDING = 1e-14
-"""Of the terms of a slope: less of it has no sign."""
+"""Of the terms of a gradient: less of it has no sign."""
 
 Solve = Callable[[npt.NDArray[np.bool_], FloatArray], FloatArray]
-Slope = Callable[[FloatArray], tuple[FloatArray, float]]
+Gradient = Callable[[FloatArray], tuple[FloatArray, float]]
 
 
 def within_bounds(
-    solve: Solve, slope: Slope, lower: FloatArray, upper: FloatArray, rounds: int = ROUNDS
+    solve: Solve, gradient: Gradient, lower: FloatArray, upper: FloatArray, rounds: int = ROUNDS
 ) -> FloatArray:
-    """(unknowns,): the minimum within bounds.
+    """Return the minimum (unknowns,) within bounds.
 
     Parameters
     ----------
     solve
-        Of which unknowns are fixed, and where: the minimum over the others.
-    slope
-        Of a point: the gradient there, in units in which curvatures are about 1, and how large its
-        terms are.
+        From a mask of the fixed unknowns and their values: the minimum over the others.
+    gradient
+        From a point: the gradient there, in units in which curvatures are about 1, and the size of
+        its terms.
     lower, upper : (unknowns,)
         They may be the same.
     """
     count = len(lower)
-    pinned = upper <= lower
-    sides = np.where(pinned, -1, 0)
+    equal = upper <= lower
+    active = np.where(equal, -1, 0)  # -1 and 1 for the bounds, 0 for between them
     fewest, patience = count + 1, PATIENCE
-    found = np.zeros(count)
+    x = np.zeros(count)
     for _ in range(rounds):
-        target = np.where(sides < 0, lower, upper)
-        found = solve(sides != 0, np.where(sides != 0, target, 0.0))
-        wanted = _places(found, sides, pinned, slope, lower, upper)
-        wrong = np.flatnonzero(wanted != sides)
-        if not len(wrong):
+        bound = np.where(active < 0, lower, upper)
+        x = solve(active != 0, np.where(active != 0, bound, 0.0))
+        wanted = np.where(active == 0, np.where(x < lower, -1, np.where(x > upper, 1, 0)), active)
+        if (active != 0).any():
+            g, size = gradient(x)
+            wanted = np.where((active * g > ROUNDING * size) & ~equal, 0, wanted)
+        infeasible = np.flatnonzero(wanted != active)
+        if not len(infeasible):
             break
-        if len(wrong) < fewest:
-            fewest, patience = len(wrong), PATIENCE
+        if len(infeasible) < fewest:
+            fewest, patience = len(infeasible), PATIENCE
         else:
             patience -= 1
-        chosen = wrong if patience > 0 else wrong[-1:]
-        sides[chosen] = wanted[chosen]
-    return np.clip(found, lower, upper)
-
-
-def _places(
-    found: FloatArray,
-    sides: npt.NDArray[np.int_],
-    pinned: npt.NDArray[np.bool_],
-    slope: Slope,
-    lower: FloatArray,
-    upper: FloatArray,
-) -> npt.NDArray[np.int_]:
-    """Where each unknown belongs, as a minimum tells: -1, 1 for its bounds, 0 for between them."""
-    free = sides == 0
-    wanted = np.where(free & (found < lower), -1, np.where(free & (found > upper), 1, sides))
-    if (sides != 0).any():
-        gradient, size = slope(found)
-        pulled = sides * gradient > ROUNDING * size
-        wanted = np.where(pulled & ~pinned, 0, wanted)
-    return wanted
+        changed = infeasible if patience > 0 else infeasible[-1:]
+        active[changed] = wanted[changed]
+    return np.clip(x, lower, upper)

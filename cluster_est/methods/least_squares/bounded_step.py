@@ -1,4 +1,7 @@
-"""The damped Gauss-Newton step within bounds, for many damping factors from one factorisation."""
+"""The damped Gauss-Newton step within bounds, for many damping factors from one factorisation.
+
+Symbols: J the Jacobian, r the residuals, D the scaling, p the step, lambda the damping.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,12 @@ from scipy.optimize import lsq_linear
 
 from workers.messages import FloatArray
 
-WIDE = 1e10
+LARGEST_RATIO = 1e10
 """Columns whose sizes differ by more than this are brought to one size before they are factored."""
 
 
 class StepSolver:
-    """Minimises |J p + r|^2 + damping |D p|^2 subject to lower <= p <= upper.
+    """Minimises |J p + r|^2 + lambda |D p|^2 subject to lower <= p <= upper.
 
     J is reduced to its triangular factor once, so each further damping factor costs a problem as
     small as the number of unknowns.
@@ -44,7 +47,7 @@ class StepSolver:
         self._lower, self._upper = lower * self._units, upper * self._units
 
     def step(self, damping: float) -> FloatArray:
-        """The step for one damping factor; it is zero for unknowns whose column is zero."""
+        """Return the step for one lambda; it is zero for unknowns whose column is zero."""
         size = len(self._scale)
         factor, right = self._triangle[:, :size], -self._triangle[:, size]
         system = np.vstack([factor, np.sqrt(damping) * np.diag(self._scale)])
@@ -57,16 +60,16 @@ class StepSolver:
         return np.asarray(np.clip(solved, self._lower, self._upper) / self._units)
 
     def predicted_cost(self, step: FloatArray) -> float:
-        """|J p + r|^2, the cost that the linear model expects after a step."""
+        """Return |J p + r|^2, the cost that the linear model predicts after a step."""
         values = self._triangle @ np.append(step * self._units, 1.0)
         return float(values @ values)
 
 
 def _units(scale: FloatArray) -> FloatArray:
-    """Powers of two that bring the columns to one size, where sizes are far apart; else ones.
+    """Return powers of two that bring columns to one size, where sizes are far apart; else ones.
 
     Small columns would be lost in the rounding of large ones. Dividing by ones changes no bit.
     """
-    if np.max(scale, initial=0.0) <= WIDE * np.min(scale, initial=np.inf):
+    if np.max(scale, initial=0.0) <= LARGEST_RATIO * np.min(scale, initial=np.inf):
         return np.ones_like(scale)
     return np.asarray(2.0 ** np.round(np.log2(scale)), np.float64)

@@ -1,9 +1,9 @@
-"""Steps that follow a curved valley, from trials that were evaluated anyway.
+"""Steps along a curved valley: second-order corrections from trials that were evaluated anyway.
 
-A trial x + v tells how the residuals bend along v. Solving for the step again with the residuals
-r(x + v) - J v in place of r gives v + b, where b is the second-order correction: half the geodesic
-acceleration of M. K. Transtrum, J. P. Sethna, arXiv:1201.5885 (2012). Along the parabola
-s v + s^2 b a step can go on further than it was tried.
+A trial x + v shows the curvature of the residuals along v. Solving for the step again with the
+residuals r(x + v) - J v in place of r gives v + b, where b is the second-order correction: half the
+geodesic acceleration of M. K. Transtrum, J. P. Sethna, arXiv:1201.5885 (2012). Along the parabola
+s v + s^2 b a step can be longer than the trial.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from cluster_est.methods.least_squares.local_model import LocalModel
 from workers.messages import FloatArray
 
 CORRECTED = 2
-"""Trials, the boldest, that are corrected because they failed or gained less than a shorter one."""
-FURTHER = (2.0, 4.0)
-"""How many times as far as the best trial to go on along its parabola."""
+"""Trials, the longest, that are corrected because they reduced the cost less than a shorter one."""
+EXTENSIONS = (2.0, 4.0)
+"""Values of s at which the parabola of the best trial is tried, too."""
 
 
 @dataclass(frozen=True)
-class TriedPoints:
-    """Points that were tried from one point, from the boldest on.
+class TrialPoints:
+    """Points that were tried from one point, the longest step first.
 
     Attributes
     ----------
     points, steps : (trials, unknowns)
     dampings : (trials,)
-        Those that the steps stand for.
+        Of the steps.
     evaluations
-        What came of them.
+        Of the points.
     """
 
     points: FloatArray
@@ -47,7 +47,7 @@ class TriedPoints:
 
     @property
     def best(self) -> int:
-        """The boldest of those with the least cost."""
+        """The longest step of those with the least cost."""
         return int(np.argmin(self.costs))
 
     @property
@@ -56,16 +56,16 @@ class TriedPoints:
 
 
 def curved_steps(
-    model: LocalModel, trials: TriedPoints, before: float
+    model: LocalModel, trials: TrialPoints, before: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Further steps to try, with the dampings that they stand for.
+    """Return further steps to try, and the dampings of the trials that they follow from.
 
     Parameters
     ----------
     model
-        Around the point from which the trials went.
+        Around the point from which the trials started.
     trials
-        What has been tried.
+        Evaluated steps.
     before
         Cost of the point.
 
@@ -75,25 +75,25 @@ def curved_steps(
         At most as many as there were trials; none where the correction is larger than the step.
     """
     count, best, costs = len(trials.steps), trials.best, trials.costs
-    lowered = trials.least < before
-    failed = [i for i in range(best if lowered else count) if np.isfinite(costs[i])]
+    improved = trials.least < before
+    rejected = [i for i in range(best if improved else count) if np.isfinite(costs[i])]
     steps: list[FloatArray] = []
     dampings: list[float] = []
-    for i in failed[:CORRECTED]:
-        bend = _bend(model, trials, i)
-        if model.length(bend) <= model.length(trials.steps[i]):
-            steps.append(trials.steps[i] + bend)
+    for i in rejected[:CORRECTED]:
+        b = _correction(model, trials, i)
+        if model.norm(b) <= model.norm(trials.steps[i]):
+            steps.append(trials.steps[i] + b)
             dampings.append(float(trials.dampings[i]))
-    if lowered:
-        step, bend = trials.steps[best], _bend(model, trials, best)
-        for s in FURTHER:
-            if s * model.length(bend) <= model.length(step):
-                steps.append(s * step + s * s * bend)
+    if improved:
+        v, b = trials.steps[best], _correction(model, trials, best)
+        for s in EXTENSIONS:
+            if s * model.norm(b) <= model.norm(v):
+                steps.append(s * v + s * s * b)
                 dampings.append(float(trials.dampings[best]) / s)
     return np.array(steps[:count]), np.array(dampings[:count])
 
 
-def _bend(model: LocalModel, trials: TriedPoints, i: int) -> FloatArray:
+def _correction(model: LocalModel, trials: TrialPoints, i: int) -> FloatArray:
     step = trials.steps[i]
     corrected = model.corrected(step, trials.evaluations[i], float(trials.dampings[i]))
     return np.asarray(corrected - step)

@@ -8,20 +8,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Points, Progress
-from cluster_est.methods.least_squares.curved_steps import TriedPoints, curved_steps
-from cluster_est.methods.least_squares.local_model import LocalModel, sizes
+from cluster_est.methods.least_squares.curved_steps import TrialPoints, curved_steps
+from cluster_est.methods.least_squares.local_model import LocalModel, unknown_sizes
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 DAMPING_RATIO = 10.0
 LEAST_DAMPING, LARGEST_DAMPING = 1e-14, 1e14
-PROMISED = 3.0
-"""How many times the gain of the best trial the model must promise before steps are bent."""
+CURVED_RATIO = 3.0
+"""Predicted over actual reduction above which second-order corrections are tried."""
 
 
 @dataclass(frozen=True)
 class IterationState:
-    """Where a search stands.
+    """The state of a search between iterations.
 
     Attributes
     ----------
@@ -31,8 +31,8 @@ class IterationState:
         Largest column norms of the Jacobian so far.
     damping
         With which the next steps begin.
-    offset
-        What a full step promised at the point before, over the sum of squares.
+    relative_reduction
+        Predicted for a full step at the point before, over the sum of squares.
     full_step
         The point before and its full step, if that was taken.
     """
@@ -42,13 +42,13 @@ class IterationState:
     progress: Progress
     largest: FloatArray
     damping: float
-    offset: float = 1.0
+    relative_reduction: float = 1.0
     full_step: tuple[FloatArray, FloatArray] | None = None
 
     def moved(
         self, space: SearchSpace, x: FloatArray, at: Evaluation, damping: float
     ) -> IterationState:
-        """One iteration further."""
+        """Return the state after an iteration."""
         progress = Progress(
             self.progress.iteration + 1,
             at.cost,
@@ -60,7 +60,7 @@ class IterationState:
 
 
 Result = tuple[IterationState, Ending | None]
-"""The next state, and why to stop there if so."""
+"""The next state, and the ending if it is the last one."""
 Steps = Generator[Points, list[Evaluation], Result]
 
 
@@ -71,11 +71,11 @@ class LeastSquaresIteration:
     Attributes
     ----------
     space
-        What is searched.
+        The space that is searched.
     trials
         Steps tried at once, each with ten times the damping of the one before.
     ftol, xtol
-        When a step is too small to go on.
+        Limits below which a step ends the search.
     """
 
     space: SearchSpace
@@ -86,57 +86,57 @@ class LeastSquaresIteration:
     def iterate(self, state: IterationState, model: LocalModel) -> Steps:
         """Try steps, with ever more damping, until one lowers the cost or none ever will."""
         damping = state.damping
-        bolder = min(1, self.trials - 1)
+        below = min(1, self.trials - 1)  # trials with less damping than the state's
         while True:
-            dampings = damping * DAMPING_RATIO ** (np.arange(float(self.trials)) - bolder)
+            dampings = damping * DAMPING_RATIO ** (np.arange(float(self.trials)) - below)
             steps = np.array([model.step(d) for d in dampings])
             if self._negligible(state, model, steps[0]):
                 return state, Ending.CONVERGED
             trials = yield from self._try(state, "trial", steps, dampings)
-            if self._bends(state, model, trials):
-                curved, softer = curved_steps(model, trials, state.at.cost)
-                if len(curved):
-                    more = yield from self._try(state, "curved", curved, softer)
-                    trials = trials if trials.least <= more.least else more
+            if self._is_curved(state, model, trials):
+                steps, steps_dampings = curved_steps(model, trials, state.at.cost)
+                if len(steps):
+                    curved = yield from self._try(state, "curved", steps, steps_dampings)
+                    trials = trials if trials.least <= curved.least else curved
             if trials.least < state.at.cost:
                 return self._accept(state, model, trials)
-            damping = dampings[-1] * DAMPING_RATIO ** (1 + bolder)
+            damping = dampings[-1] * DAMPING_RATIO ** (1 + below)
             if damping > LARGEST_DAMPING:
                 return state, Ending.STALLED
 
     def _try(
         self, state: IterationState, purpose: str, steps: FloatArray, dampings: FloatArray
-    ) -> Generator[Points, list[Evaluation], TriedPoints]:
+    ) -> Generator[Points, list[Evaluation], TrialPoints]:
         points = np.clip(state.x + steps, self.space.lower, self.space.upper)
         evaluations = yield Points(points, purpose, state.progress)
-        return TriedPoints(points, points - state.x, dampings, evaluations)
+        return TrialPoints(points, points - state.x, dampings, evaluations)
 
-    def _bends(self, state: IterationState, model: LocalModel, trials: TriedPoints) -> bool:
-        """Whether the boldest trial promised much more than the best one gained."""
-        usable = np.flatnonzero(np.isfinite(trials.costs))
-        if not len(usable):
+    def _is_curved(self, state: IterationState, model: LocalModel, trials: TrialPoints) -> bool:
+        """Return whether the longest trial's prediction was far above the best actual reduction."""
+        finite = np.flatnonzero(np.isfinite(trials.costs))
+        if not len(finite):
             return False
-        promised = model.gain(trials.steps[usable[0]])
-        gained = max(state.at.cost - trials.least, 0.0)
-        return promised > max(PROMISED * gained, self.ftol * model.squares)
+        predicted = model.predicted_reduction(trials.steps[finite[0]])
+        actual = max(state.at.cost - trials.least, 0.0)
+        return predicted > max(CURVED_RATIO * actual, self.ftol * model.squares)
 
-    def _accept(self, state: IterationState, model: LocalModel, trials: TriedPoints) -> Result:
+    def _accept(self, state: IterationState, model: LocalModel, trials: TrialPoints) -> Result:
         best = trials.best
         x, step, damping = trials.points[best], trials.steps[best], float(trials.dampings[best])
-        expected, gained = model.gain(step), state.at.cost - trials.least
-        trusted = gained > 0.25 * expected
+        predicted, actual = model.predicted_reduction(step), state.at.cost - trials.least
+        trusted = actual > 0.25 * predicted
         if self.trials == 1 and trusted:
             damping /= DAMPING_RATIO
-        small = max(gained, expected) <= self.ftol * model.squares
-        short = np.all(np.abs(step) <= self.xtol * sizes(self.space, x))
+        small = max(actual, predicted) <= self.ftol * model.squares
+        short = np.all(np.abs(step) <= self.xtol * unknown_sizes(self.space, x))
         converged = small or (short and trusted)
         new = state.moved(self.space, x, trials.evaluations[best], damping)
         return new, Ending.CONVERGED if converged else None
 
     def _negligible(self, state: IterationState, model: LocalModel, step: FloatArray) -> bool:
-        """Whether even the boldest step would change or gain nothing."""
-        bold = state.damping <= 1.0
-        return bold and (
-            bool(np.all(np.abs(step) <= self.xtol * sizes(self.space, state.x)))
-            or model.gain(step) <= 1e-3 * self.ftol * model.squares
+        """Return whether even a step with little damping changes nothing."""
+        long = state.damping <= 1.0
+        return long and (
+            bool(np.all(np.abs(step) <= self.xtol * unknown_sizes(self.space, state.x)))
+            or model.predicted_reduction(step) <= 1e-3 * self.ftol * model.squares
         )

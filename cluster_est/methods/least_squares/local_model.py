@@ -1,4 +1,7 @@
-"""What a least-squares search knows around a point: steps, and what they should gain."""
+"""The Gauss-Newton model around a point: its steps, and the reductions that it predicts.
+
+Symbols: J the Jacobian, r the residuals, w the weights, D the scaling, p a step.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,12 @@ import numpy as np
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation
 from cluster_est.methods.derivatives.differences import ResidualJacobian
-from cluster_est.methods.least_squares.linear_model import LinearMap, linear_map
+from cluster_est.methods.least_squares.linear_map import LinearMap, linear_map
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 LONGEST_STEP = 10.0
-"""How many times its own size an unknown may change in one step.
+"""Largest change of an unknown in one step, over its own size.
 
 A longer one can lead to where nothing depends on an unknown any more, and there is no way back.
 """
@@ -22,7 +25,7 @@ class LocalModel:
     """The Gauss-Newton model of a cost around a point, within bounds.
 
     With the cost's weights w the gradient of the cost is 2 J'r of sqrt(w) J and sqrt(w) r, so that
-    |J p + r|^2 of these has the slope of the cost at p = 0, and its steps go downhill.
+    |J p + r|^2 of these has the gradient of the cost at p = 0, and its steps descend.
 
     Parameters
     ----------
@@ -39,7 +42,7 @@ class LocalModel:
     scale : (unknowns,)
         `largest` with the column norms at this point; damping is scaled by it.
     optimality
-        Largest cosine between the residuals and a column whose unknown can still move downhill.
+        Largest cosine between the residuals and a column that is not held by a bound.
     """
 
     def __init__(
@@ -52,48 +55,48 @@ class LocalModel:
     ) -> None:
         self._roots = np.sqrt(_weights(space, at))
         self._residuals = self._roots * at.residuals
-        self._map = linear_map(derivatives, self._roots)
+        self._jacobian = linear_map(derivatives, self._roots)
         with np.errstate(over="ignore"):
             self.squares = float(np.add.reduce(self._residuals * self._residuals))
-        norms = self._map.norms()
+        norms = self._jacobian.norms()
         self.scale = np.maximum(largest, norms)
-        self.optimality = _optimality(space, x, self._map, norms, self._residuals)
-        room = _longest_step(space, x)
-        self._bounds = np.maximum(space.lower - x, -room), np.minimum(space.upper - x, room)
-        self._damped = np.where(self.scale > 0.0, self.scale, 1.0)
-        self._solver = self._map.solver(self._residuals, self._damped, *self._bounds)
+        self.optimality = _optimality(space, x, self._jacobian, norms, self._residuals)
+        longest = _longest_step(space, x)
+        self._bounds = np.maximum(space.lower - x, -longest), np.minimum(space.upper - x, longest)
+        self._diagonal = np.where(self.scale > 0.0, self.scale, 1.0)
+        self._solver = self._jacobian.solver(self._residuals, self._diagonal, *self._bounds)
 
     def step(self, damping: float) -> FloatArray:
-        """The step p that minimises the model plus damping |D p|^2."""
+        """Return the step p that minimises the model plus damping |D p|^2."""
         return self._solver.step(damping)
 
     def corrected(self, step: FloatArray, at: Evaluation, damping: float) -> FloatArray:
-        """The same step, had the model known how the residuals bend towards `at`, its end."""
-        bent = self._roots * at.residuals - self._map.product(step)
-        return self._map.solver(bent, self._damped, *self._bounds).step(damping)
+        """Return the step for residuals with the curvature that `at`, its end, shows."""
+        curved = self._roots * at.residuals - self._jacobian.product(step)
+        return self._jacobian.solver(curved, self._diagonal, *self._bounds).step(damping)
 
-    def gain(self, step: FloatArray) -> float:
-        """By how much the model expects a step to lower the cost."""
+    def predicted_reduction(self, step: FloatArray) -> float:
+        """Return the reduction of the cost that the model predicts for a step."""
         return self.squares - self._solver.predicted_cost(step)
 
-    def length(self, step: FloatArray) -> float:
-        """|D p|, the length of a step whatever the units of the unknowns."""
-        return float(np.linalg.norm(self._damped * step))
+    def norm(self, step: FloatArray) -> float:
+        """Return |D p|, the length of a step whatever the units of the unknowns."""
+        return float(np.linalg.norm(self._diagonal * step))
 
-    def product(self, one: FloatArray, other: FloatArray) -> float:
-        """The inner product of steps whose norm is `length`."""
-        return float(np.add.reduce((self._damped * one) * (self._damped * other)))
+    def inner_product(self, one: FloatArray, other: FloatArray) -> float:
+        """Return the inner product of two steps that goes with `norm`."""
+        return float(np.add.reduce((self._diagonal * one) * (self._diagonal * other)))
 
 
-def sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
-    """(unknowns,): how large each unknown is, to judge whether a step is short or long."""
+def unknown_sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
+    """Return the size (unknowns,) of each unknown, to which the length of a step is relative."""
     return np.maximum(np.abs(x), space.typical)
 
 
 def _longest_step(space: SearchSpace, x: FloatArray) -> FloatArray:
-    """(unknowns,): how far each unknown may move; no limit where nothing tells its size."""
+    """Return the largest change (unknowns,) of each; infinite where its size is not known."""
     unknown = (space.start == 0.0) & ~np.isfinite(space.upper - space.lower)
-    return np.where(unknown, np.inf, LONGEST_STEP * sizes(space, x))
+    return np.where(unknown, np.inf, LONGEST_STEP * unknown_sizes(space, x))
 
 
 def _weights(space: SearchSpace, at: Evaluation) -> FloatArray:
@@ -107,10 +110,10 @@ def _weights(space: SearchSpace, at: Evaluation) -> FloatArray:
 
 
 def _optimality(
-    space: SearchSpace, x: FloatArray, map_: LinearMap, norms: FloatArray, residuals: FloatArray
+    space: SearchSpace, x: FloatArray, jacobian: LinearMap, norms: FloatArray, residuals: FloatArray
 ) -> float:
-    gradient = map_.transposed_product(residuals)
+    gradient = jacobian.transposed_product(residuals)
     norms = norms * np.linalg.norm(residuals)
     blocked = ((x <= space.lower) & (gradient > 0.0)) | ((x >= space.upper) & (gradient < 0.0))
-    usable = ~blocked & (norms > 0.0)
-    return float(np.max(np.abs(gradient[usable]) / norms[usable], initial=0.0))
+    free = ~blocked & (norms > 0.0)
+    return float(np.max(np.abs(gradient[free]) / norms[free], initial=0.0))

@@ -1,13 +1,13 @@
-"""A Levenberg-Marquardt method within bounds and constraints, that asks for much at once.
+"""A Levenberg-Marquardt method within bounds and constraints, for parallel evaluations.
 
 An iteration is two requests: one point for each colour of unknowns (the Jacobian), then steps for
 several damping factors at the same time, of which the best is taken. The number of trial steps is
 an option and never the number of workers, so the result does not depend on the machine. Where the
-model promised much more than the best trial gained, a third request follows the curvature that the
-trials have shown.
+predicted reduction is far above the best actual one, a third request follows the curvature that
+the trials have shown.
 
 Each step minimises the linear model within the bounds exactly, so a bound that becomes active does
-not bend the step of the other unknowns. Damping is scaled by the largest column norms seen, which
+not bend the step of the other unknowns. Damping is scaled by the largest column norms so far, which
 makes the iterates independent of the units of the unknowns.
 
 References: D. W. Marquardt, J. SIAM 11 (1963) 431-441, doi:10.1137/0111030; J. J. More, The
@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.base import (
     Ending,
@@ -31,7 +32,7 @@ from cluster_est.methods.base import (
 )
 from cluster_est.methods.derivatives.differences import Differences, ResidualJacobian
 from cluster_est.methods.derivatives.sensitivities import JacobianProvider
-from cluster_est.methods.least_squares.final_steps import polish
+from cluster_est.methods.least_squares.final_steps import final_step
 from cluster_est.methods.least_squares.iteration import (
     LEAST_DAMPING,
     IterationState,
@@ -39,13 +40,13 @@ from cluster_est.methods.least_squares.iteration import (
     Steps,
 )
 from cluster_est.methods.least_squares.local_model import LocalModel
-from cluster_est.methods.sqp.trust_region import SqpOptions, sequential_search
+from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
-FIRST_DAMPING = 1e-3
-SHRUNK = 0.1
-"""An unknown this much smaller than its start deserves smaller differences at the end."""
+INITIAL_DAMPING = 1e-3
+SMALLER = 0.1
+"""An unknown this much smaller than its start gets smaller differences at the end."""
 CONSTRAINED_XTOL = 1e-6
 """Shortest step under constraints; at their kinks the cost stops falling long before it."""
 
@@ -94,6 +95,7 @@ class LeastSquares(Method):
     differences: Differences = "auto"
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
 
+    @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         return self._constrained(space) if space.constraint_names else self._free(space)
 
@@ -107,43 +109,43 @@ class LeastSquares(Method):
             hessian="gauss_newton",
             speculative_gradient=False,
         )
-        return sequential_search(space, settings)
+        return trust_region_search(space, settings)
 
     def _free(self, space: SearchSpace) -> Search:
         x = space.start
         (at,) = yield Points(x[None, :], "start", Progress(0, np.nan))
         if not at.ok:
             return Solution(x, np.nan, Ending.START_FAILED, at.reason)
-        state = IterationState(x, at, Progress(0, at.cost), np.zeros(space.size), FIRST_DAMPING)
-        slopes = JacobianProvider(space, self.differences, self.relative_step)
+        state = IterationState(x, at, Progress(0, at.cost), np.zeros(space.size), INITIAL_DAMPING)
+        provider = JacobianProvider(space, self.differences, self.relative_step)
         while True:
-            near = _shrunk(space, state.x)
-            derivatives = yield from slopes.jacobian(near, state.x, state.at, state.progress)
-            state, ending = yield from self._iterate(space, state, derivatives, slopes.exact)
+            scaled = _with_current_sizes(space, state.x)
+            jacobian = yield from provider.jacobian(scaled, state.x, state.at, state.progress)
+            state, ending = yield from self._iterate(space, state, jacobian, provider.exact)
             if ending is None:
                 continue
-            if ending in (Ending.CONVERGED, Ending.STALLED) and slopes.refine():
-                state = replace(state, damping=min(state.damping, FIRST_DAMPING))
+            if ending in (Ending.CONVERGED, Ending.STALLED) and provider.refine():
+                state = replace(state, damping=min(state.damping, INITIAL_DAMPING))
                 continue
             return Solution(
                 x=state.x,
                 cost=state.at.cost,
                 ending=ending,
-                message=slopes.note,
+                message=provider.note,
                 iterations=state.progress.iteration,
-                jacobian=derivatives.whole,
-                block_jacobian=derivatives.large,
-                difference_steps=derivatives.steps,
+                jacobian=jacobian.dense_if_small,
+                block_jacobian=jacobian.blocks_if_large,
+                difference_steps=jacobian.steps,
                 at=state.at,
             )
 
     def _iterate(
-        self, space: SearchSpace, state: IterationState, derivatives: ResidualJacobian, exact: bool
+        self, space: SearchSpace, state: IterationState, jacobian: ResidualJacobian, exact: bool
     ) -> Steps:
-        """From a Jacobian to the next point. Returns the new state, and why to stop if so."""
-        if derivatives.frozen.all():
+        """Go from a Jacobian to the next point. Return the new state, and the ending if any."""
+        if jacobian.frozen.all():
             return state, Ending.DERIVATIVES_FAILED
-        model = LocalModel(space, state.x, state.at, derivatives, state.largest)
+        model = LocalModel(space, state.x, state.at, jacobian, state.largest)
         if model.squares == 0.0:
             return state, Ending.PERFECT
         progress = replace(state.progress, optimality=model.optimality, damping=state.damping)
@@ -153,17 +155,18 @@ class LeastSquares(Method):
         if state.progress.iteration >= self.max_iterations:
             return state, Ending.MAX_ITERATIONS
         if exact:
-            polished = yield from polish(space, state, model, self.ftol)
-            if polished is not None:
-                return polished
-        state = replace(state, offset=model.gain(model.step(LEAST_DAMPING)) / model.squares)
-        descent = LeastSquaresIteration(space, self.trials, self.ftol, self.xtol)
-        return (yield from descent.iterate(state, model))
+            final = yield from final_step(space, state, model, self.ftol)
+            if final is not None:
+                return final
+        reduction = model.predicted_reduction(model.step(LEAST_DAMPING)) / model.squares
+        state = replace(state, relative_reduction=reduction)
+        iteration = LeastSquaresIteration(space, self.trials, self.ftol, self.xtol)
+        return (yield from iteration.iterate(state, model))
 
 
-def _shrunk(space: SearchSpace, x: FloatArray) -> SearchSpace:
-    """The same space, for differences, with starts as small as unknowns have become."""
-    small = (np.abs(x) < SHRUNK * space.typical) & (space.start != 0.0)
-    size = np.maximum(np.abs(x), SHRUNK**2 * space.typical)
+def _with_current_sizes(space: SearchSpace, x: FloatArray) -> SearchSpace:
+    """Return the space, for differences, with starts as small as unknowns have become."""
+    small = (np.abs(x) < SMALLER * space.typical) & (space.start != 0.0)
+    size = np.maximum(np.abs(x), SMALLER**2 * space.typical)
     start = np.where(small, np.copysign(size, x), space.start)
     return space.starting_at(np.clip(start, space.lower, space.upper))

@@ -1,4 +1,4 @@
-"""`scipy.optimize.least_squares` on the same farm: its Jacobians are ours, one request each."""
+"""`scipy.optimize.least_squares`, with Jacobians by coloured differences, one request each."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 from scipy.optimize import least_squares
+from typing_extensions import override
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
@@ -19,17 +20,17 @@ from cluster_est.methods.base import (
     Search,
     Solution,
 )
-from cluster_est.methods.callback_bridge import Ask, drive, search_in_thread
+from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
 from cluster_est.methods.derivatives.differences import Scheme, jacobian
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 FAILED_RESIDUAL = 1e100
-"""SciPy knows no failed evaluation: it is told of a residual so large that it shortens its step."""
+"""SciPy has no failed evaluations: a residual so large makes it shorten its step."""
 
 
 class _StartFailedError(Exception):
-    pass
+    """Raised through SciPy if the start cannot be simulated."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class ScipyLeastSquares(Method):
     differences: Literal["forward", "central"] = "forward"
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
 
+    @override
     def check(self, space: SearchSpace) -> None:
         cost = space.problem.cost
         if not isinstance(cost, SumSquared):
@@ -76,24 +78,25 @@ class ScipyLeastSquares(Method):
                 '"trf" or remove them'
             )
 
+    @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         return search_in_thread(lambda ask: self._solve(space, ask))
 
     def _solve(self, space: SearchSpace, ask: Ask) -> Solution:
-        known = _EvaluationCache(space, ask)
+        cache = _LastEvaluation(space, ask)
         scheme: Scheme = self.differences
 
         def derivatives(x: FloatArray) -> FloatArray:
-            at = known.evaluation(x)
-            steps = jacobian(space, x, at, scheme, self.relative_step, known.progress)
-            found = drive(steps, ask)
-            known.steps = found.steps
+            at = cache.evaluation(x)
+            requests = jacobian(space, x, at, scheme, self.relative_step, cache.progress)
+            found = run_with(requests, ask)
+            cache.steps = found.steps
             return found.matrix
 
         try:
             with np.errstate(over="ignore"):  # of a trial step, whose cost is then infinite
                 result = least_squares(
-                    known.residuals,
+                    cache.residuals,
                     space.start,
                     jac=derivatives,
                     bounds=(space.lower, space.upper)
@@ -110,17 +113,17 @@ class ScipyLeastSquares(Method):
             return Solution(space.start, np.nan, Ending.START_FAILED, str(failure))
         return Solution(
             x=result.x,
-            cost=known.evaluation(result.x).cost,
+            cost=cache.evaluation(result.x).cost,
             ending=Ending.CONVERGED if result.status > 0 else Ending.MAX_ITERATIONS,
             message=result.message,
-            iterations=known.progress.iteration,
+            iterations=cache.progress.iteration,
             jacobian=result.jac,
-            difference_steps=known.steps,
+            difference_steps=cache.steps,
         )
 
 
-class _EvaluationCache:
-    """Evaluations that SciPy asked for, so that a Jacobian does not ask for its point again."""
+class _LastEvaluation:
+    """The last evaluation, so that a Jacobian does not ask for its point again."""
 
     def __init__(self, space: SearchSpace, ask: Ask) -> None:
         self._space, self._ask = space, ask
@@ -149,5 +152,5 @@ class _EvaluationCache:
 
 
 def _tolerance(value: float) -> float | None:
-    """SciPy switches a criterion off with None."""
+    """Return a tolerance for SciPy, which switches a criterion off with None."""
     return value if value > 0.0 else None

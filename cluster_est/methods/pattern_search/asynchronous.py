@@ -1,9 +1,9 @@
 """A pattern search that never waits for the slowest simulation.
 
-Every direction of the poll has a step of its own. As soon as a point is better than the one that
-is polled around, the search moves there, and what was asked around the old one and has not begun is
-taken back; a direction in which a point was no better is tried again with a smaller step, whatever
-the others do. P. D. Hough, T. G. Kolda, V. J. Torczon, Asynchronous parallel pattern search for
+Every direction of the poll has a step of its own. As soon as a point is better than the centre of
+the poll, the search moves there, and points around the old centre that have not begun are dropped;
+a direction in which a point was no better is tried again with a smaller step, whatever the others
+do. P. D. Hough, T. G. Kolda, V. J. Torczon, Asynchronous parallel pattern search for
 nonlinear optimization, SIAM J. Sci. Comput. 23 (2001) 134-156, doi:10.1137/S1064827599365823; with
 one coordinator, T. G. Kolda, SIAM J. Optim. 16 (2005) 563-586, doi:10.1137/040603589.
 """
@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.base import Ending, Points, Progress, Search, Solution
 from cluster_est.methods.pattern_search.asynchronous_state import PollState
@@ -36,9 +37,9 @@ class AsynchronousPatternSearch(PatternMethod):
     Attributes
     ----------
     outstanding
-        How many points are asked for and not answered at any time, slow ones not counted; 0 for
-        twice the number of unknowns. Should be more than there are workers: those that wait fill
-        gaps.
+        Number of points that are requested and not answered at any time, slow ones not counted; 0
+        for twice the number of unknowns. Should be more than there are workers: those that wait
+        fill gaps.
     basis, axes, search_step, search_points, initial_mesh, mesh_tolerance, expansion, contraction
         As in `pattern_search`, for each direction on its own.
     max_iterations
@@ -50,23 +51,26 @@ class AsynchronousPatternSearch(PatternMethod):
 
     outstanding: int = field(default=0, metadata={"least": 0})
 
+    @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         (at,) = yield Points(space.start[None, :], "start", Progress(0, np.nan))
         if not at.ok:
             return Solution(space.start, np.nan, Ending.START_FAILED, at.reason)
         state = PatternState(space, self, generator, at)
-        course = PollState(state, self, self.outstanding or 2 * space.size)
+        poll = PollState(state, self, self.outstanding or 2 * space.size)
         while True:
-            asked = course.next()
-            drop = course.unwanted()
-            if course.ending is not None:
+            requests = poll.next_requests()
+            drop = poll.take_dropped()
+            if poll.ending is not None:
                 break
-            x = np.array([state.frame.x(point.u) for point in asked]).reshape(-1, space.size)
-            answers = yield Points(x, "poll", course.progress, asynchronous=True, drop=drop)
-            course.receive(answers)
-            if course.progress.iteration >= self.max_iterations and course.ending is None:
-                course.ending = Ending.MAX_ITERATIONS
+            x = np.array([state.coordinates.x(point.u) for point in requests]).reshape(
+                -1, space.size
+            )
+            answers = yield Points(x, "poll", poll.progress, asynchronous=True, drop=drop)
+            poll.receive(answers)
+            if poll.progress.iteration >= self.max_iterations and poll.ending is None:
+                poll.ending = Ending.MAX_ITERATIONS
         if drop:
             nothing = np.zeros((0, space.size))
-            yield Points(nothing, "poll", course.progress, asynchronous=True, drop=drop)
-        return solution_of(state, course.ending, course.progress.iteration)
+            yield Points(nothing, "poll", poll.progress, asynchronous=True, drop=drop)
+        return solution_of(state, poll.ending, poll.progress.iteration)

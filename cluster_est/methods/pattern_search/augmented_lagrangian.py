@@ -1,4 +1,4 @@
-"""One number of a cost and its constraints: an augmented Lagrangian.
+"""An augmented Lagrangian of a cost and its constraints.
 
 For constraints c <= 0 or c = 0, multipliers m and a penalty p it is
 
@@ -21,11 +21,11 @@ from cluster_est.methods.base import TOLERANCE
 from workers.messages import FloatArray
 
 MARGIN = 0.5 * TOLERANCE
-"""Inequalities are aimed at so far inside: their minima are approached from outside."""
+"""Inequalities are tightened by this, because minima are approached from outside."""
 CLOSE = 0.5 * TOLERANCE
-ENOUGH = 0.25
-"""Part of the gap that may remain after a minimisation, or the penalty grows."""
-STRONGER = 8.0
+LARGEST_REMAINDER = 0.25
+"""Part of the error that may remain after a minimisation, or the penalty grows."""
+PENALTY_FACTOR = 8.0
 FIRST_PENALTY = 30.0
 
 
@@ -36,30 +36,30 @@ class AugmentedLagrangian:
     Attributes
     ----------
     equality : (constraints,)
-        Which constraints must be 0.
+        True for constraints that must be 0.
     margins : (constraints,)
-        How far inside the others are aimed at.
+        By which the others are tightened.
     multipliers : (constraints,)
         In units of the cost.
     penalty
         In units of the cost.
-    gap
-        What was missing when the multipliers were updated last.
+    error
+        Of the constraints and multipliers, see `constraint_error`, at the last update.
     """
 
     equality: npt.NDArray[np.bool_]
     margins: FloatArray
     multipliers: FloatArray
     penalty: float
-    gap: float = np.inf
+    error: float = np.inf
 
     def shifted(self, constraints: FloatArray) -> FloatArray:
-        """What the multipliers would be after an update at these constraints."""
+        """Return t, the multipliers after an update at these constraints."""
         found = self.multipliers + self.penalty * (constraints + self.margins)
         return np.where(self.equality, found, np.maximum(found, 0.0))
 
     def values(self, costs: FloatArray, constraints: FloatArray) -> FloatArray:
-        """(points,) of (points,) costs and (points, constraints); infinite where those are."""
+        """Return the values (points,) of costs (points,) and constraints (points, constraints)."""
         if not len(self.equality):
             return costs
         with np.errstate(over="ignore", invalid="ignore"):
@@ -67,30 +67,31 @@ class AugmentedLagrangian:
             found = costs + np.add.reduce(squares, axis=-1) / (2.0 * self.penalty)
         return np.where(np.isnan(found), np.inf, found)
 
-    def missing(self, constraints: FloatArray) -> float:
-        """How far a point is from satisfying the constraints, and with them as active as at it."""
-        moved = np.abs(self.shifted(constraints) - self.multipliers)
-        return float(moved.max(initial=0.0)) / self.penalty
+    def constraint_error(self, constraints: FloatArray) -> float:
+        """Return the largest |t - m| / p: a violation, or the slack where m is not 0."""
+        change = np.abs(self.shifted(constraints) - self.multipliers)
+        return float(change.max(initial=0.0)) / self.penalty
 
     def updated(self, constraints: FloatArray) -> AugmentedLagrangian:
-        """With the multipliers of a minimum; with more penalty if it came hardly closer."""
-        gap = self.missing(constraints)
-        new = replace(self, multipliers=self.shifted(constraints), gap=gap)
-        return new.stronger() if gap > max(CLOSE, ENOUGH * self.gap) else new
+        """Return it with the multipliers t, and a larger penalty if the error hardly fell."""
+        error = self.constraint_error(constraints)
+        new = replace(self, multipliers=self.shifted(constraints), error=error)
+        return new.stronger() if error > max(CLOSE, LARGEST_REMAINDER * self.error) else new
 
     def stronger(self) -> AugmentedLagrangian:
-        return replace(self, penalty=STRONGER * self.penalty)
+        """Return it with a larger penalty."""
+        return replace(self, penalty=PENALTY_FACTOR * self.penalty)
 
 
 def first_lagrangian(equality: npt.NDArray[np.bool_], on_parameters: int) -> AugmentedLagrangian:
-    """Without multipliers, and with a penalty that means nothing yet.
+    """Return one without multipliers, and with a penalty that is to be replaced.
 
     Parameters
     ----------
     equality : (constraints,)
-        Which constraints must be 0.
+        True for constraints that must be 0.
     on_parameters
-        How many of them, at the front, are kept by other means.
+        Number of them, at the front, that are satisfied by other means.
     """
     margins = np.where(equality, 0.0, MARGIN)
     margins[:on_parameters] = 0.0
@@ -98,7 +99,7 @@ def first_lagrangian(equality: npt.NDArray[np.bool_], on_parameters: int) -> Aug
 
 
 def first_penalty(costs: FloatArray, constraints: FloatArray) -> float:
-    """A penalty that suits how much costs and constraints differ from those of the first point.
+    """Return a penalty that suits how much costs and constraints differ from the first point's.
 
     Parameters
     ----------
@@ -108,8 +109,8 @@ def first_penalty(costs: FloatArray, constraints: FloatArray) -> float:
         Finite.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        gain = float(np.median(np.abs(costs[1:] - costs[0]))) if len(costs) > 1 else 0.0
+        cost_change = float(np.median(np.abs(costs[1:] - costs[0]))) if len(costs) > 1 else 0.0
         change = np.abs(constraints[1:] - constraints[0]).max(axis=1, initial=0.0)
-        far = float(np.mean(change)) if len(change) else 0.0
-    gain = gain or abs(float(costs[0])) or 1.0
-    return FIRST_PENALTY * gain / (far or 1.0) ** 2
+        distance = float(np.mean(change)) if len(change) else 0.0
+    cost_change = cost_change or abs(float(costs[0])) or 1.0
+    return FIRST_PENALTY * cost_change / (distance or 1.0) ** 2

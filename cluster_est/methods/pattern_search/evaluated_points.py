@@ -1,4 +1,4 @@
-"""What a pattern search has seen: every point that was polled, with its cost and constraints."""
+"""All points that a pattern search has evaluated, with their costs and constraints."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy.typing as npt
 from cluster_est.methods.base import Evaluation
 from workers.messages import FloatArray, IntArray
 
-ROUNDED = 2.0**-40
-"""Points that agree to this, in units of a noticeable change, are one."""
+ROUNDING = 2.0**-40
+"""Points that agree to this, in units of a noticeable change, are the same."""
 
 
 class EvaluatedPoints:
@@ -39,7 +39,7 @@ class EvaluatedPoints:
 
     @property
     def costs(self) -> FloatArray:
-        """Infinite where a simulation failed."""
+        """(points,); infinite where a simulation failed."""
         return self._costs[: self._count]
 
     @property
@@ -51,7 +51,7 @@ class EvaluatedPoints:
         return key(u) in self._numbers
 
     def add(self, u: FloatArray, evaluation: Evaluation) -> int:
-        """Remember a point; its number."""
+        """Add a point; return its number."""
         if self._count == len(self._costs):
             self._points = np.concatenate([self._points, np.empty_like(self._points)])
             self._costs = np.concatenate([self._costs, np.empty_like(self._costs)])
@@ -70,25 +70,25 @@ class EvaluatedPoints:
 
     @property
     def finite(self) -> npt.NDArray[np.bool_]:
-        """(points,): whether cost and constraints have values."""
+        """(points,): True where cost and constraints have values."""
         return np.isfinite(self.costs) & np.isfinite(self.constraints).all(axis=1)
 
     def quantities(self, numbers: IntArray) -> FloatArray:
-        """(numbers, 1 + constraints): the costs of some points, then their constraints."""
+        """Return (numbers, 1 + constraints): the costs of some points, then their constraints."""
         return np.column_stack([self.costs[numbers], self.constraints[numbers]])
 
     def violation(self, number: int, equality: npt.NDArray[np.bool_]) -> float:
-        """The largest violation of the constraints at a point."""
+        """Return the largest violation of the constraints at a point."""
         found = self.constraints[number]
         return float(np.where(equality, np.abs(found), found).max(initial=0.0))
 
-    def around(self, u: FloatArray, reach: float, most: int) -> IntArray:
-        """Numbers of the points with finite values within `reach` of u, the nearest first."""
+    def near(self, u: FloatArray, distance: float, most: int) -> IntArray:
+        """Return the numbers of points with finite values within a distance of u, nearest first."""
         distances = np.abs(self.points - u).max(axis=1, initial=0.0)
-        found = np.flatnonzero(self.finite & (distances <= reach) & (distances > 0.0))
+        found = np.flatnonzero(self.finite & (distances <= distance) & (distances > 0.0))
         return found[np.argsort(distances[found], kind="stable")][:most]
 
 
 def key(u: FloatArray) -> bytes:
-    """The same for all points that count as one."""
-    return (np.rint(u / ROUNDED) + 0.0).tobytes()
+    """Return a key that is the same for points that count as the same."""
+    return (np.rint(u / ROUNDING) + 0.0).tobytes()

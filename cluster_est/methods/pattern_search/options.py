@@ -1,13 +1,15 @@
-"""What all pattern searches share: their options."""
+"""The options of all pattern searches."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
+from typing_extensions import override
+
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method
-from cluster_est.methods.pattern_search.bases import Axes, Basis
+from cluster_est.methods.pattern_search.poll_directions import Axes, Basis
 from cluster_est.problem.space import SearchSpace
 
 SearchStep = Literal["none", "latin_hypercube", "quadratic"]
@@ -31,6 +33,7 @@ class PatternMethod(Method):
     contraction: float = field(default=0.5, metadata={"least": 0.01})
     max_iterations: int = field(default=1000, metadata={"least": 1})
 
+    @override
     def check(self, space: SearchSpace) -> None:
         if not self.contraction < 1.0:
             raise ProblemError(

@@ -1,4 +1,4 @@
-"""Quadratic models of a cost and its constraints through points that were polled anyway.
+"""Quadratic models of a cost and its constraints through points that were evaluated anyway.
 
 Of all quadratics through too few points the one with the least second derivatives (in the
 Frobenius norm) is taken: A. L. Custodio, H. Rocha, L. N. Vicente, Incorporating minimum Frobenius
@@ -17,52 +17,54 @@ from cluster_est.methods.pattern_search.augmented_lagrangian import AugmentedLag
 from workers.messages import FloatArray
 
 CURVATURE_WEIGHT = 1e-5
-"""How little second derivatives count against missing a point."""
+"""Weight of second derivatives against errors at the points."""
 
 
 def points_needed(size: int) -> int:
-    """How many points determine a quadratic in `size` unknowns."""
+    """Return the number of points that determine a quadratic in `size` unknowns."""
     return (size + 1) * (size + 2) // 2
 
 
 @dataclass(frozen=True)
 class QuadraticModel:
-    """Values v + g s + s H s / 2 of some quantities, the cost first and then the constraints.
+    """Values v + g s + s H s / 2 of some functions, the cost first and then the constraints.
 
     Attributes
     ----------
-    values : (quantities,)
-        At s = 0.
-    gradients : (quantities, unknowns)
-    curvatures : (quantities, unknowns, unknowns)
+    values : (functions,)
+        v.
+    gradients : (functions, unknowns)
+        g.
+    hessians : (functions, unknowns, unknowns)
+        H.
     """
 
     values: FloatArray
     gradients: FloatArray
-    curvatures: FloatArray
+    hessians: FloatArray
 
     def predicted(self, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(steps,) costs and (steps, constraints) after some steps (steps, unknowns)."""
-        bent = np.einsum("qij,kj->kqi", self.curvatures, steps)
-        values = self.values + steps @ self.gradients.T + 0.5 * np.einsum("kqi,ki->kq", bent, steps)
+        """Return (steps,) costs and (steps, constraints) after some steps (steps, unknowns)."""
+        h_s = np.einsum("qij,kj->kqi", self.hessians, steps)
+        values = self.values + steps @ self.gradients.T + 0.5 * np.einsum("kqi,ki->kq", h_s, steps)
         return values[:, 0], values[:, 1:]
 
     def minimum(
         self, lagrangian: AugmentedLagrangian, lower: FloatArray, upper: FloatArray
     ) -> FloatArray:
-        """The step s within bounds at which the model's augmented Lagrangian is least."""
+        """Return the step s within bounds at which the model's augmented Lagrangian is least."""
         start = float(lagrangian.values(self.values[0], self.values[1:]))
-        slopes = self.gradients[0] + lagrangian.shifted(self.values[1:]) @ self.gradients[1:]
-        scale = float(np.abs(slopes).max() + np.abs(self.curvatures[0]).max()) or 1.0
+        gradient = self.gradients[0] + lagrangian.shifted(self.values[1:]) @ self.gradients[1:]
+        scale = float(np.abs(gradient).max() + np.abs(self.hessians[0]).max()) or 1.0
 
         def merit(s: FloatArray) -> tuple[float, FloatArray]:
-            bent = self.curvatures @ s
-            values = self.values + self.gradients @ s + 0.5 * (bent @ s)
-            slopes = self.gradients + bent
+            h_s = self.hessians @ s
+            values = self.values + self.gradients @ s + 0.5 * (h_s @ s)
+            gradients = self.gradients + h_s
             constraints = values[1:]
             value = float(lagrangian.values(values[0], constraints)) - start
-            slope = slopes[0] + lagrangian.shifted(constraints) @ slopes[1:]
-            return value / scale, slope / scale
+            gradient = gradients[0] + lagrangian.shifted(constraints) @ gradients[1:]
+            return value / scale, gradient / scale
 
         found = minimize(
             merit,
@@ -77,15 +79,15 @@ class QuadraticModel:
 
 
 def fit_model(base: FloatArray, steps: FloatArray, changes: FloatArray) -> QuadraticModel:
-    """The model that goes through `base` and, as far as it can, through the other points.
+    """Return the model that interpolates `base` and, as far as it can, the other points.
 
     Parameters
     ----------
-    base : (quantities,)
+    base : (functions,)
         Values at s = 0.
     steps : (points, unknowns)
         Of order 1.
-    changes : (points, quantities)
+    changes : (points, functions)
         Values there, less those at s = 0.
     """
     size = steps.shape[1]
@@ -93,15 +95,15 @@ def fit_model(base: FloatArray, steps: FloatArray, changes: FloatArray) -> Quadr
     # a coefficient's square is its part of the Frobenius norm
     factors = np.where(rows == columns, 0.5, np.sqrt(0.5))
     design = np.concatenate([steps, steps[:, rows] * steps[:, columns] * factors], axis=1)
-    # what a quadratic misses grows with the third power of the distance
+    # the error of a quadratic grows with the third power of the distance
     weights = 1.0 / np.maximum(1.0, np.abs(steps).max(axis=1)) ** 3
     penalty = np.zeros((len(rows), design.shape[1]))
     penalty[:, size:] = CURVATURE_WEIGHT * np.eye(len(rows))
     left = np.concatenate([design * weights[:, None], penalty])
     right = np.concatenate([changes * weights[:, None], np.zeros((len(rows), len(base)))])
     found = np.linalg.lstsq(left, right, rcond=1e-13)[0]
-    curvatures = np.zeros((len(base), size, size))
-    halves = found[size:].T * np.where(rows == columns, 0.5, np.sqrt(0.5))
-    curvatures[:, rows, columns] += halves
-    curvatures[:, columns, rows] += halves
-    return QuadraticModel(base, np.ascontiguousarray(found[:size].T), curvatures)
+    hessians = np.zeros((len(base), size, size))
+    coefficients = found[size:].T * np.where(rows == columns, 0.5, np.sqrt(0.5))
+    hessians[:, rows, columns] += coefficients
+    hessians[:, columns, rows] += coefficients
+    return QuadraticModel(base, np.ascontiguousarray(found[:size].T), hessians)

@@ -1,4 +1,4 @@
-"""Where a pattern search stands, and what it could ask for next."""
+"""The state of a pattern search, and the points that its next poll may request."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from cluster_est.methods.pattern_search.augmented_lagrangian import (
     first_lagrangian,
     first_penalty,
 )
-from cluster_est.methods.pattern_search.bases import aligned_axes, directions, reflection
 from cluster_est.methods.pattern_search.evaluated_points import EvaluatedPoints, key
 from cluster_est.methods.pattern_search.options import PatternMethod
+from cluster_est.methods.pattern_search.poll_directions import aligned_axes, directions, reflection
 from cluster_est.methods.pattern_search.quadratic_model import (
     QuadraticModel,
     fit_model,
@@ -24,47 +24,47 @@ from cluster_est.methods.pattern_search.quadratic_model import (
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
-MODEL_REACH = 4.0
-"""The model is made of points within so many meshes,"""
+MODEL_RADIUS = 4.0
+"""The model interpolates points within so many meshes."""
 MODEL_STEPS = (1.0, 3.0)
-"""and its minima within each of these many are asked for."""
-HYPERCUBE_REACH = 4.0
+"""In meshes: the bounds within which its minima are requested."""
+HYPERCUBE_RADIUS = 4.0
 """Meshes from the best point to the sides of the Latin hypercube."""
-TIGHTER, SLACKER = 0.1, 2.0
-"""With new multipliers the mesh must become this much finer, from this much coarser than that."""
-ESCAPED = 10.0
-"""A search that violates constraints so much more than it began with has too little penalty."""
+FINER, COARSER = 0.1, 2.0
+"""Factors of the tolerance with new multipliers, and of the mesh to start again with."""
+DIVERGED = 10.0
+"""Violation over that of the start from which on the penalty is too small."""
 LARGEST_PENALTY = 1e12
 """Times the first one."""
 
 
 @dataclass(frozen=True)
 class PollPlan:
-    """What could be asked for around a point, in the coordinates of the frame.
+    """The points around a centre that a poll may request, in scaled coordinates.
 
     Attributes
     ----------
     promising : (points, unknowns)
-        Further along the last step, and where a model has its minima.
+        Along the last step, and the minima of a model.
     directions : (directions, unknowns)
-        Of the poll, of unit length, those first in which a model goes down most.
-    scattered : (points, unknowns)
+        Of the poll, of unit length, in the order of a model's values.
+    sample : (points, unknowns)
         Of a Latin hypercube.
     model_step
         Meshes to the nearer of the model's minima; infinite without a model.
-    slopes : (constraints on parameters, unknowns)
+    constraint_jacobian : (constraints on parameters, unknowns)
         For `PatternState.new`.
     """
 
     promising: FloatArray
     directions: FloatArray
-    scattered: FloatArray
+    sample: FloatArray
     model_step: float
-    slopes: FloatArray
+    constraint_jacobian: FloatArray
 
 
 class PatternState:
-    """The point that is polled around, all that is known, and what to do next.
+    """The centre of the poll, all evaluated points, the axes and the augmented Lagrangian.
 
     Parameters
     ----------
@@ -76,10 +76,10 @@ class PatternState:
     Attributes
     ----------
     best, best_u
-        The best evaluation by rank, and where; the point that is polled around is the one whose
+        The best evaluation by rank, and its point; the centre of the poll is the point whose
         augmented Lagrangian is least.
     tolerance
-        The mesh at which `settle` is to be asked what follows.
+        The mesh below which `at_tolerance` decides what follows.
     """
 
     def __init__(
@@ -89,169 +89,172 @@ class PatternState:
         generator: np.random.Generator,
         at: Evaluation,
     ) -> None:
-        self.frame = ScaledCoordinates(space)
-        self.polled = EvaluatedPoints(space.size, len(space.equality))
+        self.coordinates = ScaledCoordinates(space)
+        self.evaluated = EvaluatedPoints(space.size, len(space.equality))
         self.best, self.best_u = at, np.zeros(space.size)
         self.tolerance = options.mesh_tolerance
         if len(space.equality):
-            self.tolerance = max(self.tolerance, SLACKER * TIGHTER * options.initial_mesh)
-        self._lagrangian = first_lagrangian(space.equality, self.frame.tied)
+            self.tolerance = max(self.tolerance, COARSER * FINER * options.initial_mesh)
+        self._lagrangian = first_lagrangian(
+            space.equality, self.coordinates.parameter_constraint_count
+        )
         self._first_penalty = np.nan
         self._options = options
         self._generator = generator
         self._axes = np.eye(space.size)
-        self._turned_at = np.zeros(space.size)
+        self._last_failure = np.zeros(space.size)
         self._last_step = np.zeros(space.size)
-        self._number = self.learn(self.best_u, at)
+        self._centre = self.add(self.best_u, at)
         self._start_violation = at.violation
 
     @property
     def u(self) -> FloatArray:
-        found: FloatArray = self.polled.points[self._number]
+        """The centre of the poll."""
+        found: FloatArray = self.evaluated.points[self._centre]
         return found
 
-    def learn(self, u: FloatArray, evaluation: Evaluation) -> int:
-        """Remember an evaluation; the number of its point."""
+    def add(self, u: FloatArray, evaluation: Evaluation) -> int:
+        """Add an evaluation; return the number of its point."""
         if evaluation.rank < self.best.rank:
             self.best, self.best_u = evaluation, u.copy()
-        return self.polled.add(u, evaluation)
+        return self.evaluated.add(u, evaluation)
 
     def better(self, numbers: list[int]) -> int | None:
-        """The best of some points, if it is better than the one that is polled around."""
-        values = self._lagrangian.values(self.polled.costs, self.polled.constraints)
-        found = min(numbers, key=lambda number: float(values[number]), default=self._number)
-        return found if values[found] < values[self._number] else None
+        """Return the best of some points, if it is better than the centre of the poll."""
+        values = self._lagrangian.values(self.evaluated.costs, self.evaluated.constraints)
+        found = min(numbers, key=lambda number: float(values[number]), default=self._centre)
+        return found if values[found] < values[self._centre] else None
 
     def move(self, number: int) -> float:
-        """Poll around another point; how far it is from the last one."""
-        self._last_step = self.polled.points[number] - self.u
-        self._number = number
-        self._hold_back()
+        """Move the centre of the poll; return the length of the step."""
+        self._last_step = self.evaluated.points[number] - self.u
+        self._centre = number
+        self._restrain()
         return float(np.abs(self._last_step).max())
 
-    def fail(self) -> None:
-        """Note that no direction led down at some mesh: turn the axes, forget the last step."""
+    def poll_failed(self) -> None:
+        """Rotate the axes and drop the last step, after a poll without a better point."""
         self._last_step = np.zeros_like(self._last_step)
-        progress = self.u - self._turned_at
-        self._turned_at = self.u.copy()
+        progress = self.u - self._last_failure
+        self._last_failure = self.u.copy()
         if self._options.axes == "aligned":
             self._axes = aligned_axes(progress)
         elif self._options.axes == "random":
             self._axes = reflection(self._generator.standard_normal(len(progress)))
 
     @property
-    def satisfied(self) -> bool:
-        """Whether nothing was to be found but a point that satisfies the constraints, and is."""
+    def feasible_point_suffices(self) -> bool:
+        """True if there is nothing to minimise and the constraints are satisfied."""
         return self.best.feasible and not len(self.best.residuals)
 
     @property
     def calibrated(self) -> bool:
-        """Whether points can be compared already."""
+        """True if there is a penalty, so that points can be compared."""
         return not len(self._lagrangian.equality) or bool(np.isfinite(self._first_penalty))
 
     def calibrate(self) -> None:
-        """Choose the penalty, once some points around the start are known."""
+        """Choose the penalty, once some points around the start are evaluated."""
         if self.calibrated:
             return
-        known = self.polled.finite
-        if known.any():
-            costs, constraints = self.polled.costs[known], self.polled.constraints[known]
+        finite = self.evaluated.finite
+        if finite.any():
+            costs, constraints = self.evaluated.costs[finite], self.evaluated.constraints[finite]
             self._first_penalty = first_penalty(costs, constraints)
             self._lagrangian = replace(self._lagrangian, penalty=self._first_penalty)
             self._take_best()
 
-    def settle(self) -> tuple[Ending | None, float]:
-        """What follows where the mesh has become as fine as `tolerance`: the end, or a new mesh."""
+    def at_tolerance(self) -> tuple[Ending | None, float]:
+        """Return an ending, or a new mesh, once the mesh is as fine as `tolerance`."""
         finest = self._options.mesh_tolerance
-        lagrangian, constraints = self._lagrangian, self.polled.constraints[self._number]
-        if self.tolerance <= finest and lagrangian.missing(constraints) <= CLOSE:
+        lagrangian, constraints = self._lagrangian, self.evaluated.constraints[self._centre]
+        if self.tolerance <= finest and lagrangian.constraint_error(constraints) <= CLOSE:
             return Ending.CONVERGED, finest
         self._lagrangian = lagrangian.updated(constraints)
         if not self._lagrangian.penalty <= LARGEST_PENALTY * self._first_penalty:
             return Ending.STALLED if self.best.feasible else Ending.INFEASIBLE, finest
-        mesh = SLACKER * self.tolerance
-        self.tolerance = max(finest, TIGHTER * self.tolerance)
+        mesh = COARSER * self.tolerance
+        self.tolerance = max(finest, FINER * self.tolerance)
         self._take_best()
         return None, mesh
 
-    def ahead(self, mesh: float) -> PollPlan:
-        """What could be asked for around the point."""
-        near, slopes = self.frame.near(self.u, mesh)
-        steps = directions(self._axes, self._options.basis, near)
+    def plan(self, mesh: float) -> PollPlan:
+        """Return the points around the centre that may be requested."""
+        normals, jacobian = self.coordinates.normals_near(self.u, mesh)
+        steps = directions(self._axes, self._options.basis, normals)
         model = self._model(mesh)
-        found = [self.u + self._options.expansion * self._last_step]
+        promising = [self.u + self._options.expansion * self._last_step]
         model_step = np.inf
         if model is not None:
             minima = [self._minimum(model, mesh, meshes) for meshes in MODEL_STEPS]
             model_step = float(np.abs(minima[0] - self.u).max()) / mesh
-            found += minima
+            promising += minima
             values = self._lagrangian.values(*model.predicted(steps))
             steps = steps[np.argsort(values, kind="stable")]
-        if not self.frame.allowed(self.u):
-            found.append(self.u)  # which is repaired
+        if not self.coordinates.is_feasible(self.u):
+            promising.append(self.u)  # which is projected
         return PollPlan(
-            self.new(found, slopes),
+            self.new(promising, jacobian),
             steps,
-            self.new(self._scattered(mesh), slopes),
+            self.new(self._sample(mesh), jacobian),
             model_step,
-            slopes,
+            jacobian,
         )
 
-    def new(self, candidates: list[FloatArray], slopes: FloatArray) -> FloatArray:
-        """Candidates moved to where bounds and constraints on parameters allow them, if unknown.
+    def new(self, candidates: list[FloatArray], jacobian: FloatArray) -> FloatArray:
+        """Return candidates, projected on bounds and constraints on parameters, that are new.
 
-        A candidate that cannot be moved there is left out, unless the point that is polled around
-        is not allowed itself.
+        A candidate that cannot be projected is left out, unless the centre of the poll violates
+        the constraints itself.
         """
-        strict = self.frame.allowed(self.u)
+        strict = self.coordinates.is_feasible(self.u)
         found: dict[bytes, FloatArray] = {}
         for candidate in candidates:
-            u = self.frame.repaired(candidate, slopes)
+            u = self.coordinates.projected(candidate, jacobian)
             if u is None and not strict:
-                u = self.frame.clip(candidate)
-            if u is not None and u not in self.polled:
+                u = self.coordinates.clip(candidate)
+            if u is not None and u not in self.evaluated:
                 found.setdefault(key(u), u)
         return np.array(list(found.values())).reshape(-1, len(self.u))
 
     def _take_best(self) -> None:
-        values = self._lagrangian.values(self.polled.costs, self.polled.constraints)
-        self._number = int(np.argmin(values))
+        values = self._lagrangian.values(self.evaluated.costs, self.evaluated.constraints)
+        self._centre = int(np.argmin(values))
         self._last_step = np.zeros_like(self._last_step)
 
-    def _hold_back(self) -> None:
-        """Raise the penalty if the search goes off to where the constraints count for nothing."""
+    def _restrain(self) -> None:
+        """Raise the penalty if the search diverges from the constraints."""
         if np.isnan(self._first_penalty):
             return
-        most = ESCAPED * max(1.0, self._start_violation)
+        most = DIVERGED * max(1.0, self._start_violation)
         while (
-            self.polled.violation(self._number, self._lagrangian.equality) > most
+            self.evaluated.violation(self._centre, self._lagrangian.equality) > most
             and self._lagrangian.penalty < LARGEST_PENALTY * self._first_penalty
         ):
             self._lagrangian = self._lagrangian.stronger()
             self._take_best()
 
     def _model(self, mesh: float) -> QuadraticModel | None:
-        """A quadratic model, in steps of a mesh from the point, or None if too little is known."""
-        if self._options.search_step != "quadratic" or not self.polled.finite[self._number]:
+        """Return a quadratic model in units of the mesh; None with too few evaluated points."""
+        if self._options.search_step != "quadratic" or not self.evaluated.finite[self._centre]:
             return None
         size = len(self.u)
-        chosen = self.polled.around(self.u, MODEL_REACH * mesh, points_needed(size) * 3 // 2)
+        chosen = self.evaluated.near(self.u, MODEL_RADIUS * mesh, points_needed(size) * 3 // 2)
         if len(chosen) < size:
             return None
-        base = self.polled.quantities(np.array([self._number]))[0]
-        steps = (self.polled.points[chosen] - self.u) / mesh
-        return fit_model(base, steps, self.polled.quantities(chosen) - base)
+        base = self.evaluated.quantities(np.array([self._centre]))[0]
+        steps = (self.evaluated.points[chosen] - self.u) / mesh
+        return fit_model(base, steps, self.evaluated.quantities(chosen) - base)
 
     def _minimum(self, model: QuadraticModel, mesh: float, meshes: float) -> FloatArray:
-        lower = np.maximum(-meshes, (self.frame.lower - self.u) / mesh)
-        upper = np.minimum(meshes, (self.frame.upper - self.u) / mesh)
+        lower = np.maximum(-meshes, (self.coordinates.lower - self.u) / mesh)
+        upper = np.minimum(meshes, (self.coordinates.upper - self.u) / mesh)
         return self.u + mesh * model.minimum(self._lagrangian, lower, upper)
 
-    def _scattered(self, mesh: float) -> list[FloatArray]:
+    def _sample(self, mesh: float) -> list[FloatArray]:
         if self._options.search_step != "latin_hypercube":
             return []
         size = len(self.u)
         count = self._options.search_points or size
         cells = self._generator.permuted(np.tile(np.arange(count), (size, 1)), axis=1).T
         sample = (cells + self._generator.random((count, size))) / count
-        return list(self.u + HYPERCUBE_REACH * mesh * (2.0 * sample - 1.0))
+        return list(self.u + HYPERCUBE_RADIUS * mesh * (2.0 * sample - 1.0))

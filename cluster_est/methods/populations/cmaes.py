@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.populations.generation import (
     PopulationGoal,
@@ -27,7 +28,7 @@ from cluster_est.methods.populations.scaling import UnitBox
 from workers.messages import FloatArray
 
 DEGENERATE = {"conditioncov", "noeffectaxis", "noeffectcoord", "tolupsigma"}
-"""What `cma` calls a distribution that rounding errors keep from going on."""
+"""Names in `cma` of distributions that are degenerate to rounding."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,11 @@ class Cmaes(PopulationMethod):
 
     sigma: float = field(default=0.25, metadata={"least": 1e-6})
 
+    @override
     def usual_population(self, unknowns: int) -> int:
         return max(16, int(8 + 6 * np.log(unknowns)))
 
+    @override
     def strategy(
         self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
     ) -> PopulationStrategy:
@@ -112,7 +115,7 @@ class _EvolutionStrategy(PopulationStrategy):
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the warnings of `cma`, nor the filter for warnings that it adds."""
+    """Suppress the warnings of `cma`, nor the filter for warnings that it adds."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.populations.generation import PopulationGoal, PopulationStrategy
 from cluster_est.methods.populations.method import PopulationMethod
@@ -31,8 +32,8 @@ class DifferentialEvolution(PopulationMethod):
         with fewer, the differences soon take only few values. Between several minima the best cost
         may stand still for long, so the window is wide.
     base
-        Where steps begin: "rand" at any point of the population, which searches most widely;
-        "best" at its best point, which is faster and more easily caught in a local minimum.
+        The point where steps begin: "rand" at any point of the population, which searches most
+        widely; "best" at its best point, which is faster and more easily caught in a local minimum.
     weight
         Of the differences. Raise it if the population shrinks too early.
     crossover
@@ -46,9 +47,11 @@ class DifferentialEvolution(PopulationMethod):
     weight: float = field(default=0.6, metadata={"least": 0.0})
     crossover: float = field(default=0.9, metadata={"least": 0.0})
 
+    @override
     def usual_population(self, unknowns: int) -> int:
         return max(30, 10 * unknowns)
 
+    @override
     def strategy(
         self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
     ) -> PopulationStrategy:

@@ -1,4 +1,4 @@
-"""What a generation is made of, what picks the next one, and what all of them are after.
+"""Members of a population, strategies that choose generations, and goals.
 
 Points are compared by the rules that hold for all methods: constraints first, then cost.
 """
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.base import Evaluation, OtherPoint
 from workers.messages import FloatArray
@@ -31,7 +32,7 @@ class PopulationMember:
     cost
         Of the point.
     values : (objectives,)
-        What the strategy minimises.
+        Minimised by the strategy.
     violation
         0 where all constraints are satisfied.
     """
@@ -51,7 +52,7 @@ class PopulationMember:
 def member_of(
     unit: FloatArray, x: FloatArray, evaluation: Evaluation, goal: PopulationGoal
 ) -> PopulationMember:
-    """What became of a point; a failed simulation is worse than any other."""
+    """Return the member of an evaluated point; a failed simulation is worse than any other."""
     if not evaluation.ok or np.isnan(evaluation.cost):
         return PopulationMember(unit, x, FAILED, np.full(goal.objectives, FAILED), FAILED)
     values = np.nan_to_num(goal.values(evaluation), nan=LARGEST)
@@ -60,39 +61,39 @@ def member_of(
 
 
 class PopulationStrategy(ABC):
-    """What picks a generation from those before it."""
+    """An algorithm that chooses a generation from those before it."""
 
     @abstractmethod
     def ask(self) -> FloatArray:
-        """(points, unknowns): the next generation; no points if it can make no new ones."""
+        """Return the next generation (points, unknowns); no points if it can make no new ones."""
 
     @abstractmethod
     def tell(self, numbers: range, members: Sequence[PopulationMember]) -> None:
-        """Take what became of the generation, whose points have these numbers."""
+        """Take the members of the generation, whose points have these numbers."""
 
     @abstractmethod
     def survivors(self) -> list[int]:
-        """The numbers of the points that make up the population now."""
+        """Return the numbers of the points that make up the population now."""
 
 
 class PopulationGoal(ABC):
-    """What a population is after."""
+    """The objectives of a population, and when it has reached them."""
 
     objectives: int
 
     @abstractmethod
     def values(self, evaluation: Evaluation) -> FloatArray:
-        """(objectives,): what is minimised, of an evaluation without failures."""
+        """Return the objectives (objectives,) of an evaluation without failures."""
 
     @abstractmethod
     def settled(self, best: PopulationMember, members: Sequence[PopulationMember]) -> bool:
-        """Whether the last generations brought nothing; asked once after each."""
+        """Return whether the last generations brought no progress; called once after each."""
 
     @abstractmethod
     def others(
         self, best: PopulationMember, members: Sequence[PopulationMember]
     ) -> tuple[OtherPoint, ...]:
-        """What the solution shall name besides the best point."""
+        """Return the other points of the solution."""
 
 
 class LeastCost(PopulationGoal):
@@ -104,9 +105,11 @@ class LeastCost(PopulationGoal):
         self._ftol, self._window = ftol, window
         self._ranks: list[tuple[float, float]] = []
 
+    @override
     def values(self, evaluation: Evaluation) -> FloatArray:
         return np.array([evaluation.cost])
 
+    @override
     def settled(self, best: PopulationMember, members: Sequence[PopulationMember]) -> bool:
         self._ranks.append(best.rank)
         if len(self._ranks) <= self._window:
@@ -114,6 +117,7 @@ class LeastCost(PopulationGoal):
         pairs = zip(self._ranks[-1 - self._window], best.rank, strict=True)
         return all(before - now <= self._ftol * abs(now) for before, now in pairs)
 
+    @override
     def others(
         self, best: PopulationMember, members: Sequence[PopulationMember]
     ) -> tuple[OtherPoint, ...]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.populations.generation import PopulationGoal, PopulationStrategy
 from cluster_est.methods.populations.method import PopulationMethod
@@ -35,8 +36,8 @@ class GeneticAlgorithm(PopulationMethod):
         mutations still lead on. So nearness counts only where `xtol` is raised from 0, and a cost
         that hardly falls ends the search sooner.
     crossover_eta, mutation_eta
-        How much children resemble their parents, and a mutated value the one before: with larger
-        numbers more, so that the search is finer and less wide.
+        Resemblance of children to their parents, and of a mutated value to the one before: more
+        with larger numbers, so that the search is finer and less wide.
     crossover_probability
         Part of the pairs of parents that mix.
     """
@@ -49,9 +50,11 @@ class GeneticAlgorithm(PopulationMethod):
     mutation_eta: float = field(default=20.0, metadata={"least": 1.0})
     crossover_probability: float = field(default=0.9, metadata={"least": 0.0})
 
+    @override
     def usual_population(self, unknowns: int) -> int:
         return max(50, 10 * unknowns)
 
+    @override
     def strategy(
         self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
     ) -> PopulationStrategy:

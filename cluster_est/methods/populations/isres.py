@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.populations.generation import PopulationGoal, PopulationStrategy
 from cluster_est.methods.populations.method import PopulationMethod
@@ -37,7 +38,7 @@ class Isres(PopulationMethod):
     gamma
         Length of the steps along the differences of the best points.
     alpha
-        How fast step lengths change: 0.2 smooths out chance.
+        Rate of change of the step lengths: 0.2 smooths out chance.
     """
 
     name: ClassVar[str] = "isres"
@@ -49,9 +50,11 @@ class Isres(PopulationMethod):
     gamma: float = field(default=0.85, metadata={"least": 0.0})
     alpha: float = field(default=0.2, metadata={"least": 1e-6})
 
+    @override
     def usual_population(self, unknowns: int) -> int:
         return 20 * (unknowns + 1)
 
+    @override
     def strategy(
         self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
     ) -> PopulationStrategy:

@@ -1,7 +1,7 @@
 """Populations as methods: a whole generation is one request.
 
-What picks the next generation is a `PopulationStrategy`, most of them from pymoo. What comes after
-a generation is decided here: the best point so far, the lines of the table, when to stop.
+A `PopulationStrategy` chooses the next generation; most of them are from pymoo. The best point so
+far, the lines of the table and the end of the search are decided here.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import (
@@ -62,7 +63,7 @@ class PopulationMethod(Method):
     needs_every_residual: ClassVar[bool] = False
     keeps_constraints: ClassVar[bool] = True
     keeps_equality: ClassVar[bool] = False
-    """Whether it gets anywhere along a constraint that must be 0."""
+    """True if it can satisfy a constraint that must be 0."""
     needs_bounds: ClassVar[bool] = True
     least_population: ClassVar[int] = 5
 
@@ -72,6 +73,7 @@ class PopulationMethod(Method):
     ftol: float = field(default=1e-8, metadata={"least": 0.0})
     window: int = field(default=30, metadata={"least": 1})
 
+    @override
     def check(self, space: SearchSpace) -> None:
         if 0 < self.population < self.least_population:
             raise ProblemError(
@@ -89,22 +91,24 @@ class PopulationMethod(Method):
             unknown = space.unknowns[int(np.argmin(UnitBox(space).bounded))]
             raise ProblemError(_unbounded(self.name, unknown))
 
+    @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         self.check(space)
         return evolve(self, space, generator)
 
     @abstractmethod
     def usual_population(self, unknowns: int) -> int:
-        """Points of a generation where `population` is 0."""
+        """Return the number of points of a generation where `population` is 0."""
 
     @abstractmethod
     def strategy(
         self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
     ) -> PopulationStrategy:
-        """What picks generations of this size."""
+        """Return the strategy that chooses generations of this size."""
 
     def goal(self, space: SearchSpace) -> PopulationGoal:
-        """What it is after: the least cost, unless a method says otherwise."""
+        """Return the goal: the least cost, unless a method says otherwise."""
+        del space  # of use to methods with several objectives
         return LeastCost(self.ftol, self.window)
 
 
@@ -131,15 +135,15 @@ def evolve(method: PopulationMethod, space: SearchSpace, generator: np.random.Ge
     while True:
         x = box.points(units)
         evaluations = yield Points(x, "generation", progress)
-        born = [member_of(*three, goal) for three in zip(units, x, evaluations, strict=True)]
-        best = _better(best, born, evaluations)
+        new_members = [member_of(*three, goal) for three in zip(units, x, evaluations, strict=True)]
+        best = _better(best, new_members, evaluations)
         if best is None:
             reason = evaluations[0].reason or "the cost of the start is not a number"
             return Solution(space.start, np.nan, Ending.START_FAILED, reason)
-        numbers = range(asked, asked + len(born))
+        numbers = range(asked, asked + len(new_members))
         asked, generation = numbers.stop, generation + 1
-        strategy.tell(numbers, born)
-        alive.update(zip(numbers, born, strict=True))
+        strategy.tell(numbers, new_members)
+        alive.update(zip(numbers, new_members, strict=True))
         alive = {number: alive[number] for number in strategy.survivors()}
         members = list(alive.values())
         violation = best.member.violation if space.constraint_names else np.nan
@@ -154,24 +158,26 @@ def evolve(method: PopulationMethod, space: SearchSpace, generator: np.random.Ge
 
 @dataclass(frozen=True)
 class _BestSoFar:
-    """The best point that was ever seen, which a population may have lost."""
+    """The best point of all generations, which a population may have lost."""
 
     member: PopulationMember
     at: Evaluation
 
 
 def _better(
-    best: _BestSoFar | None, born: Sequence[PopulationMember], evaluations: Sequence[Evaluation]
+    best: _BestSoFar | None,
+    new_members: Sequence[PopulationMember],
+    evaluations: Sequence[Evaluation],
 ) -> _BestSoFar | None:
-    """The best of a generation and all before; None while all have failed."""
-    for member, evaluation in zip(born, evaluations, strict=True):
+    """Return the best of a generation and all before; None while all have failed."""
+    for member, evaluation in zip(new_members, evaluations, strict=True):
         if member.violation < FAILED and (best is None or member.rank < best.member.rank):
             best = _BestSoFar(member, evaluation)
     return best
 
 
 def _spread(members: Sequence[PopulationMember]) -> float:
-    """How far apart a population is, in the unknown where it is widest."""
+    """Return the width of a population in the unknown where it is widest."""
     units = np.array([member.unit for member in members])
     return float(np.max(np.ptp(units, axis=0), initial=0.0))
 
@@ -179,12 +185,12 @@ def _spread(members: Sequence[PopulationMember]) -> float:
 def _ending(
     method: PopulationMethod, progress: Progress, settled: bool, exhausted: bool
 ) -> tuple[Ending, str] | None:
-    """Why a search is over, if it is."""
+    """Return the ending of a search and its message, if it has ended."""
     if progress.step <= method.xtol:
         return Ending.CONVERGED, "converged: the population has drawn together to within xtol"
     if settled:
-        gained = f"the last {method.window} generations gained no more than ftol"
-        return Ending.CONVERGED, f"converged: {gained}"
+        no_progress = f"the last {method.window} generations gained no more than ftol"
+        return Ending.CONVERGED, f"converged: {no_progress}"
     if progress.iteration >= method.max_generations:
         ended = f"stopped after {method.max_generations} generations"
         return Ending.MAX_ITERATIONS, f"{ended}; raise method.options.max_generations"

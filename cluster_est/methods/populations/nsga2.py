@@ -13,6 +13,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
+from typing_extensions import override
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation, OtherPoint
@@ -45,8 +46,8 @@ class Nsga2(PopulationMethod):
     Attributes
     ----------
     objectives
-        What has a cost of its own: each output variable over all experiments ("outputs"), or each
-        experiment with all its outputs ("experiments").
+        The parts with a cost of their own: each output variable over all experiments ("outputs"),
+        or each experiment with all its outputs ("experiments").
     population, max_generations
         Of every `PopulationMethod`. The usual population is 100 points; there can be as many
         compromises.
@@ -67,6 +68,7 @@ class Nsga2(PopulationMethod):
     crossover_eta: float = field(default=15.0, metadata={"least": 1.0})
     mutation_eta: float = field(default=20.0, metadata={"least": 1.0})
 
+    @override
     def check(self, space: SearchSpace) -> None:
         super().check(space)
         if self.objectives == "outputs" and any(
@@ -85,9 +87,11 @@ class Nsga2(PopulationMethod):
                 '"outputs" or "experiments", whichever there are more of, or another method'
             )
 
+    @override
     def usual_population(self, unknowns: int) -> int:
         return 100
 
+    @override
     def strategy(
         self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
     ) -> PopulationStrategy:
@@ -106,12 +110,13 @@ class Nsga2(PopulationMethod):
             mutation=PM(eta=self.mutation_eta),
         )
 
+    @override
     def goal(self, space: SearchSpace) -> PopulationGoal:
         return ParetoFront(space, self.objectives, self.ftol, self.window)
 
 
 class ParetoFront(PopulationGoal):
-    """The members that no other beats, until they hardly move any more."""
+    """The non-dominated members, until they hardly move any more."""
 
     def __init__(self, space: SearchSpace, kind: Kind, ftol: float, window: int) -> None:
         self._space, self._kind, self._ftol, self._window = space, kind, ftol, window
@@ -125,6 +130,7 @@ class ParetoFront(PopulationGoal):
             return len(np.unique(space.outputs))
         return sum(_measured(space))
 
+    @override
     def values(self, evaluation: Evaluation) -> FloatArray:
         residuals, outputs = evaluation.residuals, self._space.outputs
         cost = self._space.problem.cost
@@ -135,45 +141,47 @@ class ParetoFront(PopulationGoal):
         return np.array(found, np.float64)
 
     def _parts(self, evaluation: Evaluation) -> Sequence[slice | npt.NDArray[np.bool_]]:
-        """Which residuals belong to each objective."""
+        """Return the rows of the residuals of each objective."""
         if self._kind == "experiments":
             return list(compress(evaluation.rows, self._measured))
         return [self._space.outputs == output for output in range(self.objectives)]
 
+    @override
     def settled(self, best: PopulationMember, members: Sequence[PopulationMember]) -> bool:
-        self._fronts.append(np.array([member.values for member in _unbeaten(members)]))
+        self._fronts.append(np.array([member.values for member in _non_dominated(members)]))
         if len(self._fronts) <= self._window:
             return False
         before, now = self._fronts.pop(0), self._fronts[-1]
-        return bool(len(before) and len(now) and _behind(before, now) <= self._ftol)
+        return bool(len(before) and len(now) and _progress(before, now) <= self._ftol)
 
+    @override
     def others(
         self, best: PopulationMember, members: Sequence[PopulationMember]
     ) -> tuple[OtherPoint, ...]:
-        front = _unbeaten([best, *members])
+        front = _non_dominated([best, *members])
         found = [OtherPoint(m.x, m.cost, tuple(m.values.tolist())) for m in front]
         return tuple(sorted(found, key=lambda other: (other.cost, other.objectives)))
 
 
 def _measured(space: SearchSpace) -> list[bool]:
-    """Whether each experiment has residuals; it may have constraints only."""
+    """Return, for each experiment, whether it has residuals; it may have constraints only."""
     chosen = [space.problem.experiments[e] for e in space.experiments]
     return [bool(e.size or e.cost_function) for e in chosen]
 
 
-def _unbeaten(members: Sequence[PopulationMember]) -> list[PopulationMember]:
-    """Those that satisfy the constraints and that none beats, once where several are alike."""
+def _non_dominated(members: Sequence[PopulationMember]) -> list[PopulationMember]:
+    """Return the feasible, non-dominated members, once where several are alike."""
     allowed = [member for member in members if member.violation == 0.0]
     if not allowed:
         return []
     values, first = np.unique([m.values for m in allowed], axis=0, return_index=True)
     as_good = (values[:, None] <= values[None]).all(axis=2)
-    beaten = as_good.sum(axis=0) > 1
-    return [allowed[i] for i in np.sort(first[~beaten]).tolist()]
+    dominated = as_good.sum(axis=0) > 1
+    return [allowed[i] for i in np.sort(first[~dominated]).tolist()]
 
 
-def _behind(before: FloatArray, now: FloatArray) -> float:
-    """How far the points of a front are behind those of another on average, in gaps of that.
+def _progress(before: FloatArray, now: FloatArray) -> float:
+    """Return the mean distance from a front to a later one, in units of the latter's gaps.
 
     A point of `now` is ahead by as much as it takes until some point of `before` is as good in all
     objectives, in units of their ranges: the additive epsilon indicator of E. Zitzler, L. Thiele,
@@ -182,6 +190,6 @@ def _behind(before: FloatArray, now: FloatArray) -> float:
     """
     ranges = np.ptp(np.vstack([before, now]), axis=0)
     shifts = (before[:, None] - now[None]) / np.where(ranges > 0.0, ranges, 1.0)
-    ahead = np.ascontiguousarray(shifts.max(axis=2).min(axis=0))
+    epsilon = np.ascontiguousarray(shifts.max(axis=2).min(axis=0))
     gap = len(now) ** (-1.0 / (now.shape[1] - 1))
-    return float(np.add.reduce(ahead) / len(now) / gap)
+    return float(np.add.reduce(epsilon) / len(now) / gap)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.populations.generation import PopulationGoal, PopulationStrategy
 from cluster_est.methods.populations.method import PopulationMethod
@@ -51,9 +52,11 @@ class ParticleSwarm(PopulationMethod):
     adaptive: bool = False
     speed: float = field(default=0.2, metadata={"least": 0.0})
 
+    @override
     def usual_population(self, unknowns: int) -> int:
         return max(25, 5 * unknowns)
 
+    @override
     def strategy(
         self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
     ) -> PopulationStrategy:

@@ -22,10 +22,10 @@ from workers.messages import FloatArray
 
 
 class PymooStrategy(PopulationStrategy):
-    """An algorithm of pymoo that takes all its chance from a generator.
+    """An algorithm of pymoo whose random numbers all come from a generator.
 
     Where there are constraints, their violation is pymoo's only constraint, so that it ranks points
-    as everything here does.
+    as all methods do.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class PymooStrategy(PopulationStrategy):
 
 
 class _SeededSurvival:
-    """A choice of survivors that never takes chance from the system, as pymoo's does if not told.
+    """A choice of survivors with random numbers from a generator; pymoo's takes the system's.
 
     That would make the stochastic ranking of `isres` different each time.
     """

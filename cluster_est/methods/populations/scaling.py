@@ -1,4 +1,4 @@
-"""The box that a population moves in: from search coordinates to numbers of order one and back."""
+"""The unit box of a population: from search coordinates to numbers of order one and back."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ class UnitBox:
 
     @cached_property
     def bounded(self) -> npt.NDArray[np.bool_]:
+        """(unknowns,): True where both bounds are finite."""
         return np.isfinite(self.space.lower) & np.isfinite(self.space.upper)
 
     @cached_property
@@ -51,12 +52,12 @@ class UnitBox:
         return np.asarray((x - self._origin) / self._scale, np.float64)
 
     def points(self, units: FloatArray) -> FloatArray:
-        """In search coordinates, within the bounds; the start comes back as it was given."""
+        """Return points in search coordinates, within bounds; the start as it was given."""
         x = np.where(units == self.start, self.space.start, self._origin + units * self._scale)
         return np.clip(x, self.space.lower, self.space.upper)
 
     def first_generation(self, size: int, generator: np.random.Generator) -> FloatArray:
-        """The start and a Latin hypercube between the bounds.
+        """Return the start and a Latin hypercube between the bounds.
 
         M. D. McKay, R. J. Beckman, W. J. Conover, Technometrics 21 (1979) 239-245,
         doi:10.1080/00401706.1979.10489755.

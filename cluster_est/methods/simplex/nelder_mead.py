@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import (
@@ -33,11 +34,11 @@ from cluster_est.methods.base import (
     Solution,
 )
 from cluster_est.methods.coordinates import ScaledCoordinates
-from cluster_est.methods.simplex.scalar_minimisation import minimise_one
+from cluster_est.methods.simplex.scalar_minimisation import minimise_scalar_unknown
 from cluster_est.methods.simplex.simplex import (
     SimplexVertex,
     VertexMoves,
-    around,
+    axis_points,
     corners,
     diameter,
     ordered,
@@ -47,7 +48,7 @@ from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 NEGLIGIBLE = 1e-3
-"""Of `xtol`: a simplex so small has converged though its costs differ, as at a jump."""
+"""Of `xtol`: a simplex so small has converged even if its costs differ, as at a jump."""
 COLLAPSES = (
     "the simplex collapsed after every restart where a poll leads further down; raise "
     'method.options.max_restarts, or use method "pattern_search"'
@@ -74,10 +75,11 @@ class NelderMead(Method):
         outside are moved onto the bounds. Where a minimum lies on many bounds, prefer
         `pattern_search`.
     parallel
-        How many vertices, from the worst on, are moved at once: at most half as many as there are
-        unknowns, as more let the simplex collapse. 1 is the classical method. With four unknowns
-        or more, 2 takes about half the rounds for about as many simulations, where workers would
-        be idle otherwise because they are more than the experiments; even more is rarely better.
+        Number of vertices, from the worst on, that are moved at once: at most half as many as there
+        are unknowns, as more let the simplex collapse. 1 is the classical method. With four
+        unknowns or more, 2 takes about half the rounds for about as many simulations, where workers
+        would be idle otherwise because they are more than the experiments; even more is rarely
+        better.
     speculative
         Ask for a vertex's reflection, expansion and both contractions at once, rather than for
         what the reflection calls for. The same search, in fewer rounds and with more simulations;
@@ -113,6 +115,7 @@ class NelderMead(Method):
     max_restarts: int = field(default=10, metadata={"least": 0})
     max_iterations: int = field(default=5000, metadata={"least": 1})
 
+    @override
     def check(self, space: SearchSpace) -> None:
         if self.bounds == "enforce" or space.size == 1:
             return
@@ -125,6 +128,7 @@ class NelderMead(Method):
                 'method.options.bounds = "enforce", remove them, or use method "pattern_search"'
             )
 
+    @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         (at,) = yield Points(space.start[None, :], "start", Progress(0, np.nan))
         if not np.isfinite(at.rank[1]):
@@ -132,18 +136,18 @@ class NelderMead(Method):
             return Solution(space.start, np.nan, Ending.START_FAILED, reason)
         if space.size == 1:
             limits = self.initial_step, self.xtol, self.max_iterations
-            return (yield from minimise_one(space, at, *limits))
+            return (yield from minimise_scalar_unknown(space, at, *limits))
         return (yield from _SimplexSearch(space, self, at).steps())
 
 
-Asking = Generator[Points, list[Evaluation], list[SimplexVertex]]
+VertexRequests = Generator[Points, list[Evaluation], list[SimplexVertex]]
 
 
 class _SimplexSearch:
-    """A search under way: a simplex, best vertex first."""
+    """The state of a search: a simplex, best vertex first, and the coefficients of its moves."""
 
     def __init__(self, space: SearchSpace, options: NelderMead, start: Evaluation) -> None:
-        self._frame, self._options = ScaledCoordinates(space), options
+        self._coordinates, self._options = ScaledCoordinates(space), options
         adaptive = options.coefficients == "adaptive"
         self._moves = VertexMoves.adaptive(space.size) if adaptive else VertexMoves()
         self._parallel = max(1, min(options.parallel, space.size // 2))
@@ -153,14 +157,14 @@ class _SimplexSearch:
 
     def steps(self) -> Search:
         options = self._options
-        first = corners(self._frame, self._simplex[0].u, options.initial_step)
+        first = corners(self._coordinates, self._simplex[0].u, options.initial_step)
         self._simplex = ordered(self._simplex + (yield from self._ask(first, "simplex")))
         ending, restarts = None, 0
         while ending is None:
             if self._converged():
-                leads_on = options.max_restarts > 0 and (yield from self._restart())
+                improved = options.max_restarts > 0 and (yield from self._restart())
                 restarts += 1
-                if not leads_on:
+                if not improved:
                     ending = Ending.CONVERGED
                 elif restarts > options.max_restarts:
                     ending = Ending.STALLED
@@ -171,7 +175,7 @@ class _SimplexSearch:
                 yield from self._iterate()
                 self._advance(before)
         best = self._simplex[0]
-        x, iterations = self._frame.x(best.u), self._progress.iteration
+        x, iterations = self._coordinates.x(best.u), self._progress.iteration
         message = COLLAPSES if ending is Ending.STALLED else ""
         return Solution(x, best.cost, ending, message, iterations, at=best.at)
 
@@ -184,8 +188,8 @@ class _SimplexSearch:
             damping=diameter(self._simplex),
         )
 
-    def _ask(self, u: FloatArray, purpose: str) -> Asking:
-        evaluations = yield Points(self._frame.x(u), purpose, self._progress)
+    def _ask(self, u: FloatArray, purpose: str) -> VertexRequests:
+        evaluations = yield Points(self._coordinates.x(u), purpose, self._progress)
         return [SimplexVertex(*pair) for pair in zip(u, evaluations, strict=True)]
 
     @property
@@ -201,47 +205,51 @@ class _SimplexSearch:
 
     def _iterate(self) -> Generator[Points, list[Evaluation], None]:
         """Move the worst vertices along the lines through the centre of the others, or shrink."""
-        kept, moving = self._simplex[: -self._parallel], self._simplex[-self._parallel :]
-        moved = yield from self._moved(kept, moving)
+        fixed, moving = self._simplex[: -self._parallel], self._simplex[-self._parallel :]
+        moved = yield from self._follow_paths(fixed, moving)
         if all(new is old for new, old in zip(moved, moving, strict=True)):
             best, *others = self._simplex
             closer = np.array([best.u + self._moves.shrink * (v.u - best.u) for v in others])
-            kept, moved = [best], (yield from self._ask(closer, "shrink"))
-        self._simplex = ordered(kept + moved)
+            fixed, moved = [best], (yield from self._ask(closer, "shrink"))
+        self._simplex = ordered(fixed + moved)
 
-    def _moved(self, kept: list[SimplexVertex], moving: list[SimplexVertex]) -> Asking:
-        """Where the paths of the moving vertices end."""
-        centre = np.add.reduce([v.u for v in kept]) / len(kept)
-        paths = [self._moves.path(v, kept) for v in moving]
+    def _follow_paths(
+        self, fixed: list[SimplexVertex], moving: list[SimplexVertex]
+    ) -> VertexRequests:
+        """Return the vertices at which the paths of the moving vertices end."""
+        centre = np.add.reduce([v.u for v in fixed]) / len(fixed)
+        paths = [self._moves.path(v, fixed) for v in moving]
         ends = list(moving)
-        known: dict[tuple[int, float], SimplexVertex] = {}
+        evaluated: dict[tuple[int, float], SimplexVertex] = {}
         wanted = {i: next(path) for i, path in enumerate(paths)}
-        ahead = self._moves.along if self._options.speculative else ()
+        speculative = self._moves.along if self._options.speculative else ()
         while wanted:
-            trials = [*wanted.items(), *((i, m) for i in wanted for m in ahead)]
-            unknown = [trial for trial in dict.fromkeys(trials) if trial not in known]
-            if unknown:
-                u = np.array([centre + m * (moving[i].u - centre) for i, m in unknown])
-                asked = yield from self._ask(self._frame.clip(u), "trial")
-                known |= zip(unknown, asked, strict=True)
+            trials = [*wanted.items(), *((i, m) for i in wanted for m in speculative)]
+            new_trials = [trial for trial in dict.fromkeys(trials) if trial not in evaluated]
+            if new_trials:
+                u = np.array([centre + m * (moving[i].u - centre) for i, m in new_trials])
+                asked = yield from self._ask(self._coordinates.clip(u), "trial")
+                evaluated |= zip(new_trials, asked, strict=True)
             further: dict[int, float] = {}
             for i, move in wanted.items():
                 try:
-                    further[i] = paths[i].send(known[i, move])
+                    further[i] = paths[i].send(evaluated[i, move])
                 except StopIteration as end:
                     ends[i] = end.value
             wanted = further
         return ends
 
     def _restart(self) -> Generator[Points, list[Evaluation], bool]:
-        """Poll around the best vertex; a new simplex that leads on from there, if any does."""
+        """Poll around the best vertex and build a new simplex; return whether the cost fell."""
         best = self._simplex[0]
         step = np.sqrt(max(self._options.xtol, NEGLIGIBLE**2))
-        points = around(self._frame, best.u, step).reshape(-1, len(best.u))
-        polled = yield from self._ask(points, "poll")
-        pairs = zip(polled[::2], polled[1::2], strict=True)
-        # a step that a bound leaves no room for would make the simplex flat
-        downwards = [min(pair, key=lambda v: (not np.any(v.u != best.u), v.cost)) for pair in pairs]
+        points = axis_points(self._coordinates, best.u, step).reshape(-1, len(best.u))
+        evaluated = yield from self._ask(points, "poll")
+        pairs = zip(evaluated[::2], evaluated[1::2], strict=True)
+        # a step that a bound makes zero would make the simplex degenerate
+        best_of_pairs = [
+            min(pair, key=lambda v: (not np.any(v.u != best.u), v.cost)) for pair in pairs
+        ]
         tolerance = self._tolerance
-        self._simplex = ordered([best, *downwards])
+        self._simplex = ordered([best, *best_of_pairs])
         return best.cost - self._simplex[0].cost > tolerance

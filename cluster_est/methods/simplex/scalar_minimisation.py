@@ -26,13 +26,13 @@ LEAST_TOLERANCE = 1e-12
 """SciPy would not end without any."""
 
 
-def minimise_one(
+def minimise_scalar_unknown(
     space: SearchSpace, start: Evaluation, step: float, xtol: float, max_evaluations: int
 ) -> Search:
     """Search one unknown.
 
     Where both bounds are finite it searches all between them, as it is usual, and around the start
-    only if that was better than all it found. Otherwise it walks downhill from the start, with
+    only if that was better than all it found. Otherwise it goes downhill from the start, with
     steps that double, until the cost rises or a bound is met.
 
     Parameters
@@ -42,9 +42,9 @@ def minimise_one(
     start
         The evaluation at its start.
     step
-        First step of the walk, in noticeable changes.
+        First step downhill, in noticeable changes.
     xtol
-        How far the minimum may be off, in noticeable changes.
+        Tolerance of the minimum, in noticeable changes.
     max_evaluations
         Limit, apart from a few.
     """
@@ -53,12 +53,12 @@ def minimise_one(
 
 
 class _LineSearch:
-    """What is known along the line of one unknown."""
+    """The state of a search along one unknown: the best point and the evaluations that are left."""
 
     def __init__(
         self, space: SearchSpace, start: Evaluation, step: float, xtol: float, max_evaluations: int
     ) -> None:
-        self._frame, self._step, self._xtol, self._left = (
+        self._coordinates, self._step, self._xtol, self._left = (
             ScaledCoordinates(space),
             step,
             xtol,
@@ -68,7 +68,7 @@ class _LineSearch:
         self._progress = Progress(0, start.cost)
 
     def solve(self, ask: Ask) -> Solution:
-        lower, upper = float(self._frame.lower[0]), float(self._frame.upper[0])
+        lower, upper = float(self._coordinates.lower[0]), float(self._coordinates.upper[0])
         converged = False
         if np.isfinite(upper - lower):
             converged = self._between(ask, lower, upper)
@@ -79,7 +79,7 @@ class _LineSearch:
                 self._costs(ask, [bound], "bound")
         best = self._best
         return Solution(
-            self._frame.x(best.u),
+            self._coordinates.x(best.u),
             best.cost,
             Ending.CONVERGED if converged else Ending.MAX_ITERATIONS,
             iterations=self._progress.iteration,
@@ -87,7 +87,7 @@ class _LineSearch:
         )
 
     def _between(self, ask: Ask, low: float, high: float) -> bool:
-        """Search an interval; whether it was searched to the end."""
+        """Search an interval; return whether the search converged."""
         if not self._left > 0:
             return False
         with np.errstate(all="ignore"):  # of differences of infinite costs
@@ -100,28 +100,28 @@ class _LineSearch:
         return bool(result.status != 1)
 
     def _bracket(self, ask: Ask, lower: float, upper: float) -> tuple[float, float]:
-        """Walk downhill from the start until there is a minimum between two points."""
+        """Step downhill from the start until there is a minimum between two points; return them."""
         step = self._step
         ends = [max(-step, lower), min(step, upper)]
         costs = self._costs(ask, ends, "bracket")
         if min(costs) >= self._start.cost:
             return ends[0], ends[1]
-        towards = int(costs[1] < costs[0])
-        behind, here, cost = 0.0, ends[towards], costs[towards]
-        limit = (lower, upper)[towards]
-        while here != limit and self._left > 0:
+        upwards = int(costs[1] < costs[0])
+        previous, current, cost = 0.0, ends[upwards], costs[upwards]
+        limit = (lower, upper)[upwards]
+        while current != limit and self._left > 0:
             step *= 2.0
-            ahead = float(np.clip(here + (step if towards else -step), lower, upper))
-            (found,) = self._costs(ask, [ahead], "bracket")
-            if found >= cost:
-                return min(behind, ahead), max(behind, ahead)
-            behind, here, cost = here, ahead, found
-        return min(behind, here), max(behind, here)
+            trial = float(np.clip(current + (step if upwards else -step), lower, upper))
+            (trial_cost,) = self._costs(ask, [trial], "bracket")
+            if trial_cost >= cost:
+                return min(previous, trial), max(previous, trial)
+            previous, current, cost = current, trial, trial_cost
+        return min(previous, current), max(previous, current)
 
     def _costs(self, ask: Ask, at: list[float], purpose: str) -> list[float]:
-        """Ask; infinite where a simulation failed."""
+        """Ask for costs; infinite where a simulation failed."""
         u = np.array(at)[:, None]
-        evaluations = ask(Points(self._frame.x(u), purpose, self._progress))
+        evaluations = ask(Points(self._coordinates.x(u), purpose, self._progress))
         found = [SimplexVertex(*pair) for pair in zip(u, evaluations, strict=True)]
         before = self._best
         self._best = min([before, *found], key=lambda v: v.cost)

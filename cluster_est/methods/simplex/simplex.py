@@ -1,4 +1,4 @@
-"""What a simplex search moves: n + 1 vertices in n unknowns, and where a vertex may go."""
+"""A simplex of n + 1 vertices in n unknowns, and the moves of its vertices."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from workers.messages import FloatArray
 
 @dataclass(frozen=True)
 class SimplexVertex:
-    """A point in the coordinates of a `ScaledCoordinates`, and what it is worth."""
+    """A point in the coordinates of a `ScaledCoordinates`, and its evaluation."""
 
     u: FloatArray
     at: Evaluation = field(repr=False)
 
     @property
     def cost(self) -> float:
-        """Infinite where a simulation failed; no constraints are looked at."""
+        """Infinite where a simulation failed; constraints are ignored."""
         return self.at.rank[1]
 
 
 @dataclass(frozen=True)
 class VertexMoves:
-    """Where a vertex goes along the line through the centre of the others.
+    """Coefficients of the moves of a vertex along the line through the centre of the others.
 
     Each is the distance from the centre, in units of the vertex's own; negative on the far side.
-    `shrink` is by how much all vertices approach the best when no vertex can be improved.
+    `shrink` is the factor of all distances from the best vertex when no move helps.
     """
 
     reflect: float = -1.0
@@ -41,22 +41,22 @@ class VertexMoves:
 
     @property
     def along(self) -> tuple[float, ...]:
-        """All that a path may ask for."""
+        """All moves that a path may request."""
         return self.reflect, self.expand, self.outside, self.inside
 
     def path(
-        self, vertex: SimplexVertex, kept: list[SimplexVertex]
+        self, vertex: SimplexVertex, fixed: list[SimplexVertex]
     ) -> Generator[float, SimplexVertex, SimplexVertex]:
-        """What a vertex tries one after the other, as distances; where it ends.
+        """Yield the moves that a vertex tries one after the other; return where it ends.
 
-        It ends as the vertex itself if nothing is better. Of the vertices that are `kept` the
+        That is the vertex itself if nothing is better. Of the vertices that are `fixed` the
         first is the best and the last the worst.
         """
         reflected = yield self.reflect
-        if reflected.cost < kept[0].cost:
+        if reflected.cost < fixed[0].cost:
             expanded = yield self.expand
             return expanded if expanded.cost < reflected.cost else reflected
-        if reflected.cost < kept[-1].cost:
+        if reflected.cost < fixed[-1].cost:
             return reflected
         if reflected.cost < vertex.cost:
             contracted = yield self.outside
@@ -66,36 +66,36 @@ class VertexMoves:
 
     @classmethod
     def adaptive(cls, size: int) -> VertexMoves:
-        """Those for many unknowns, of Gao and Han; the usual ones for two, and for one."""
+        """Return the coefficients of Gao and Han; the usual ones for one or two unknowns."""
         n = max(size, 2)
         contraction = 0.75 - 0.5 / n
         return cls(-1.0, -1.0 - 2.0 / n, -contraction, contraction, 1.0 - 1.0 / n)
 
 
-def around(frame: ScaledCoordinates, u: FloatArray, step: float) -> FloatArray:
-    """(unknowns, 2, unknowns): a step along each axis, up and down, as far as bounds allow."""
+def axis_points(coordinates: ScaledCoordinates, u: FloatArray, step: float) -> FloatArray:
+    """Return (unknowns, 2, unknowns): steps up and down each axis, as far as bounds allow."""
     steps = step * np.eye(len(u))
-    return frame.clip(np.stack([u + steps, u - steps], axis=1))
+    return coordinates.clip(np.stack([u + steps, u - steps], axis=1))
 
 
-def corners(frame: ScaledCoordinates, u: FloatArray, step: float) -> FloatArray:
-    """(unknowns, unknowns): a step along each axis, up, or down where there is more room."""
-    both = around(frame, u, step)
+def corners(coordinates: ScaledCoordinates, u: FloatArray, step: float) -> FloatArray:
+    """Return (unknowns, unknowns): a step up each axis, or down where bounds allow a longer one."""
+    both = axis_points(coordinates, u, step)
     lengths = np.abs(both - u).max(axis=2)
     further: FloatArray = both[np.arange(len(u)), np.argmax(lengths, axis=1)]
     return further
 
 
 def diameter(simplex: list[SimplexVertex]) -> float:
-    """The largest distance of a vertex from the first, along any axis."""
+    """Return the largest distance of a vertex from the first, along any axis."""
     return max(float(np.abs(v.u - simplex[0].u).max()) for v in simplex)
 
 
 def spread(simplex: list[SimplexVertex]) -> float:
-    """By how much the last vertex is worse than the first."""
+    """Return the difference of the costs of the last vertex and the first."""
     return simplex[-1].cost - simplex[0].cost
 
 
 def ordered(vertices: Iterable[SimplexVertex]) -> list[SimplexVertex]:
-    """Best first; those that are as good as each other keep their order."""
+    """Return the vertices, best first; those of the same cost keep their order."""
     return sorted(vertices, key=lambda v: v.cost)

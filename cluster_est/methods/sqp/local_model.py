@@ -1,6 +1,6 @@
-"""What a sequential method knows around its point, and the best step from there.
+"""The local model of an SQP around its current point, and the best step from there.
 
-The cost is known to second order, the constraints to first. The step minimises this model of the
+The cost is modelled to second order, the constraints to first. The step minimises this model of the
 cost plus a penalty on violated constraints, within the bounds and a box around the point, the trust
 region.
 """
@@ -13,148 +13,158 @@ import numpy as np
 
 from cluster_est.methods.base import Evaluation
 from cluster_est.methods.derivatives.gradients import CostDerivatives
-from cluster_est.methods.sqp.evaluation_cache import usable
-from cluster_est.methods.sqp.hessian import CurvatureHistory, Hessian
-from cluster_est.methods.sqp.linear_pieces import (
+from cluster_est.methods.evaluation_status import is_defined
+from cluster_est.methods.sqp.constraint_linearisations import (
     ConstraintLinearisation,
     LinearisationHistory,
     is_jump,
 )
+from cluster_est.methods.sqp.hessian import Hessian, HessianApproximations
 from cluster_est.methods.sqp.penalty import PenaltyParameter
 from cluster_est.methods.sqp.quadratic_program import QuadraticSubproblem, penalised_step
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
-ALMOST_FLAT = 1e-4
+NEAREST_POINT_CURVATURE = 1e-4
 """The curvature that takes the place of the cost's where nothing is to be minimised: of all points
 that satisfy the constraints, the nearest."""
 
 
 @dataclass(frozen=True)
 class ModelStep:
-    """A step, and what the model expects of it.
+    """A step, and the model's prediction for it.
 
     Attributes
     ----------
     vector : (n,)
-        What is added to the point.
+        The change of the point.
     model
         The model that it minimises.
     multipliers : (constraints,)
-        The model's: what an easier constraint would save.
-    promised
-        The decrease of the merit, if the model is right.
+        Of the constraints in the model.
+    predicted_reduction
+        Of the merit.
     """
 
     vector: FloatArray
     model: QuadraticSubproblem
     multipliers: FloatArray
-    promised: float
+    predicted_reduction: float
 
 
 class SqpLocalModel:
-    """Of one point after the other: `arrive` comes first, and again after each move.
+    """The local model of one iterate after the other; `move_to` comes before all else.
 
     Parameters
     ----------
     space
-        Where to search.
+        The space that is searched.
     hessian
-        Which curvature of the cost to take; see `Sqp`.
+        The approximation of the Hessian; see `Sqp`.
     feasibility_only
-        Whether there is nothing to minimise.
+        True if there is nothing to minimise.
     """
 
     def __init__(self, space: SearchSpace, hessian: Hessian, feasibility_only: bool) -> None:
         self._space, self._feasibility_only = space, feasibility_only
         self._equality = space.equality
         self._logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
-        self._curvature = CurvatureHistory(hessian)
-        self._pieces = LinearisationHistory(self._equality, 2 * space.size)
+        self._hessian = HessianApproximations(hessian)
+        self._history = LinearisationHistory(self._equality, 2 * space.size)
         self._sizes = space.typical
         nowhere = np.full(space.size, np.nan)
-        self._here = ConstraintLinearisation(nowhere, np.zeros(0), np.zeros((0, space.size)))
+        self._linearisation = ConstraintLinearisation(
+            nowhere, np.zeros(0), np.zeros((0, space.size))
+        )
         self._at: Evaluation
-        self.slopes: CostDerivatives
+        self.derivatives: CostDerivatives
         self.penalty = PenaltyParameter(self._equality)
 
-    def arrive(
-        self, x: FloatArray, at: Evaluation, slopes: CostDerivatives, multipliers: FloatArray
+    def move_to(
+        self, x: FloatArray, at: Evaluation, derivatives: CostDerivatives, multipliers: FloatArray
     ) -> None:
-        """Take over what is known of a point; `multipliers` are those of the step to it."""
-        if not self.is_known(x):
-            self._pieces.add(self._here)
-        self._here = ConstraintLinearisation(x, at.constraints, slopes.constraints)
-        self._at, self.slopes = at, slopes
+        """Build the model around a point; `multipliers` are those of the step to it."""
+        if not self.is_at(x):
+            self._history.add(self._linearisation)
+        self._linearisation = ConstraintLinearisation(
+            x, at.constraints, derivatives.constraint_jacobian
+        )
+        self._at, self.derivatives = at, derivatives
         self._sizes = np.where(self._logarithmic, 1.0, np.maximum(np.abs(x), self._space.typical))
-        self._curvature.at(x, slopes, multipliers, self._sizes)
-        self.penalty.begin(at.cost, float(np.abs(self._sizes * slopes.gradient).max()))
+        self._hessian.update(x, derivatives, multipliers, self._sizes)
+        self.penalty.initialise(at.cost, float(np.abs(self._sizes * derivatives.gradient).max()))
 
-    def is_known(self, x: FloatArray) -> bool:
-        """Whether x is the point where it arrived last."""
-        return np.array_equal(self._here.x, x)
+    def is_at(self, x: FloatArray) -> bool:
+        """Return whether x is the current point."""
+        return np.array_equal(self._linearisation.x, x)
 
     def step(self, radius: float) -> ModelStep:
-        """The best step within a trust region; may raise the penalty."""
+        """Return the best step within a trust region; may raise the penalty."""
         model = self._model(radius)
-        vector, multipliers = self.penalty.step(model, *self._room(radius), self._sizes)
-        promised = self.penalty.promised(model, self._at, vector)
-        return ModelStep(vector, model, multipliers, promised)
+        vector, multipliers = self.penalty.step(model, *self._step_bounds(radius), self._sizes)
+        reduction = self.penalty.predicted_reduction(model, self._at, vector)
+        return ModelStep(vector, model, multipliers, reduction)
 
     def corrected(self, step: ModelStep, after: Evaluation, radius: float) -> FloatArray:
-        """The step with the same slopes, but with the constraints' values `after` the first try.
+        """Return the step with the same Jacobian but the constraints' values `after` the trial.
 
-        It makes up for bent constraints, which leave a step along their tangents too far out: the
-        second-order correction of R. Fletcher (section 14.4, as in sequential.py).
+        The second-order correction for curved constraints, which a step along their tangents
+        violates (R. Fletcher, section 14.4, as in trust_region.py).
         """
         values = step.model.values.copy()
-        values[: len(self._equality)] = after.constraints - self.slopes.constraints @ step.vector
+        values[: len(self._equality)] = (
+            after.constraints - self.derivatives.constraint_jacobian @ step.vector
+        )
         model = replace(step.model, values=values)
-        return penalised_step(model, self.penalty.value, *self._room(radius))[0]
+        return penalised_step(model, self.penalty.value, *self._step_bounds(radius))[0]
 
-    def learn(self, step: ModelStep, after: Evaluation) -> None:
-        """Compare what a step did to the Lagrangian with what each guess of the curvature said."""
-        if not usable(after):
+    def compare(self, step: ModelStep, after: Evaluation) -> None:
+        """Compare the Lagrangian's change along a step with the predictions of both Hessians."""
+        if not is_defined(after):
             return
-        linear = self._at.constraints + self.slopes.constraints @ step.vector
-        bent = float(np.add.reduce(step.multipliers * (after.constraints - linear)))
-        along = float(self.slopes.gradient @ step.vector)
-        self._curvature.learn(step.vector, along, after.cost - self._at.cost + bent)
+        linear = self._at.constraints + self.derivatives.constraint_jacobian @ step.vector
+        curved = float(np.add.reduce(step.multipliers * (after.constraints - linear)))
+        linear_change = float(self.derivatives.gradient @ step.vector)
+        self._hessian.compare(step.vector, linear_change, after.cost - self._at.cost + curved)
 
-    def kinked(self, step: ModelStep, after: Evaluation) -> bool:
-        """Whether a face of a constraint that is not seen from here explains what spoiled a step.
+    def has_kink(self, step: ModelStep, after: Evaluation) -> bool:
+        """Return whether a kink of a constraint may explain the violation after a step.
 
-        A constraint that jumps has no such face.
+        A discontinuous constraint has no linearisation that helps.
         """
-        jump = is_jump(self._here, step.vector, after.constraints)
+        jump = is_jump(self._linearisation, step.vector, after.constraints)
         return not (self._equality.all() or jump)
 
-    def see_face(self, x: FloatArray, at: Evaluation, slopes: CostDerivatives) -> None:
-        """Let the constraints as they are seen from another point count too, from now on."""
-        self._pieces.active = True
-        if not slopes.frozen.any():
-            self._pieces.add(ConstraintLinearisation(x, at.constraints, slopes.constraints))
+    def add_linearisation(
+        self, x: FloatArray, at: Evaluation, derivatives: CostDerivatives
+    ) -> None:
+        """Add the linearisation of the constraints at another point; from now on all count."""
+        self._history.active = True
+        if not derivatives.frozen.any():
+            self._history.add(
+                ConstraintLinearisation(x, at.constraints, derivatives.constraint_jacobian)
+            )
 
     def length(self, vector: FloatArray) -> float:
-        """Of a step: the largest part of an unknown's size by which it moves one."""
+        """Return the length of a step: the largest change of an unknown over its size."""
         return float(np.max(np.abs(vector / self._sizes)))
 
     def _model(self, radius: float) -> QuadraticSubproblem:
-        hessian = self._curvature.matrix
+        hessian = self._hessian.matrix
         if self._feasibility_only:
-            hessian = np.diag(ALMOST_FLAT / self._sizes**2)
+            hessian = np.diag(NEAREST_POINT_CURVATURE / self._sizes**2)
         model = QuadraticSubproblem(
-            self.slopes.gradient,
+            self.derivatives.gradient,
             hessian,
-            self._here.values,
-            self._here.slopes,
+            self._linearisation.values,
+            self._linearisation.jacobian,
             np.arange(len(self._equality), dtype=np.intp),
             self._equality,
         )
-        return self._pieces.extend(model, self._here.x, radius * self._sizes)
+        return self._history.extend(model, self._linearisation.x, radius * self._sizes)
 
-    def _room(self, radius: float) -> tuple[FloatArray, FloatArray]:
-        """Of a step: the trust region and the bounds; none for frozen unknowns."""
-        reach = np.where(self.slopes.frozen, 0.0, radius * self._sizes)
-        lower = np.maximum(-reach, self._space.lower - self._here.x)
-        return lower, np.minimum(reach, self._space.upper - self._here.x)
+    def _step_bounds(self, radius: float) -> tuple[FloatArray, FloatArray]:
+        """Return bounds of the step by the trust region and the bounds; 0 for frozen unknowns."""
+        radii = np.where(self.derivatives.frozen, 0.0, radius * self._sizes)
+        lower = np.maximum(-radii, self._space.lower - self._linearisation.x)
+        return lower, np.minimum(radii, self._space.upper - self._linearisation.x)

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.base import Method, Search
 from cluster_est.methods.derivatives.differences import Differences
 from cluster_est.methods.sqp.hessian import Hessian
 from cluster_est.methods.sqp.scipy_constrained import scipy_search
-from cluster_est.methods.sqp.trust_region import SqpOptions, sequential_search
+from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
 from cluster_est.problem.space import SearchSpace
 
 
@@ -21,8 +22,8 @@ class Sqp(Method):
 
     For a cost under constraints, and for costs that are no sum of squares. It finds the minimum
     that the start leads to; for others use several starts. Without constraints `least_squares` is
-    better where the cost is a sum of squares. It needs slopes: where simulations jump or are noisy
-    beyond their tolerance, use `pattern_search`.
+    better where the cost is a sum of squares. It needs derivatives: where simulations jump or are
+    noisy beyond their tolerance, use `pattern_search`.
 
     Where there is nothing to minimise it ends at the first point that satisfies all constraints.
 
@@ -35,7 +36,7 @@ class Sqp(Method):
     max_iterations
         Limit on the number of steps for "native", else on the number of derivatives.
     ftol
-        Converged when a step neither promises nor brings a change of the cost by more than this
+        Converged when the predicted and the actual change of the cost by a step are at most this
         part of it. "slsqp": its ftol, with the cost in units of its size at the start.
     xtol
         Converged when only steps shorter than this part of each unknown lower the cost, as at a
@@ -47,7 +48,7 @@ class Sqp(Method):
     relative_step
         Relative step of the differences; 0 takes the one that suits the solver's noise.
     hessian
-        "auto" takes Gauss-Newton's matrix or quasi-Newton updates of it, whichever foretold the
+        "auto" takes Gauss-Newton's matrix or quasi-Newton updates of it, whichever predicted the
         last steps better. "gauss_newton" suits good fits, "quasi_newton" large residuals. "slsqp"
         has updates only, "trust_constr" Gauss-Newton's unless this is "quasi_newton".
     speculative_gradient
@@ -69,6 +70,7 @@ class Sqp(Method):
     hessian: Hessian = "auto"
     speculative_gradient: bool = False
 
+    @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         settings = SqpOptions(
             self.max_iterations,
@@ -80,5 +82,5 @@ class Sqp(Method):
             self.speculative_gradient,
         )
         if self.algorithm == "native":
-            return sequential_search(space, settings)
+            return trust_region_search(space, settings)
         return scipy_search(space, settings, self.algorithm)

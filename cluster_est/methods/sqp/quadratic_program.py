@@ -1,4 +1,4 @@
-"""A convex quadratic program with penalised constraints: the step of a sequential method.
+"""The convex quadratic program with penalised constraints whose solution is the step of an SQP.
 
     minimise   g'p + p'Bp / 2 + nu sum_i v_i(p)    subject to    lower <= p <= upper
 
@@ -34,37 +34,37 @@ FLATTEST = 1e-8
 
 @dataclass(frozen=True)
 class QuadraticSubproblem:
-    """What is known around a point: the cost to second order, constraints to first.
+    """The program around a point: the cost to second order, constraints to first.
 
     Attributes
     ----------
     gradient, hessian : (n,), (n, n)
         g and B, the latter positive semidefinite.
-    values, slopes : (rows,), (rows, n)
+    values, jacobian : (rows,), (rows, n)
         c and a.
     constraint : (rows,)
-        Which constraint each row is a term of, counted from 0; each has at least one.
+        The constraint that each row is a term of, counted from 0; each has at least one.
     equality : (rows,)
-        Whether the row must be 0; the others must be at most 0.
+        True if the row must be 0; the others must be at most 0.
     """
 
     gradient: FloatArray
     hessian: FloatArray
     values: FloatArray
-    slopes: FloatArray
+    jacobian: FloatArray
     constraint: npt.NDArray[np.intp]
     equality: npt.NDArray[np.bool_]
 
     def violation(self, step: FloatArray) -> float:
-        """Sum of the violations after a step."""
-        values = self.values + self.slopes @ step
+        """Return the sum of the violations after a step."""
+        values = self.values + self.jacobian @ step
         sizes = np.where(self.equality, np.abs(values), values)
         largest = np.zeros(1 + int(self.constraint.max(initial=-1)))
         np.maximum.at(largest, self.constraint, sizes)
         return float(np.add.reduce(largest))
 
     def change(self, step: FloatArray) -> float:
-        """What a step adds to the cost."""
+        """Return the change of the cost by a step."""
         return float(self.gradient @ step + 0.5 * (step @ (self.hessian @ step)))
 
 
@@ -78,7 +78,7 @@ def penalised_step(
     model, penalty
         Its g, B, c, a, and nu.
     lower, upper : (n,)
-        Finite, with 0 between or on them. Unknowns without room stay.
+        Finite, with 0 between or on them. Unknowns whose bounds are the same stay.
 
     Returns
     -------
@@ -88,14 +88,40 @@ def penalised_step(
         Between 0 and nu, between -nu and nu for equalities.
     """
     free = upper > lower
-    step, equal = np.zeros(len(free)), model.equality
+    step, equality = np.zeros(len(free)), model.equality
     if not free.any():
-        return step, np.zeros(len(equal))
-    width, lower, upper = (upper - lower)[free], lower[free], upper[free]
-    # in units of each unknown's room, rows of length at most 1
-    values = np.concatenate([model.values, -model.values[equal]])
-    rows = np.vstack([model.slopes, -model.slopes[equal]])[:, free] * width
-    group = np.concatenate([model.constraint, model.constraint[equal]])
+        return step, np.zeros(len(equality))
+    width = (upper - lower)[free]
+    program, rows = _scaled(model, penalty, (lower, upper), free)
+    p, dual = program.solve()
+    step[free] = np.clip(p * width, lower[free], upper[free])
+    signed = np.zeros(len(equality) + int(equality.sum()))
+    signed[rows.kept] = dual / rows.lengths
+    multipliers = signed[: len(equality)].copy()
+    multipliers[equality] -= signed[len(equality) :]
+    return step, multipliers
+
+
+@dataclass(frozen=True)
+class _KeptRows:
+    """The rows of a scaled program, among all inequalities, and what they were divided by."""
+
+    kept: npt.NDArray[np.intp]
+    lengths: FloatArray
+
+
+def _scaled(
+    model: QuadraticSubproblem,
+    penalty: float,
+    bounds: tuple[FloatArray, FloatArray],
+    free: npt.NDArray[np.bool_],
+) -> tuple[_ScaledProgram, _KeptRows]:
+    """Write the program in units of each unknown's range, with rows of length at most 1."""
+    lower, upper, equality = bounds[0][free], bounds[1][free], model.equality
+    width = upper - lower
+    values = np.concatenate([model.values, -model.values[equality]])
+    rows = np.vstack([model.jacobian, -model.jacobian[equality]])[:, free] * width
+    group = np.concatenate([model.constraint, model.constraint[equality]])
     # a row that is negative wherever the step may go says nothing; as it may be a constant, it
     # would spoil the scale
     highest = values + np.maximum(rows * (lower / width), rows * (upper / width)).sum(axis=1)
@@ -105,24 +131,17 @@ def penalised_step(
     sizes = np.maximum(np.abs(rows).max(axis=1, initial=0.0), FLATTEST * np.abs(values))
     np.maximum.at(lengths, group, sizes)
     lengths[lengths == 0.0] = 1.0
-    rows, values = rows / lengths[group, None], values / lengths[group]
     program = _ScaledProgram(
         width * model.gradient[free],
         model.hessian[np.ix_(free, free)] * np.outer(width, width),
-        rows,
-        values,
+        rows / lengths[group, None],
+        values / lengths[group],
         group,
         penalty * lengths,
         lower / width,
         upper / width,
     )
-    scaled, dual = program.solve()
-    step[free] = np.clip(scaled * width, lower, upper)
-    both = np.zeros(len(equal) + int(equal.sum()))
-    both[kept] = dual / lengths[group]
-    multipliers = both[: len(equal)].copy()
-    multipliers[equal] -= both[len(equal) :]
-    return step, multipliers
+    return program, _KeptRows(kept, lengths[group])
 
 
 @dataclass(frozen=True)
@@ -139,7 +158,7 @@ class _ScaledProgram:
     upper: FloatArray
 
     def solve(self) -> tuple[FloatArray, FloatArray]:
-        """The step and the multipliers of the rows.
+        """Return the step and the multipliers of the rows.
 
         The unknowns are those of the step, and one bound t_i >= v_i for each constraint.
         """
@@ -156,17 +175,18 @@ class _ScaledProgram:
             [np.hstack([self.rows, -selection]), -identity[n:], identity[:n], -identity[:n]]
         )
         limits = np.concatenate([-self.values, np.zeros(m), self.upper, -self.lower])
-        # strictly inside: the middle of the room, and bounds beyond the violations there
+        # strictly feasible: the middle of the box, t above the violations there, and multipliers
+        # that make the Lagrangian's gradient zero, those of the box shifted off zero
         middle = 0.5 * (self.upper + self.lower)
-        bounds = np.zeros(m)
-        np.maximum.at(bounds, self.group, self.values + self.rows @ middle)
-        halves = 0.5 * self.weights / size
-        shares = (halves / np.maximum(np.bincount(self.group, minlength=m), 1))[self.group]
-        pull = hessian[:n, :n] @ middle + linear[:n] + self.rows.T @ shares
-        spare = 0.1 + 0.1 * np.abs(pull).max(initial=0.0)
-        sides = [np.maximum(-pull, 0.0) + spare, np.maximum(pull, 0.0) + spare]
-        start = np.concatenate([middle, bounds + 1.0])
-        dual = np.concatenate([shares, halves, *sides])
+        t = np.zeros(m)
+        np.maximum.at(t, self.group, self.values + self.rows @ middle)
+        dual_t = 0.5 * self.weights / size
+        dual_rows = (dual_t / np.maximum(np.bincount(self.group, minlength=m), 1))[self.group]
+        gradient = hessian[:n, :n] @ middle + linear[:n] + self.rows.T @ dual_rows
+        shift = 0.1 + 0.1 * np.abs(gradient).max(initial=0.0)
+        dual_box = [np.maximum(-gradient, 0.0) + shift, np.maximum(gradient, 0.0) + shift]
+        start = np.concatenate([middle, t + 1.0])
+        dual = np.concatenate([dual_rows, dual_t, *dual_box])
         solution, dual = _interior_point(hessian, linear, constraints, limits, start, dual)
         return solution[:n], dual[:r] * size
 
@@ -197,10 +217,10 @@ def _interior_point(
             break
         newton = _NewtonSystem(constraints, slack, dual, stationarity, primal, solve)
         _, ds, dl = newton.step(np.zeros_like(slack))
-        length = min(_room(slack, ds), _room(dual, dl))
+        length = min(_step_to_zero(slack, ds), _step_to_zero(dual, dl))
         after = float((slack + length * ds) @ (dual + length * dl)) / len(limits)
         dx, ds, dl = newton.step((after / gap) ** 3 * gap - ds * dl)
-        length = TO_BOUNDARY * min(_room(slack, ds), _room(dual, dl))
+        length = TO_BOUNDARY * min(_step_to_zero(slack, ds), _step_to_zero(dual, dl))
         x, slack, dual = x + length * dx, slack + length * ds, dual + length * dl
     return best[1], best[2]
 
@@ -217,7 +237,7 @@ class _NewtonSystem:
     solve: Callable[[FloatArray], FloatArray]
 
     def step(self, target: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Changes of x, slacks and multipliers towards slack * dual = target."""
+        """Return the changes of x, slacks and multipliers towards slack * dual = target."""
         ratio = self.dual / self.slack
         aim = target / self.slack - self.dual
         right = -self.stationarity - self.constraints.T @ (ratio * self.primal + aim)
@@ -227,7 +247,7 @@ class _NewtonSystem:
 
 
 def _factorised(matrix: FloatArray) -> Callable[[FloatArray], FloatArray] | None:
-    """A solver of systems with this positive definite matrix; None where rounding spoils it."""
+    """Return a solver of a positive definite system; None if rounding errors spoil it."""
     scale = 1.0 / np.sqrt(np.diagonal(matrix))
     scaled = matrix * np.outer(scale, scale)
     if not np.isfinite(scaled).all():
@@ -243,7 +263,7 @@ def _factorised(matrix: FloatArray) -> Callable[[FloatArray], FloatArray] | None
     return solve
 
 
-def _room(values: FloatArray, changes: FloatArray) -> float:
-    """How much of the changes may be added until the first value is zero, at most all."""
+def _step_to_zero(values: FloatArray, changes: FloatArray) -> float:
+    """Return the part of the changes, at most 1, after which the first value is zero."""
     falling = changes < 0.0
     return float(np.min(-values[falling] / changes[falling], initial=1.0))

@@ -1,8 +1,9 @@
-"""How far the columns of a Jacobian by finite differences may be off.
+"""Bounds on the errors of a Jacobian by finite differences, column by column.
 
 A direction that the data do not determine at all does not show as 0 in such a Jacobian, but as the
 sum of the errors of its columns: from the noise of the simulation over the step, and from the
-curvature times the step (forward) or its square (central); see `methods.differences`.
+curvature times the step (forward) or its square (central); see
+`methods.derivatives.differences`.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ ABOUT_ZERO = 0.01
 """Of the typical size."""
 
 
-def sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
-    """What a relative change of each unknown is relative to: itself, unless it is about 0."""
+def relative_sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
+    """Return the size to which a change of each unknown is relative: itself, unless about 0."""
     logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
     own = np.where(np.abs(x) > ABOUT_ZERO * space.typical, np.abs(x), space.typical)
     return np.where(logarithmic, 1.0, own)
@@ -34,50 +35,50 @@ def column_errors(
     outputs: float,
     steps: FloatArray | None,
 ) -> FloatArray:
-    """(unknowns,): the error of each column over its norm, with a margin.
+    """Return (unknowns,): the error of each column over its norm, with a margin.
 
     Parameters
     ----------
     space, x
-        Where.
+        The space and the point.
     sensitivity : (unknowns,)
         Norms of the columns, for a relative change of each unknown.
     outputs
-        The norm of what was simulated, in units of the residuals.
+        The norm of the simulated outputs, in units of the residuals.
     steps
-        Of the differences; forward ones are assumed where they are not known. Whether they were
-        forward or central is told from their size.
+        Of the differences; forward ones are assumed where they are not known. Their size
+        shows whether they were forward or central.
     """
     noise = relative_noise(space.problem.model.solver)
     usual = difference_steps(space, x, "forward", 0.0)
     steps = np.abs(usual if steps is None else np.where(steps != 0.0, steps, usual))
-    # the scheme is told by steps that have the size that it gives them
+    # the scheme follows from the size of the steps
     asked = float(np.median(steps / np.where(usual != 0.0, np.abs(usual), 1.0))) if len(x) else 1.0
     central = asked > noise ** (-1.0 / 12.0)  # the middle between both, on a logarithmic scale
     one_sided = (x + steps > space.upper) | (x - steps < space.lower)
-    relative = steps / sizes(space, x)
+    relative = steps / relative_sizes(space, x)
     curvature = np.where(one_sided | (not central), relative, relative**2)
     least = np.finfo(float).tiny
     return _errors(curvature, noise * outputs / np.maximum(relative, least), sensitivity)
 
 
 def measured_errors(
-    space: SearchSpace, sensitivity: FloatArray, outputs: float, reach: float
+    space: SearchSpace, sensitivity: FloatArray, outputs: float, measured_step: float
 ) -> FloatArray:
-    """The same where directions were measured with steps of this relative size; see `sharpen`."""
+    """Return them for directions measured with steps of this relative size; see `sharpen`."""
     noise = relative_noise(space.problem.model.solver)
-    curvature = np.full(space.size, reach**4)
-    return _errors(curvature, np.full(space.size, noise * outputs / reach), sensitivity)
+    curvature = np.full(space.size, measured_step**4)
+    return _errors(curvature, np.full(space.size, noise * outputs / measured_step), sensitivity)
 
 
 def _errors(curvature: FloatArray, noise: FloatArray, sensitivity: FloatArray) -> FloatArray:
-    """A column that is not larger than its noise is nothing but error."""
+    """Return relative errors; a column that is not larger than its noise is nothing but error."""
     over = np.divide(noise, sensitivity, out=np.full(len(noise), np.inf), where=sensitivity > 0.0)
     return np.asarray(np.maximum(SAFETY * (curvature + np.minimum(over, 1.0)), ROUNDING))
 
 
 def output_norm(space: SearchSpace, factor: FloatArray) -> float:
-    """The norm of the measured outputs, weighted like the residuals; 0 where nobody knows it."""
+    """Return the norm of the measured outputs, weighted like the residuals; 0 if not known."""
     parts = [np.zeros(0)]
     for e in space.experiments:
         experiment = space.problem.experiments[e]

@@ -1,11 +1,11 @@
 """The normal equations of shared and local unknowns, solved experiment by experiment.
 
 The residuals of an experiment depend on the shared unknowns and on its own. So the Jacobian is a
-column of blocks (A_e, B_e), and its local parts are eliminated one block at a time: what A_e is at
-a right angle to B_e is all that an experiment says about the shared unknowns. Memory grows with
+column of blocks (A_e, B_e), and its local parts are eliminated one block at a time: the part of A_e
+orthogonal to B_e has all information of an experiment on the shared unknowns. Memory grows with
 the blocks, not with the square of all unknowns; the result is that of the dense (J'J)^-1 (A.
 Bjorck, Numerical Methods for Least Squares Problems (1996), doi:10.1137/1.9781611971484, section
-6.3). Singular value decompositions take the place of QR, to see what the data do not determine.
+6.3). Singular value decompositions take the place of QR, to find what the data do not determine.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from workers.messages import FloatArray
 
 MARGIN = 3.0
+"""Times its limit: a direction with a smaller ratio is reported."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class JacobianBlock:
 
 @dataclass(frozen=True)
 class ErrorLimits:
-    """How large the product of the Jacobian and a unit vector is that is nothing but error.
+    """The error of the product of the Jacobian and a unit vector.
 
     For a vector v it is |limits * v|.
 
@@ -49,7 +50,7 @@ class ErrorLimits:
     local
         For each block, one for each of its local unknowns.
     embedding : (m, shared)
-        Makes shared unknowns of the blocks' shared coordinates.
+        From the blocks' shared coordinates to the shared unknowns.
     """
 
     shared: FloatArray
@@ -68,9 +69,9 @@ class UndeterminedCombination:
     local
         Its part in each block's local unknowns; empty arrays where it has none.
     ratio
-        How much the residuals change along it, over what its unknowns do on their own.
+        Change of the residuals along it, over the changes by its unknowns on their own.
     limit
-        What the error of the derivatives alone would make of the ratio.
+        The ratio that the error of the derivatives alone may cause.
     """
 
     shared: FloatArray
@@ -79,7 +80,8 @@ class UndeterminedCombination:
     limit: float
 
     @property
-    def lost(self) -> bool:
+    def undetermined(self) -> bool:
+        """True if the ratio cannot be told from 0."""
         return self.ratio <= self.limit
 
 
@@ -87,30 +89,31 @@ class UndeterminedCombination:
 class _EliminatedBlock:
     """A block without its local unknowns.
 
-    `inverse` (local, n) is the pseudo-inverse of its local part, `follow` (local, shared) how the
-    local unknowns make up for a change of the shared ones, `rest` (n, shared) what they cannot,
-    and `sound` (local, local) projects on the local directions that are determined well.
+    `inverse` (local, n) is the pseudo-inverse of its local part B, `response` (local, shared) is
+    `inverse` A, minus the change of the local unknowns with the shared ones, `rest` (n, shared) the
+    part of A orthogonal to B, and `projector` (local, local) projects on the local directions that
+    are determined well.
     """
 
     inverse: FloatArray
-    follow: FloatArray
-    sound: FloatArray
+    response: FloatArray
+    projector: FloatArray
     rest: FloatArray
     rank: int
 
 
 @dataclass(frozen=True)
 class BlockFactors:
-    """Blocks whose local unknowns have been eliminated, and what is left for the shared ones.
+    """Blocks whose local unknowns have been eliminated, and the factors for the shared ones.
 
     Attributes
     ----------
     inverse : (shared, shared)
         Pseudo-inverse of the normal equations of the shared coordinates.
     rank
-        How many directions the data determine.
+        Number of directions that the data determine.
     combinations
-        Those that they do not, or hardly.
+        Directions that they do not determine, or hardly.
     """
 
     inverse: FloatArray
@@ -138,14 +141,14 @@ class BlockCovariance:
 
 
 def factorise(blocks: Sequence[JacobianBlock], limits: ErrorLimits, weak: float) -> BlockFactors:
-    """Eliminate the local unknowns of each block and join what is left.
+    """Eliminate the local unknowns of each block and join the rest.
 
     Parameters
     ----------
     blocks
         All with the same shared coordinates.
     limits
-        A direction is lost if its ratio is not above them, and takes no part in what follows.
+        A direction is undetermined if its ratio is not above them, and is left out then.
     weak
         Directions up to this ratio, or up to `MARGIN` times their limit, are reported too.
     """
@@ -155,9 +158,9 @@ def factorise(blocks: Sequence[JacobianBlock], limits: ErrorLimits, weak: float)
     nothing = tuple(np.zeros(0) for _ in blocks)
     triangle = np.zeros((0, width))
     for e, block in enumerate(blocks):
-        part, ratios, vectors, edges = _eliminate(block, limits.local[e], weak)
+        part, ratios, vectors, limits_of_rows = _eliminate(block, limits.local[e], weak)
         parts.append(part)
-        for ratio, vector, edge in zip(ratios, vectors, edges, strict=True):
+        for ratio, vector, edge in zip(ratios, vectors, limits_of_rows, strict=True):
             local = (*nothing[:e], vector, *nothing[e + 1 :])
             found.append(
                 UndeterminedCombination(np.zeros(len(limits.shared)), local, float(ratio), edge)
@@ -169,7 +172,7 @@ def factorise(blocks: Sequence[JacobianBlock], limits: ErrorLimits, weak: float)
     kept = []
     for value, row in zip(singular, rows, strict=True):
         combination = _complete(value, row, parts, limits)
-        kept.append(not combination.lost)
+        kept.append(not combination.undetermined)
         if combination.ratio <= max(weak, MARGIN * combination.limit):
             found.append(combination)
     scaled = rows[kept] / singular[kept, None]
@@ -177,10 +180,10 @@ def factorise(blocks: Sequence[JacobianBlock], limits: ErrorLimits, weak: float)
     return BlockFactors(scaled.T @ scaled, tuple(parts), rank, tuple(found))
 
 
-def covariance(
+def block_covariance(
     factors: BlockFactors, spread: Sequence[FloatArray] | None = None
 ) -> BlockCovariance:
-    """(J'J)^-1 J'DJ (J'J)^-1 from its factors; (J'J)^-1 without D.
+    """Return (J'J)^-1 J'DJ (J'J)^-1 from the factors of J; (J'J)^-1 without D.
 
     Parameters
     ----------
@@ -191,9 +194,9 @@ def covariance(
     """
     if spread is None:
         shared = factors.inverse
-        cross = tuple(-part.follow @ shared for part in factors.parts)
+        cross = tuple(-part.response @ shared for part in factors.parts)
         own = [part.inverse @ part.inverse.T for part in factors.parts]
-        local = [o - c @ p.follow.T for o, c, p in zip(own, cross, factors.parts, strict=True)]
+        local = [o - c @ p.response.T for o, c, p in zip(own, cross, factors.parts, strict=True)]
         return BlockCovariance(shared, cross, tuple(local))
     influence = [factors.inverse @ part.rest.T for part in factors.parts]
     shared = np.zeros_like(factors.inverse)
@@ -202,13 +205,13 @@ def covariance(
     crossed, locals_ = [], []
     for part, each, d in zip(factors.parts, influence, spread, strict=True):
         mixed = (part.inverse * d) @ each.T
-        between = mixed @ part.follow.T
-        crossed.append(mixed - part.follow @ shared)
+        between = mixed @ part.response.T
+        crossed.append(mixed - part.response @ shared)
         locals_.append(
             (part.inverse * d) @ part.inverse.T
             - between
             - between.T
-            + part.follow @ shared @ part.follow.T
+            + part.response @ shared @ part.response.T
         )
     return BlockCovariance(shared, tuple(crossed), tuple(locals_))
 
@@ -216,35 +219,40 @@ def covariance(
 def _eliminate(
     block: JacobianBlock, limits: FloatArray, weak: float
 ) -> tuple[_EliminatedBlock, FloatArray, FloatArray, list[float]]:
-    """A block without its local unknowns; its bad directions as ratios, vectors and limits."""
+    """Eliminate a block's local unknowns; return it, and ratios, vectors, limits of bad ones."""
     count = block.local.shape[1]
     left, singular, rows = np.linalg.svd(block.local, full_matrices=False)
     if len(singular) < count:  # fewer residuals than local unknowns
         _, _, rows = np.linalg.svd(block.local)
         singular = np.append(singular, np.zeros(count - len(singular)))
         left = np.column_stack([left, np.zeros((len(left), count - left.shape[1]))])
-    edges = [float(np.linalg.norm(limits * row)) for row in rows]
-    kept = singular > edges
-    bad = singular <= np.maximum(weak, MARGIN * np.array(edges))
+    limits_of_rows = [float(np.linalg.norm(limits * row)) for row in rows]
+    kept = singular > limits_of_rows
+    bad = singular <= np.maximum(weak, MARGIN * np.array(limits_of_rows))
     basis = left[:, kept]
     inverse = (rows[kept].T / singular[kept]) @ basis.T
     rest = block.shared
     for _ in range(2):  # once leaves rounding errors along what was removed
         rest = rest - basis @ (basis.T @ rest)
-    sound = rows[~bad].T @ rows[~bad]
-    part = _EliminatedBlock(inverse, inverse @ block.shared, sound, rest, int(kept.sum()))
-    return part, singular[bad], rows[bad], [edge for edge, b in zip(edges, bad, strict=True) if b]
+    projector = rows[~bad].T @ rows[~bad]
+    part = _EliminatedBlock(inverse, inverse @ block.shared, projector, rest, int(kept.sum()))
+    return (
+        part,
+        singular[bad],
+        rows[bad],
+        [edge for edge, b in zip(limits_of_rows, bad, strict=True) if b],
+    )
 
 
 def _complete(
     singular: float, row: FloatArray, parts: Sequence[_EliminatedBlock], limits: ErrorLimits
 ) -> UndeterminedCombination:
-    """A direction of the shared coordinates, with the local unknowns that go along with it.
+    """Return a direction of the shared coordinates, with the response of the local unknowns.
 
-    Directions that are bad within a block are reported of their own and stay out of this one.
+    Directions that are badly determined within a block are reported of their own and left out here.
     """
     shared = limits.embedding @ row
-    local = [-part.sound @ (part.follow @ row) for part in parts]
+    local = [-part.projector @ (part.response @ row) for part in parts]
     length = float(np.sqrt(1.0 + sum(float(y @ y) for y in local)))
     pairs = zip([limits.shared, *limits.local], [shared, *local], strict=True)
     limit = float(np.sqrt(sum(float(((a * b) ** 2).sum()) for a, b in pairs))) / length

@@ -8,8 +8,8 @@ It is right where the residuals are independent and the model is nearly linear o
 Residuals that are not white make the intervals too narrow: then bootstrap over experiments. Where
 the model bends, or an interval reaches a bound, take profiles.
 
-What holds an unknown takes a direction away: a bound that it stands at, and an active constraint
-on parameters, whose derivatives are projected out. Active constraints on signals are ignored.
+A bound that an unknown is at removes a direction, and so does an active constraint on parameters,
+whose gradient is projected out. Active constraints on signals are ignored.
 """
 
 from __future__ import annotations
@@ -22,54 +22,68 @@ from scipy.stats import t as student
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods.base import Solution
 from cluster_est.problem.space import SearchSpace
-from cluster_est.uncertainty.covariance.jacobian import has_slopes
-from cluster_est.uncertainty.covariance.layout import HELD, UnknownLayout, bound_sides, lay_out
+from cluster_est.uncertainty.covariance.jacobian import has_jacobian
+from cluster_est.uncertainty.covariance.layout import (
+    HELD,
+    ActiveBound,
+    UnknownLayout,
+    active_bounds,
+    unknown_layout,
+)
 from cluster_est.uncertainty.covariance.result import (
     ConfidenceInterval,
     DerivedInterval,
     Uncertainty,
 )
-from cluster_est.uncertainty.covariance.system import WEAK, ScaledJacobian, build, directions
+from cluster_est.uncertainty.covariance.system import (
+    WEAK,
+    ScaledJacobian,
+    directions,
+    factorised_jacobian,
+)
 from workers.messages import FloatArray
 
 
 def intervals(space: SearchSpace, solution: Solution) -> list[ConfidenceInterval]:
-    """An interval for each unknown; see `assess`."""
+    """Return an interval for each unknown; see `assess`."""
     return list(assess(space, solution).intervals)
 
 
-def assess(space: SearchSpace, solution: Solution, reach: float = 0.0) -> Uncertainty:
-    """What the Jacobian at a solution says about it.
+def assess(space: SearchSpace, solution: Solution, measured_step: float = 0.0) -> Uncertainty:
+    """Return the uncertainty of a solution from its Jacobian, without simulations.
 
     Parameters
     ----------
     space, solution
-        What was searched, and what was found, with its `jacobian` and, for any cost but the sum of
-        squares, `at`. See `linearise` where a method leaves none.
-    reach
-        Of `sharpen`, if it was called.
+        The space that was searched, and the solution with its `jacobian` and, for any cost but the
+        sum of squares, `at`. See `linearise` where a method leaves none.
+    measured_step
+        The second result of `sharpen`, if it was called.
     """
-    system = prepare(space, solution, reach)
+    system = scaled_jacobian(space, solution, measured_step)
     if system is None:
         return _nothing(space, solution)
     return _report(space, solution.x, system)
 
 
-def prepare(
-    space: SearchSpace, solution: Solution, reach: float = 0.0, weak: float = WEAK
+def scaled_jacobian(
+    space: SearchSpace, solution: Solution, measured_step: float = 0.0, weak: float = WEAK
 ) -> ScaledJacobian | None:
-    """The factored Jacobian of a solution; None if the solution lacks what that takes."""
-    known = solution.at is not None or isinstance(space.problem.cost, SumSquared)
-    if not has_slopes(solution) or not known or not np.isfinite(solution.cost):
+    """Return the factorised Jacobian of a solution; None if it lacks the Jacobian or values."""
+    has_values = solution.at is not None or isinstance(space.problem.cost, SumSquared)
+    if not has_jacobian(solution) or not has_values or not np.isfinite(solution.cost):
         return None
     constraints = np.zeros(0) if solution.at is None else solution.at.constraints
-    layouts = [lay_out(space, solution.x, constraints, held=held) for held in (True, False)]
-    return build(space, solution, layouts[0], layouts[1], reach, weak)
+    layout = unknown_layout(space, solution.x, constraints)
+    unbounded = unknown_layout(space, solution.x, constraints, held=False)
+    return factorised_jacobian(
+        space, solution, (layout, unbounded), measured_step=measured_step, weak=weak
+    )
 
 
 def _nothing(space: SearchSpace, solution: Solution) -> Uncertainty:
-    sides = bound_sides(space, solution.x)
-    found = tuple(ConfidenceInterval(np.nan, np.nan, np.nan, side) for side in sides)
+    bounds = active_bounds(space, solution.x)
+    found = tuple(ConfidenceInterval(np.nan, np.nan, np.nan, bound) for bound in bounds)
     note = "there are no intervals, because no derivatives are known at the solution"
     none = np.zeros((0, 0))
     return Uncertainty(found, (), (), (), none, none, (), np.nan, 0, (note,))
@@ -82,15 +96,16 @@ def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncert
     variances = np.sqrt(_diagonal(space, system))  # per root of the variance, still scaled
     errors = np.sqrt(variance) * variances / system.scale
     shared, local = layout.shared, np.array([*chain(*layout.local)], dtype=np.intp)
-    inside = system.coordinates @ system.found.shared @ system.coordinates.T
-    crossed = [part @ system.coordinates.T for part in system.found.cross]
+    within = system.coordinates @ system.covariance.shared @ system.coordinates.T
+    crossed = [part @ system.coordinates.T for part in system.covariance.cross]
     across = np.vstack([np.zeros((0, len(shared))), *crossed])
     with np.errstate(invalid="ignore", divide="ignore"):
-        correlations = inside / np.outer(variances[shared], variances[shared])
+        correlations = within / np.outer(variances[shared], variances[shared])
         mixed = across / np.outer(variances[local], variances[shared])
     return Uncertainty(
         intervals=tuple(
-            _interval(space, x, i, errors[i], width, layout.sides[i]) for i in range(space.size)
+            _interval(space, x, i, errors[i], width, layout.active_bounds[i])
+            for i in range(space.size)
         ),
         derived=_derived(space, x, system, width),
         shared=tuple(space.unknowns[i].label for i in shared),
@@ -105,65 +120,65 @@ def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncert
 
 
 def _diagonal(space: SearchSpace, system: ScaledJacobian) -> FloatArray:
-    """(unknowns,): of the covariance; NaN for what is held or has a part in a lost direction."""
+    """Return the diagonal (unknowns,); NaN where held or part of an undetermined direction."""
     result = np.full(space.size, np.nan)
     shared, coordinates = system.layout.shared, system.coordinates
-    inside = ((coordinates @ system.found.shared) * coordinates).sum(axis=1)
+    inside = ((coordinates @ system.covariance.shared) * coordinates).sum(axis=1)
     free = np.linalg.norm(coordinates, axis=1) > HELD
     result[shared] = np.where(free, inside, np.nan)
-    for local, part in zip(system.layout.local, system.found.local, strict=True):
+    for local, part in zip(system.layout.local, system.covariance.local, strict=True):
         result[local] = np.diag(part)
-    touched = (np.abs(system.lost) > system.part).any(axis=0)
-    return np.where(touched | (result < 0.0), np.nan, result)
+    affected = (np.abs(system.undetermined) > system.tolerance).any(axis=0)
+    return np.where(affected | (result < 0.0), np.nan, result)
 
 
 def _interval(
-    space: SearchSpace, x: FloatArray, i: int, error: float, width: float, side: str
+    space: SearchSpace, x: FloatArray, i: int, error: float, width: float, at_bound: ActiveBound
 ) -> ConfidenceInterval:
     unknown = space.unknowns[i]
-    known = bool(np.isfinite(error)) and np.isfinite(width)
-    low = unknown.to_physical(float(x[i] - width * error)) if known else np.nan
-    high = unknown.to_physical(float(x[i] + width * error)) if known else np.nan
+    finite = bool(np.isfinite(error)) and np.isfinite(width)
+    low = unknown.to_physical(float(x[i] - width * error)) if finite else np.nan
+    high = unknown.to_physical(float(x[i] + width * error)) if finite else np.nan
     physical = error * unknown.to_physical(float(x[i])) if unknown.log else error
-    return ConfidenceInterval(float(physical), low, high, side)
+    return ConfidenceInterval(float(physical), low, high, at_bound)
 
 
 def _derived(
     space: SearchSpace, x: FloatArray, system: ScaledJacobian, width: float
 ) -> tuple[DerivedInterval, ...]:
-    """By the delta method; with no pairs of local unknowns of different experiments."""
+    """Return intervals by the delta method, without pairs of experiments' local unknowns."""
     values = space.derived(x)
     if not values:
         return ()
-    slopes = {label: np.zeros(space.size) for label in values}
-    for i in range(space.size):  # held ones too: they may be in lost directions
+    gradients = {label: np.zeros(space.size) for label in values}
+    for i in range(space.size):  # held ones too: they may be in undetermined directions
         step = np.cbrt(np.finfo(float).eps) * max(abs(float(x[i])), float(space.typical[i]))
-        high, low = x.copy(), x.copy()
-        high[i] = min(x[i] + step, space.upper[i])
-        low[i] = max(x[i] - step, space.lower[i])
-        ahead, behind = space.derived(high), space.derived(low)
+        x_plus, x_minus = x.copy(), x.copy()
+        x_plus[i] = min(x[i] + step, space.upper[i])
+        x_minus[i] = max(x[i] - step, space.lower[i])
+        plus, minus = space.derived(x_plus), space.derived(x_minus)
         for label in values:
             # a value that is the same in all experiments may be so at x alone, by chance
-            change = ahead.get(label, np.nan) - behind.get(label, np.nan)
-            slopes[label][i] = change / (high[i] - low[i])
+            change = plus.get(label, np.nan) - minus.get(label, np.nan)
+            gradients[label][i] = change / (x_plus[i] - x_minus[i])
     found = []
     for label, value in values.items():
-        error = _delta(system, slopes[label] / system.scale)
+        error = _delta_method_error(system, gradients[label] / system.scale)
         half = width * error
         found.append(DerivedInterval(label, value, error, value - half, value + half))
     return tuple(found)
 
 
-def _delta(system: ScaledJacobian, slope: FloatArray) -> float:
-    """Standard error of a function with this slope in scaled unknowns."""
-    lengths = np.linalg.norm(system.lost, axis=1) * np.linalg.norm(slope)
-    if (np.abs(system.lost @ slope) > system.part * lengths).any():
+def _delta_method_error(system: ScaledJacobian, gradient: FloatArray) -> float:
+    """Return the standard error of a function with this gradient by scaled unknowns."""
+    lengths = np.linalg.norm(system.undetermined, axis=1) * np.linalg.norm(gradient)
+    if (np.abs(system.undetermined @ gradient) > system.tolerance * lengths).any():
         return np.nan
-    own = system.coordinates.T @ slope[system.layout.shared]
-    total = float(own @ system.found.shared @ own)
-    parts = zip(system.layout.local, system.found.cross, system.found.local, strict=True)
+    own = system.coordinates.T @ gradient[system.layout.shared]
+    total = float(own @ system.covariance.shared @ own)
+    parts = zip(system.layout.local, system.covariance.cross, system.covariance.local, strict=True)
     for local, cross, block in parts:
-        part = slope[local]
+        part = gradient[local]
         total += 2.0 * float(part @ cross @ own) + float(part @ block @ part)
     return float(np.sqrt(system.scatter.variance * max(total, 0.0)))
 

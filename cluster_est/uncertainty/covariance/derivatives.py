@@ -1,4 +1,4 @@
-"""Simulations that derivatives need besides those of the search: few, and on the same queue."""
+"""Further simulations for derivatives at a solution: few, and on the same queue."""
 
 from __future__ import annotations
 
@@ -7,33 +7,34 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Search, Solution
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import jacobian, relative_noise
 from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner, SearchRequest
-from cluster_est.uncertainty.covariance.accuracy import sizes
-from cluster_est.uncertainty.covariance.covariance import assess, prepare
-from cluster_est.uncertainty.covariance.jacobian import has_slopes, slopes_of, with_slopes
+from cluster_est.uncertainty.covariance.accuracy import relative_sizes
+from cluster_est.uncertainty.covariance.covariance import assess, scaled_jacobian
+from cluster_est.uncertainty.covariance.jacobian import has_jacobian, jacobian_blocks, with_jacobian
 from cluster_est.uncertainty.covariance.result import Uncertainty
 from cluster_est.uncertainty.covariance.system import ScaledJacobian, vectors
-from cluster_est.uncertainty.spaces import moved
+from cluster_est.uncertainty.spaces import with_start
 from workers.messages import FloatArray
 
-LEAST_REACH, LARGEST_REACH = 1e-3, 3e-2
+LEAST_STEP, LARGEST_STEP = 1e-3, 3e-2
 SUSPECT = 1e-2
 """Directions up to this ratio are measured again. A kink in an equation, such as a dead zone's,
 makes an adaptive solver's result jump by more than its tolerance; over the step of a difference
 that looks as if the data determined, badly, what they do not determine at all.
 """
 ROUNDS = 3
-FALLEN = 0.1
-"""Part of its ratio, below which a direction has turned so far that it is measured once more."""
+REPEATED = 0.1
+"""Part of its old ratio below which a direction is measured once more."""
 
 
 def examine(runner: Runner, space: SearchSpace, solution: Solution) -> Uncertainty:
-    """What the data say about a solution to first order, with the simulations that this takes.
+    """Return the uncertainty of a solution to first order, with the simulations that this takes.
 
     A solution without derivatives costs a central Jacobian. Directions in which the residuals seem
     not to change cost four points each: along those the derivative is measured once more, with
@@ -42,14 +43,14 @@ def examine(runner: Runner, space: SearchSpace, solution: Solution) -> Uncertain
     Parameters
     ----------
     runner
-        Where they run.
+        For the simulations.
     space, solution
-        What was searched, and what was found.
+        The space that was searched, and the solution.
     """
     solution = linearise(runner, space, solution)
-    sharp, reach = sharpen(runner, space, solution)
-    found = assess(space, sharp, reach)
-    if not found.directions or reach > 0.0:
+    sharp, step = sharpen(runner, space, solution)
+    found = assess(space, sharp, step)
+    if not found.directions or step > 0.0:
         return found
     note = (
         "what is said of directions was not confirmed by simulations, because some failed close "
@@ -59,21 +60,21 @@ def examine(runner: Runner, space: SearchSpace, solution: Solution) -> Uncertain
 
 
 def linearise(runner: Runner, space: SearchSpace, solution: Solution) -> Solution:
-    """The solution with its evaluation and its Jacobian, simulated where they are missing.
+    """Return the solution with its evaluation and its Jacobian, simulated where they are missing.
 
-    It is as it was where the simulations fail.
+    It is unchanged if the simulations fail.
     """
     if not np.isfinite(solution.cost):
         return solution
-    if has_slopes(solution) and solution.at is not None:
+    if has_jacobian(solution) and solution.at is not None:
         return solution
-    asked = _CentralJacobian(not has_slopes(solution))
-    here = moved(space, solution.x)
-    (found,) = runner.run([SearchRequest("derivatives", asked, here)])
+    asked = _CentralJacobian(not has_jacobian(solution))
+    start_space = with_start(space, solution.x)
+    (found,) = runner.run([SearchRequest("derivatives", asked, start_space)])
     if not found.ending.success:
         return solution
     solution = replace(solution, cost=found.cost, at=found.at)
-    if has_slopes(solution):
+    if has_jacobian(solution):
         return solution
     return replace(
         solution,
@@ -84,84 +85,88 @@ def linearise(runner: Runner, space: SearchSpace, solution: Solution) -> Solutio
 
 
 def sharpen(runner: Runner, space: SearchSpace, solution: Solution) -> tuple[Solution, float]:
-    """Measure again along the directions in which the residuals hardly change.
+    """Measure derivatives along the directions in which the residuals hardly change.
 
     Returns
     -------
     solution
         With a Jacobian whose products with these directions are the measured ones.
-    reach
+    step
         The relative step that was used; 0 if there was nothing to measure or it failed.
     """
-    system, reach = prepare(space, solution, weak=SUSPECT), 0.0
+    system, step = scaled_jacobian(space, solution, weak=SUSPECT), 0.0
     for _ in range(ROUNDS):
-        if system is None or not system.bad:
+        if system is None or not system.combinations:
             break
         found = _measured(runner, space, solution, system)
         if found is None:
             break
-        solution, reach = found
-        least = min(direction.ratio for direction in system.bad)
-        system = prepare(space, solution, reach, SUSPECT)
-        if system is None or not any(not c.lost and c.ratio < FALLEN * least for c in system.bad):
+        solution, step = found
+        least = min(direction.ratio for direction in system.combinations)
+        system = scaled_jacobian(space, solution, step, SUSPECT)
+        if system is None or not any(
+            not c.undetermined and c.ratio < REPEATED * least for c in system.combinations
+        ):
             break
-    return solution, reach
+    return solution, step
 
 
 def _measured(
     runner: Runner, space: SearchSpace, solution: Solution, system: ScaledJacobian
 ) -> tuple[Solution, float] | None:
-    """The solution with measured slopes along bad directions, and the step; None if it fails."""
-    matrix = slopes_of(space, solution)
+    """Return the solution with measured derivatives, and the step; None if that failed."""
+    matrix = jacobian_blocks(space, solution)
     assert matrix is not None
-    found = vectors(space, system.unheld, system.bad)
-    scaled = np.asarray(np.linalg.qr(found.T)[0])
-    moves = scaled.T / system.scale
-    lengths, reach = _lengths(space, solution.x, moves)
-    own = (
+    found = vectors(space, system.unbounded_layout, system.combinations)
+    basis = np.asarray(np.linalg.qr(found.T)[0])
+    directions = basis.T / system.scale
+    lengths, step = _lengths(space, solution.x, directions)
+    own_step = (
         0.0
         if solution.difference_steps is None
         else float(
-            np.max(np.abs(solution.difference_steps) / sizes(space, solution.x), initial=0.0)
+            np.max(
+                np.abs(solution.difference_steps) / relative_sizes(space, solution.x), initial=0.0
+            )
         )
     )
-    if reach <= own:
+    if step <= own_step:
         return None
-    asked = _DirectionalDifferences(moves * lengths[:, None])
-    here = moved(space, solution.x)
-    (measured,) = runner.run([SearchRequest("directions", asked, here)])
+    asked = _DirectionalDifferences(directions * lengths[:, None])
+    start_space = with_start(space, solution.x)
+    (measured,) = runner.run([SearchRequest("directions", asked, start_space)])
     if measured.jacobian is None or solution.at is None:
         return None
-    slopes = measured.jacobian / lengths
-    return with_slopes(solution, _corrected(matrix, system, scaled, slopes)), reach
+    products = measured.jacobian / lengths
+    return with_jacobian(solution, _corrected(matrix, system, basis, products)), step
 
 
-def _lengths(space: SearchSpace, x: FloatArray, moves: FloatArray) -> tuple[FloatArray, float]:
-    """How far to go along each direction, and the least relative change that this makes."""
+def _lengths(space: SearchSpace, x: FloatArray, directions: FloatArray) -> tuple[FloatArray, float]:
+    """Return the step along each direction, and the least relative change by one."""
     noise = relative_noise(space.problem.model.solver)
-    reach = min(max(noise**0.2, LEAST_REACH), LARGEST_REACH)
-    largest = np.max(np.abs(moves) / sizes(space, x), axis=1)
-    room = np.minimum(space.upper - x, x - space.lower)
+    step = min(max(noise**0.2, LEAST_STEP), LARGEST_STEP)
+    largest = np.max(np.abs(directions) / relative_sizes(space, x), axis=1)
+    distance = np.minimum(space.upper - x, x - space.lower)
     with np.errstate(divide="ignore"):
-        most = np.min(np.where(moves != 0.0, room / np.abs(moves), np.inf), axis=1)
-    lengths = np.minimum(reach / largest, most)
+        most = np.min(np.where(directions != 0.0, distance / np.abs(directions), np.inf), axis=1)
+    lengths = np.minimum(step / largest, most)
     return lengths, float(np.min(lengths * largest))
 
 
 def _corrected(
-    matrix: BlockMatrix, system: ScaledJacobian, directions: FloatArray, slopes: FloatArray
+    matrix: BlockMatrix, system: ScaledJacobian, directions: FloatArray, products: FloatArray
 ) -> BlockMatrix:
-    """The least change of the Jacobian that gives the measured slopes, experiment by experiment.
+    """Return the Jacobian, least changed, that has the measured products with directions.
 
     Columns of unknowns that do not act on an experiment stay 0 there.
     """
-    parts = []
-    for own, acting, rows in zip(matrix.parts, matrix.columns, matrix.rows, strict=True):
+    blocks = []
+    for block, acting, rows in zip(matrix.blocks, matrix.columns, matrix.rows, strict=True):
         part = directions[acting]
-        scaled = own / system.scale[acting]
-        change = (slopes[rows] - scaled @ part) @ np.linalg.pinv(part, rcond=1e-8)
-        parts.append((scaled + change) * system.scale[acting])
-    return replace(matrix, parts=tuple(parts))
+        scaled = block / system.scale[acting]
+        change = (products[rows] - scaled @ part) @ np.linalg.pinv(part, rcond=1e-8)
+        blocks.append((scaled + change) * system.scale[acting])
+    return replace(matrix, blocks=tuple(blocks))
 
 
 @dataclass(frozen=True)
@@ -173,6 +178,7 @@ class _CentralJacobian(Method):
 
     derivatives: bool
 
+    @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         x = space.start
         (at,) = yield Points(x[None, :], "start")
@@ -186,8 +192,8 @@ class _CentralJacobian(Method):
             x,
             at.cost,
             ending,
-            jacobian=found.whole,
-            block_jacobian=found.large,
+            jacobian=found.dense_if_small,
+            block_jacobian=found.blocks_if_large,
             difference_steps=found.steps,
             at=at,
         )
@@ -195,12 +201,12 @@ class _CentralJacobian(Method):
 
 @dataclass(frozen=True)
 class _DirectionalDifferences(Method):
-    """Slopes of the residuals along some steps from the start, of fourth order.
+    """Directional derivatives of the residuals along some steps from the start, of fourth order.
 
     Attributes
     ----------
     steps : (directions, unknowns)
-        Each is gone forwards and backwards, whole and by half.
+        Each is taken forwards and backwards, whole and by half.
     """
 
     name: ClassVar[str] = "directions"
@@ -208,6 +214,7 @@ class _DirectionalDifferences(Method):
 
     steps: FloatArray = field(repr=False)
 
+    @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         x = space.start
         parts = [x + share * self.steps for share in (1.0, -1.0, 0.5, -0.5)]
@@ -215,11 +222,13 @@ class _DirectionalDifferences(Method):
         found = yield Points(points, "direction")
         if not all(evaluation.ok for evaluation in found):
             return Solution(x, np.nan, Ending.DERIVATIVES_FAILED)
-        slopes = np.column_stack([self._slope(found, j) for j in range(len(self.steps))])
-        return Solution(x, np.nan, Ending.CONVERGED, jacobian=slopes)
+        products = np.column_stack([self._derivative(found, j) for j in range(len(self.steps))])
+        return Solution(x, np.nan, Ending.CONVERGED, jacobian=products)
 
-    def _slope(self, found: Sequence[Evaluation], j: int) -> FloatArray:
-        """Richardson's extrapolation of two central differences."""
-        ahead, behind, near, back = (found[j + q * len(self.steps)].residuals for q in range(4))
-        whole, half = (ahead - behind) / 2.0, near - back
+    def _derivative(self, found: Sequence[Evaluation], j: int) -> FloatArray:
+        """Return Richardson's extrapolation of two central differences."""
+        plus, minus, half_plus, half_minus = (
+            found[j + q * len(self.steps)].residuals for q in range(4)
+        )
+        whole, half = (plus - minus) / 2.0, half_plus - half_minus
         return np.asarray((4.0 * half - whole) / 3.0)

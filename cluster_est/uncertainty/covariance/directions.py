@@ -1,4 +1,4 @@
-"""Directions that the data do not determine, as sentences."""
+"""Sentences on directions that the data do not determine."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class UndeterminedDirection:
     labels
         Of the unknowns, in their order.
     weights
-        How each can move, in its own unit, for each 1 that the first moves.
+        Change of each, in its own unit, for each 1 of the first.
     relative
         The same as parts of the estimates, for each 1 of the first; NaN where one is about 0.
     ratio
-        How much the residuals change along it, over what they change for each unknown on its own.
-        An error of the derivatives remains in it, `limit`.
+        Change of the residuals along it, over the changes by each unknown on its own. It contains
+        an error of the derivatives, `limit`.
     limit
         A smaller ratio cannot be told from 0.
     kind
@@ -53,7 +53,7 @@ class UndeterminedDirection:
 
 
 def sparse_basis(vectors: FloatArray, tolerance: float) -> FloatArray:
-    """(k, unknowns): vectors that span the same directions, each with few unknowns.
+    """Return (k, unknowns): vectors of the same span, each with few unknowns.
 
     Several undetermined directions come out of a decomposition mixed. Each vector here has one
     unknown to itself.
@@ -69,20 +69,26 @@ def sparse_basis(vectors: FloatArray, tolerance: float) -> FloatArray:
 
 
 def direction(
-    space: SearchSpace, x: FloatArray, move: FloatArray, ratio: float, limit: float, *, lost: bool
+    space: SearchSpace,
+    x: FloatArray,
+    move: FloatArray,
+    ratio: float,
+    limit: float,
+    *,
+    undetermined: bool,
 ) -> UndeterminedDirection:
-    """Name a direction.
+    """Describe a direction.
 
     Parameters
     ----------
     space, x
-        Where.
+        The space and the point.
     move : (unknowns,)
         The direction in search coordinates.
     ratio, limit
         See `UndeterminedDirection`.
-    lost
-        Whether the data do not determine it at all.
+    undetermined
+        True if the data do not determine it at all.
     """
     values = np.array(list(space.estimates(x).values()))
     logarithmic = np.array([u.log for u in space.unknowns], dtype=bool)
@@ -97,8 +103,8 @@ def direction(
     relative = np.where(about_zero, np.nan, weights / np.where(about_zero, 1.0, values))
     relative = relative / relative[0]
     labels = tuple(space.unknowns[i].label for i in chosen)
-    kind: Kind = "undetermined" if lost else "weak"
-    if lost and len(labels) == 1:
+    kind: Kind = "undetermined" if undetermined else "weak"
+    if undetermined and len(labels) == 1:
         kind = "no effect"
     text = _sentence(labels, weights, relative, kind)
     pair = tuple(weights.tolist()), tuple(relative.tolist())
@@ -121,7 +127,7 @@ def _sentence(labels: Sequence[str], weights: FloatArray, relative: FloatArray, 
 def _how(
     labels: Sequence[str], weights: FloatArray, relative: FloatArray, grow: str, grows: str
 ) -> str:
-    """How the unknowns move together, with the verb for several and for one of them."""
+    """Say how the unknowns move together, with the verb for several and for one of them."""
     if np.all(np.abs(relative - 1.0) <= SAME):
         return f"{'both' if len(labels) == 2 else 'all of them'} {grow} by the same factor"
     if len(labels) == 2 and abs(relative[1] + 1.0) <= SAME:

@@ -1,8 +1,9 @@
-"""Which unknowns are held, which are shared and which belong to one experiment alone."""
+"""The unknowns at a solution: held at bounds, shared by experiments, or local to one."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,20 +14,23 @@ from cluster_est.problem.space import SearchSpace
 from cluster_est.uncertainty.covariance.blocks import JacobianBlock
 from workers.messages import FloatArray, IntArray
 
-NEAR = 1e-6
+AT_BOUND = 1e-6
 """Of an unknown's scale: closer to a bound than this, it counts as held there."""
 HELD = 1e-9
-"""Of an unknown's column: less freedom than this, and constraints determine it."""
+"""Part of an unknown's column below which active constraints determine it."""
+
+
+ActiveBound = Literal["", "lower", "upper"]
 
 
 @dataclass(frozen=True)
 class UnknownLayout:
-    """How the unknowns of a space stand to each other at a point.
+    """The free unknowns of a space at a point, shared and local, and its active constraints.
 
     Attributes
     ----------
-    sides
-        For each unknown "lower", "upper" or "": the bound that holds it.
+    active_bounds
+        For each unknown the bound that holds it, or "".
     shared
         Free unknowns that several experiments may depend on. An active constraint on local
         unknowns makes them shared.
@@ -34,74 +38,76 @@ class UnknownLayout:
         For each experiment, its free unknowns.
     active
         Names of the active constraints on parameters.
-    slopes : (active, shared)
+    constraint_jacobian : (active, shared)
         Their derivatives.
     ignored
         Names of active constraints on signals, whose derivatives are not known.
     """
 
-    sides: tuple[str, ...]
+    active_bounds: tuple[ActiveBound, ...]
     shared: IntArray
     local: tuple[IntArray, ...]
     active: tuple[str, ...]
-    slopes: FloatArray
+    constraint_jacobian: FloatArray
     ignored: tuple[str, ...]
 
 
-def bound_sides(space: SearchSpace, x: FloatArray) -> tuple[str, ...]:
-    """Which bound each unknown stands at: "lower", "upper" or ""."""
-    near = NEAR * space.typical
-    low, high = x - space.lower <= near, space.upper - x <= near
+def active_bounds(space: SearchSpace, x: FloatArray) -> tuple[ActiveBound, ...]:
+    """Return the bound that each unknown is at, or ""."""
+    tolerance = AT_BOUND * space.typical
+    low, high = x - space.lower <= tolerance, space.upper - x <= tolerance
     return tuple("lower" if a else "upper" if b else "" for a, b in zip(low, high, strict=True))
 
 
 def is_shared(space: SearchSpace) -> npt.NDArray[np.bool_]:
-    """(unknowns,): whether an unknown is declared for all experiments, or acts on several."""
+    """Return (unknowns,): True if declared for all experiments, or acting on several."""
     declared = np.array([u.parameter.per is None for u in space.unknowns], dtype=bool)
     several = np.array([len(u.experiments) > 1 for u in space.unknowns], dtype=bool)
     return np.asarray(declared | several)
 
 
-def lay_out(
+def unknown_layout(
     space: SearchSpace, x: FloatArray, constraints: FloatArray, *, held: bool = True
 ) -> UnknownLayout:
-    """Sort the unknowns at a point whose constraints have these values, of which some may lack.
+    """Return the layout at a point whose constraints have these values, of which some may lack.
 
     Unknowns at a bound are free too if not `held`.
     """
-    sides = bound_sides(space, x) if held else ("",) * space.size
-    free = np.array([not side for side in sides], dtype=bool)
-    slopes = space.parameter_constraint_slopes(x)
+    at_bounds = active_bounds(space, x)
+    if not held:
+        at_bounds = tuple("" for _ in at_bounds)
+    free = np.array([not bound for bound in at_bounds], dtype=bool)
+    jacobian = space.parameter_constraint_slopes(x)
     values = space.parameter_constraints(x)
     active = np.abs(values) <= TOLERANCE
     active |= space.equality[: len(values)] | (values > 0.0)
-    active &= (slopes[:, free] != 0.0).any(axis=1)
-    coupled = (slopes[active] != 0.0).any(axis=0)
+    active &= (jacobian[:, free] != 0.0).any(axis=1)
+    coupled = (jacobian[active] != 0.0).any(axis=0)
     shared = is_shared(space) | coupled
     of_signals = range(len(values), len(constraints))
     names = space.constraint_names
     return UnknownLayout(
-        sides=sides,
+        active_bounds=at_bounds,
         shared=np.flatnonzero(free & shared),
         local=tuple(acting[(free & ~shared)[acting]] for acting in space.acting),
         active=tuple(names[j] for j in np.flatnonzero(active)),
-        slopes=slopes[active][:, free & shared],
+        constraint_jacobian=jacobian[active][:, free & shared],
         ignored=tuple(
             names[j] for j in of_signals if space.equality[j] or constraints[j] >= -TOLERANCE
         ),
     )
 
 
-def free_coordinates(slopes: FloatArray) -> FloatArray:
-    """(shared, coordinates): an orthonormal basis of the moves that keep all constraints.
+def null_space(jacobian: FloatArray) -> FloatArray:
+    """Return (shared, coordinates): an orthonormal basis of the constraints' null space.
 
-    `slopes` is in units of the scaled unknowns.
+    Their Jacobian is in units of the scaled unknowns.
     """
-    count = slopes.shape[1]
-    if not len(slopes) or not count:
+    count = jacobian.shape[1]
+    if not len(jacobian) or not count:
         return np.eye(count)
-    lengths = np.linalg.norm(slopes, axis=1, keepdims=True)
-    _, singular, rows = np.linalg.svd(slopes / lengths)
+    lengths = np.linalg.norm(jacobian, axis=1, keepdims=True)
+    _, singular, rows = np.linalg.svd(jacobian / lengths)
     rank = int((singular > HELD * singular[0]).sum())
     return np.ascontiguousarray(rows[rank:].T)
 
@@ -109,13 +115,13 @@ def free_coordinates(slopes: FloatArray) -> FloatArray:
 def blocks(
     matrix: BlockMatrix, layout: UnknownLayout, coordinates: FloatArray
 ) -> list[JacobianBlock]:
-    """Part the blocks of a scaled Jacobian into shared coordinates and local unknowns."""
+    """Split the blocks of a scaled Jacobian into shared coordinates and local unknowns."""
     place = np.full(matrix.size, -1)
     place[layout.shared] = np.arange(len(layout.shared))
     found = []
-    for part, columns, local in zip(matrix.parts, matrix.columns, layout.local, strict=True):
+    for block, columns, local in zip(matrix.blocks, matrix.columns, layout.local, strict=True):
         shared = place[columns] >= 0
-        moves = coordinates[place[columns[shared]]]
+        basis = coordinates[place[columns[shared]]]
         own = np.searchsorted(columns, local)
-        found.append(JacobianBlock(part[:, shared] @ moves, part[:, own]))
+        found.append(JacobianBlock(block[:, shared] @ basis, block[:, own]))
     return found

@@ -1,4 +1,4 @@
-"""What is known about the uncertainty of estimates, from derivatives."""
+"""The uncertainty of estimates from derivatives."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class DerivedInterval:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What the derivatives at a solution say about it.
+    """The uncertainty of a solution, to first order.
 
     Attributes
     ----------
@@ -49,11 +49,11 @@ class Uncertainty:
     local_correlations : (local, shared)
         Those of two local unknowns are left out: their number is the square of the experiments'.
     directions
-        What the data do not determine, or hardly.
+        That the data do not determine, or hardly.
     variance, degrees
         s^2 in units of the cost's own weights, and n - k; NaN where there is no covariance.
     notes
-        Sentences on what was left out, and why.
+        Sentences on omissions, and their reasons.
     """
 
     intervals: tuple[ConfidenceInterval, ...]
@@ -69,5 +69,5 @@ class Uncertainty:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What the data do not determine, and what was left out."""
+        """Sentences on directions that the data do not determine, and the notes."""
         return (*(direction.sentence for direction in self.directions), *self.notes)

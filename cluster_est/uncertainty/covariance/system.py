@@ -1,4 +1,4 @@
-"""The weighted, scaled Jacobian at a solution, factored, and what the data do not determine."""
+"""The weighted, scaled and factorised Jacobian at a solution, and undetermined directions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cluster_est.uncertainty.covariance.blocks import (
     BlockFactors,
     ErrorLimits,
     UndeterminedCombination,
-    covariance,
+    block_covariance,
     factorise,
 )
 from cluster_est.uncertainty.covariance.directions import (
@@ -24,98 +24,128 @@ from cluster_est.uncertainty.covariance.directions import (
     direction,
     sparse_basis,
 )
-from cluster_est.uncertainty.covariance.jacobian import slopes_of
-from cluster_est.uncertainty.covariance.layout import UnknownLayout, blocks, free_coordinates
-from cluster_est.uncertainty.covariance.weighting import ResidualScatter, RowWeighting, weigh
+from cluster_est.uncertainty.covariance.jacobian import jacobian_blocks
+from cluster_est.uncertainty.covariance.layout import UnknownLayout, blocks, null_space
+from cluster_est.uncertainty.covariance.weighting import (
+    ResidualScatter,
+    RowWeighting,
+    row_weighting,
+)
 from workers.messages import FloatArray
 
 WEAK = 1e-6
 """Directions up to this ratio are named as hardly determined."""
-PART = 1e-6
+NEGLIGIBLE = 1e-6
 """Less of an unknown than this in a direction is rounding."""
 
 
 @dataclass(frozen=True)
 class ScaledJacobian:
-    """What a Jacobian says, in scaled unknowns: x times `scale`.
+    """A factorised Jacobian in scaled unknowns, x times `scale`.
 
     Attributes
     ----------
-    layout, unheld
-        Which unknowns are free, shared and local; and if bounds held none of them.
+    layout, unbounded_layout
+        The free unknowns, shared and local; and the same without regard to bounds.
     scale : (unknowns,)
         Norms of the weighted columns; 1 for those that are 0.
     coordinates : (shared, coordinates)
-        The moves of the shared unknowns that keep the active constraints.
-    factors, found
+        A basis of the shared unknowns' changes that satisfy the active constraints.
+    factors, covariance
         The eliminated blocks, and their covariance, `scatter.variance` left out.
-    bad
-        Directions that the data do not determine, or hardly, if bounds held nothing: a search
-        goes along such a direction until a bound stops it, which determines nothing either.
-    lost : (directions, unknowns)
-        What the data do not determine.
-    part
-        Less of an unknown than this in `lost` is an error of the derivatives.
+    combinations
+        Directions that the data do not determine, or hardly, without regard to bounds: a search
+        goes along such a direction until it meets a bound, which determines nothing either.
+    undetermined : (directions, unknowns)
+        Directions that the data do not determine.
+    tolerance
+        Components of `undetermined` up to this are errors of the derivatives.
     """
 
     layout: UnknownLayout
-    unheld: UnknownLayout
+    unbounded_layout: UnknownLayout
     weighting: RowWeighting
     scale: FloatArray
     coordinates: FloatArray
     factors: BlockFactors
-    found: BlockCovariance
+    covariance: BlockCovariance
     scatter: ResidualScatter
-    bad: tuple[UndeterminedCombination, ...]
-    lost: FloatArray
-    part: float
+    combinations: tuple[UndeterminedCombination, ...]
+    undetermined: FloatArray
+    tolerance: float
 
 
-def build(
+def factorised_jacobian(
     space: SearchSpace,
     solution: Solution,
-    layout: UnknownLayout,
-    unheld: UnknownLayout,
-    reach: float,
+    layouts: tuple[UnknownLayout, UnknownLayout],
+    *,
+    measured_step: float,
     weak: float = WEAK,
 ) -> ScaledJacobian:
-    """Weight, scale and factor the Jacobian of a solution.
+    """Weight, scale and factorise the Jacobian of a solution.
 
-    `reach` is the relative step with which its bad directions were measured; 0 if they were not.
-    Up to the ratio `weak` a direction is bad.
+    Parameters
+    ----------
+    space, solution
+        The space, and the solution with a Jacobian.
+    layouts
+        `ScaledJacobian.layout` and `ScaledJacobian.unbounded_layout`.
+    measured_step
+        The relative step with which undetermined directions were measured; 0 if they were not.
+    weak
+        Ratio up to which a direction counts as hardly determined.
     """
-    slopes = slopes_of(space, solution)
-    assert slopes is not None
-    weighting, rows = _weighting(space, solution, slopes.height)
-    matrix = slopes.weighted(weighting.factor)
-    norms = matrix.norms()
-    scale = np.where(norms > 0.0, norms, 1.0)
-    limits = _limits(space, solution, weighting, norms, reach)
-    noise = limits >= 1.0  # such columns would mix with others that are determined
-    matrix, limits[noise] = matrix.over(np.where(noise, np.inf, scale)), accuracy.ROUNDING
-    coordinates = free_coordinates(layout.slopes / scale[layout.shared])
+    jacobian = jacobian_blocks(space, solution)
+    assert jacobian is not None
+    layout, unbounded = layouts
+    weighting, rows = _weighting(space, solution, jacobian.row_count)
+    matrix, limits, scale = _scaled(space, solution, jacobian, weighting, measured_step)
+    coordinates = _coordinates(layout, scale)
     factors = _factorise(matrix, layout, coordinates, limits, weak)
-    bad = factors.combinations
-    if any(layout.sides):
-        moves = free_coordinates(unheld.slopes / scale[unheld.shared])
-        bad = _factorise(matrix, unheld, moves, limits, weak).combinations
+    combinations = factors.combinations
+    if any(layout.active_bounds):
+        basis = _coordinates(unbounded, scale)
+        combinations = _factorise(matrix, unbounded, basis, limits, weak).combinations
     scatter = weighting.scatter(factors.rank)
     spread = None if scatter.spread is None else [scatter.spread[row] for row in rows]
-    chosen = [c for c in bad if c.lost]
-    part = max([PART, *(c.limit for c in chosen)])
+    chosen = [c for c in combinations if c.undetermined]
+    tolerance = max([NEGLIGIBLE, *(c.limit for c in chosen)])
     return ScaledJacobian(
         layout=layout,
-        unheld=unheld,
+        unbounded_layout=unbounded,
         weighting=weighting,
         scale=scale,
         coordinates=coordinates,
         factors=factors,
-        found=covariance(factors, spread),
+        covariance=block_covariance(factors, spread),
         scatter=scatter,
-        bad=bad,
-        lost=sparse_basis(vectors(space, unheld, chosen), part),
-        part=part,
+        combinations=combinations,
+        undetermined=sparse_basis(vectors(space, unbounded, chosen), tolerance),
+        tolerance=tolerance,
     )
+
+
+def _scaled(
+    space: SearchSpace,
+    solution: Solution,
+    jacobian: BlockMatrix,
+    weighting: RowWeighting,
+    measured_step: float,
+) -> tuple[BlockMatrix, FloatArray, FloatArray]:
+    """Return the weighted, scaled Jacobian, the relative errors of its columns, and the scale."""
+    matrix = jacobian.scaled_rows(weighting.factor)
+    norms = matrix.norms()
+    scale = np.where(norms > 0.0, norms, 1.0)
+    limits = _limits(space, solution, weighting, norms, measured_step)
+    noise = limits >= 1.0  # such columns would mix with others that are determined
+    limits[noise] = accuracy.ROUNDING
+    return matrix.divided_columns(np.where(noise, np.inf, scale)), limits, scale
+
+
+def _coordinates(layout: UnknownLayout, scale: FloatArray) -> FloatArray:
+    """Return a basis of the shared unknowns' changes that satisfy the active constraints."""
+    return null_space(layout.constraint_jacobian / scale[layout.shared])
 
 
 def _factorise(
@@ -125,6 +155,7 @@ def _factorise(
     limits: FloatArray,
     weak: float,
 ) -> BlockFactors:
+    """Factorise a scaled Jacobian in coordinates of the shared unknowns."""
     parts = blocks(matrix, layout, coordinates)
     local = tuple(limits[each] for each in layout.local)
     return factorise(parts, ErrorLimits(limits[layout.shared], local, coordinates), weak)
@@ -133,24 +164,24 @@ def _factorise(
 def directions(
     space: SearchSpace, x: FloatArray, system: ScaledJacobian
 ) -> tuple[UndeterminedDirection, ...]:
-    """The directions that the data do not determine, then those that they hardly do."""
-    lost = [c for c in system.bad if c.lost]
-    weak = [c for c in system.bad if not c.lost]
-    ratio = max((c.ratio for c in lost), default=0.0)
-    limit = max((c.limit for c in lost), default=0.0)
-    moves = system.lost / system.scale
-    found = [direction(space, x, move, ratio, limit, lost=True) for move in moves]
+    """Return the directions that the data do not determine, then those that they hardly do."""
+    undetermined = [c for c in system.combinations if c.undetermined]
+    weak = [c for c in system.combinations if not c.undetermined]
+    ratio = max((c.ratio for c in undetermined), default=0.0)
+    limit = max((c.limit for c in undetermined), default=0.0)
+    moves = system.undetermined / system.scale
+    found = [direction(space, x, move, ratio, limit, undetermined=True) for move in moves]
     for combination in weak:
-        (move,) = vectors(space, system.unheld, [combination]) / system.scale
+        (move,) = vectors(space, system.unbounded_layout, [combination]) / system.scale
         ratio, limit = combination.ratio, combination.limit
-        found.append(direction(space, x, move, ratio, limit, lost=False))
+        found.append(direction(space, x, move, ratio, limit, undetermined=False))
     return tuple(found)
 
 
 def vectors(
     space: SearchSpace, layout: UnknownLayout, combinations: Sequence[UndeterminedCombination]
 ) -> FloatArray:
-    """(combinations, unknowns): combinations in the order of the space's unknowns."""
+    """Return (combinations, unknowns): combinations in the order of the space's unknowns."""
     result = np.zeros((len(combinations), space.size))
     for row, combination in zip(result, combinations, strict=True):
         row[layout.shared] = combination.shared
@@ -163,23 +194,27 @@ def vectors(
 def _weighting(
     space: SearchSpace, solution: Solution, count: int
 ) -> tuple[RowWeighting, list[slice]]:
-    """Row weights, and where each experiment's rows stand."""
+    """Return row weights, and the rows of each experiment."""
     if solution.at is not None:
         rows, cost = solution.at.rows, space.problem.cost
-        return weigh(cost, solution.at.residuals, space.outputs, rows), rows
+        return row_weighting(cost, solution.at.residuals, space.outputs, rows), rows
     # a sum of squares needs no more than its value
     squares = np.full(count, solution.cost / max(count, 1))
     return RowWeighting(np.ones(count), squares=squares), list(space.rows)
 
 
 def _limits(
-    space: SearchSpace, solution: Solution, weighting: RowWeighting, norms: FloatArray, reach: float
+    space: SearchSpace,
+    solution: Solution,
+    weighting: RowWeighting,
+    norms: FloatArray,
+    measured_step: float,
 ) -> FloatArray:
-    """The relative error of each column."""
+    """Return the relative error of each column."""
     x = solution.x
-    sensitivity = norms * accuracy.sizes(space, x)
-    known = accuracy.output_norm(space, weighting.factor)
-    outputs = max(known, float(sensitivity.max(initial=0.0)))
-    if reach > 0.0:
-        return accuracy.measured_errors(space, sensitivity, outputs, reach)
+    sensitivity = norms * accuracy.relative_sizes(space, x)
+    measured = accuracy.output_norm(space, weighting.factor)
+    outputs = max(measured, float(sensitivity.max(initial=0.0)))
+    if measured_step > 0.0:
+        return accuracy.measured_errors(space, sensitivity, outputs, measured_step)
     return accuracy.column_errors(space, x, sensitivity, outputs, solution.difference_steps)

@@ -1,4 +1,4 @@
-"""What the weights of a cost say about the scatter of the residuals.
+"""Row weights of the Jacobian and the scatter of the residuals, from the weights of a cost.
 
 A cost F has the gradient 2 J'psi with psi = w r (`Cost.weights`), so the covariance of its minimum
 is that of an M-estimator, A^-1 B A^-1 with A = J' diag(psi') J and B = J' diag(psi^2) J: P. J.
@@ -27,14 +27,14 @@ import numpy as np
 from cluster_est.costs.base import Cost
 from workers.messages import FloatArray, IntArray
 
-ALIKE = 1e-9
-SHIFT = 1e-4
+EQUAL = 1e-9
+PSI_STEP = 1e-4
 """Of the median residual, to differentiate psi."""
 
 
 @dataclass(frozen=True)
 class ResidualScatter:
-    """How the residuals scatter, k directions having been fitted.
+    """The scatter of the residuals after k directions were fitted.
 
     The covariance is `variance` times that of the factors with `spread`.
 
@@ -60,95 +60,95 @@ class RowWeighting:
     Attributes
     ----------
     factor : (residuals,)
-        What each row of the Jacobian is multiplied with: sqrt(w), or the root of the mean psi'.
+        Of each row of the Jacobian: sqrt(w), or the root of the mean psi'.
     robust
-        Whether the weights are those of a robust cost.
+        True if the weights are those of a robust cost.
     problem
-        Why there is no covariance, if there is none.
-    squares, slopes, groups : (residuals,)
-        w r^2; of a robust cost psi^2, psi' and which output each residual is of.
+        The reason why there is no covariance; "" if there is one.
+    squares, psi_derivatives, groups : (residuals,)
+        w r^2; of a robust cost psi^2, psi' and the output of each residual.
     """
 
     factor: FloatArray
     robust: bool = False
     problem: str = ""
     squares: FloatArray | None = None
-    slopes: FloatArray | None = None
+    psi_derivatives: FloatArray | None = None
     groups: IntArray | None = None
 
     def scatter(self, rank: int) -> ResidualScatter:
-        """Of the residuals, once it is known how many directions were fitted."""
+        """Return the scatter of the residuals after `rank` directions were fitted."""
         count = len(self.factor)
         degrees = count - rank
         squares = self.squares
         if self.problem or degrees <= 0 or squares is None:
             return ResidualScatter(np.nan, degrees, None)
-        if self.groups is None or self.slopes is None:
+        if self.groups is None or self.psi_derivatives is None:
             return ResidualScatter(float(np.add.reduce(squares)) / degrees, degrees, None)
         spread = np.empty(count)
         for group in np.unique(self.groups):
             inside = self.groups == group
-            slopes = self.slopes[inside]
-            correction = 1.0 + rank / count * float(slopes.var()) / float(slopes.mean()) ** 2
+            psi_d = self.psi_derivatives[inside]
+            correction = 1.0 + rank / count * float(psi_d.var()) / float(psi_d.mean()) ** 2
             scale = float(squares[inside].mean()) * count / degrees
-            spread[inside] = correction**2 * scale / float(slopes.mean())
+            spread[inside] = correction**2 * scale / float(psi_d.mean())
         mean = float(spread.mean())
-        alike = np.ptp(spread) <= ALIKE * mean
-        return ResidualScatter(mean, degrees, None if alike else spread / mean)
+        constant = np.ptp(spread) <= EQUAL * mean
+        return ResidualScatter(mean, degrees, None if constant else spread / mean)
 
 
-def weigh(
+def row_weighting(
     cost: Cost, residuals: FloatArray, outputs: IntArray, rows: Sequence[slice]
 ) -> RowWeighting:
-    """Row weights at a solution.
+    """Return row weights at a solution.
 
     Parameters
     ----------
     cost
-        What was minimised.
+        The cost that was minimised.
     residuals, outputs
-        At the solution, and which output each is of; no outputs where nobody knows.
+        At the solution, and the output of each; no outputs where they are not known.
     rows
-        Where each experiment's residuals stand.
+        Of each experiment's residuals.
     """
     count = len(residuals)
     weights = cost.weights(residuals, outputs)
     if weights is None or not np.isfinite(weights).all():
         return RowWeighting(np.ones(count), problem=f"the cost {cost.name!r} has no weights")
     groups = outputs if len(outputs) == count else np.zeros(count, np.int64)
-    if _alike(weights, groups, rows):
+    if _constant_in_groups(weights, groups, rows):
         return RowWeighting(np.sqrt(weights), squares=weights * residuals**2)
-    slopes = _slopes(cost, residuals, outputs)
+    psi_derivatives = _psi_derivatives(cost, residuals, outputs)
     means = np.empty(count)
     for group in np.unique(groups):
-        means[groups == group] = slopes[groups == group].mean()
+        means[groups == group] = psi_derivatives[groups == group].mean()
     if not (means > 0.0).all():
         reason = "most residuals are outliers to the cost, whose scale is too small"
         return RowWeighting(np.ones(count), True, problem=reason)
     psi = weights * residuals
-    return RowWeighting(np.sqrt(means), True, "", psi**2, slopes, groups)
+    return RowWeighting(np.sqrt(means), True, "", psi**2, psi_derivatives, groups)
 
 
-def _alike(weights: FloatArray, groups: IntArray, rows: Sequence[slice]) -> bool:
-    """Whether the weights are the same within each output of each experiment."""
+def _constant_in_groups(weights: FloatArray, groups: IntArray, rows: Sequence[slice]) -> bool:
+    """Return whether the weights are the same within each output of each experiment."""
     for row in rows:
         for group in np.unique(groups[row]):
             inside = weights[row][groups[row] == group]
-            if np.ptp(inside) > ALIKE * inside.max():
+            if np.ptp(inside) > EQUAL * inside.max():
                 return False
     return True
 
 
-def _slopes(cost: Cost, residuals: FloatArray, outputs: IntArray) -> FloatArray:
-    """d psi / d r, by central differences.
+def _psi_derivatives(cost: Cost, residuals: FloatArray, outputs: IntArray) -> FloatArray:
+    """Return d psi / d r, by central differences.
 
-    Every second residual is moved the other way, so that a scale that the cost takes from the
+    Every second residual has a step of the other sign, so that a scale that the cost takes from the
     residuals stays what it is.
     """
-    shift = SHIFT * (float(np.median(np.abs(residuals))) or 1.0)
-    signs = np.where(np.arange(len(residuals)) % 2 == 0, shift, -shift)
-    high, low = residuals + signs, residuals - signs
-    ahead, behind = cost.weights(high, outputs), cost.weights(low, outputs)
-    if ahead is None or behind is None:
+    step = PSI_STEP * (float(np.median(np.abs(residuals))) or 1.0)
+    steps = np.where(np.arange(len(residuals)) % 2 == 0, step, -step)
+    r_plus, r_minus = residuals + steps, residuals - steps
+    w_plus, w_minus = cost.weights(r_plus, outputs), cost.weights(r_minus, outputs)
+    if w_plus is None or w_minus is None:
         return np.full(len(residuals), np.nan)
-    return (ahead * high - behind * low) / (high - low)
+    return (w_plus * r_plus - w_minus * r_minus) / (r_plus - r_minus)

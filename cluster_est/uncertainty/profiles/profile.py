@@ -1,6 +1,6 @@
-"""Profile likelihood: intervals that follow a model that bends.
+"""Profile likelihood: intervals for models that are nonlinear over them.
 
-For each chosen unknown the cost is minimised over all others with that one kept, further and
+For each chosen unknown the cost is minimised over all others with that one fixed, further and
 further from the optimum. The interval ends where the cost has risen by s^2 F(1, n - k), which for
 a linear model is exactly the interval of Student's t: D. M. Bates, D. G. Watts, Nonlinear
 Regression Analysis and Its Applications (1988), doi:10.1002/9780470316757, section 6.1. For a
@@ -28,11 +28,13 @@ from cluster_est.uncertainty.covariance.covariance import assess
 from cluster_est.uncertainty.covariance.derivatives import linearise
 from cluster_est.uncertainty.covariance.layout import is_shared
 from cluster_est.uncertainty.covariance.result import Uncertainty
-from cluster_est.uncertainty.profiles.result import ProfilePoint, ProfileResult
-from cluster_est.uncertainty.profiles.walk import WORDS, Open, ProfileWalk, WalkPoint, crossing
+from cluster_est.uncertainty.profiles.continuation import ProfileContinuation, ProfileSolution
+from cluster_est.uncertainty.profiles.profile_steps import ProfileTarget, RefitPoint, crossing
+from cluster_est.uncertainty.profiles.result import ProfileEnd, ProfilePoint, ProfileResult
 from cluster_est.uncertainty.settings import UncertaintySettings
-from cluster_est.uncertainty.spaces import moved
+from cluster_est.uncertainty.spaces import with_start
 from workers.fmu.description import nearest
+from workers.messages import FloatArray
 
 BETTER = 1e-3
 """Of the rise: a cost lower than the optimum's by more means that it was none."""
@@ -50,57 +52,52 @@ def profiles(
     Parameters
     ----------
     runner
-        Where the refits run.
+        For the refits.
     space, solution
-        What was searched, and the optimum.
+        The space that was searched, and the optimum.
     method
         Refits the other unknowns; a local one, because it starts close to their minimum.
     settings
-        Whose profiles, and how fine.
+        The unknowns, and the number of steps.
 
     Raises
     ------
     ProblemError
-        See `check_profiles`. Where it is only the solution that does not say how far the cost may
-        rise, such as one without residuals, the profiles are open and say so.
+        See `check_profiles`. Where only the solution does not determine the rise of the cost, such
+        as one without residuals, the profiles are open and say so.
     """
     check_profiles(space, settings)
     chosen = select(space, settings.profiles)
     if not chosen or not np.isfinite(solution.cost):
         return ()
     solution = linearise(runner, space, solution)
-    known = assess(space, solution)
-    rise = _rise(known, settings)
+    linear = assess(space, solution)
+    rise = _rise(linear, settings)
     if not rise > 0.0:
-        return tuple(_none(space, solution, i, settings) for i in chosen)
-    here = moved(space, solution.x)
+        return tuple(_undetermined(space, solution, i, settings) for i in chosen)
+    start_space, steps = with_start(space, solution.x), (settings.steps, settings.max_steps)
+    continuations = []
+    for i in chosen:
+        first = _first_step(space, solution, linear, i, settings.steps)
+        targets = [ProfileTarget(i, side, solution.cost, rise, *steps) for side in (-1, 1)]
+        continuations += [ProfileContinuation(method, target, first) for target in targets]
     requests = [
-        SearchRequest(
-            f"profile {space.unknowns[i].label} {'lower' if side < 0 else 'upper'}",
-            ProfileWalk(
-                method,
-                i,
-                side,
-                solution.cost,
-                rise,
-                _first(space, solution, known, i, settings.steps),
-                settings.steps,
-                settings.max_steps,
-            ),
-            here,
-        )
-        for i in chosen
-        for side in (-1, 1)
+        SearchRequest(_search_name(space, each), each, start_space) for each in continuations
     ]
     found = runner.run(requests, settings.at_once)
-    return tuple(
-        _result(space, solution, requests[2 * j : 2 * j + 2], found[2 * j : 2 * j + 2], settings)
-        for j in range(len(chosen))
-    )
+    sides = [_side(*pair, start_space.start) for pair in zip(continuations, found, strict=True)]
+    pairs = zip(sides[::2], sides[1::2], strict=True)
+    return tuple(_result(space, solution, *pair, settings) for pair in pairs)
+
+
+def _search_name(space: SearchSpace, continuation: ProfileContinuation) -> str:
+    """Return the name of one side's search in the log."""
+    side = "lower" if continuation.target.direction < 0 else "upper"
+    return f"profile {space.unknowns[continuation.target.unknown].label} {side}"
 
 
 def select(space: SearchSpace, names: Sequence[str]) -> list[int]:
-    """Positions of the unknowns that are named by label, parameter, "shared" or "all".
+    """Return the positions of unknowns that are named by label, parameter, "shared" or "all".
 
     Raises
     ------
@@ -146,18 +143,18 @@ def check_profiles(space: SearchSpace, settings: UncertaintySettings) -> None:
         )
 
 
-def _rise(known: Uncertainty, settings: UncertaintySettings) -> float:
+def _rise(linear: Uncertainty, settings: UncertaintySettings) -> float:
     if settings.rise > 0.0:
         return settings.rise
-    if known.degrees > 0 and known.variance > 0.0:
-        return known.variance * float(fisher.ppf(settings.confidence, 1, known.degrees))
+    if linear.degrees > 0 and linear.variance > 0.0:
+        return linear.variance * float(fisher.ppf(settings.confidence, 1, linear.degrees))
     return np.nan
 
 
-def _none(
+def _undetermined(
     space: SearchSpace, solution: Solution, i: int, settings: UncertaintySettings
 ) -> ProfileResult:
-    """The profile that was not taken."""
+    """Return a profile of the optimum alone, where the rise at its ends is not known."""
     estimates = tuple(space.estimates(solution.x).values())
     return ProfileResult(
         label=space.unknowns[i].label,
@@ -169,15 +166,17 @@ def _none(
         points=(ProfilePoint(estimates[i], solution.cost, 0.0, estimates),),
         lower=np.nan,
         upper=np.nan,
-        open_lower="unknown",
-        open_upper="unknown",
+        open_lower=ProfileEnd.UNKNOWN,
+        open_upper=ProfileEnd.UNKNOWN,
     )
 
 
-def _first(space: SearchSpace, solution: Solution, known: Uncertainty, i: int, steps: int) -> float:
-    """The first step: a part of the interval that the derivatives foretell, if they do."""
+def _first_step(
+    space: SearchSpace, solution: Solution, linear: Uncertainty, i: int, steps: int
+) -> float:
+    """Return the first step: a part of the interval by derivatives, if there is one."""
     unknown = space.unknowns[i]
-    x, error = float(solution.x[i]), known.intervals[i].std_error
+    x, error = float(solution.x[i]), linear.intervals[i].std_error
     if unknown.log:
         error /= unknown.to_physical(x)
     width = float(space.upper[i] - space.lower[i])
@@ -185,65 +184,65 @@ def _first(space: SearchSpace, solution: Solution, known: Uncertainty, i: int, s
     return min(2.0 * error / steps, longest) if error > 0.0 else 0.1 * longest
 
 
+@dataclass(frozen=True)
+class _ProfileSide:
+    """The points of one side, outwards from the optimum, and its end."""
+
+    target: ProfileTarget
+    path: list[RefitPoint]
+    end: ProfileEnd
+
+    def point(self, space: SearchSpace, refit: RefitPoint) -> ProfilePoint:
+        """Return a point in physical units."""
+        estimates = tuple(space.estimates(refit.x).values())
+        root = self.target.direction * refit.root
+        return ProfilePoint(estimates[self.target.unknown], refit.cost, root, estimates)
+
+    def limit(self, space: SearchSpace) -> float:
+        """Return the end of the interval, in physical units."""
+        if self.end is ProfileEnd.FAILED:
+            return np.nan
+        if self.end is not ProfileEnd.FOUND:
+            return self.target.direction * np.inf
+        first = next(j for j, refit in enumerate(self.path) if refit.root >= 1.0)
+        at = crossing(self.path[: first + 1], self.target.unknown, 1.0)
+        return space.unknowns[self.target.unknown].to_physical(at)
+
+
+def _side(continuation: ProfileContinuation, found: Solution, start: FloatArray) -> _ProfileSide:
+    """Return the points of a search; one that was ended from outside has its start only."""
+    target = continuation.target
+    if not isinstance(found, ProfileSolution):
+        return _ProfileSide(target, [RefitPoint(start, target.cost, 0.0)], ProfileEnd.FAILED)
+    path = [RefitPoint(each.x, each.cost, target.root(each.cost)) for each in found.others]
+    path.sort(key=lambda refit: target.direction * float(refit.x[target.unknown]))
+    return _ProfileSide(target, path, found.end)
+
+
 def _result(
     space: SearchSpace,
     solution: Solution,
-    requests: Sequence[SearchRequest],
-    found: Sequence[Solution],
+    low: _ProfileSide,
+    high: _ProfileSide,
     settings: UncertaintySettings,
 ) -> ProfileResult:
     """Join the two sides of a profile."""
-    low, high = (_side(request, each) for request, each in zip(requests, found, strict=True))
-    walk, unknown = low.walk, space.unknowns[low.walk.unknown]
-    points = [*(low.point(space, step) for step in low.path[:0:-1])]
-    points += [high.point(space, step) for step in high.path]
-    best = min((*low.path, *high.path), key=lambda step: step.cost)
-    better = best.cost < solution.cost - BETTER * walk.rise
+    target, unknown = low.target, space.unknowns[low.target.unknown]
+    points = [*(low.point(space, refit) for refit in low.path[:0:-1])]
+    points += [high.point(space, refit) for refit in high.path]
+    best = min((*low.path, *high.path), key=lambda refit: refit.cost)
+    better = best.cost < solution.cost - BETTER * target.rise
     return ProfileResult(
         label=unknown.label,
-        value=unknown.to_physical(float(solution.x[walk.unknown])),
+        value=unknown.to_physical(float(solution.x[target.unknown])),
         cost=solution.cost,
-        rise=walk.rise,
+        rise=target.rise,
         confidence=settings.confidence,
         labels=tuple(each.label for each in space.unknowns),
         points=tuple(points),
-        lower=low.end(space),
-        upper=high.end(space),
-        open_lower=low.why,
-        open_upper=high.why,
+        lower=low.limit(space),
+        upper=high.limit(space),
+        open_lower=low.end,
+        open_upper=high.end,
         better=(space.estimates(best.x), best.cost) if better else None,
     )
-
-
-@dataclass(frozen=True)
-class _ProfileSide:
-    """The points of one side, outwards from the optimum, and why it is open."""
-
-    walk: ProfileWalk
-    path: list[WalkPoint]
-    why: Open
-
-    def point(self, space: SearchSpace, step: WalkPoint) -> ProfilePoint:
-        estimates = tuple(space.estimates(step.x).values())
-        root = self.walk.side * step.height
-        return ProfilePoint(estimates[self.walk.unknown], step.cost, root, estimates)
-
-    def end(self, space: SearchSpace) -> float:
-        """The end of the interval, in physical units."""
-        if self.why:
-            return np.nan if self.why == "failed" else self.walk.side * np.inf
-        first = next(j for j, step in enumerate(self.path) if step.height >= 1.0)
-        at = crossing(self.path[: first + 1], self.walk.unknown, 1.0)
-        return space.unknowns[self.walk.unknown].to_physical(at)
-
-
-def _side(request: SearchRequest, found: Solution) -> _ProfileSide:
-    """What a walk found; one that was ended from outside found nothing but its start."""
-    walk, start = request.method, request.space.start
-    assert isinstance(walk, ProfileWalk)
-    path = [WalkPoint(each.x, each.cost, walk.height(each.cost)) for each in found.others]
-    if not path:
-        return _ProfileSide(walk, [WalkPoint(start, walk.cost, 0.0)], "failed")
-    path.sort(key=lambda step: walk.side * float(step.x[walk.unknown]))
-    why = next(word for word in WORDS if word == found.message)
-    return _ProfileSide(walk, path, why)

@@ -11,7 +11,7 @@ import pytest
 
 from cluster_est import Problem
 from cluster_est.cli import main
-from cluster_est.preflight import CheckFinding, CheckPage, bare_problem, examine
+from cluster_est.preflight import CheckFinding, CheckPage, bare_problem, run_checks
 from cluster_est.problem.problem import Parameter
 from cluster_est.running.resources import Resources
 from workers.messages import Solver
@@ -31,7 +31,7 @@ def examined(own_fmu: Give) -> Examine:
         name: str, fmi: int = 2, seconds: float = MINUTE, executor: str = "local"
     ) -> CheckPage:
         problem = bare_problem(own_fmu(name, fmi))
-        return examine(problem, Resources(executor=executor), seconds, declared=False)
+        return run_checks(problem, Resources(executor=executor), seconds, declared=False)
 
     return look
 
@@ -116,7 +116,7 @@ def test_what_there_is_no_time_for_is_said(examined: Examine) -> None:
 
 def test_the_communication_step_that_results_depend_on(own_fmu: Give) -> None:
     problem = in_co_simulation(bare_problem(own_fmu("van_der_pol", 2)))
-    coarse = examine(problem, Resources(), MINUTE)
+    coarse = run_checks(problem, Resources(), MINUTE)
 
     assert "halved" in line(coarse, "accuracy").found
 
@@ -125,7 +125,7 @@ def test_the_bounds_are_tried(own_fmu: Give) -> None:
     problem = bare_problem(own_fmu("dahlquist", 2))
     known = problem.parameters[0]
     given = Parameter(known.name, known.start, lower=0.1, upper=20.0)
-    page = examine(replace(problem, parameters=(given,)), Resources(), MINUTE)
+    page = run_checks(replace(problem, parameters=(given,)), Resources(), MINUTE)
 
     assert "lower and upper bounds" in line(page, "bounds").found
 

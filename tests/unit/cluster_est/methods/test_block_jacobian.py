@@ -25,7 +25,7 @@ def random_matrix(seed, experiments=9, shared=3, own=2, groups=0, rows=(8, 14)):
         height = int(generator.integers(*rows))
         parts.append(generator.normal(size=(height, len(acting))))
     matrix = BlockMatrix(tuple(parts), tuple(columns), size)
-    return matrix, generator.normal(size=matrix.height), generator
+    return matrix, generator.normal(size=matrix.row_count), generator
 
 
 def least_squares(matrix, residuals, scale, damping):
@@ -52,8 +52,8 @@ def test_products_are_those_of_the_whole_matrix():
     np.testing.assert_allclose(matrix.product(step), whole @ step, atol=1e-13)
     np.testing.assert_allclose(matrix.transposed_product(values), whole.T @ values, atol=1e-13)
     np.testing.assert_allclose(matrix.norms(), np.linalg.norm(whole, axis=0), rtol=1e-14)
-    np.testing.assert_array_equal(matrix.weighted(values).dense(), values[:, None] * whole)
-    np.testing.assert_array_equal(matrix.over(step).dense(), whole / step)
+    np.testing.assert_array_equal(matrix.scaled_rows(values).dense(), values[:, None] * whole)
+    np.testing.assert_array_equal(matrix.divided_columns(step).dense(), whole / step)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -104,7 +104,7 @@ def test_columns_of_any_size_count():
     sizes = 10.0 ** generator.uniform(-150.0, 150.0, matrix.size)
     far = np.full(matrix.size, np.inf)
     plain = BlockStepSolver(matrix, residuals, matrix.norms(), -far, far)
-    scaled = matrix.over(1.0 / sizes)
+    scaled = matrix.divided_columns(1.0 / sizes)
     solver = BlockStepSolver(scaled, residuals, matrix.norms() * sizes, -far, far)
     np.testing.assert_allclose(solver.step(1e-3) * sizes, plain.step(1e-3), rtol=1e-9)
 
@@ -113,7 +113,7 @@ def test_frozen_unknowns_stay():
     matrix, residuals, _ = random_matrix(4, groups=2)
     frozen = np.zeros(matrix.size, dtype=bool)
     frozen[[0, 4, 9, 17]] = True
-    for part, columns in zip(matrix.parts, matrix.columns, strict=True):
+    for part, columns in zip(matrix.blocks, matrix.columns, strict=True):
         part[:, frozen[columns]] = 0.0
     scale = np.where(frozen, 1.0, matrix.norms())
     far = np.full(matrix.size, np.inf)
@@ -126,9 +126,9 @@ def test_frozen_unknowns_stay():
 
 def test_the_order_of_experiments_does_not_matter():
     matrix, residuals, generator = random_matrix(5, groups=3)
-    order = generator.permutation(len(matrix.parts))
+    order = generator.permutation(len(matrix.blocks))
     other = BlockMatrix(
-        tuple(matrix.parts[e] for e in order),
+        tuple(matrix.blocks[e] for e in order),
         tuple(matrix.columns[e] for e in order),
         matrix.size,
     )

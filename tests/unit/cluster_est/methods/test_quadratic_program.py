@@ -33,7 +33,7 @@ def objective(model, penalty, step):
 def by_scipy(model, penalty, radius):
     """The same with SLSQP: the violations are unknowns of their own, above all their terms."""
     n, m = len(model.gradient), 1 + int(model.constraint.max())
-    signed = np.vstack([model.slopes, -model.slopes[model.equality]])
+    signed = np.vstack([model.jacobian, -model.jacobian[model.equality]])
     values = np.concatenate([model.values, -model.values[model.equality]])
     of = np.concatenate([model.constraint, model.constraint[model.equality]])
     matrix = np.hstack([-signed, np.eye(m)[of]])
@@ -74,9 +74,9 @@ def test_multipliers_balance_the_gradient(seed):
     """In a wide box, where no bound takes part: the conditions of Karush, Kuhn and Tucker."""
     model, penalty = random_model(seed), 3.0
     step, multipliers = penalised_step(model, penalty, np.full(4, -30.0), np.full(4, 30.0))
-    slope = model.gradient + model.hessian @ step + model.slopes.T @ multipliers
+    slope = model.gradient + model.hessian @ step + model.jacobian.T @ multipliers
     np.testing.assert_allclose(slope, 0.0, atol=1e-6)
-    values = model.values + model.slopes @ step
+    values = model.values + model.jacobian @ step
     assert (np.abs(multipliers) <= penalty * (1.0 + 1e-9)).all()
     assert (multipliers[~model.equality] >= -1e-9).all()
     np.testing.assert_allclose(multipliers[values > 1e-6], penalty, rtol=1e-6)
@@ -104,7 +104,7 @@ def test_units_of_the_unknowns_do_not_matter():
         model.gradient / scale,
         model.hessian / np.outer(scale, scale),
         model.values,
-        model.slopes / scale,
+        model.jacobian / scale,
         model.constraint,
         model.equality,
     )
@@ -131,7 +131,7 @@ def test_constraints_that_no_step_changes_do_not_matter(value):
         model.gradient,
         model.hessian,
         np.append(model.values, value),
-        np.vstack([model.slopes, np.zeros(4)]),
+        np.vstack([model.jacobian, np.zeros(4)]),
         np.arange(6, dtype=np.intp),
         np.append(model.equality, False),
     )

@@ -13,7 +13,7 @@ from support.problems.functions import PROBLEMS, FunctionProblem, rosenbrock
 from cluster_est.costs.robust import CauchyCost, HuberCost
 from cluster_est.methods.base import Ending, Points
 from cluster_est.methods.sqp.method import Sqp
-from cluster_est.methods.sqp.trust_region import SqpOptions, sequential_search
+from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
 from cluster_est.problem.space import make_space
 
 METHODS = [
@@ -383,7 +383,7 @@ class TestFailures:
 
 def test_another_method_may_use_the_search():
     space = make_space(problem_called("hs14").problem(), (0,))
-    search = sequential_search(space, SqpOptions(hessian="gauss_newton"))
+    search = trust_region_search(space, SqpOptions(hessian="gauss_newton"))
     points = next(search)
     assert points.purpose == "start"
     np.testing.assert_array_equal(points.x, [[2.0, 2.0]])

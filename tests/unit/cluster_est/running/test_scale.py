@@ -47,7 +47,7 @@ def many(bounded=False, experiments=300, noise=0.05):
 def test_the_minimum_does_not_depend_on_what_holds_the_jacobian(bounded, monkeypatch):
     problem = many(bounded, experiments=30)
     _, space, whole = problem.solve()
-    monkeypatch.setattr(block_matrix, "MANY", 10)
+    monkeypatch.setattr(block_matrix, "LEAST_SIZE", 10)
     _, _, blocks = problem.solve()
     assert space.size == 5 + 60
     assert blocks.ending is Ending.CONVERGED
@@ -63,7 +63,7 @@ def test_three_hundred_experiments_end_where_the_whole_matrix_sees_no_better_poi
     runner, space, blocks = problem.solve()
     assert (space.size, len(space.colours)) == (605, 7)
     assert blocks.ending is Ending.CONVERGED
-    monkeypatch.setattr(block_matrix, "MANY", 10**9)
+    monkeypatch.setattr(block_matrix, "LEAST_SIZE", 10**9)
     again = SearchRequest("fit", LeastSquares(), space.starting_at(blocks.x))
     (whole,) = runner.run([again])
     assert whole.iterations <= 1
@@ -74,7 +74,7 @@ def test_three_hundred_experiments_end_where_the_whole_matrix_sees_no_better_poi
 def test_intervals_do_not_depend_on_what_holds_the_jacobian(monkeypatch):
     problem = many(experiments=30)
     runner, space, whole = problem.solve()
-    monkeypatch.setattr(block_matrix, "MANY", 10)
+    monkeypatch.setattr(block_matrix, "LEAST_SIZE", 10)
     monkeypatch.setattr(differences, "LARGE", 0)
     _, _, blocks = problem.solve()
     assert blocks.jacobian is None
@@ -99,7 +99,7 @@ def test_directions_are_measured_again_where_the_jacobian_is_in_blocks(monkeypat
         Parameter("other", 0.6, per="experiment"),
     )
     measured = [twice(TIMES, [2.0, 0.5, 0.5 * e], e) + 0.01 * TIMES**2 for e in range(8)]
-    monkeypatch.setattr(block_matrix, "MANY", 10)
+    monkeypatch.setattr(block_matrix, "LEAST_SIZE", 10)
     monkeypatch.setattr(differences, "LARGE", 0)
     runner, space, blocks = Curves(twice, parameters, TIMES, measured).solve()
     found = examine(runner, space, blocks)

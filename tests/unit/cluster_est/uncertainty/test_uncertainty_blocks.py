@@ -9,7 +9,7 @@ from scipy.linalg import block_diag, null_space
 from cluster_est.uncertainty.covariance.blocks import (
     ErrorLimits,
     JacobianBlock,
-    covariance,
+    block_covariance,
     factorise,
 )
 
@@ -55,7 +55,7 @@ def test_covariance_is_that_of_the_dense_jacobian(seed, shared):
     matrix = dense(blocks)
     assert factors.rank == matrix.shape[1]
     assert factors.combinations == ()
-    agrees(covariance(factors), np.linalg.inv(matrix.T @ matrix), blocks)
+    agrees(block_covariance(factors), np.linalg.inv(matrix.T @ matrix), blocks)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -63,7 +63,7 @@ def test_sandwich_is_that_of_the_dense_jacobian(seed):
     blocks = random_blocks(seed)
     generator = np.random.default_rng(seed + 100)
     spread = [generator.uniform(0.1, 3.0, len(block.shared)) for block in blocks]
-    found = covariance(factorise(blocks, limits(blocks), 1e-9), spread)
+    found = block_covariance(factorise(blocks, limits(blocks), 1e-9), spread)
     matrix = dense(blocks)
     bread = np.linalg.inv(matrix.T @ matrix)
     filling = matrix.T @ (np.concatenate(spread)[:, None] * matrix)
@@ -74,7 +74,7 @@ def test_no_local_unknowns_at_all():
     blocks = random_blocks(0, 2, ((10, 0), (8, 0)))
     matrix = dense(blocks)
     agrees(
-        covariance(factorise(blocks, limits(blocks), 1e-9)),
+        block_covariance(factorise(blocks, limits(blocks), 1e-9)),
         np.linalg.inv(matrix.T @ matrix),
         blocks,
     )
@@ -113,7 +113,7 @@ def test_lost_directions_are_the_null_space(seed):
         for c in factors.combinations
     ]
     assert len(found) == 3
-    assert all(c.lost for c in factors.combinations)
+    assert all(c.undetermined for c in factors.combinations)
     for vector in found:
         assert np.linalg.norm(vector) == pytest.approx(1.0)
         np.testing.assert_allclose(expected @ (expected.T @ vector), vector, atol=1e-9)
@@ -123,7 +123,7 @@ def test_lost_directions_are_the_null_space(seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_determined_keeps_its_variance_beside_lost_directions(seed):
     blocks = spoilt(seed)
-    found = covariance(factorise(blocks, limits(blocks), 1e-9))
+    found = block_covariance(factorise(blocks, limits(blocks), 1e-9))
     inverse = np.linalg.pinv(dense(blocks), rcond=1e-10)
     expected = inverse @ inverse.T
     # 2 a + b is determined where b counts twice as much as a does
@@ -151,7 +151,7 @@ def test_a_direction_is_lost_only_below_its_limit():
     strict = factorise(blocks, limits(blocks, 1e-12), 1e-9)
     assert strict.combinations == ()
     (weak,) = factorise(blocks, limits(blocks, 1e-12), 1e-3).combinations
-    assert not weak.lost
+    assert not weak.undetermined
     (lost,) = factorise(blocks, limits(blocks, 1e-4), 1e-9).combinations
-    assert lost.lost
+    assert lost.undetermined
     np.testing.assert_allclose(np.abs(lost.shared[:2]), 0.5**0.5, rtol=1e-3)

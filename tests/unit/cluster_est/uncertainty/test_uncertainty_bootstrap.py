@@ -15,7 +15,7 @@ from cluster_est.running.runner import Budget, Runner, SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap, check_bootstrap
 from cluster_est.uncertainty.bootstrap import percentile_interval
 from cluster_est.uncertainty.rows import bootstrap_rows, interval_rows
-from cluster_est.uncertainty.spaces import moved, resampled, without
+from cluster_est.uncertainty.spaces import resampled, with_fixed_unknown, with_start
 
 TIMES = np.arange(1.0, 6.0)
 METHOD = LeastSquares()
@@ -208,10 +208,10 @@ class TestSpaces:
 
     def test_a_moved_space_keeps_its_units(self):
         space = levels().space()
-        there = moved(space, np.array([1e-9]))
+        there = with_start(space, np.array([1e-9]))
         assert there.start[0] == 1e-9
         assert there.typical[0] == space.typical[0] == 1.0
-        assert moved(space, np.array([1e9])).start[0] == 100.0
+        assert with_start(space, np.array([1e9])).start[0] == 100.0
 
     def test_a_space_without_an_unknown_simulates_its_value(self):
         def line(times, values, experiment):
@@ -225,6 +225,6 @@ class TestSpaces:
         space = Curves(line, parameters, TIMES, measured).space()
         x = np.array([0.3, 2.0, 3.0, 4.0])
         for i in range(4):
-            made = without(space, i, x)
+            made = with_fixed_unknown(space, i, x)
             assert made.size == 3
             assert made.physical(made.start).tobytes() == space.physical(x).tobytes()

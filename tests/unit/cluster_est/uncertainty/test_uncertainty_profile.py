@@ -17,7 +17,8 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Points, Solution
 from cluster_est.running.runner import Budget, Runner, SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, check_profiles, profiles, select
-from cluster_est.uncertainty.profiles.walk import ProfileWalk
+from cluster_est.uncertainty.profiles.continuation import ProfileContinuation
+from cluster_est.uncertainty.profiles.profile_steps import ProfileTarget
 from cluster_est.uncertainty.rows import interval_rows, profile_rows
 
 TIMES = np.linspace(0.0, 3.0, 20)
@@ -402,10 +403,10 @@ def test_what_a_refit_leaves_unanswered_is_dropped():
     assert profiles(Runner(OneByOne(curves)), space, solution, Hasty(), settings) == usual
 
 
-def test_a_walk_is_a_method_like_any_other():
+def test_a_continuation_is_a_method_like_any_other():
     _, space, solution = puromycin().solve()
-    walk = ProfileWalk(METHOD, 1, 1, solution.cost, 1e3, 0.01)
-    search = walk.search(space, np.random.default_rng(0))
+    side = ProfileContinuation(METHOD, ProfileTarget(1, 1, solution.cost, 1e3), 0.01)
+    search = side.search(space, np.random.default_rng(0))
     next(search)
     search.close()
 

@@ -1,4 +1,4 @@
-"""Reset, instances and chance: whether a simulation is the same again."""
+"""Checks that a simulation is the same again: reset, instances and chance."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from workers.probes.probes import (
 )
 from workers.process.trial import NoAnswer
 
-MOVED = 1.37
-"""What every value is multiplied with, to see whether it stays behind: no round number."""
+FACTOR = 1.37
+"""Of every value, to see whether it survives a reset: no round number."""
 
 
-def repeating(subject: CheckSubject) -> tuple[list[CheckFinding], Renewal | None]:
-    """Whether reset equals fresh, and two fresh processes each other.
+def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], Renewal | None]:
+    """Compare a reset instance with a fresh one, and two fresh processes with each other.
 
-    And what a simulation must begin with, for all further checks; None if nothing helps.
+    Returns also the reset policy for all further checks; None if no policy helps.
     """
     probe = RepeatProbe(subject.experiment, subject.start)
     found = subject.ask(probe, 2)
     if isinstance(found, NoAnswer):
         return [unanswered("repeatable", found)], "reset"
-    again = subject.seen
+    again = subject.trajectory
     if again is None or again.tobytes() != found.first.tobytes():  # that was after a reset
         other = subject.ask(probe, 2)
         if isinstance(other, NoAnswer):
@@ -42,45 +42,47 @@ def repeating(subject: CheckSubject) -> tuple[list[CheckFinding], Renewal | None
             "export it without a random generator or clock; else choose a method.name that takes "
             'no differences, such as "pattern_search"'
         )
-        return [CheckFinding("problem", "repeatable", said, do)], None
-    repeatable = CheckFinding("ok", "repeatable", "two fresh processes give the same bits")
-    renew: Renewal = "reset" if found.reset == 0.0 else "instance"
-    lines = [repeatable, _reset(subject, found)]
-    return lines + (_left(subject) if renew == "reset" else []), renew
+        return [CheckFinding(Verdict.PROBLEM, "repeatable", said, do)], None
+    same = CheckFinding(Verdict.OK, "repeatable", "two fresh processes give the same bits")
+    policy: Renewal = "reset" if found.reset == 0.0 else "instance"
+    lines = [same, _reset(subject, found)]
+    return lines + (_leftovers(subject) if policy == "reset" else []), policy
 
 
 def _reset(subject: CheckSubject, found: RepetitionResult) -> CheckFinding:
     if found.reset == 0.0:
-        return CheckFinding("ok", "reset", "a reset instance gives the same bits as a fresh one")
+        return CheckFinding(
+            Verdict.OK, "reset", "a reset instance gives the same bits as a fresh one"
+        )
     how = "a simulation after a reset fails"
     if found.reset is not None:
         how = f"a reset instance is {found.reset:.2g} of the outputs' size away from a fresh one"
     if found.instance == 0.0:
         do = 'model.reset = "auto" sees to it: a new instance for each simulation'
-        return _chosen(subject, "instance", how, do)
+        return _reset_advice(subject, "instance", how, do)
     do = 'model.reset = "auto" sees to it: a new process for each simulation'
     if subject.executor == "local":
         do = 'executor.name = "processes", for a new process for each simulation'
-        return CheckFinding("problem", "reset", how, do)
-    return _chosen(subject, "process", how, do)
+        return CheckFinding(Verdict.PROBLEM, "reset", how, do)
+    return _reset_advice(subject, "process", how, do)
 
 
-def _chosen(subject: CheckSubject, needed: str, how: str, do: str) -> CheckFinding:
+def _reset_advice(subject: CheckSubject, needed: str, how: str, do: str) -> CheckFinding:
     renew = subject.problem.model.renew
     if renew in ("auto", needed, "process"):
-        return CheckFinding("note", "reset", how, do)
-    return CheckFinding("problem", "reset", how, f'set model.reset = "{needed}" or "auto"')
+        return CheckFinding(Verdict.NOTE, "reset", how, do)
+    return CheckFinding(Verdict.PROBLEM, "reset", how, f'set model.reset = "{needed}" or "auto"')
 
 
-def _left(subject: CheckSubject) -> list[CheckFinding]:
-    """What harms only where experiments set different values; nothing is said if it is not so."""
-    other = np.where(subject.start == 0.0, MOVED, MOVED * subject.start)
+def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
+    """Return a note if values survive a reset, which matters if experiments set different ones."""
+    other = np.where(subject.start == 0.0, FACTOR, FACTOR * subject.start)
     found = subject.ask(LeftoverProbe(subject.experiment, other), 3)
     if isinstance(found, NoAnswer) or found == 0.0:
         return []
     return [
         CheckFinding(
-            "note",
+            Verdict.NOTE,
             "values",
             "values that were set survive a reset; harmless where each simulation sets them again, "
             "as a fit does",
@@ -91,19 +93,20 @@ def _left(subject: CheckSubject) -> list[CheckFinding]:
 
 
 def instances(subject: CheckSubject) -> CheckFinding:
-    """How many there can be in one process."""
+    """Return the number of instances that one process can have."""
     found = subject.ask(InstanceProbe(), 0, 3.0)
     if isinstance(found, NoAnswer):
         return unanswered("instances", found)
     declared = subject.description.offer(subject.problem.model.interface).once_per_process
     count, _ = found
     if count > 1 and not declared:
-        return CheckFinding("ok", "instances", f"{count} at once in a process")
+        return CheckFinding(Verdict.OK, "instances", f"{count} at once in a process")
     says = "and says so" if declared else "and does not say so"
     if count > 1:
         says = "as it says, though more could be made"
     do = 'for several workers: executor.name = "processes" or "ray"'
-    verdict: Verdict = "problem" if subject.executor == "local" and _several(subject) else "note"
+    local = subject.executor == "local" and _several(subject)
+    verdict = Verdict.PROBLEM if local else Verdict.NOTE
     return CheckFinding(verdict, "instances", f"one in a process, {says}", do)
 
 

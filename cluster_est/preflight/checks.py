@@ -1,4 +1,4 @@
-"""The recipe of a preflight: what is looked at, in which order, while there is time."""
+"""All checks of a preflight, in their order, while there is time."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.preflight.costs import costs
-from cluster_est.preflight.findings import CheckFinding, CheckPage
+from cluster_est.preflight.findings import CheckFinding, CheckPage, Verdict
 from cluster_est.preflight.parameters import bounds, corners, effects
-from cluster_est.preflight.repeating import instances, repeating
-from cluster_est.preflight.solving import accuracy, derivatives, stiffness
+from cluster_est.preflight.repeatability import instances, repeatable
+from cluster_est.preflight.simulation_costs import costs
+from cluster_est.preflight.solver_checks import accuracy, derivatives, stiffness
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
 from cluster_est.problem.problem import Problem
 from cluster_est.results.output_errors import Simulation
@@ -21,11 +21,11 @@ from workers.probes.probes import CompileProbe, SimulationProbe
 from workers.process.trial import NoAnswer, ProbeBench
 
 SECONDS = 4.0
-"""What all checks may take, once there is a process to take them to."""
+"""Time for all checks, once there is a process for them."""
 COMPILE_SECONDS = 120.0
 """For a loop that only checks need; read from disk ever after."""
-LOADING, ONE = 0.6, 0.6
-"""Shares of the time left that loading the FMU, and one simulation, may take."""
+LOADING, FIRST_SIMULATION = 0.6, 0.6
+"""Shares of the time left for loading the FMU, and for one simulation."""
 
 CHECKS: tuple[Callable[[CheckSubject], list[CheckFinding]], ...] = (
     lambda subject: [instances(subject)],
@@ -36,27 +36,27 @@ CHECKS: tuple[Callable[[CheckSubject], list[CheckFinding]], ...] = (
     corners,
     derivatives,
 )
-"""In the order in which they get the time."""
+"""In the order in which they get their time."""
 
 
-def examine(
+def run_checks(
     problem: Problem, resources: Resources, seconds: float = SECONDS, *, declared: bool = True
 ) -> CheckPage:
-    """Look at all that keeps an FMU from being fitted, or makes that slow or wrong.
+    """Check for all that keeps an FMU from being fitted, or makes that slow or wrong.
 
     Every call of the FMU is in a process of its own, which is ended when its time is over.
 
     Parameters
     ----------
     problem
-        What is to be fitted.
+        To be fitted.
     resources
-        Where it is to be fitted.
+        For the fit.
     seconds
         That the checks share. Loading the project itself takes a second or two beside. With 0
         the FMU is not tried at all.
     declared
-        Whether somebody wants the parameters to be estimated.
+        True if a config declares the parameters to be estimated.
     """
     description = problem.describe()
     if seconds == 0.0:
@@ -67,44 +67,60 @@ def examine(
             return CheckPage((_not_loaded(loaded),), (), loads=False)
         if problem.model.interface == "model_exchange":
             bench.ask(CompileProbe(), COMPILE_SECONDS)
-        growth, clock = resources.limits.growth, TimeBudget.of(seconds)
-        where = resources.executor, resources.workers, growth
-        subject = CheckSubject(problem, description, bench, clock, *where, declared=declared)
+        subject = CheckSubject(
+            problem,
+            description,
+            bench,
+            TimeBudget.of(seconds),
+            resources.executor,
+            resources.workers,
+            resources.limits.growth,
+            declared=declared,
+        )
         simulations = _simulate(subject)
-        lines = [CheckFinding("ok", "loads", "it can be loaded and instantiated"), *bounds(subject)]
-        lines += _simulated(subject, simulations)
-        good = [s for s in simulations if s.outcome.ok]
-        if good:
-            first = min(good, key=lambda s: s.outcome.seconds)
-            seen = first.outcome.trajectory
-            subject = replace(
-                subject,
-                one=first.outcome.seconds,
-                experiment=first.experiment,
-                seen=None if seen is None or problem.effects else seen.values,
-            )
-            repeated, renew = repeating(subject)
-            lines += repeated
-            subject = replace(subject, renew=renew or "reset", repeats=renew is not None)
+        findings = [
+            CheckFinding(Verdict.OK, "loads", "it can be loaded and instantiated"),
+            *bounds(subject),
+            *_simulation_findings(subject, simulations),
+            *_probe_findings(subject, simulations),
+        ]
+    return CheckPage(tuple(findings), tuple(simulations))
+
+
+def _probe_findings(subject: CheckSubject, simulations: list[Simulation]) -> list[CheckFinding]:
+    """Run all checks on the quickest experiment that could be simulated."""
+    successful = [s for s in simulations if s.outcome.ok]
+    if not successful:
         late = any(s.outcome.status is Status.TIMEOUT for s in simulations)
-        for check in CHECKS if good else () if late else (stiffness,):
-            lines += check(subject)
-    return CheckPage(tuple(lines), tuple(simulations))
+        return [] if late else stiffness(subject)
+    first = min(successful, key=lambda s: s.outcome.seconds)
+    seen = first.outcome.trajectory
+    subject = replace(
+        subject,
+        simulation_seconds=first.outcome.seconds,
+        experiment=first.experiment,
+        trajectory=None if seen is None or subject.problem.effects else seen.values,
+    )
+    findings, policy = repeatable(subject)
+    subject = replace(subject, reset_policy=policy or "reset", repeats=policy is not None)
+    for check in CHECKS:
+        findings += check(subject)
+    return findings
 
 
 def _not_loaded(stopped: NoAnswer) -> CheckFinding:
     do = "check that it does not wait for a licence or a window" if stopped.late else ""
-    return CheckFinding("problem", "loads", stopped.message, do)
+    return CheckFinding(Verdict.PROBLEM, "loads", stopped.message, do)
 
 
 def _simulate(subject: CheckSubject) -> list[Simulation]:
-    """Each experiment once, at the start values, as far as there is time."""
+    """Simulate each experiment once, at the start values, as far as there is time."""
     problem, space = subject.problem, subject.space
     values = space.physical(space.start)
     found: list[Simulation] = []
     for e in range(len(problem.experiments)):
-        limit = ONE * subject.clock.left
-        if limit < 0.1 * subject.clock.seconds and found:
+        limit = FIRST_SIMULATION * subject.budget.left
+        if limit < 0.1 * subject.budget.seconds and found:
             outcome = Outcome(e, Status.NOT_RUN, message="no time was left for it")
             found.append(Simulation(e, outcome))
             continue
@@ -117,24 +133,26 @@ def _simulate(subject: CheckSubject) -> list[Simulation]:
     return found
 
 
-def _simulated(subject: CheckSubject, simulations: list[Simulation]) -> list[CheckFinding]:
-    """A line for all experiments that can be simulated, and one for each that cannot."""
-    good = [s for s in simulations if s.outcome.ok]
+def _simulation_findings(
+    subject: CheckSubject, simulations: list[Simulation]
+) -> list[CheckFinding]:
+    """Return a finding for all experiments that can be simulated, and one for each that cannot."""
+    successful = [s for s in simulations if s.outcome.ok]
     lines = []
     for simulation in simulations:
         outcome = simulation.outcome
         name = f"experiment {subject.problem.experiments[simulation.experiment].id}"
         if outcome.status is Status.NOT_RUN:
-            lines.append(CheckFinding("not done", name, outcome.message, _MORE))
+            lines.append(CheckFinding(Verdict.NOT_DONE, name, outcome.message, _MORE))
         elif outcome.status is Status.TIMEOUT:
             said = f"at the start values {outcome.message}"
-            lines.append(CheckFinding("problem", name, said, f"if it is only slow: {_MORE}"))
+            lines.append(CheckFinding(Verdict.PROBLEM, name, said, f"if it is only slow: {_MORE}"))
         elif not outcome.ok:
             said = f"at the start values: {outcome.status}: {outcome.message}"
-            lines.append(CheckFinding("problem", name, said, "other start values"))
-    if good:
-        said = f"{len(good)} of {len(simulations)} experiments, at the start values"
-        lines.append(CheckFinding("ok", "simulates", said))
+            lines.append(CheckFinding(Verdict.PROBLEM, name, said, "other start values"))
+    if successful:
+        said = f"{len(successful)} of {len(simulations)} experiments, at the start values"
+        lines.append(CheckFinding(Verdict.OK, "simulates", said))
     return lines
 
 

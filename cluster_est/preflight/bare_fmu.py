@@ -20,7 +20,7 @@ DEFAULT_STOP = 1.0
 
 
 def bare_problem(path: Path) -> Problem:
-    """A problem to examine: all outputs, and the first real parameters as if to be estimated.
+    """Return a problem to check: all outputs, and the first real parameters as if to be estimated.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Whether the results depend on how the model is solved."""
+"""Checks of the solver: accuracy, stiffness and directional derivatives."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.preflight.findings import CheckFinding
+from cluster_est.preflight.findings import CheckFinding, Verdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from workers.messages import Solver
 from workers.probes.directional import DirectionalProbe
@@ -18,11 +18,11 @@ from workers.simulation.jacobian import AGREES
 TIGHTER = 100.0
 LEAST_RTOL = 1e-13
 GOOD, BAD = 1e-5, 1e-2
-"""Changes of the outputs, of their size, that need not and must concern somebody."""
+"""Relative changes of the outputs below which all is well, and above which there is a problem."""
 
 
 def accuracy(subject: CheckSubject) -> list[CheckFinding]:
-    """The same simulation with a tighter tolerance or a shorter step."""
+    """Compare with a simulation with a tighter tolerance or a shorter step."""
     if not subject.repeats:
         return []
     if (
@@ -30,16 +30,17 @@ def accuracy(subject: CheckSubject) -> list[CheckFinding]:
         and not subject.description.variable_steps
     ):
         said = "its communication step is fixed, so that it cannot be halved to compare"
-        return [CheckFinding("ok", "accuracy", said)]
+        return [CheckFinding(Verdict.OK, "accuracy", said)]
     solver = subject.problem.model.solver
     other, how, key = _finer(subject, solver)
-    found = subject.ask(SolverProbe(*subject.where, other), 6)
+    found = subject.ask(SolverProbe(*subject.probe_arguments, other), 6)
     if isinstance(found, NoAnswer):
         return [unanswered("accuracy", found)]
     said = f"with {how} the outputs change by {found:.2g} of their size"
     if found < GOOD:
-        return [CheckFinding("ok", "accuracy", said)]
-    return [CheckFinding("problem" if found > BAD else "note", "accuracy", said, key)]
+        return [CheckFinding(Verdict.OK, "accuracy", said)]
+    verdict = Verdict.PROBLEM if found > BAD else Verdict.NOTE
+    return [CheckFinding(verdict, "accuracy", said, key)]
 
 
 def _finer(subject: CheckSubject, solver: Solver) -> tuple[Solver, str, str]:
@@ -56,7 +57,7 @@ def _finer(subject: CheckSubject, solver: Solver) -> tuple[Solver, str, str]:
 
 
 def _usual_step(subject: CheckSubject) -> float:
-    """From one time in the data to the next."""
+    """Return the longest step from one time in the data to the next."""
     experiment = subject.problem.experiments[subject.experiment]
     times = [np.array([experiment.start, experiment.stop])]
     times += [output.times for output in experiment.outputs]
@@ -67,7 +68,7 @@ def _usual_step(subject: CheckSubject) -> float:
 
 
 def stiffness(subject: CheckSubject) -> list[CheckFinding]:
-    """Whether an explicit solver suits a model in model exchange."""
+    """Check that an explicit solver suits a model in model exchange."""
     model = subject.problem.model
     if model.interface != "model_exchange" or model.solver.name == "cvode":
         return []
@@ -76,12 +77,12 @@ def stiffness(subject: CheckSubject) -> list[CheckFinding]:
         return [unanswered("stiffness", found)]
     if found:
         said = f"the model is stiff: stability shortens the steps of {model.solver.name}"
-        return [CheckFinding("note", "stiffness", said, 'model.solver = "cvode"')]
-    return [CheckFinding("ok", "stiffness", f"not stiff: {model.solver.name} suits it")]
+        return [CheckFinding(Verdict.NOTE, "stiffness", said, 'model.solver = "cvode"')]
+    return [CheckFinding(Verdict.OK, "stiffness", f"not stiff: {model.solver.name} suits it")]
 
 
 def derivatives(subject: CheckSubject) -> list[CheckFinding]:
-    """Directional derivatives against differences, in model exchange."""
+    """Compare directional derivatives with differences, in model exchange."""
     model = subject.problem.model
     exchange = model.interface == "model_exchange"
     offered = subject.description.offer(model.interface).provides_directional_derivatives
@@ -94,9 +95,9 @@ def derivatives(subject: CheckSubject) -> list[CheckFinding]:
     do = "let no fit rely on them; export it again without, or tell its maker"
     if found.zero:
         said = "directional derivatives are offered, but all are silently 0"
-        return [CheckFinding("note", check, said, do)]
+        return [CheckFinding(Verdict.NOTE, check, said, do)]
     if found.error > AGREES:
         said = f"directional derivatives differ from the model's slopes by {found.error:.2g}"
-        return [CheckFinding("note", check, f"{said} of the largest", do)]
+        return [CheckFinding(Verdict.NOTE, check, f"{said} of the largest", do)]
     said = f"directional derivatives agree with differences within {found.error:.1g}"
-    return [CheckFinding("ok", check, said)]
+    return [CheckFinding(Verdict.OK, check, said)]

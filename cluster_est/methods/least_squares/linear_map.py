@@ -1,4 +1,4 @@
-"""The linear part of a least-squares model: as one array, or experiment by experiment."""
+"""A Jacobian as a linear map: as one array, or experiment by experiment."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from workers.messages import FloatArray
 
 
 class LinearMap(ABC):
-    """A weighted Jacobian J, and what a search asks of it."""
+    """A weighted Jacobian J."""
 
     @abstractmethod
     def norms(self) -> FloatArray:
-        """(unknowns,): of the columns."""
+        """Return the norms (unknowns,) of the columns."""
 
     @abstractmethod
     def transposed_product(self, values: FloatArray) -> FloatArray:
-        """(unknowns,): J'v of one value for each residual."""
+        """Return J'v (unknowns,) of one value for each residual."""
 
     @abstractmethod
     def product(self, step: FloatArray) -> FloatArray:
-        """(residuals,): J p of one value for each unknown."""
+        """Return J p (residuals,) of one value for each unknown."""
 
     @abstractmethod
     def solver(
         self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> StepSolver | BlockStepSolver:
-        """What finds steps; see `StepSolver`."""
+        """Return a solver of steps; see `StepSolver`."""
 
 
 def linear_map(derivatives: ResidualJacobian, factor: FloatArray) -> LinearMap:
-    """Of a Jacobian whose rows are multiplied with a factor, in the form that suits its size."""
+    """Return a Jacobian with each row multiplied by a factor, in the form that suits its size."""
     if derivatives.blocks.sparse:
-        return _BlockModel(derivatives.blocks.weighted(factor))
-    return _DenseModel(factor[:, None] * derivatives.matrix)
+        return _BlockMap(derivatives.blocks.scaled_rows(factor))
+    return _DenseMap(factor[:, None] * derivatives.matrix)
 
 
 @final
-class _DenseModel(LinearMap):
+class _DenseMap(LinearMap):
     def __init__(self, matrix: FloatArray) -> None:
         self._matrix = matrix
 
@@ -64,7 +64,7 @@ class _DenseModel(LinearMap):
 
 
 @final
-class _BlockModel(LinearMap):
+class _BlockMap(LinearMap):
     def __init__(self, matrix: BlockMatrix) -> None:
         self._matrix = matrix
 

@@ -1,7 +1,7 @@
 """Directions that a pattern search polls: some direction of any half-space is among them.
 
-Next to bounds and constraints they must generate the directions that stay inside, or a poll may
-fail where going along the boundary would not: R. M. Lewis, A. Shepherd, V. Torczon, Implementing
+Near bounds and constraints they must generate the feasible directions, or a poll may fail where a
+step along the boundary would not: R. M. Lewis, A. Shepherd, V. Torczon, Implementing
 generating set search methods for linearly constrained minimization, SIAM J. Sci. Comput. 29 (2007)
 2507-2530.
 """
@@ -21,14 +21,14 @@ Axes = Literal["aligned", "coordinates", "random"]
 NEGLIGIBLE = 1e-8
 
 
-def reflection(across: FloatArray) -> FloatArray:
-    """The Householder matrix that mirrors `across`; its rows are orthonormal."""
-    unit = across / np.linalg.norm(across)
-    return np.eye(len(across)) - 2.0 * np.outer(unit, unit)
+def reflection(vector: FloatArray) -> FloatArray:
+    """Return the Householder matrix that reflects a vector; its rows are orthonormal."""
+    unit = vector / np.linalg.norm(vector)
+    return np.eye(len(vector)) - 2.0 * np.outer(unit, unit)
 
 
 def aligned_axes(progress: FloatArray) -> FloatArray:
-    """Orthonormal rows, the first along a vector up to its sign; the coordinates if that is 0.
+    """Return orthonormal rows, the first along a vector up to its sign; the coordinates if it is 0.
 
     The idea of H. H. Rosenbrock, An automatic method for finding the greatest or least value of a
     function, Comput. J. 3 (1960) 175-184, doi:10.1093/comjnl/3.3.175, with one reflection.
@@ -36,46 +36,46 @@ def aligned_axes(progress: FloatArray) -> FloatArray:
     length = float(np.linalg.norm(progress))
     if length == 0.0:
         return np.eye(len(progress))
-    across = progress / length
-    across[0] += 1.0 if across[0] >= 0.0 else -1.0
-    return reflection(across)
+    vector = progress / length
+    vector[0] += 1.0 if vector[0] >= 0.0 else -1.0
+    return reflection(vector)
 
 
 def simplex(size: int) -> FloatArray:
-    """(size + 1, size): directions of unit length to the corners of a regular simplex."""
+    """Return directions (size + 1, size) of unit length to the vertices of a regular simplex."""
     first = np.full((1, size), size**-0.5)
     others = np.sqrt(1.0 + 1.0 / size) * np.eye(size) - size**-1.5 * (np.sqrt(size + 1.0) + 1.0)
     return np.concatenate([first, others])
 
 
-def directions(axes: FloatArray, basis: Basis, near: NearbyNormals) -> FloatArray:
-    """(directions, unknowns) of unit length.
+def directions(axes: FloatArray, basis: Basis, normals: NearbyNormals) -> FloatArray:
+    """Return the directions (directions, unknowns) of a poll, of unit length.
 
     Parameters
     ----------
     axes : (unknowns, unknowns)
         Orthonormal rows.
     basis
-        "2n" goes both ways along each axis, "n+1" to the corners of a simplex. Next to bounds or
-        constraints the directions are always those of "2n": both ways along them, and straight
-        at and away from each.
-    near
-        What lies within reach.
+        "2n" goes both ways along each axis, "n+1" to the vertices of a simplex. Near bounds or
+        constraints the directions are always those of "2n": both ways along them, and along
+        their normals.
+    normals
+        Of bounds and constraints within a mesh.
     """
-    if len(near.sides) + len(near.equal) == 0:
+    if len(normals.inequalities) + len(normals.equalities) == 0:
         return np.concatenate([axes, -axes]) if basis == "2n" else simplex(len(axes)) @ axes
-    both = np.concatenate([near.sides, near.equal])
-    inverse = np.linalg.pinv(both)
-    along = _independent(axes - (axes @ inverse) @ both)
-    across = _unit(inverse.T[: len(near.sides)])
-    found = [along, -along, -across, across]
-    if np.linalg.matrix_rank(both) < len(both):  # a vertex with more sides than there is room for
+    rows = np.concatenate([normals.inequalities, normals.equalities])
+    inverse = np.linalg.pinv(rows)
+    tangents = _independent(axes - (axes @ inverse) @ rows)
+    across = _unit(inverse.T[: len(normals.inequalities)])
+    found = [tangents, -tangents, -across, across]
+    if np.linalg.matrix_rank(rows) < len(rows):  # a degenerate vertex
         found += [axes, -axes]
     return _distinct(np.concatenate(found))
 
 
 def _independent(vectors: FloatArray) -> FloatArray:
-    """Orthonormal vectors that span the same, close to the longest of the given ones."""
+    """Return orthonormal vectors of the same span, close to the longest of the given ones."""
     if not vectors.any():
         return vectors[:0]
     found, triangle, _ = qr(vectors.T, mode="economic", pivoting=True)
@@ -91,7 +91,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def _distinct(vectors: FloatArray) -> FloatArray:
-    """Without those that point where an earlier one does."""
+    """Return the vectors without repetitions."""
     kept: list[FloatArray] = []
     for vector in vectors:
         if all(np.abs(vector - other).max() > NEGLIGIBLE for other in kept):
