@@ -257,7 +257,7 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
         solver,
         targets,
         tuple(structure.items()),
-        renew=config.model.reset,
+        reset=config.model.reset,
     )
 
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import sympy as sp
 from sympy.printing.c import C99CodePrinter
 
 from cluster_est.export.layout import WrapperLayout
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, known_rates, variable_symbol
-from workers.effects.source import CAssignment
-
-Places = Mapping[sp.Symbol, tuple[str, int]]
+from workers.effects.source import CAssignment, EffectArray, SymbolLocations
 
 
 class _CPrinter(C99CodePrinter):  # type: ignore[misc]
@@ -39,21 +37,23 @@ def effects_source(layout: WrapperLayout) -> str:
     parts = [
         "/* Printed from the effects of the run; see documentation/README.md. */",
         '#include "effects.h"\n\n#include <math.h>',
-        _function(begin, made.places, made.begin),
+        _function(begin, made.locations, made.start_states),
         _function(
             f"void effects_before({read}, double *edited, double *varied)",
-            made.places,
-            made.before,
+            made.locations,
+            made.modify_inputs,
         ),
-        _function(f"void effects_inside({read}, double *slopes)", made.places, made.inside),
+        _function(
+            f"void effects_inside({read}, double *slopes)", made.locations, made.add_derivatives
+        ),
         _inside_rate(layout),
         *_outputs(layout),
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def _function(header: str, places: Places, assignments: Sequence[CAssignment]) -> str:
-    return f"{header} {{\n{_unused(header)}{_body(places, assignments)}}}"
+def _function(header: str, locations: SymbolLocations, assignments: Sequence[CAssignment]) -> str:
+    return f"{header} {{\n{_unused(header)}{_body(locations, assignments)}}}"
 
 
 def _unused(header: str) -> str:
@@ -61,13 +61,15 @@ def _unused(header: str) -> str:
     return "".join(f"    (void){name};\n" for name in re.findall(r"(\w+)[,)]", header))
 
 
-def _body(places: Places, assignments: Sequence[CAssignment], indent: str = "    ") -> str:
+def _body(
+    locations: SymbolLocations, assignments: Sequence[CAssignment], indent: str = "    "
+) -> str:
     """Statements: the symbols that are used, common parts, and what is assigned in the end."""
     used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
     meaning: dict[sp.Symbol, sp.Symbol] = {TIME: sp.Symbol("t", real=True)}
     lines = []
     for number, symbol in enumerate(sorted(used - {TIME}, key=str)):
-        array, index = places[symbol]
+        array, index = locations[symbol]
         meaning[symbol] = sp.Symbol(f"s{number}", real=True)
         lines.append(f"const double s{number} = {array}[{index}]; /* {_comment(symbol)} */")
     values = [a.value.xreplace(meaning) for a in assignments]
@@ -96,9 +98,9 @@ def _inline(value: sp.Expr) -> str:
 def _inside_rate(layout: WrapperLayout) -> str:
     """The fastest rate of own states, as far as it depends on coefficients alone."""
     rates = [abs(rate) for i in layout.inside for rate in known_rates(layout.effect(i), ())]
-    fastest = CAssignment("fastest", -1, sp.Max(sp.Integer(0), *rates))
+    fastest = CAssignment(EffectArray.FASTEST, -1, sp.Max(sp.Integer(0), *rates))
     head = "double effects_rate(const double *coefficients)"
-    body = _body(layout.equations.places, [fastest])
+    body = _body(layout.equations.locations, [fastest])
     return f"{head} {{\n    double fastest;\n{_unused(head)}{body}    return fastest;\n}}"
 
 
@@ -116,8 +118,8 @@ def _outputs(layout: WrapperLayout) -> list[str]:
     for what, head in heads.items():
         arms = ""
         for number, i in enumerate(layout.outputs):
-            places, assignments = _output(layout, i, what)
-            body = _body(places, assignments, " " * 12)
+            locations, assignments = _output(layout, i, what)
+            body = _body(locations, assignments, " " * 12)
             arms += f"        case {number}: {{\n{body}            break;\n        }}\n"
         gives = what in ("after", "rate")
         first = "    double result = 0.0;\n" if gives else ""
@@ -129,32 +131,37 @@ def _outputs(layout: WrapperLayout) -> list[str]:
 
 def _output(
     layout: WrapperLayout, index: int, what: str
-) -> tuple[dict[sp.Symbol, tuple[str, int]], list[CAssignment]]:
+) -> tuple[SymbolLocations, list[CAssignment]]:
     definition = layout.effect(index)
-    places = _output_places(layout, definition, layout.repair.positions[index])
+    locations = _output_places(layout, definition, layout.repair.positions[index])
     first = layout.first_output_state(index)
-    places |= {s: ("states", first + i) for i, s in enumerate(definition.states)}
+    locations |= {s: (EffectArray.STATES, first + i) for i, s in enumerate(definition.states)}
     if what == "begin":
-        return places, [
-            CAssignment("states", first + i, e) for i, e in enumerate(definition.starts)
+        return locations, [
+            CAssignment(EffectArray.STATES, first + i, e) for i, e in enumerate(definition.starts)
         ]
     if what == "inside":
-        return places, [
-            CAssignment("slopes", first + i, e) for i, e in enumerate(definition.derivatives)
+        return locations, [
+            CAssignment(EffectArray.DERIVATIVES, first + i, e)
+            for i, e in enumerate(definition.derivatives)
         ]
     if what == "after":
-        return places, [CAssignment("result", -1, definition.parts[0][1])]
+        return locations, [CAssignment(EffectArray.RESULT, -1, definition.equations[0][1])]
     rates = [abs(rate) for rate in known_rates(definition, definition.uses)]
-    return places, [CAssignment("result", -1, sp.Max(sp.Integer(0), *rates))]
+    return locations, [CAssignment(EffectArray.RESULT, -1, sp.Max(sp.Integer(0), *rates))]
 
 
 def _output_places(
     layout: WrapperLayout, definition: EffectDefinition, position: int
-) -> dict[sp.Symbol, tuple[str, int]]:
-    places: dict[sp.Symbol, tuple[str, int]] = {
-        variable_symbol(name): ("raw", i) for i, name in enumerate(layout.columns)
+) -> SymbolLocations:
+    locations: SymbolLocations = {
+        variable_symbol(name): (EffectArray.INPUTS, i) for i, name in enumerate(layout.columns)
     }
-    places |= {variable_symbol(name): ("row", i) for i, name in enumerate(layout.row)}
-    places[SIGNAL] = ("row", layout.row.index(definition.site.target))
-    places |= {s: ("coefficients", position + i) for i, s in enumerate(definition.coefficients)}
-    return places
+    locations |= {
+        variable_symbol(name): (EffectArray.OUTPUTS, i) for i, name in enumerate(layout.row)
+    }
+    locations[SIGNAL] = (EffectArray.OUTPUTS, layout.row.index(definition.site.target))
+    locations |= {
+        s: (EffectArray.COEFFICIENTS, position + i) for i, s in enumerate(definition.coefficients)
+    }
+    return locations

@@ -35,7 +35,7 @@ def _counts(layout: WrapperLayout) -> dict[str, object]:
     description = repair.description
     return {
         "N_STATES": len(layout.states),
-        "N_OWN": len(made.begin),
+        "N_OWN": len(made.start_states),
         "N_OUTPUT_OWN": sum(len(layout.effect(i).states) for i in layout.outputs),
         "N_INDICATORS": description.event_indicators if layout.exchange else 0,
         "N_INPUTS": len(layout.inputs),
@@ -49,7 +49,7 @@ def _counts(layout: WrapperLayout) -> dict[str, object]:
         "N_OUTPUT_EFFECTS": len(layout.outputs),
         "N_SPECIALS": len(layout.specials),
         "N_TOUCHED": len(layout.touched),
-        "HAS_BEFORE": int(bool(made.before)),
+        "HAS_BEFORE": int(bool(made.modify_inputs)),
         "TOUCHES_EXCHANGE": int(bool(repair.effects)),
     }
 
@@ -79,7 +79,7 @@ def _solver(layout: WrapperLayout) -> dict[str, object]:
 def _tables(layout: WrapperLayout) -> dict[str, object]:
     repair, variables = layout.repair, layout.repair.description.variables
     nominals = [variables[name].nominal for name in layout.states]
-    nominals += [1.0] * len(layout.equations.begin)
+    nominals += [1.0] * len(layout.equations.start_states)
     found = {f.name: f.value for f in (*repair.parameters,)} | {
         name: float(value) for name, value in repair.known if isinstance(value, float | int)
     }

@@ -158,7 +158,7 @@ def lay_out(repair: RepairedModel) -> WrapperLayout:
     own = _own(repair, signals, [*order, *outputs], exchange=exchange)
     row = tuple(dict.fromkeys(n for n in needed if n not in columns))
     layout = WrapperLayout(
-        repair, exchange, inputs, sum(v.moves for v in inputs), signals, tuple(memories),
+        repair, exchange, inputs, sum(v.is_continuous for v in inputs), signals, tuple(memories),
         tuple(inside), tuple(outputs), made, row, tuple(known), own, (), (),
     )  # fmt: skip
     specials, touched = _specials(layout)
@@ -191,7 +191,7 @@ def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
 def _inputs(description: ModelDescription) -> tuple[ModelVariable, ...]:
     real = {v.reference: v for v in reversed(description.inputs()) if v.kind == "real"}
     chosen = [v for v in description.inputs() if real.get(v.reference) is v]
-    return tuple(sorted(chosen, key=lambda v: not v.moves))
+    return tuple(sorted(chosen, key=lambda v: not v.is_continuous))
 
 
 def _check_inputs(

@@ -217,7 +217,7 @@ class _ParameterReader:
                 self._find(p, unit) or EstimatedValue(p.name, unit, p.start)
                 for p, unit in zip(own, units, strict=True)
             )
-            if definition.neutral(np.array([value.value for value in values])):
+            if definition.is_neutral(np.array([value.value for value in values])):
                 notes.append(f"effect {effect.name!r} does nothing at its values and is left out")
                 continue
             kept.append(definition)

@@ -6,7 +6,7 @@ import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, Verdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
-from workers.messages import Renewal
+from workers.messages import ResetPolicy
 from workers.probes.probes import (
     InstanceProbe,
     LeftoverProbe,
@@ -20,7 +20,7 @@ MOVED = 1.37
 """What every value is multiplied with, to see whether it stays behind: no round number."""
 
 
-def repeating(subject: CheckSubject) -> tuple[list[CheckFinding], Renewal | None]:
+def repeating(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy | None]:
     """Whether reset equals fresh, and two fresh processes each other.
 
     And what a simulation must begin with, for all further checks; None if nothing helps.
@@ -44,7 +44,7 @@ def repeating(subject: CheckSubject) -> tuple[list[CheckFinding], Renewal | None
         )
         return [CheckFinding("problem", "repeatable", said, do)], None
     repeatable = CheckFinding("ok", "repeatable", "two fresh processes give the same bits")
-    renew: Renewal = "reset" if found.reset == 0.0 else "instance"
+    renew: ResetPolicy = "reset" if found.reset == 0.0 else "instance"
     lines = [repeatable, _reset(subject, found)]
     return lines + (_left(subject) if renew == "reset" else []), renew
 
@@ -66,7 +66,7 @@ def _reset(subject: CheckSubject, found: RepetitionResult) -> CheckFinding:
 
 
 def _chosen(subject: CheckSubject, needed: str, how: str, do: str) -> CheckFinding:
-    renew = subject.problem.model.renew
+    renew = subject.problem.model.reset
     if renew in ("auto", needed, "process"):
         return CheckFinding("note", "reset", how, do)
     return CheckFinding("problem", "reset", how, f'set model.reset = "{needed}" or "auto"')

@@ -13,7 +13,7 @@ from cluster_est.preflight.findings import CheckFinding
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from workers.fmu.description import ModelDescription
-from workers.messages import FloatArray, Renewal
+from workers.messages import FloatArray, ResetPolicy
 from workers.probes.base import FmuProbe
 from workers.process.trial import NoAnswer, ProbeBench
 
@@ -70,13 +70,13 @@ class CheckSubject:
     growth: float = 256.0 * 2**20
     one: float = 0.0
     experiment: int = 0
-    renew: Renewal = "reset"
+    renew: ResetPolicy = "reset"
     repeats: bool = True
     declared: bool = True
     seen: FloatArray | None = None
 
     @property
-    def where(self) -> tuple[int, FloatArray, Renewal]:
+    def where(self) -> tuple[int, FloatArray, ResetPolicy]:
         """What probes begin with: experiment, values, and how each simulation begins."""
         return self.experiment, self.start, self.renew
 

@@ -189,10 +189,10 @@ def prepare(
         )
     experiment = problem.experiments[index]
     key = simulation_key(problem.model.key, experiment.key, effects, logged.values)
-    if problem.model.renew == "auto":
+    if problem.model.reset == "auto":
         chosen = recorded(read_facts(run_folder))
         if chosen is not None:
-            problem = replace(problem, model=replace(problem.model, renew=chosen.renew))
+            problem = replace(problem, model=replace(problem.model, reset=chosen.renew))
     task = Task(0, index, logged.values, logged.want, effects)
     return ReplayRequest(problem, build_resources(resolved).limits, task, key == logged.key)
 
@@ -237,7 +237,7 @@ def replay(question: ReplayRequest) -> Outcome:
         If the FMU cannot be loaded, or its process dies while it is.
     """
     problem, task = question.problem, question.task
-    model = replace(problem.model, talks=True)
+    model = replace(problem.model, logging_on=True)
     guard = SupervisedEvaluator(
         model, (problem.experiments[task.experiment],), "replay", question.limits
     )

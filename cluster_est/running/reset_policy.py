@@ -17,11 +17,11 @@ from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from workers.errors import ModelError
-from workers.messages import Experiment, Limits, Outcome, Renewal, Task
+from workers.messages import Experiment, Limits, Outcome, ResetPolicy, Task
 
 SLOW_SECONDS = 1.0
 """A simulation of more is not repeated."""
-WAYS: tuple[Renewal, ...] = ("reset", "instance", "process")
+WAYS: tuple[ResetPolicy, ...] = ("reset", "instance", "process")
 BEGINS = {
     "reset": "a reset of the instance",
     "instance": "a new instance",
@@ -44,7 +44,7 @@ class ResetDecision:
         Whether that is nothing out of the ordinary.
     """
 
-    renew: Renewal
+    renew: ResetPolicy
     sentence: str
     plain: bool = False
 
@@ -114,11 +114,11 @@ def open_renewing(
         If the FMU cannot be loaded.
     """
 
-    def start(kind: str, renew: Renewal, count: int | None) -> WorkerPool:
-        model = replace(problem.model, renew=renew)
+    def start(kind: str, renew: ResetPolicy, count: int | None) -> WorkerPool:
+        model = replace(problem.model, reset=renew)
         return executor_class(kind).open(model, problem.experiments, count, address, limits)
 
-    declared = problem.model.renew
+    declared = problem.model.reset
     if known is None and declared != "auto":
         said = f"each simulation begins with {BEGINS[declared]}, as model.reset says"
         known = ResetDecision(declared, said, plain=True)
@@ -152,7 +152,7 @@ def _other_way(
     name: str,
     workers: int | None,
     question: RepeatabilityTest,
-    start: Callable[[str, Renewal, int | None], WorkerPool],
+    start: Callable[[str, ResetPolicy, int | None], WorkerPool],
 ) -> tuple[WorkerPool, ResetDecision]:
     """The least that lets the question have one answer; a reset if nothing does."""
     for renew in WAYS[1:]:

@@ -55,16 +55,16 @@ def missing_libraries(binary: Path) -> tuple[str, ...]:
         if elf is None:
             continue
         for name in elf.needed:
-            beside = _beside(path, elf, name)
-            if beside is not None and beside not in seen:
-                seen.add(beside)
-                waiting.append(beside)
-            elif beside is None and not _installed(name):
+            location = _declared_location(path, elf, name)
+            if location is not None and location not in seen:
+                seen.add(location)
+                waiting.append(location)
+            elif location is None and not _is_installed(name):
                 missing[name] = None
     return tuple(sorted(missing))
 
 
-def why_not_loaded(binary: Path, said: str = "") -> str | None:
+def load_failure(binary: Path, system_message: str = "") -> str | None:
     """Why a library cannot be loaded here and what can be done, as the end of a sentence.
 
     Parameters
@@ -90,18 +90,18 @@ def why_not_loaded(binary: Path, said: str = "") -> str | None:
         )
     missing = missing_libraries(binary)
     if missing:
-        lying = [name for name in missing if (binary.parent / name).is_file()]
-        if len(lying) == len(missing):
+        beside = [name for name in missing if (binary.parent / name).is_file()]
+        if len(beside) == len(missing):
             return (
                 f"its library {binary.name} needs {_listed(missing)}, beside it, where the system "
                 f"does not look; set LD_LIBRARY_PATH to {binary.parent} and start again"
             )
-        lacking = [name for name in missing if name not in lying]
-        plural = "libraries" if len(lacking) > 1 else "library"
-        return f"it needs the shared {plural} {_listed(lacking)}, which this machine lacks; " + (
-            "install them" if len(lacking) > 1 else "install it"
+        absent = [name for name in missing if name not in beside]
+        plural = "libraries" if len(absent) > 1 else "library"
+        return f"it needs the shared {plural} {_listed(absent)}, which this machine lacks; " + (
+            "install them" if len(absent) > 1 else "install it"
         )
-    found = _TOO_NEW.search(said)
+    found = _TOO_NEW.search(system_message)
     if found:
         return (
             f"it was built for a newer system, with {found.group(1)}, than this machine has; "
@@ -110,7 +110,7 @@ def why_not_loaded(binary: Path, said: str = "") -> str | None:
     return None
 
 
-def about_licence(text: str) -> bool:
+def is_about_licence(text: str) -> bool:
     """Whether a message of an FMU says that a licence was refused."""
     return bool(_LICENCE.search(text) and _REFUSAL.search(text))
 
@@ -183,7 +183,7 @@ def _offset(address: int, loads: list[_Segment]) -> int:
     raise ValueError("an address that is in no segment")
 
 
-def _beside(path: Path, elf: _ElfLibrary, name: str) -> Path | None:
+def _declared_location(path: Path, elf: _ElfLibrary, name: str) -> Path | None:
     """The library, where the one that needs it says to look."""
     if "/" in name:
         return Path(name) if Path(name).is_file() else None
@@ -195,7 +195,7 @@ def _beside(path: Path, elf: _ElfLibrary, name: str) -> Path | None:
     return None
 
 
-def _installed(name: str) -> bool:
+def _is_installed(name: str) -> bool:
     """Whether the system's loader finds it: in the user's folders, its cache or its own folders."""
     try:
         if b"\0" + name.encode() + b"\0" in _CACHE.read_bytes():

@@ -20,7 +20,7 @@ from fmpy.fmi3 import FMU3Model, FMU3Slave
 
 from workers.errors import ModelError
 from workers.fmu.archive import unpack
-from workers.fmu.binary_dependencies import about_licence, why_not_loaded
+from workers.fmu.binary_dependencies import is_about_licence, load_failure
 from workers.fmu.description import ModelDescription
 from workers.fmu.platforms import binary_path
 from workers.kernels.fmi.component import FmiComponent, nothing_loaded
@@ -33,7 +33,7 @@ _CLASSES = {
     ("3.0", "model_exchange"): FMU3Model,
     ("3.0", "co_simulation"): FMU3Slave,
 }
-_ALWAYS = {
+_REQUIRED = {
     "reset": "Reset",
     "enter_initialization_mode": "EnterInitializationMode",
     "exit_initialization_mode": "ExitInitializationMode",
@@ -65,7 +65,7 @@ _MODEL_EXCHANGE_3 = {
 }
 _CO_SIMULATION = {"do_step": "DoStep"}
 _CO_SIMULATION_2 = {"set_real_input_derivatives": "SetRealInputDerivatives"}
-_SOMETIMES = {
+_OPTIONAL = {
     "set_string",
     "get_nominals",
     "get_event_indicators",
@@ -82,14 +82,14 @@ _NO_RESET = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p)(lambda handle: 0)
 _NO_RESET_AT = ctypes.cast(_NO_RESET, c_void_p).value or 0
 """What stands for the reset of an instance that has just been made."""
 
-_loading = threading.Lock()
-_made = 0
-_given_up: list[Any] = []
+_load_lock = threading.Lock()
+_instance_count = 0
+_abandoned: list[Any] = []
 
 
-def instances() -> int:
+def instances_made() -> int:
     """How many instances of FMUs this process has made so far."""
-    return _made
+    return _instance_count
 
 
 class FmuInstance:
@@ -112,7 +112,7 @@ class FmuInstance:
         description.check_platform(model.interface)
         self._folder = unpack(model.name, model.archive, model.archive_hash)
         self.log: deque[str] = deque(maxlen=20)
-        self._freed = self._used = False
+        self._is_freed = self._is_used = False
         self._fmu = self._load()
         self.component = self._addresses()
 
@@ -124,34 +124,34 @@ class FmuInstance:
         ModelError
             If the FMU cannot be instantiated again.
         """
-        if self._used:
+        if self._is_used:
             self.free()
-            self.renew()
-        self._used = True
+            self.replace()
+        self._is_used = True
         return self.component._replace(reset=_NO_RESET_AT)
 
-    def renew(self) -> None:
+    def replace(self) -> None:
         """Replace the instance by a fresh one: all that is left after a fatal error.
 
         The old one is not freed, because the standard forbids any further call to it. It is kept,
         because it may still call its logger.
         """
-        _given_up.append(self._fmu)
+        _abandoned.append(self._fmu)
         self._fmu = self._load()
-        self._freed = self._used = False
+        self._is_freed = self._is_used = False
         self.component = self._addresses()
 
-    def ended_at(self) -> float | None:
+    def termination_time(self) -> float | None:
         """Return the time at which the FMU ended a simulation, after it has discarded a step.
 
         None if it did not end it. Of FMI 2.0; in 3.0 a step says this itself.
         """
-        ended, time = ctypes.c_int(0), ctypes.c_double(-math.inf)
+        terminated, time = ctypes.c_int(0), ctypes.c_double(-math.inf)
         if self._description.version == "2.0":
-            self._ask("GetBooleanStatus", ctypes.c_int(_TERMINATED), ctypes.byref(ended))
-        if not ended.value:
+            self._call("GetBooleanStatus", ctypes.c_int(_TERMINATED), ctypes.byref(terminated))
+        if not terminated.value:
             return None
-        self._ask("GetRealStatus", ctypes.c_int(_LAST_SUCCESSFUL_TIME), ctypes.byref(time))
+        self._call("GetRealStatus", ctypes.c_int(_LAST_SUCCESSFUL_TIME), ctypes.byref(time))
         return time.value
 
     @property
@@ -161,26 +161,26 @@ class FmuInstance:
 
     def free(self) -> None:
         """Free the instance and unload its library. Again does nothing: it would be freed twice."""
-        with _loading:
-            if not self._freed:
-                self._freed = True
+        with _load_lock:
+            if not self._is_freed:
+                self._is_freed = True
                 self._fmu.freeInstance()
 
     def _load(self) -> Any:
         """The instance as fmpy has it; its class depends on version and interface."""
         version, interface = self._description.version, self._model.interface
-        make = _CLASSES[version, interface]
+        model_class = _CLASSES[version, interface]
         identifier = self._description.offer(interface).identifier
-        global _made
-        with _loading:
-            _made += 1
-            name = f"{identifier}-{_made}"
+        global _instance_count
+        with _load_lock:
+            _instance_count += 1
+            name = f"{identifier}-{_instance_count}"
         _logs[name] = self.log
-        if self._model.talks:
-            _talking.add(name)
+        if self._model.logging_on:
+            _logging.add(name)
         try:
-            with _loading, _same_folder():
-                fmu = make(
+            with _load_lock, _unchanged_working_folder():
+                fmu = model_class(
                     guid=self._description.guid,
                     modelIdentifier=identifier,
                     unzipDirectory=str(self._folder),
@@ -189,45 +189,45 @@ class FmuInstance:
                 )
                 self._instantiate(fmu, name)
         except Exception as error:  # fmpy raises bare exceptions here
-            raise ModelError(self._why_not(error)) from error
+            raise ModelError(self._load_failure(error)) from error
         return fmu
 
     def _instantiate(self, fmu: Any, name: str) -> None:
         version_2 = self._description.version == "2.0"
         how = {"callbacks": _callbacks} if version_2 else {"logMessage": _log_3(name)}
         try:
-            fmu.instantiate(loggingOn=self._model.talks, **how)
+            fmu.instantiate(loggingOn=self._model.logging_on, **how)
         except Exception:
             if not self.log and not self._description.once_per_process:
                 with contextlib.suppress(Exception):  # some say why only if they are to talk
                     fmu.instantiate(loggingOn=True, **how)
             raise
 
-    def _why_not(self, error: Exception) -> str:
+    def _load_failure(self, error: Exception) -> str:
         """What kept the FMU from being loaded, and what can be done."""
         identifier = self._description.offer(self._model.interface).identifier
         binary = self._folder / binary_path(self._description.version, identifier)
-        known = why_not_loaded(binary, str(error))
-        if known is not None:
-            return f"{self._model.name}: cannot be loaded: {known}"
-        said = f" It said: {' '.join(self.log[-1].split()).rstrip('.')}." if self.log else ""
+        cause = load_failure(binary, str(error))
+        if cause is not None:
+            return f"{self._model.name}: cannot be loaded: {cause}"
+        log = f" It said: {' '.join(self.log[-1].split()).rstrip('.')}." if self.log else ""
         advice = "Check that it runs on this machine and that everything it needs is installed"
         if self._description.offer(self._model.interface).needs_execution_tool:
             advice += f"; it needs {self._description.tool or 'the tool that exported it'} here"
-        if any(about_licence(line) for line in (*self.log, str(error))):
+        if any(is_about_licence(line) for line in (*self.log, str(error))):
             advice = "Get the licence that it asks for, or export it without the need of one"
-        return f"{self._model.name}: cannot be loaded and instantiated ({error}).{said} {advice}"
+        return f"{self._model.name}: cannot be loaded and instantiated ({error}).{log} {advice}"
 
     def _addresses(self) -> FmiComponent:
         description, exchange = self._description, self._model.interface == "model_exchange"
         version = 2 if description.version == "2.0" else 3
-        used = _ALWAYS | (_IN_2 if version == 2 else _IN_3)
+        used = _REQUIRED | (_IN_2 if version == 2 else _IN_3)
         if exchange:
             used |= _MODEL_EXCHANGE | (_MODEL_EXCHANGE_2 if version == 2 else _MODEL_EXCHANGE_3)
         else:
             used |= _CO_SIMULATION | (_CO_SIMULATION_2 if version == 2 else {})
         found = {field: self._address(name) for field, name in used.items()}
-        absent = [used[field] for field, at in found.items() if not at and field not in _SOMETIMES]
+        absent = [used[field] for field, at in found.items() if not at and field not in _OPTIONAL]
         if absent:
             raise ModelError(
                 f"{self._model.name}: its binary must have the function fmi{version}{absent[0]} "
@@ -246,7 +246,7 @@ class FmuInstance:
             accessors=accessors,
             interpolates_inputs=description.interpolates_inputs,
             completes_steps=description.completes_steps,
-            eventful=_is_eventful(description),
+            eventful=_has_events(description),
             n_states=len(description.states) if exchange else 0,
             n_indicators=description.event_indicators if exchange else 0,
             **found,
@@ -261,14 +261,14 @@ class FmuInstance:
         }
         for name, (what, expected) in counted.items():
             count = ctypes.c_size_t(expected)
-            self._ask(f"GetNumberOf{name}", ctypes.byref(count))
+            self._call(f"GetNumberOf{name}", ctypes.byref(count))
             if count.value != expected:
                 raise ModelError(
                     f"{self._model.name}: its binary must have the {expected} {what} of its "
                     f"modelDescription.xml but has {count.value}; export it again"
                 )
 
-    def _ask(self, name: str, *arguments: Any) -> None:
+    def _call(self, name: str, *arguments: Any) -> None:
         """Call a function of the FMU that fills in its last argument; nothing if it has none."""
         if address := self._address(name):
             types = [c_void_p] * (1 + len(arguments))
@@ -282,7 +282,7 @@ class FmuInstance:
         return 0 if function is None else ctypes.cast(function, c_void_p).value or 0
 
 
-def _is_eventful(description: ModelDescription) -> bool:
+def _has_events(description: ModelDescription) -> bool:
     """Whether an input that jumps may be an event for the FMU."""
     if description.event_indicators > 0:
         return True
@@ -290,7 +290,7 @@ def _is_eventful(description: ModelDescription) -> bool:
 
 
 @contextlib.contextmanager
-def _same_folder() -> Iterator[None]:
+def _unchanged_working_folder() -> Iterator[None]:
     """Come back to the working folder, which fmpy leaves while it loads a library."""
     before = os.getcwd()
     try:
@@ -300,29 +300,29 @@ def _same_folder() -> Iterator[None]:
 
 
 _logs: weakref.WeakValueDictionary[str, deque[str]] = weakref.WeakValueDictionary()
-_talking: set[str] = set()
+_logging: set[str] = set()
 """Instances whose messages are shown."""
 _STATUSES = ("ok", "warning", "discard", "error", "fatal", "pending")
 
 
 def _log(environment: object, instance: bytes, status: int, category: bytes, text: bytes) -> None:
     """Receive a message from any instance; fmpy's proxy knows one logger for all of them."""
-    _note((instance or b"").decode(errors="replace"), status, text)
+    _append((instance or b"").decode(errors="replace"), status, text)
 
 
 def _log_3(name: str) -> Callable[[object, int, bytes, bytes], None]:
     """Receives the messages of one instance of FMI 3.0."""
-    return lambda environment, status, category, text: _note(name, status, text)
+    return lambda environment, status, category, text: _append(name, status, text)
 
 
-def _note(name: str, status: int, text: bytes) -> None:
-    said = (text or b"").decode(errors="replace").strip()
+def _append(name: str, status: int, message: bytes) -> None:
+    text = (message or b"").decode(errors="replace").strip()
     log = _logs.get(name.strip())
     if log is not None and status > 0:
-        log.append(said)
-    if name in _talking:
+        log.append(text)
+    if name in _logging:
         of = _STATUSES[status] if 0 <= status < len(_STATUSES) else str(status)
-        sys.stderr.write(f"{of}: {said}\n")
+        sys.stderr.write(f"{of}: {text}\n")
         sys.stderr.flush()  # the next call may end the process
 
 

@@ -39,7 +39,7 @@ class DeclaredVariables:
     """
 
     variables: dict[str, ModelVariable]
-    behind: dict[int, tuple[str, ...]]
+    names_by_key: dict[int, tuple[str, ...]]
 
 
 def read_variables(
@@ -58,7 +58,7 @@ def read_variables(
     types = declared_types(root, version)
     sizes = ArraySizes(raws, structural)
     found: dict[str, ModelVariable] = {}
-    behind: dict[int, tuple[str, ...]] = {}
+    names_by_key: dict[int, tuple[str, ...]] = {}
     for raw in raws:
         scalar = _scalar(raw, version, types, notes)
         shape = sizes.shape(raw, notes)
@@ -66,13 +66,13 @@ def read_variables(
             continue
         elements = elements_of(raw, scalar, shape, notes)
         aliases = [a.get("name", "") for a in raw.own.findall("Alias")]
-        behind.setdefault(raw.key, tuple(v.name for v in elements))
+        names_by_key.setdefault(raw.key, tuple(v.name for v in elements))
         for variable in (*elements, *(a for n in aliases if n for a in renamed(elements, n))):
             if found.setdefault(variable.name, variable) is not variable:
                 notes.add("names that are there twice mean the first variable", variable.name)
-    _add_derivatives(raws, found, behind, notes)
+    _add_derivatives(raws, found, names_by_key, notes)
     _add_aliases(found, version)
-    return DeclaredVariables(found, behind)
+    return DeclaredVariables(found, names_by_key)
 
 
 def _scalar(
@@ -150,16 +150,16 @@ def _settable(
 def _add_derivatives(
     raws: list[RawVariable],
     found: dict[str, ModelVariable],
-    behind: Mapping[int, tuple[str, ...]],
+    names_by_key: Mapping[int, tuple[str, ...]],
     notes: ReadingNotes,
 ) -> None:
     for raw in raws:
         text = raw.value.get("derivative")
-        if text is None or raw.key not in behind:
+        if text is None or raw.key not in names_by_key:
             continue
         key = whole(text)
-        states = behind.get(key, ()) if key is not None else ()
-        rates = behind[raw.key]
+        states = names_by_key.get(key, ()) if key is not None else ()
+        rates = names_by_key[raw.key]
         if len(states) != len(rates):
             notes.add("attributes derivative that name no fitting variable are ignored", raw.name)
             continue
@@ -169,12 +169,12 @@ def _add_derivatives(
 
 def _add_aliases(found: dict[str, ModelVariable], version: Version) -> None:
     """Names that share a value. FMI 2 counts references for each type on its own."""
-    sharing: dict[tuple[str, int, int], list[str]] = {}
+    names_by_value: dict[tuple[str, int, int], list[str]] = {}
     for v in found.values():
         family = v.type if version == "2.0" else ""
-        sharing.setdefault((family, v.reference, v.element), []).append(v.name)
-    for names in sharing.values():
+        names_by_value.setdefault((family, v.reference, v.element), []).append(v.name)
+    for names in names_by_value.values():
         if len(names) > 1:
-            together = tuple(names)  # one tuple for all: thousands may share a constant
+            aliases = tuple(names)  # one tuple for all: thousands may share a constant
             for name in names:
-                found[name] = replace(found[name], aliases=together)
+                found[name] = replace(found[name], aliases=aliases)

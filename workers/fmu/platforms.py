@@ -32,7 +32,7 @@ def binary_path(version: Version, identifier: str) -> str:
     return f"binaries/{platform_for(version)}/{identifier}{_SUFFIX}"
 
 
-def why_not_here(
+def missing_binary(
     version: Version, identifier: str, names: Iterable[str], has_sources: bool
 ) -> str | None:
     """Why an FMU has nothing that this machine can load: a sentence without its beginning.

@@ -59,7 +59,7 @@ class _StructureUnknown:
     """None if it names no variable."""
 
 
-_PLACES = {
+_PATHS = {
     ("2.0", "output"): "Outputs/Unknown",
     ("2.0", "derivative"): "Derivatives/Unknown",
     ("3.0", "output"): "Output",
@@ -83,8 +83,8 @@ def read_structure(
     outputs = list(_unknowns(section, version, "output", declared))
     if any(u.names is None for u in outputs):
         notes.add("outputs in its <ModelStructure> that name no variable are ignored")
-    indicators, wrong = _indicators(root, section, version, declared)
-    states, unnamed = _states(derivatives, declared, notes)
+    indicators, indicator_fault = _indicators(root, section, version, declared)
+    states, state_fault = _states(derivatives, declared, notes)
     return ModelStructure(
         states=states,
         event_indicators=indicators,
@@ -93,7 +93,7 @@ def read_structure(
             *_dependencies(outputs, "output", declared),
             *_dependencies(derivatives, "derivative", declared),
         ),
-        fault=unnamed or wrong,
+        fault=state_fault or indicator_fault,
     )
 
 
@@ -101,9 +101,9 @@ def _unknowns(
     section: Element, version: Version, role: str, declared: DeclaredVariables
 ) -> Iterator[_StructureUnknown]:
     key = "index" if version == "2.0" else "valueReference"
-    for element in section.iterfind(_PLACES[version, role]):
+    for element in section.iterfind(_PATHS[version, role]):
         at = whole(element.get(key))
-        yield _StructureUnknown(element, None if at is None else declared.behind.get(at))
+        yield _StructureUnknown(element, None if at is None else declared.names_by_key.get(at))
 
 
 def _states(
@@ -160,7 +160,7 @@ def _dependencies(
         text = unknown.element.get("dependencies")
         on: tuple[str, ...] | None = None
         if text is not None:
-            found = [declared.behind.get(whole(each) or 0) for each in text.split()]
+            found = [declared.names_by_key.get(whole(each) or 0) for each in text.split()]
             if None not in found:  # else it is as good as not declared
                 on = tuple(name for names in found for name in names or ())
         for name in unknown.names or ():

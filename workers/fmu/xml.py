@@ -37,7 +37,7 @@ class ReadingNotes:
         if name is not None:
             names.append(name)
 
-    def sentences(self) -> tuple[str, ...]:
+    def messages(self) -> tuple[str, ...]:
         return tuple(f"{self.file}: {what}{_listed(names)}" for what, names in self._names.items())
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from workers.messages.hashing import content_hash
-from workers.messages.types import Interface, Renewal, SolverName
+from workers.messages.types import Interface, ResetPolicy, SolverName
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,8 @@ class Model:
     solver: Solver
     parameters: tuple[str, ...]
     structure: tuple[tuple[str, int], ...] = ()
-    talks: bool = False
-    renew: Renewal = "auto"
+    logging_on: bool = False
+    reset: ResetPolicy = "auto"
 
     @cached_property
     def archive_hash(self) -> str:
@@ -110,7 +110,7 @@ class Model:
     def key(self) -> str:
         """Hash of everything that makes a simulation's result, but values and experiment."""
         more = [repr(self.structure)] if self.structure else []
-        more += [f"renew {self.renew}"] if self.renew != "auto" else []
+        more += [f"renew {self.reset}"] if self.reset != "auto" else []
         return content_hash(
             [self.archive_hash, self.interface, repr(self.solver), *self.parameters, *more]
         )

@@ -69,9 +69,9 @@ class Linearisation:
 
     times: FloatArray
     states: FloatArray
-    slopes: FloatArray
+    derivatives: FloatArray
     inputs: FloatArray
-    edited: FloatArray
+    effective_inputs: FloatArray
     outputs: FloatArray
     plain_outputs: FloatArray
     A: FloatArray

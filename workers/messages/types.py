@@ -15,7 +15,7 @@ Interpolation = Literal["linear", "hold"]
 Role = Literal["train", "test"]
 Reduction = Literal["squares", "absolutes"]
 Want = Literal["residuals", "squares", "absolutes", "trajectory", "linearisation", "sensitivities"]
-Renewal = Literal["auto", "reset", "instance", "process"]
+ResetPolicy = Literal["auto", "reset", "instance", "process"]
 Value = float | int | bool | str
 
 REDUCTIONS: tuple[Reduction, ...] = get_args(Reduction)

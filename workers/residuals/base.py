@@ -11,7 +11,7 @@ from workers.messages import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
-class SimulatedBatch:
+class SimulatedOutputs:
     """A batch of simulations of one experiment.
 
     Attributes
@@ -28,12 +28,12 @@ class SimulatedBatch:
 
     times: FloatArray
     names: tuple[str, ...]
-    record: FloatArray
+    outputs: FloatArray
     values: FloatArray
 
     def of(self, variable: str) -> FloatArray:
         """(points, n): one recorded variable."""
-        return self.record[:, :, self.names.index(variable)]
+        return self.outputs[:, :, self.names.index(variable)]
 
 
 @dataclass
@@ -51,7 +51,7 @@ class Comparison(ABC):
     """
 
     @abstractmethod
-    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
+    def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
         """Compare a batch of simulations with what was measured or is demanded."""
 
 

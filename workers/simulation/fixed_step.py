@@ -39,24 +39,24 @@ class CommunicationPoints:
 
     grid: SignalGrid
     step: float
-    longest: float
+    max_step: float
     before: IntArray
     after: IntArray
-    parts: FloatArray
+    fractions: FloatArray
     linear: IntArray
 
-    def read(self, records: FloatArray) -> FloatArray:
+    def interpolate(self, records: FloatArray) -> FloatArray:
         """(points, n, recorded) at the experiment's times, of (points, m, recorded) at its own."""
-        found = records[:, self.before]
-        between = np.flatnonzero(self.parts > 0.0)
+        values = records[:, self.before]
+        between = np.flatnonzero(self.fractions > 0.0)
         first, second = records[:, self.before[between]], records[:, self.after[between]]
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is said of outputs
-            middle = first + self.parts[between, None] * (second - first)
-        found[:, between] = np.where(self.linear, middle, first)
-        return found
+            interpolated = first + self.fractions[between, None] * (second - first)
+        values[:, between] = np.where(self.linear, interpolated, first)
+        return values
 
 
-def communicate(
+def communication_points(
     model: Model,
     description: ModelDescription,
     experiment: Experiment,
@@ -83,24 +83,26 @@ def communicate(
     if model.interface != "co_simulation" or description.variable_steps:
         return None
     step = _step(model, description, experiment, times)
-    passed = (times - experiment.start) / step
-    nearest = np.round(passed)
-    stands = np.abs(passed - nearest) <= ON_GRID
-    first = np.where(stands, nearest, np.floor(passed))
-    last = np.where(stands, nearest, first + 1.0)
+    elapsed_steps = (times - experiment.start) / step
+    nearest = np.round(elapsed_steps)
+    on_point = np.abs(elapsed_steps - nearest) <= ON_GRID
+    first = np.where(on_point, nearest, np.floor(elapsed_steps))
+    last = np.where(on_point, nearest, first + 1.0)
     counts = np.unique(np.concatenate([first, last]))
     points = experiment.start + counts * step
-    sampled = points.copy()  # an input that jumps at such a time has jumped, however it is rounded
-    sampled[np.searchsorted(counts, nearest[stands])] = times[stands]
-    most = float(np.diff(counts).max(initial=1.0))
+    sample_times = (
+        points.copy()
+    )  # an input that jumps at such a time has jumped, however it is rounded
+    sample_times[np.searchsorted(counts, nearest[on_point])] = times[on_point]
+    max_interval = float(np.diff(counts).max(initial=1.0))
     return CommunicationPoints(
-        grid=on_times(experiment, sampled)._replace(times=points),
+        grid=on_times(experiment, sample_times)._replace(times=points),
         step=step,
-        longest=step * (1.0 + 0.5 / most),
+        max_step=step * (1.0 + 0.5 / max_interval),
         before=np.searchsorted(counts, first),
         after=np.searchsorted(counts, last),
-        parts=np.where(stands, 0.0, passed - first),
-        linear=np.array([_moves(description, name) for name in recorded], np.bool_),
+        fractions=np.where(on_point, 0.0, elapsed_steps - first),
+        linear=np.array([_is_continuous(description, name) for name in recorded], np.bool_),
     )
 
 
@@ -112,15 +114,15 @@ def communication_notes(
     Raises
     ------
     ModelError
-        As `communicate`.
+        As `communication_points`.
     """
-    found: dict[float, list[str]] = {}
+    values: dict[float, list[str]] = {}
     for experiment in experiments:
         times = build_grid(experiment).times
-        made = communicate(model, description, experiment, experiment.recorded, times)
-        if made is not None and made.parts.any():
-            found.setdefault(made.step, []).append(experiment.id)
-    return tuple(_note(description.file, step, names) for step, names in found.items())
+        points = communication_points(model, description, experiment, experiment.recorded, times)
+        if points is not None and points.fractions.any():
+            values.setdefault(points.step, []).append(experiment.id)
+    return tuple(_note(description.file, step, names) for step, names in values.items())
 
 
 def _note(file: str, step: float, names: Sequence[str]) -> str:
@@ -159,6 +161,6 @@ def _step(
     return step
 
 
-def _moves(description: ModelDescription, name: str) -> bool:
+def _is_continuous(description: ModelDescription, name: str) -> bool:
     variable = description.variables.get(name)
-    return variable is not None and variable.moves
+    return variable is not None and variable.is_continuous

@@ -22,14 +22,18 @@ from workers.kernels.solvers.dormand_prince import dormand_prince_batch
 from workers.kernels.solvers.rk4 import rk4_batch
 from workers.messages import FloatArray, IntArray, Linearisation, Model
 from workers.simulation.bind_experiment import BoundExperiment
-from workers.simulation.jacobian import AGREES, compare, named
+from workers.simulation.jacobian import (
+    MAX_JACOBIAN_ERROR,
+    compare_with_differences,
+    directional_jacobian,
+)
 
 Batch = Callable[[KernelArguments], int]
 """Simulates many points and returns how many of them: up to the first that failed."""
 BATCHES: dict[str, Batch] = {
-    "fmu": lambda asked: int(co_simulate_batch(*asked)),
-    "rk4": lambda asked: int(rk4_batch(*asked)),
-    "dormand_prince": lambda asked: int(dormand_prince_batch(*asked)),
+    "fmu": lambda arguments: int(co_simulate_batch(*arguments)),
+    "rk4": lambda arguments: int(rk4_batch(*arguments)),
+    "dormand_prince": lambda arguments: int(dormand_prince_batch(*arguments)),
 }
 
 DEFAULT_RTOL = 1e-8
@@ -58,7 +62,7 @@ class SimulationBatch:
     messages: list[str]
     codes: IntArray
     linearisations: dict[int, Linearisation] = field(default_factory=dict)
-    slopes: dict[int, FloatArray] = field(default_factory=dict)
+    sensitivities: dict[int, FloatArray] = field(default_factory=dict)
 
     @classmethod
     def empty(cls, points: int, times: int, outputs: int) -> SimulationBatch:
@@ -85,9 +89,9 @@ class FmuIntegrator:
         self._model, self._description = model, description
         name = model.solver.name
         self.batch: Batch = CvodeBatch() if name == "cvode" else BATCHES[name]
-        self._asks_for_jacobian = name == "cvode" and _may_give_jacobian(model, description)
+        self._checks_jacobian = name == "cvode" and _may_use_jacobian(model, description)
         self._workspaces: dict[tuple[int, ...], KernelWorkspace] = {}
-        self._widest = max((v.size for v in description.variables.values()), default=1)
+        self._largest_array = max((v.size for v in description.variables.values()), default=1)
 
     def load(self, instance: FmuInstance | None = None) -> None:
         """Load the FMU and instantiate it, unless another's instance is to be used.
@@ -101,22 +105,22 @@ class FmuIntegrator:
             FmuInstance(self._model, self._description) if instance is None else instance
         )
 
-    def warm_up(self, ready: BoundExperiment) -> None:
+    def warm_up(self, bound: BoundExperiment) -> None:
         """Have the loop compiled, or read from disk, before there is an FMU to run it on."""
-        rows = np.empty((0, len(self._model.parameters) + len(ready.known)))
-        sizes = len(ready.grid.times), len(ready.outputs)
-        nowhere, record = (
+        rows = np.empty((0, len(self._model.parameters) + len(bound.known_values)))
+        sizes = len(bound.grid.times), len(bound.outputs)
+        nowhere, result = (
             nothing_loaded(self._description.version),
             SimulationBatch.empty(0, *sizes),
         )
-        self._call(self.batch, nowhere, ready, no_hooks(0), 0, rows, record, np.empty(0))
+        self._call(self.batch, nowhere, bound, no_hooks(0), 0, rows, result, np.empty(0))
 
     def run(
         self,
-        ready: BoundExperiment,
+        bound: BoundExperiment,
         values: FloatArray,
         hooks: EffectHooks,
-        own_states: int = 0,
+        n_effect_states: int = 0,
         batch: Batch | None = None,
     ) -> SimulationBatch:
         """Simulate an experiment for many points.
@@ -132,10 +136,12 @@ class FmuIntegrator:
         batch
             What simulates, in place of the solver.
         """
-        known = np.broadcast_to(ready.known, (len(values), len(ready.known)))
+        known = np.broadcast_to(bound.known_values, (len(values), len(bound.known_values)))
         # hstack keeps columns together if its parts do; the loops need rows
         rows = np.ascontiguousarray(np.hstack([values, known]))
-        record = SimulationBatch.empty(len(rows), len(ready.running.times), len(ready.outputs))
+        result = SimulationBatch.empty(
+            len(rows), len(bound.integration_grid.times), len(bound.outputs)
+        )
         stopped_at = np.zeros(len(rows))
         batch = self.batch if batch is None else batch
         tried = 0
@@ -145,56 +151,56 @@ class FmuIntegrator:
             try:
                 component = self.component()
             except ModelError as error:
-                record.codes[first], record.messages[first] = failure.INITIALISATION, str(error)
+                result.codes[first], result.messages[first] = failure.INITIALISATION, str(error)
                 tried += 1
                 continue
             tried += self._call(
                 batch,
                 component,
-                ready,
+                bound,
                 hooks,
-                own_states,
+                n_effect_states,
                 rows,
-                record,
+                result,
                 stopped_at,
                 first,
             )
             last = tried - 1
-            code = int(record.codes[last])
+            code = int(result.codes[last])
             if code == failure.FINISHED:
                 continue
-            if code == failure.DISCARDED and (end := self.instance.ended_at()) is not None:
-                record.codes[last] = code = failure.TERMINATED
+            if code == failure.DISCARDED and (end := self.instance.termination_time()) is not None:
+                result.codes[last] = code = failure.TERMINATED
                 stopped_at[last] = max(stopped_at[last], end)
             if last > first and self.instance.log:
                 tried = last  # again, alone: its neighbours may have said some of this
             else:
-                record.messages[last] = self._explain(code, float(stopped_at[last]))
+                result.messages[last] = self._explain(code, float(stopped_at[last]))
             if code >= failure.FATAL:
-                self.instance.renew()
-        if ready.communication is not None:
-            record = replace(record, outputs=ready.communication.read(record.outputs))
-        return record
+                self.instance.replace()
+        if bound.communication is not None:
+            result = replace(result, outputs=bound.communication.interpolate(result.outputs))
+        return result
 
-    def find_jacobian(self, ready: BoundExperiment) -> None:
+    def find_jacobian(self, bound: BoundExperiment) -> None:
         """Let CVODE have the FMU's directional derivatives, if they are right where it starts.
 
         That is at the FMU's own start values, so that all workers find the same.
         """
-        if not self._asks_for_jacobian or not isinstance(self.batch, CvodeBatch):
+        if not self._checks_jacobian or not isinstance(self.batch, CvodeBatch):
             return
-        self._asks_for_jacobian = False
+        self._checks_jacobian = False
         known = self._description.variables
-        start = replace(ready, grid=ready.grid._replace(times=ready.grid.times[:1]))
+        start = replace(bound, grid=bound.grid._replace(times=bound.grid.times[:1]))
         values = np.array([[known[name].start or 0.0 for name in self._model.parameters]])
         if self.run(start, values, no_hooks(1)).codes[0] != failure.FINISHED:
             return
-        jacobian = named(self._description)
+        jacobian = directional_jacobian(self._description)
         try:
-            found = compare(self.instance.fmu, self._description.version, jacobian)
+            found = compare_with_differences(self.instance.fmu, self._description.version, jacobian)
         except ModelError:
             return
-        if found.error <= AGREES:  # zeros in the place of slopes are an error of 1
+        if found.error <= MAX_JACOBIAN_ERROR:  # zeros in the place of slopes are an error of 1
             self.batch.jacobian = jacobian
 
     @property
@@ -204,15 +210,15 @@ class FmuIntegrator:
 
     def component(self) -> FmiComponent:
         """What the next simulation runs on."""
-        return self.instance.fresh() if self._renews else self.instance.component
+        return self.instance.fresh() if self._new_instance_each else self.instance.component
 
-    def settings(self, own_states: int = 0) -> SolverSettings:
+    def settings(self, n_effect_states: int = 0) -> SolverSettings:
         """What the loop is told about accuracy, with states of effects."""
         solver = self._model.solver
         rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
         atol = rtol if solver.atol is None else solver.atol
         nominals = [self._description.variables[name].nominal for name in self._description.states]
-        nominals += [1.0] * own_states
+        nominals += [1.0] * n_effect_states
         return SolverSettings(
             step=solver.step or 0.0,
             rtol=rtol,
@@ -223,76 +229,76 @@ class FmuIntegrator:
         )
 
     def workspace(
-        self, ready: BoundExperiment, hooks: EffectHooks, own_states: int = 0
+        self, bound: BoundExperiment, hooks: EffectHooks, n_effect_states: int = 0
     ) -> KernelWorkspace:
-        states = own_states
+        states = n_effect_states
         if self._model.interface == "model_exchange":
             states += len(self._description.states)
         sizes = (
-            ready.grid.inputs.shape[1],
+            bound.grid.inputs.shape[1],
             states,
             hooks.coefficients.shape[1],
-            hooks.base.shape[1],
+            hooks.base_parameters.shape[1],
             self._description.event_indicators,
-            self._widest,
+            self._largest_array,
         )
         if sizes not in self._workspaces:
             self._workspaces[sizes] = workspace(*sizes)
         return self._workspaces[sizes]
 
     @property
-    def _renews(self) -> bool:
+    def _new_instance_each(self) -> bool:
         """Whether each simulation has an instance of its own."""
-        return self._model.renew in ("instance", "process")
+        return self._model.reset in ("instance", "process")
 
     def _call(
         self,
         batch: Batch,
         component: FmiComponent,
-        ready: BoundExperiment,
+        bound: BoundExperiment,
         hooks: EffectHooks,
-        own_states: int,
+        n_effect_states: int,
         rows: FloatArray,
-        record: SimulationBatch,
+        result: SimulationBatch,
         stopped_at: FloatArray,
         first: int = 0,
     ) -> int:
         """Simulate rows from the first to one that fails; how many."""
-        left = slice(first, first + 1 if self._renews else None)
+        remaining = slice(first, first + 1 if self._new_instance_each else None)
         rest = hooks._replace(
-            substeps=hooks.substeps[left],
-            coefficients=hooks.coefficients[left],
-            base=hooks.base[left],
+            substeps=hooks.substeps[remaining],
+            coefficients=hooks.coefficients[remaining],
+            base_parameters=hooks.base_parameters[remaining],
         )
-        settings = self.settings(own_states)
-        if (fixed := ready.communication) is not None:
-            settings = settings._replace(step=fixed.longest, fixed=fixed.step)
-        asked = KernelArguments(
+        settings = self.settings(n_effect_states)
+        if (fixed := bound.communication) is not None:
+            settings = settings._replace(step=fixed.max_step, fixed=fixed.step)
+        arguments = KernelArguments(
             component,
-            ready.references,
-            ready.starts,
+            bound.references,
+            bound.starts,
             settings,
             rest,
-            ready.running,
-            rows[left],
-            self.workspace(ready, hooks, own_states),
-            record.outputs[left],
-            record.codes[left],
-            stopped_at[left],
+            bound.integration_grid,
+            rows[remaining],
+            self.workspace(bound, hooks, n_effect_states),
+            result.outputs[remaining],
+            result.codes[remaining],
+            stopped_at[remaining],
         )
-        return batch(asked)
+        return batch(arguments)
 
     def _explain(self, code: int, time: float) -> str:
-        said = " | ".join(dict.fromkeys(self.instance.log))
-        sentences = failure.SENTENCES | linearise.SENTENCES
-        sentence = f"{sentences[code % failure.FATAL]} at t = {time:.9g} s"
-        if code in failure.OF_STIFFNESS and self._model.solver.name == "dormand_prince":
-            sentence += '; if the model is stiff, model.solver = "cvode" goes on in long steps'
-        return f"{sentence}; it said: {said}" if said else sentence
+        log = " | ".join(dict.fromkeys(self.instance.log))
+        messages = failure.MESSAGES | linearise.MESSAGES
+        message = f"{messages[code % failure.FATAL]} at t = {time:.9g} s"
+        if code in failure.SUGGEST_STIFFNESS and self._model.solver.name == "dormand_prince":
+            message += '; if the model is stiff, model.solver = "cvode" goes on in long steps'
+        return f"{message}; it said: {log}" if log else message
 
 
-def _may_give_jacobian(model: Model, description: ModelDescription) -> bool:
+def _may_use_jacobian(model: Model, description: ModelDescription) -> bool:
     """Whether an FMU offers it, and may be started only to be asked whether it is right."""
     offered = description.offer(model.interface).provides_directional_derivatives
-    renewed = model.renew == "process"
-    return offered and not renewed and len(named(description).states) > 0
+    new_process = model.reset == "process"
+    return offered and not new_process and len(directional_jacobian(description).states) > 0
