@@ -1,4 +1,4 @@
-"""The thin Ray shell around a guarded evaluator."""
+"""A Ray actor around a supervised evaluator."""
 
 from __future__ import annotations
 

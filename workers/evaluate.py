@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,8 +25,8 @@ from workers.messages import (
 from workers.residuals.base import SimulatedOutputs
 from workers.residuals.experiment import BatchComparison, ExperimentComparison
 from workers.residuals.reduce import reduce_residuals
+from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment
-from workers.simulation.integrator import SimulationBatch
 from workers.simulation.simulator import Simulator
 from workers.wire import TaskBatch
 
@@ -38,7 +38,7 @@ TOO_LARGE = 1e100
 
 
 class Evaluator:
-    """Everything that one worker needs to answer tasks: a loaded FMU and its experiments.
+    """A loaded FMU and its experiments, with which one worker answers tasks.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Evaluator:
 
     @property
     def simulator(self) -> Simulator:
-        """What it simulates with, once it is loaded."""
+        """The simulator, once it is loaded."""
         return self._simulator
 
     def load(self) -> None:
@@ -122,8 +122,9 @@ class Evaluator:
         simulated = SimulatedOutputs(bound.grid.times, bound.outputs, result.outputs, values)
         comparison = self._comparisons[experiment].compare(simulated)
         seconds = (time.perf_counter() - start) / len(ids)
+        evaluation = _BatchEvaluation(bound, result, comparison, batch.want)
         outcomes = [
-            self._outcome(task, bound, result, p, comparison, batch.want, seconds)
+            replace(evaluation.outcome(task, p), seconds=seconds, worker=self._name)
             for p, task in enumerate(ids.tolist())
         ]
         if batch.want == "sensitivities":
@@ -143,7 +144,7 @@ class Evaluator:
         p: int,
         outcome: Outcome,
     ) -> Outcome:
-        """The same with derivatives by the parameters, or why it has none."""
+        """Add derivatives by the parameters to an outcome, or the reason why it has none."""
         if not outcome.ok:
             return outcome
         if p not in result.sensitivities:
@@ -153,45 +154,49 @@ class Evaluator:
         jacobian = self._comparisons[experiment].jacobian(alone, result.sensitivities[p])
         return replace(outcome, sensitivities=jacobian)
 
-    def _outcome(
-        self,
-        task: int,
-        bound: BoundExperiment,
-        result: SimulationBatch,
-        p: int,
-        comparison: BatchComparison,
-        want: Want,
-        seconds: float,
-    ) -> Outcome:
-        values = np.concatenate([comparison.residuals[p], comparison.constraints[p]])
-        finite = (np.abs(values) < TOO_LARGE).all()  # no number is not less
+
+@dataclass(frozen=True)
+class _BatchEvaluation:
+    """A batch of simulations of one experiment, with residuals and constraints."""
+
+    bound: BoundExperiment
+    result: SimulationBatch
+    comparison: BatchComparison
+    want: Want
+
+    def outcome(self, task: int, p: int) -> Outcome:
+        """Make the outcome of one point."""
+        failed = self._failure(p)
+        if failed is not None:
+            status, message = failed
+            return Outcome(task, status, message=message)
+        trajectory = None
+        if self.want == "trajectory":
+            trajectory = Trajectory(
+                self.bound.outputs, self.bound.grid.times, self.result.outputs[p]
+            )
+        return Outcome(
+            task,
+            Status.OK,
+            self.comparison.residuals[p],
+            trajectory,
+            linearisation=self.result.linearisations.get(p),
+            constraints=self.comparison.constraints[p],
+        )
+
+    def _failure(self, p: int) -> tuple[Status, str] | None:
+        """Return the status and message of a point that failed, None for another."""
+        result, comparison = self.result, self.comparison
         if result.codes[p] != failure.FINISHED:
-            status, message = Status.SOLVER_FAILURE, result.messages[p]
-        elif p in comparison.failures:
-            reason = comparison.failures[p] or _where_not_finite(bound, result.outputs[p])
-            status, message = Status.NOT_FINITE, reason
-        elif not finite:
-            status, message = Status.NOT_FINITE, _where_not_finite(bound, result.outputs[p])
-        elif (not_linear := _where_not_linear(result.linearisations.get(p))) is not None:
-            status, message = Status.NOT_FINITE, not_linear
-        else:
-            with_trajectory = want == "trajectory"
-            trajectory = (
-                Trajectory(bound.outputs, bound.grid.times, result.outputs[p])
-                if with_trajectory
-                else None
-            )
-            return Outcome(
-                task,
-                Status.OK,
-                comparison.residuals[p],
-                trajectory,
-                seconds=seconds,
-                worker=self._name,
-                linearisation=result.linearisations.get(p),
-                constraints=comparison.constraints[p],
-            )
-        return Outcome(task, status, message=message, seconds=seconds, worker=self._name)
+            return Status.SOLVER_FAILURE, result.messages[p]
+        if p in comparison.failures:
+            message = comparison.failures[p] or _where_not_finite(self.bound, result.outputs[p])
+            return Status.NOT_FINITE, message
+        values = np.concatenate([comparison.residuals[p], comparison.constraints[p]])
+        if not (np.abs(values) < TOO_LARGE).all():  # no number is not less
+            return Status.NOT_FINITE, _where_not_finite(self.bound, result.outputs[p])
+        not_linear = _where_not_linear(result.linearisations.get(p))
+        return None if not_linear is None else (Status.NOT_FINITE, not_linear)
 
 
 def _reduced(experiment: Experiment, outcome: Outcome, want: Want) -> Outcome:
@@ -211,7 +216,7 @@ def _where_not_finite(bound: BoundExperiment, outputs: FloatArray) -> str:
 
 
 def _where_not_linear(found: Linearisation | None) -> str | None:
-    """A sentence if a derivative is not finite."""
+    """Return a message if a derivative is not finite."""
     if found is None:
         return None
     derivatives = tuple(f"der({name})" for name in found.state_names)

@@ -27,7 +27,7 @@ class SignalGrid(NamedTuple):
     jumps : (n,)
         Whether a held input jumps at this time.
     gather : (k,)
-        Where each measured value's simulated one stands in the flattened (n, recorded) record.
+        Index of each measured value's simulated one in the flattened (n, recorded) outputs.
     measured : (k,)
         Measured values, output after output.
     sigmas : (k,)
@@ -44,9 +44,9 @@ class SignalGrid(NamedTuple):
 
 
 def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> SignalGrid:
-    """Lay an experiment's inputs, signals, measured times and constraints' times on one grid.
+    """Make one grid of an experiment's inputs, signals, measured times and constraints' times.
 
-    `recorded` are the variables that a record has columns for; the experiment's own if empty.
+    `recorded` are the variables that are recorded; the experiment's own if empty.
     """
     recorded = recorded or experiment.recorded
     start, stop = experiment.start, experiment.stop
@@ -72,7 +72,7 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
 
 
 def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
-    """Lay an experiment's inputs and signals on any times, with nothing measured."""
+    """Make a grid of an experiment's inputs and signals at any times, with nothing measured."""
     signals = (*experiment.inputs, *experiment.signals)
     inputs = [_sample(signal, times) for signal in signals]
     jumps = np.zeros(len(times), np.bool_)
@@ -91,7 +91,7 @@ def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
 
 
 def _sample(signal: Input, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The input at each time of the grid, and its slope in the interval that follows."""
+    """Return the input at each time of the grid, and its slope in the interval that follows."""
     if signal.interpolation == "linear":
         values = np.interp(times, signal.times, signal.values)
         with np.errstate(over="ignore", invalid="ignore"):  # absurd slopes fail as simulations

@@ -195,7 +195,7 @@ def build_multistart(config: Config) -> Multistart:
 
 
 def build_uncertainty(config: Config) -> UncertaintySettings:
-    """Which intervals are computed by refits."""
+    """Build the settings of intervals by refits."""
     section = config.uncertainty
     return UncertaintySettings(
         profiles=tuple(section.profiles), **section.model_dump(exclude={"profiles"})

@@ -294,7 +294,7 @@ def _level(
 
 
 def _moments(step: StepSection) -> list[float]:
-    """When it begins, must have risen and must have settled."""
+    """Return the times at which it begins, must have risen and must have settled."""
     return [step.time + since for since in (0.0, step.rise_time, step.settling_time)]
 
 

@@ -1,4 +1,4 @@
-"""What pydantic finds wrong in a config, as sentences for its author."""
+"""Error messages about a config, in the words of its author."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def _sentence(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel])
 
 
 def _advice(kind: str, value: Any, path: str) -> str:
-    """What to do, where that can be told."""
+    """Return what to do, where that is known."""
     if kind == "literal_error" or not isinstance(value, str | dict):
         return ""
     if isinstance(value, dict):

@@ -21,7 +21,7 @@ _FLAGS = (
 
 
 def identifier(layout: WrapperLayout) -> str:
-    """What the exported FMU's library is called."""
+    """Return the name of the exported FMU's library."""
     interface = layout.repair.problem.model.interface
     return f"{layout.repair.description.offer(interface).identifier}_repaired"
 

@@ -46,7 +46,7 @@ class FlatDescription:
     places
         In the order of their first references.
     left_out
-        Names of what FMI 2.0 cannot say.
+        Names of variables that FMI 2.0 cannot express.
     """
 
     description: ModelDescription
@@ -92,7 +92,7 @@ def flatten(description: ModelDescription, structure: Mapping[str, int]) -> Flat
 
 
 def _expressible(elements: list[ModelVariable]) -> bool:
-    """Whether FMI 2.0 can say it, as far as its start values show."""
+    """Return whether FMI 2.0 can express it, as far as its start values show."""
     kind, size = elements[0].kind, elements[0].size
     if kind == "integer":
         return all(_LEAST <= (v.start or 0.0) <= _MOST for v in elements)
@@ -100,5 +100,5 @@ def _expressible(elements: list[ModelVariable]) -> bool:
 
 
 def fits(limit: float | None) -> bool:
-    """Whether a limit of integers is one of FMI 2.0."""
+    """Return whether a limit of integers is one of FMI 2.0."""
     return limit is not None and _LEAST <= limit <= _MOST

@@ -126,7 +126,7 @@ def _others(layout: WrapperLayout) -> dict[str, object]:
 
 
 def _places(layout: WrapperLayout) -> dict[str, object]:
-    """What an original of FMI 3.0 has that FMI 2.0 has not; nothing for one of FMI 2.0."""
+    """Return tables of the variables of FMI 3.0 that FMI 2.0 has another form for."""
     variables = layout.repair.description.variables
     rows, elements = [], list[float]()
     for place in layout.places:

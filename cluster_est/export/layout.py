@@ -1,4 +1,4 @@
-"""Where each variable of the exported FMU stands: in the original, or in arrays of the wrapper."""
+"""Layout of the exported FMU: its variables in the original, or in arrays of the wrapper."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class AnsweredReference:
 
 @dataclass(frozen=True)
 class WrapperLayout:
-    """Where everything stands.
+    """The variables of the exported FMU and of the original, and the wrapper's arrays.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class WrapperLayout:
     touched
         References of what effects depend on or change.
     places, left_out
-        What FMI 2.0 knows otherwise than an original of FMI 3.0, and what it cannot say.
+        Variables that FMI 2.0 has another form for than FMI 3.0, and those that it has none for.
     """
 
     repair: RepairedModel
@@ -118,7 +118,7 @@ class WrapperLayout:
         return self.repair.description.variables[name].reference
 
     def first_output_state(self, index: int) -> int:
-        """Where the own states of an effect at an output begin."""
+        """Return the index of the first own state of an effect at an output."""
         before = (*self.inside, *self.outputs[: self.outputs.index(index)])
         return len(self.states) + sum(len(self.effect(i).states) for i in before)
 

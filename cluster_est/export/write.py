@@ -16,7 +16,7 @@ from cluster_est.export.text import describe_repair
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """Which forms are asked for: files to write, and what to print."""
+    """Forms of export that are asked for: files to write, and texts to print."""
 
     fmu: Path | None = None
     ssv: Path | None = None
@@ -26,7 +26,7 @@ class ExportRequest:
 
 @dataclass(frozen=True)
 class ExportResult:
-    """What was made: files, texts to print, and sentences on what a user should know."""
+    """Files that were written, texts to print, and notes for a user."""
 
     files: tuple[Path, ...]
     printed: tuple[str, ...]

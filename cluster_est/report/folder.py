@@ -24,7 +24,7 @@ SMALL = (
 
 @dataclass(frozen=True)
 class ReportedRun:
-    """What a report is made of.
+    """The contents of a run folder, for a report.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class ReportedRun:
 
     @property
     def finished(self) -> bool:
-        """Whether there are results."""
+        """True if there are results."""
         return bool(self.tables["parameters"])
 
     @property
@@ -66,7 +66,7 @@ class ReportedRun:
 
     @property
     def before(self) -> str:
-        """What the curves and errors before are of."""
+        """The model that curves and errors "before" are of."""
         return "declared model, fitted" if self.is_loop else "start values"
 
 

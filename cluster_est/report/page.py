@@ -103,7 +103,7 @@ def render(run: ReportedRun, reload: float | None = None) -> str:
 
 
 def _data(sections: Sequence[ReportSection]) -> dict[str, Any]:
-    """What the script draws."""
+    """Return the data that the page's script draws."""
     blocks = [block for section in sections for block in section.blocks]
     figures = {
         b.id: {"traces": b.traces, "layout": b.layout} for b in blocks if isinstance(b, FigureBlock)

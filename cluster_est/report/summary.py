@@ -22,7 +22,7 @@ class HeadlineFigure:
 
 @dataclass(frozen=True)
 class ReportSummary:
-    """What stands first."""
+    """The head of the page: verdict, sentences, figures and notes."""
 
     verdict: str
     tone: Tone
@@ -94,7 +94,7 @@ def _costs(run: ReportedRun) -> list[str]:
 
 
 def _errors(run: ReportedRun) -> list[str]:
-    """How the held-out error moved, which no estimate was made for."""
+    """Return sentences on the change of the held-out error."""
     rows = [row for row in run.tables["errors"] if row["role"] == "test"]
     before, after = (_pooled(rows, when) for when in ("before", "after"))
     if math.isnan(before) or math.isnan(after) or not before:

@@ -33,7 +33,7 @@ class SearchView:
 
 @dataclass(frozen=True)
 class RunView:
-    """What is known of a run at a look.
+    """The state of a run when its folder is read.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class RunFollower:
         self._moved = self._clock()
 
     def look(self) -> RunView:
-        """What is known now."""
+        """Read what is new, and return the state of the run."""
         started = self._facts.get("started")
         with suppress(RunFolderError):  # it is being replaced: what was known before holds so long
             self._facts = read_facts(self.path)

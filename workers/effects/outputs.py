@@ -1,4 +1,4 @@
-"""Effects at outputs, made ready to act on a record."""
+"""Effects at outputs, compiled and applied to recorded outputs."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ def apply_output_effect(
     recorded: tuple[str, ...],
     inputs: tuple[str, ...],
 ) -> None:
-    """Let an effect at an output act on one simulation's record, in place.
+    """Apply an effect at an output to the recorded outputs of one simulation, in place.
 
     Parameters
     ----------
     definition, coefficients
         The effect and the values of its coefficients.
-    grid, record : (n, y)
+    grid, outputs : (n, y)
         The simulation.
     recorded, inputs
-        Names of the record's and of the grid's columns.
+        Names of the columns of the outputs and of the grid.
     """
     column = recorded.index(definition.site.target)
     if definition.form.memory:

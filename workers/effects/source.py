@@ -79,7 +79,7 @@ def _source(
     assignments: Sequence[CAssignment],
     time: sp.Symbol,
 ) -> str:
-    """The function as Python text, common parts computed once."""
+    """Return the function as Python text, with common parts computed once."""
     sizes = dict.fromkeys(arrays, 1)
     for array, index in [*locations.values(), *((a.target, a.index) for a in assignments)]:
         sizes[array] = max(sizes[array], index + 1)
@@ -103,5 +103,5 @@ def _source(
 
 
 def _print(value: sp.Expr) -> str:
-    """Python text of an expression, a power of a half as a square root."""
+    """Return the Python text of an expression, a power of a half as a square root."""
     return str(pycode(value, fully_qualified_modules=True))

@@ -1,4 +1,4 @@
-"""From names of variables to where their numbers go in an FMU, see `workers.kernels.fmi.values`."""
+"""Access to variables of an FMU by rows of numbers, see `workers.kernels.fmi.values`."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ def variable_access(
     variables: Sequence[ModelVariable | None],
     array_starts: Callable[[ModelVariable], Sequence[float]],
 ) -> VariableAccess:
-    """Lay a row of numbers on the FMU's variables.
+    """Assign the columns of a row of numbers to variables of the FMU.
 
     Parameters
     ----------
     variables
-        What each column stands for; None for a column that the FMU does not see.
-    bases
+        Those of the columns; None for a column that the FMU does not see.
+    array_starts
         The values of all elements of an array, for those that have no column.
     """
     n_reals = 0
@@ -61,7 +61,7 @@ class _ArrayAccess:
 
 
 def _assign_column(variable: ModelVariable, column: int, others: list[_ArrayAccess]) -> None:
-    """Find the variable's place, or make one; a second name of the same value has its own."""
+    """Assign a column to an element of a variable; a second name of a value has its own call."""
     code = TYPES.index(_CALLED.get(variable.type, variable.type))
     for each in others:
         same = each.code == code and each.variable.reference == variable.reference

@@ -1,4 +1,4 @@
-"""Why a shared library of an FMU does not load: what it needs, read from the file itself (Linux).
+"""Dependencies of an FMU's shared library, read from its file, to explain why it does not load.
 
 The layout is that of the ELF specification (System V ABI, chapters 4 and 5); where libraries are
 searched for is from the manual page ld.so(8).
@@ -31,7 +31,7 @@ _REFUSAL = re.compile(
 
 @dataclass(frozen=True)
 class _ElfLibrary:
-    """What a library says about itself."""
+    """Processor, dependencies and search folders that a library declares."""
 
     machine: str
     needed: tuple[str, ...]
@@ -65,14 +65,14 @@ def missing_libraries(binary: Path) -> tuple[str, ...]:
 
 
 def load_failure(binary: Path, system_message: str = "") -> str | None:
-    """Why a library cannot be loaded here and what can be done, as the end of a sentence.
+    """Explain why a library cannot be loaded here and what to do, as the end of a sentence.
 
     Parameters
     ----------
     binary
         The FMU's library.
-    said
-        What the system said when it was loaded.
+    system_message
+        The system's message when it was loaded.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def load_failure(binary: Path, system_message: str = "") -> str | None:
 
 
 def is_about_licence(text: str) -> bool:
-    """Whether a message of an FMU says that a licence was refused."""
+    """Return whether a message of an FMU says that a licence was refused."""
     return bool(_LICENCE.search(text) and _REFUSAL.search(text))
 
 
@@ -184,7 +184,7 @@ def _offset(address: int, loads: list[_Segment]) -> int:
 
 
 def _declared_location(path: Path, elf: _ElfLibrary, name: str) -> Path | None:
-    """The library, where the one that needs it says to look."""
+    """Return the library's path in the folders that the one that needs it declares."""
     if "/" in name:
         return Path(name) if Path(name).is_file() else None
     origin = str(path.parent)
@@ -196,7 +196,7 @@ def _declared_location(path: Path, elf: _ElfLibrary, name: str) -> Path | None:
 
 
 def _is_installed(name: str) -> bool:
-    """Whether the system's loader finds it: in the user's folders, its cache or its own folders."""
+    """Return whether the system's loader finds a library in its folders or its cache."""
     try:
         if b"\0" + name.encode() + b"\0" in _CACHE.read_bytes():
             return True

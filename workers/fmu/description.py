@@ -1,4 +1,4 @@
-"""What an FMU says about itself: its variables and what it can do."""
+"""The model description of an FMU: its variables, interfaces and structure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from workers.messages import Interface, Model
 
 @dataclass(frozen=True)
 class ModelDescription:
-    """What an FMU says about itself.
+    """The model description of an FMU.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class ModelDescription:
     default_start, default_stop, default_step, default_tolerance
         Seconds, and a relative tolerance; None where the FMU names none.
     warnings
-        A sentence for each thing that was read around.
+        A sentence for each fault that was read around.
     """
 
     file: str
@@ -97,7 +97,7 @@ class ModelDescription:
         return any(name.startswith("sources/") and name.endswith(".c") for name in self.files)
 
     def offer(self, interface: Interface) -> InterfaceOffer:
-        """What it can do with one of its interfaces."""
+        """Return the capabilities of one of its interfaces."""
         return next(offer for offer in self.offers if offer.interface == interface)
 
     def variable(self, name: str, where: str) -> ModelVariable:
@@ -130,7 +130,7 @@ class ModelDescription:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """The end of a sentence: which known name a misspelt one is nearest to, or which there are."""
+    """Return the end of a message: the known name nearest to a misspelt one, or all of them."""
     names = [str(k) for k in known]
     lowered = {k.lower(): k for k in names}
     close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.5)
@@ -147,7 +147,7 @@ def describe(
 ) -> ModelDescription:
     """Read the model description of an FMU.
 
-    Harmless faults are read around and noted in `Description.warnings`.
+    Harmless faults are read around and noted in `ModelDescription.warnings`.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def describe(
 
 
 def describe_model(model: Model) -> ModelDescription:
-    """The same for what a worker is sent."""
+    """Read the model description of a model that a worker is sent."""
     return describe(model.name, model.archive, dict(model.structure))
 
 

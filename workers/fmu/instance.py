@@ -74,11 +74,11 @@ _OPTIONAL = {
 }
 """Fields of functions that are called only where the description promises them."""
 _TYPES_IN_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
-"""How FMI 2.0 calls those types that it has."""
+"""Names in FMI 2.0 of those types that it has."""
 
 _TERMINATED, _LAST_SUCCESSFUL_TIME = 3, 2
 """Kinds of status of FMI 2.0's co-simulation."""
-_NO_RESET = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p)(lambda handle: 0)
+_NO_RESET = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p)(lambda _handle: 0)
 _NO_RESET_AT = ctypes.cast(_NO_RESET, c_void_p).value or 0
 """What stands for the reset of an instance that has just been made."""
 
@@ -88,7 +88,7 @@ _abandoned: list[Any] = []
 
 
 def instances_made() -> int:
-    """How many instances of FMUs this process has made so far."""
+    """Return the number of instances of FMUs that this process has made so far."""
     return _instance_count
 
 
@@ -117,7 +117,7 @@ class FmuInstance:
         self.component = self._addresses()
 
     def fresh(self) -> FmiComponent:
-        """Give an instance that nothing has been simulated with, and that needs no reset.
+        """Return an instance that has simulated nothing yet, and needs no reset.
 
         Raises
         ------
@@ -142,9 +142,9 @@ class FmuInstance:
         self.component = self._addresses()
 
     def termination_time(self) -> float | None:
-        """Return the time at which the FMU ended a simulation, after it has discarded a step.
+        """Return the time at which the FMU terminated, after it has discarded a step.
 
-        None if it did not end it. Of FMI 2.0; in 3.0 a step says this itself.
+        None if it did not terminate. Of FMI 2.0; in 3.0 a step says this itself.
         """
         terminated, time = ctypes.c_int(0), ctypes.c_double(-math.inf)
         if self._description.version == "2.0":
@@ -156,18 +156,18 @@ class FmuInstance:
 
     @property
     def fmu(self) -> Any:
-        """The same as fmpy has it."""
+        """The instance as an object of fmpy."""
         return self._fmu
 
     def free(self) -> None:
-        """Free the instance and unload its library. Again does nothing: it would be freed twice."""
+        """Free the instance and unload its library; a second call does nothing."""
         with _load_lock:
             if not self._is_freed:
                 self._is_freed = True
                 self._fmu.freeInstance()
 
     def _load(self) -> Any:
-        """The instance as fmpy has it; its class depends on version and interface."""
+        """Load it with fmpy's class for its version and interface."""
         version, interface = self._description.version, self._model.interface
         model_class = _CLASSES[version, interface]
         identifier = self._description.offer(interface).identifier
@@ -204,7 +204,7 @@ class FmuInstance:
             raise
 
     def _load_failure(self, error: Exception) -> str:
-        """What kept the FMU from being loaded, and what can be done."""
+        """Explain why the FMU could not be loaded, and what to do."""
         identifier = self._description.offer(self._model.interface).identifier
         binary = self._folder / binary_path(self._description.version, identifier)
         cause = load_failure(binary, str(error))
@@ -276,14 +276,14 @@ class FmuInstance:
             ctypes.CFUNCTYPE(ctypes.c_int, *types)(address)(self._fmu.component, *arguments)
 
     def _address(self, name: str) -> int:
-        """Of a function of the FMU; 0 if it has none."""
+        """Return the address of a function of the FMU; 0 if it has none."""
         whole = f"fmi{self._description.version[0]}{name}"
         function = getattr(self._fmu.dll, whole, None)
         return 0 if function is None else ctypes.cast(function, c_void_p).value or 0
 
 
 def _has_events(description: ModelDescription) -> bool:
-    """Whether an input that jumps may be an event for the FMU."""
+    """Return whether an input that jumps may be an event for the FMU."""
     if description.event_indicators > 0:
         return True
     return any(v.variability == "discrete" for v in description.variables.values())
@@ -305,14 +305,14 @@ _logging: set[str] = set()
 _STATUSES = ("ok", "warning", "discard", "error", "fatal", "pending")
 
 
-def _log(environment: object, instance: bytes, status: int, category: bytes, text: bytes) -> None:
+def _log(_environment: object, instance: bytes, status: int, _category: bytes, text: bytes) -> None:
     """Receive a message from any instance; fmpy's proxy knows one logger for all of them."""
     _append((instance or b"").decode(errors="replace"), status, text)
 
 
 def _log_3(name: str) -> Callable[[object, int, bytes, bytes], None]:
-    """Receives the messages of one instance of FMI 3.0."""
-    return lambda environment, status, category, text: _append(name, status, text)
+    """Return a function that receives the messages of one instance of FMI 3.0."""
+    return lambda _environment, status, _category, text: _append(name, status, text)
 
 
 def _append(name: str, status: int, message: bytes) -> None:

@@ -28,13 +28,13 @@ _INITIALS = ("exact", "approx", "calculated")
 
 @dataclass(frozen=True)
 class DeclaredVariables:
-    """All variables, and which of them a number in the description stands for.
+    """All variables, and their names by the numbers that the description refers to them by.
 
     Attributes
     ----------
     variables
         By name, array elements and aliases on their own, in the order of the description.
-    behind
+    names_by_key
         Position of a variable (FMI 2, from 1) or value reference (FMI 3) -> names of its elements.
     """
 
@@ -52,7 +52,7 @@ def read_variables(
     structural
         Values of structural parameters that differ from their start values.
     notes
-        Receives what was read around.
+        Receives notes on faults.
     """
     raws = raw_variables(root, version, notes)
     types = declared_types(root, version)
@@ -78,7 +78,7 @@ def read_variables(
 def _scalar(
     raw: RawVariable, version: Version, types: Mapping[str, Element], notes: ReadingNotes
 ) -> ModelVariable:
-    """The variable as if it were no array and without a start value."""
+    """Return the variable as if it were no array and without a start value."""
     own, value, name = raw.own, raw.value, raw.name
     kind = KINDS[TYPES[version][raw.tag]]
     wanted = value.get("declaredType")
@@ -138,7 +138,7 @@ def _variability(own: Element, causality: str, kind: Kind, notes: ReadingNotes) 
 def _settable(
     own: Element, value: Element, causality: str, variability: str, notes: ReadingNotes
 ) -> bool:
-    """Whether FMI allows a start value to be set before initialisation."""
+    """Return whether FMI allows a start value to be set before initialisation."""
     initial = _one_of(own, "initial", _INITIALS, notes)
     if variability == "constant" or causality in ("calculatedParameter", "independent"):
         return False
@@ -168,7 +168,7 @@ def _add_derivatives(
 
 
 def _add_aliases(found: dict[str, ModelVariable], version: Version) -> None:
-    """Names that share a value. FMI 2 counts references for each type on its own."""
+    """Add the names that share a value. FMI 2 counts references for each type on its own."""
     names_by_value: dict[tuple[str, int, int], list[str]] = {}
     for v in found.values():
         family = v.type if version == "2.0" else ""

@@ -14,7 +14,7 @@ from workers.fmu.xml import ReadingNotes, whole
 
 @dataclass(frozen=True)
 class VariableDependency:
-    """What an output or a state derivative depends on, as the FMU declares it.
+    """Dependencies of an output or a state derivative, as the FMU declares them.
 
     Attributes
     ----------
@@ -31,14 +31,14 @@ class VariableDependency:
 
 @dataclass(frozen=True)
 class ModelStructure:
-    """How the variables hang together.
+    """States, event indicators, outputs and dependencies of a model.
 
     Attributes
     ----------
     states
         Names of the continuous states, in the order of the FMU's state vector.
     event_indicators
-        How many there are.
+        Their number.
     outputs
         Names of the outputs, in the order of the structure.
     fault
@@ -109,7 +109,7 @@ def _unknowns(
 def _states(
     derivatives: list[_StructureUnknown], declared: DeclaredVariables, notes: ReadingNotes
 ) -> tuple[tuple[str, ...], str]:
-    """The states, and what is wrong with them."""
+    """Return the states, and their fault, if any."""
     states: list[str] = []
     for position, unknown in enumerate(derivatives, start=1):
         if unknown.names is None:
@@ -144,7 +144,7 @@ def _indicators(
 
 
 def _outputs(listed: list[_StructureUnknown], declared: DeclaredVariables) -> tuple[str, ...]:
-    """All variables of that causality: those of the structure first, and in its order."""
+    """Return all outputs: those of the structure first, and in its order."""
     known = declared.variables
     names = [name for unknown in listed for name in unknown.names or ()]
     names += [v.name for v in known.values() if v.alias_of is None]

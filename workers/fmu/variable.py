@@ -86,5 +86,5 @@ class ModelVariable:
 
     @property
     def is_continuous(self) -> bool:
-        """Whether it may change between events."""
+        """True if it may change between events."""
         return self.kind == "real" and self.variability == "continuous"

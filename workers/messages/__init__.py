@@ -1,6 +1,6 @@
 """The protocol between coordinator and worker: frozen, arrays and strings only.
 
-The coordinator installs a `Model` and its `Experiment`s once on every worker and then sends `Task`s
+The coordinator sends a `Model` and its `Experiment`s once to every worker, and then `Task`s
 (one point, one experiment). The worker answers each with an `Outcome`, failures included.
 """
 

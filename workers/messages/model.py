@@ -1,4 +1,4 @@
-"""What a worker simulates: an FMU, effects around it, and how it is integrated."""
+"""The model that a worker simulates: an FMU, effects, solver and reset policy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from workers.messages.types import Interface, ResetPolicy, SolverName
 
 @dataclass(frozen=True)
 class Solver:
-    """How one simulation is integrated.
+    """The solver of a simulation, and its settings.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Model:
-    """What a worker simulates: an FMU and how to integrate it.
+    """The model that a worker simulates: an FMU and its solver.
 
     Attributes
     ----------
@@ -84,11 +84,11 @@ class Model:
     structure
         (name, value) of structural parameters (FMI 3) that differ from their start values: they
         say how large arrays are, so they are the same in all experiments.
-    talks
+    logging_on
         Whether the FMU logs all that it can, and its messages go to stderr too as they come.
-    renew
-        What every simulation begins with: a "reset" of the instance that there is; a new
-        "instance", for FMUs whose reset leaves something behind; or a new "process", for those
+    reset
+        The reset policy: every simulation begins with a "reset" of the instance that there is; a
+        new "instance", for FMUs whose reset leaves something behind; or a new "process", for those
         whose library does. "auto" leaves the choice to the coordinator; a worker resets.
     """
 

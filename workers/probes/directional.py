@@ -1,4 +1,4 @@
-"""Whether the directional derivatives that an FMU offers are the slopes of its own functions."""
+"""Check of an FMU's directional derivatives against differences of its own functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `cluster-est check` asks of an FMU, beside it in a process of its own."""
+"""Probes of `cluster-est check`, each run beside the FMU in a process of its own."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from workers.kernels.fmi import failure
 from workers.messages import Experiment, FloatArray, Model, Outcome, ResetPolicy, Solver, Task
 from workers.probes.base import FmuProbe
 from workers.probes.memory import resident_bytes
-from workers.simulation.integrator import SimulationBatch
+from workers.simulation.batch import SimulationBatch
 from workers.simulation.simulator import Simulator
 from workers.wire import TaskBatch
 
@@ -25,7 +25,7 @@ BATCH_SIZE = 5
 
 
 def difference(found: FloatArray, truth: FloatArray) -> float:
-    """The largest difference of two tables of outputs, each over the size of its output."""
+    """Return the largest difference of two tables of outputs, each over the size of its output."""
     if found.tobytes() == truth.tobytes():
         return 0.0
     with np.errstate(all="ignore"):
@@ -107,7 +107,7 @@ class LeftoverProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class SimulationCost:
-    """What simulations take.
+    """The time and memory that simulations take.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class SimulationCost:
 
 @dataclass(frozen=True)
 class CostProbe(FmuProbe):
-    """Asks what many simulations take, for about some seconds and at most so many of them."""
+    """Asks for the cost of many simulations, within about some seconds and a number of them."""
 
     experiment: int
     point: FloatArray
@@ -243,20 +243,20 @@ class StiffnessProbe(FmuProbe):
 
 
 def _simulator_with_reset(evaluator: Evaluator, experiment: int, reset: ResetPolicy) -> Simulator:
-    """Each of its simulations begins with a new instance, if that is wanted."""
+    """Return a simulator of the same with another reset policy."""
     model = replace(evaluator.model, reset=reset)
     return _simulator_of(evaluator, model, evaluator.experiments[experiment])
 
 
 def _simulator_of(evaluator: Evaluator, model: Model, experiment: Experiment) -> Simulator:
-    """A simulator of something slightly else, on the same instance."""
+    """Return a simulator of another model or experiment, on the same instance."""
     simulator = Simulator(model, evaluator.description, (experiment,))
     simulator.load(evaluator.simulator.instance)
     return simulator
 
 
 def _outputs(batch: SimulationBatch) -> FloatArray:
-    """Of the first simulation.
+    """Return the outputs of the first simulation.
 
     Raises
     ------

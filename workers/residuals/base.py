@@ -12,7 +12,7 @@ from workers.messages import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class SimulatedOutputs:
-    """A batch of simulations of one experiment.
+    """Recorded outputs of a batch of simulations of one experiment.
 
     Attributes
     ----------
@@ -20,8 +20,8 @@ class SimulatedOutputs:
         Of the experiment's grid.
     names
         Of the recorded variables.
-    record : (points, n, names)
-        What was simulated; not finite where a simulation stopped early.
+    outputs : (points, n, names)
+        Recorded values; not finite where a simulation stopped early.
     values : (points, parameters)
         The values of the tasks.
     """
@@ -32,13 +32,13 @@ class SimulatedOutputs:
     values: FloatArray
 
     def of(self, variable: str) -> FloatArray:
-        """(points, n): one recorded variable."""
+        """Return one recorded variable, (points, n)."""
         return self.outputs[:, :, self.names.index(variable)]
 
 
 @dataclass
 class ComparisonResult:
-    """What came of a comparison: (points, k) numbers, and sentences for points without them."""
+    """Values of a comparison, (points, k), and messages for points without them."""
 
     values: FloatArray
     failures: dict[int, str] = field(default_factory=dict)
@@ -52,10 +52,10 @@ class Comparison(ABC):
 
     @abstractmethod
     def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
-        """Compare a batch of simulations with what was measured or is demanded."""
+        """Compare a batch of simulations with measurements, or with the limits of constraints."""
 
 
 def positions(times: FloatArray, grid: FloatArray) -> IntArray:
-    """Where times stand on a grid that holds each of them."""
+    """Return the indices of times on a grid that has each of them."""
     found: IntArray = np.searchsorted(grid, times)
     return found

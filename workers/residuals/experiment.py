@@ -1,4 +1,4 @@
-"""Everything that one experiment's simulations are compared with."""
+"""Residuals and constraints of one experiment."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from workers.residuals.base import Comparison, ComparisonResult, SimulatedOutput
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """What a user's function is given: one simulation of one experiment.
+    """One simulation of one experiment, as a user's function receives it.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class FunctionComparison(Comparison):
 
 
 def _lent(values: FloatArray) -> FloatArray:
-    """The same numbers to read: others need them too."""
+    """Return a read-only view: the numbers have other users."""
     view = values.view()
     view.flags.writeable = False
     return view

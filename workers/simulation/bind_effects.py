@@ -1,4 +1,4 @@
-"""An experiment with effects on it: what the compiled loops need beside the FMU and its data."""
+"""Effects bound to an experiment: compiled functions, and the signals that they depend on."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class BoundEffects:
         model: Model,
         description: ModelDescription,
     ) -> EffectHooks:
-        """What the loops call, for a batch of points on a grid."""
+        """Return the functions that the loops call, for a batch of points on a grid."""
         if self.inner is None:
             return no_hooks(len(points))
         base_parameters = [
@@ -78,7 +78,7 @@ class BoundEffects:
         )
 
     def with_memory_effects(self, coefficients: FloatArray) -> Experiment:
-        """The experiment with the inputs that effects change as a whole, for one point."""
+        """Return the experiment with the inputs that effects change as a whole, for one point."""
         inputs = list(self.experiment.inputs)
         for definition, position in zip(self.definitions, self.positions, strict=True):
             if _has_memory(definition):
@@ -90,20 +90,20 @@ class BoundEffects:
 
     @property
     def has_memory(self) -> bool:
-        """Whether an input is changed as a whole, so that each point has a grid of its own."""
+        """True if an input is changed as a whole, so that each point has a grid of its own."""
         return any(_has_memory(d) for d in self.definitions)
 
     def apply_to_outputs(
         self, grid: SignalGrid, outputs: FloatArray, coefficients: FloatArray
     ) -> None:
-        """Let the effects at outputs act on one point's record."""
+        """Apply the effects at outputs to the outputs of one point, in place."""
         for definition, position in zip(self.definitions, self.positions, strict=True):
             if definition.site.kind == "output":
                 own = coefficients[position : position + len(definition.coefficients)]
                 apply_output_effect(definition, own, grid, outputs, self.recorded, self.columns)
 
     def _substeps(self, grid: SignalGrid, coefficients: FloatArray) -> IntArray:
-        """Of each point, for own states that are integrated between communication points."""
+        """Return the substeps of each point, for own states between communication points."""
         longest = float(np.diff(grid.times).max())
         counts = np.ones(len(coefficients), np.int64)
         for definition, position in zip(self.definitions, self.positions, strict=True):
@@ -116,7 +116,7 @@ class BoundEffects:
     def _base_values(
         self, name: str, points: FloatArray, model: Model, description: ModelDescription
     ) -> FloatArray:
-        """The value of a parameter without its effects, at each point."""
+        """Return the value of a parameter without its effects, at each point."""
         if name in model.parameters:
             return points[:, model.parameters.index(name)]
         all_definitions = dict(self.experiment.values).get(name, description.variables[name].start)
@@ -132,7 +132,7 @@ def bind_effects(
     *,
     model_exchange: bool,
 ) -> BoundEffects:
-    """Prepare an experiment for effects that do something.
+    """Bind effects that do something to an experiment.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def bind_effects(
         Each effect with the position of its first coefficient.
     experiment, description
         What they act on.
-    exchange
+    model_exchange
         Whether the FMU's own states are in the array of states (model exchange).
     """
     outputs = tuple(output.variable for output in experiment.outputs)
@@ -168,7 +168,7 @@ def bind_effects(
 
 
 def _has_memory(definition: EffectDefinition) -> bool:
-    """Whether it changes an input as a whole."""
+    """Return whether it changes an input as a whole."""
     return definition.site.kind == "input" and bool(definition.form.memory)
 
 
@@ -177,7 +177,7 @@ def _columns(experiment: Experiment) -> tuple[str, ...]:
 
 
 def _dependencies(definition: EffectDefinition) -> tuple[str, ...]:
-    """What an effect depends on, with the signal that it takes the place of."""
+    """Return the variables that an effect depends on, with the signal that it replaces."""
     if definition.site.kind in ("input", "output"):
         return (*definition.uses, definition.site.target)
     return definition.uses
@@ -186,7 +186,7 @@ def _dependencies(definition: EffectDefinition) -> tuple[str, ...]:
 def _with_dependencies(
     definitions: Sequence[EffectDefinition], experiment: Experiment, description: ModelDescription
 ) -> Experiment:
-    """The experiment with all that effects depend on, and no signal beside."""
+    """Return the experiment with the signals that effects depend on, and no others."""
     needed = dict.fromkeys(name for d in definitions for name in _dependencies(d))
     signals = {given.variable: given for given in experiment.signals}
     driven = [given.variable for given in experiment.inputs]
@@ -208,7 +208,7 @@ def _with_dependencies(
 
 
 def _constant_input(name: str, experiment: Experiment, description: ModelDescription) -> Input:
-    """An input that the data do not drive, as a signal."""
+    """Return a constant signal for an input that the data do not drive."""
     all_definitions = dict(experiment.values).get(name, description.variables[name].start)
     if all_definitions is None:
         raise EffectError(
@@ -236,7 +236,7 @@ class EffectBatch:
     def groups(
         self, coefficients: FloatArray
     ) -> Iterator[tuple[IntArray, list[tuple[EffectDefinition, int]]]]:
-        """Points in groups with the same effects doing something, in order of first appearance.
+        """Group points on which the same effects act, in order of first appearance.
 
         An effect whose coefficients are neutral is left out of the simulation altogether, which is
         why it changes no bit of it.

@@ -1,4 +1,4 @@
-"""Co-simulation FMUs that cannot vary their communication step: when they communicate instead."""
+"""Communication points of co-simulation FMUs that cannot vary their communication step."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class CommunicationPoints:
         input has a kink.
     step
         Seconds from one point to the next.
-    longest
+    max_step
         The same with room for rounding, so that every interval is cut into steps of this length.
     before, after : (n,)
-        Between which points each time of the experiment lies.
-    parts : (n,)
-        How far it lies beyond the first of them, as a part of the step; 0 if it stands on it.
+        The points before and after each time of the experiment.
+    fractions : (n,)
+        Its distance from the first of them, as a part of the step; 0 if it is on it.
     linear : (recorded,)
-        Which variables are interpolated. Others change at events alone, and keep their value.
+        True for variables that are interpolated. Others change at events alone: they are held.
     """
 
     grid: SignalGrid
@@ -46,7 +46,7 @@ class CommunicationPoints:
     linear: IntArray
 
     def interpolate(self, records: FloatArray) -> FloatArray:
-        """(points, n, recorded) at the experiment's times, of (points, m, recorded) at its own."""
+        """Interpolate outputs, (points, m, recorded), at the experiment's n times."""
         values = records[:, self.before]
         between = np.flatnonzero(self.fractions > 0.0)
         first, second = records[:, self.before[between]], records[:, self.after[between]]
@@ -63,7 +63,7 @@ def communication_points(
     recorded: tuple[str, ...],
     times: FloatArray,
 ) -> CommunicationPoints | None:
-    """Return when the FMU communicates in an experiment; None if it does so at all of its times.
+    """Return the communication points of an experiment; None if they are all of its times.
 
     Steps begin at the start of the experiment. Their length is `Solver.step`, else the one that the
     FMU names, else the shortest interval of the experiment if all others are multiples of it.

@@ -1,6 +1,6 @@
-"""The Jacobian of an FMU's states by the directional derivatives that it offers, if they are right.
+"""The Jacobian of an FMU's states by its directional derivatives, after a check of them.
 
-They may be silently zero or wrong, so they are compared with differences where the FMU stands.
+They may be silently zero or wrong, so they are compared with differences at the present states.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from workers.messages import FloatArray
 RELATIVE_STEP = float(np.cbrt(np.finfo(np.float64).eps))
 """Of a central difference, over the size of a state."""
 MAX_JACOBIAN_ERROR = 1e-4
-"""How far directional derivatives may be off, over the largest slope of a state derivative."""
+"""Largest error of directional derivatives, over the largest derivative in their row."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class StateJacobian:
     Attributes
     ----------
     error
-        The largest difference, over the largest slope of that state derivative.
+        The largest difference, over the largest derivative of that state derivative.
     zero
         Whether all are 0 where differences are not.
     """
@@ -39,7 +39,7 @@ class StateJacobian:
 
 
 def directional_jacobian(description: ModelDescription) -> DirectionalJacobian:
-    """The references that a Jacobian is asked for with; none where the FMU does not say enough."""
+    """Return the references of the Jacobian; none where the FMU does not declare enough."""
     variables = description.variables
     derivatives = {v.derivative_of: v for v in variables.values() if v.derivative_of}
     if any(name not in derivatives for name in description.states):
@@ -55,21 +55,21 @@ def directional_jacobian(description: ModelDescription) -> DirectionalJacobian:
 def compare_with_differences(
     fmu: Any, version: str, jacobian: DirectionalJacobian
 ) -> StateJacobian:
-    """Compare them where the FMU stands, in continuous-time mode.
+    """Compare directional derivatives with differences, in continuous-time mode.
 
     Parameters
     ----------
     fmu
-        The instance as fmpy has it.
+        The instance as an object of fmpy.
     version
         Of FMI.
     jacobian
-        What to compare.
+        The references of states and derivatives.
 
     Raises
     ------
     ModelError
-        If the FMU refuses to answer.
+        If the FMU fails.
     """
     try:
         return _compare(fmu, version, jacobian.derivatives.tolist(), jacobian.states.tolist())

@@ -1,4 +1,4 @@
-"""Derivatives of the outputs by the model's parameters, carried along with one simulation."""
+"""Forward sensitivities: derivatives of the outputs by the parameters, in one simulation."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ TABLEAUS = {
     ),
 }
 RELATIVE_STEP = 6e-6
-"""The cube root of the rounding unit: of a parameter, for differences of twins and initial states;
-they are no simulations, so rounding is all their noise."""
+"""The cube root of the rounding unit: of a parameter, for differences of instances and initial
+states; they are no simulations, so rounding is all their noise."""
 NOT_AVAILABLE = -1
-"""Beside the kinds of `forward_sensitivities`: neither a known nor twins."""
+"""A kind beside those of `forward_sensitivities`: no sensitivity can be computed."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class SensitivityPass:
 
 
 class SensitivitySource:
-    """How sensitivities are had of one FMU; found out at the first simulation, then kept.
+    """Forward sensitivities of one FMU; the kinds of its parameters are found once.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class SensitivitySource:
         self._perturbed: list[FmuInstance] = []
 
     def unavailable_reason(self, bound: BoundExperiment) -> str:
-        """Why there are none for an experiment; "" where there may be."""
+        """Return why an experiment has none; "" where it may have them."""
         known, solver = self._description.variables, self._model.solver.name
         if self._model.interface != "model_exchange":
             return "sensitivities need the states, which an FMU gives in model exchange only"
@@ -103,7 +103,7 @@ class SensitivitySource:
     def prepare_pass(
         self, bound: BoundExperiment, point: FloatArray, kinds: IntArray, handle: int
     ) -> SensitivityPass:
-        """Make ready for one point: the values of the model's parameters.
+        """Prepare the simulation of one point: the values of the model's parameters.
 
         `kinds` are those of `parameter_kinds`; `handle` is that of the instance that simulates.
         """
@@ -158,7 +158,7 @@ class SensitivitySource:
         values: FloatArray,
         work: KernelWorkspace,
     ) -> IntArray | str:
-        """How each of the model's parameters acts; a sentence where the FMU does not even start."""
+        """Return the kind of each of the model's parameters; a message if it does not start."""
         if self._kinds is not None:
             return self._kinds
         kinds = np.full(len(self._model.parameters), NOT_AVAILABLE, np.int64)
@@ -185,7 +185,7 @@ class SensitivitySource:
         return kinds
 
     def replace_perturbed_instances(self) -> None:
-        """Replace the twins after a fatal error."""
+        """Replace the perturbed instances after a fatal error."""
         for instance in self._perturbed:
             instance.replace()
 
@@ -194,7 +194,7 @@ class SensitivitySource:
             instance.free()
 
     def _add_perturbed_instances(self) -> int:
-        """Two more instances, where there may be some. Returns the kind of the parameter then."""
+        """Add two instances, where there may be more. Returns the kind of the parameter then."""
         if self._description.once_per_process:
             return NOT_AVAILABLE
         added: list[FmuInstance] = []
@@ -209,7 +209,7 @@ class SensitivitySource:
         return DIFFERENCES
 
     def _perturbed_values(self, point: FloatArray) -> FloatArray:
-        """(parameters, 2): above and below each value, within the bounds that the FMU declares."""
+        """Return (parameters, 2) values above and below each, within declared bounds."""
         known = [self._description.variables[name] for name in self._model.parameters]
         sizes = np.where(point == 0.0, [v.nominal for v in known], np.abs(point))
         lows = [-np.inf if v.low is None else v.low for v in known]
@@ -219,7 +219,7 @@ class SensitivitySource:
         return np.column_stack([above, below])
 
     def _derivatives(self) -> dict[str, ModelVariable]:
-        """The derivative of each state."""
+        """Return the variable that is the derivative of each state."""
         result = {v.derivative_of: v for v in self._description.variables.values()}
         return {name: result[name] for name in self._description.states if name in result}
 

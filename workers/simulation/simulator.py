@@ -16,8 +16,9 @@ from workers.kernels.fmi.hooks import no_hooks
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.stiffness import stiffness
 from workers.messages import Effect, Experiment, FloatArray, Input, Model
+from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment, bind_experiment
-from workers.simulation.integrator import FmuIntegrator, SimulationBatch
+from workers.simulation.integrator import FmuIntegrator
 from workers.simulation.sensitivities import SensitivitySource
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""How the search went: convergence, starts, profiles, fronts."""
+"""The section on the search: convergence, starts, profiles, fronts."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _convergence(run: ReportedRun) -> list[Block]:
 
 
 def _begins_again(rows: Sequence[Row]) -> bool:
-    """Whether several searches have one name, as in a closed loop, where many run at a time."""
+    """Return whether several searches have one name, as in a closed loop."""
     return any(later["evaluations"] < row["evaluations"] for row, later in pairwise(rows))
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from support.spoiled import FMU, LIBRARY
 
-from workers.fmu.binary_dependencies import is_about_licence, missing_libraries, load_failure
+from workers.fmu.binary_dependencies import is_about_licence, load_failure, missing_libraries
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ELF is Linux's")
 
