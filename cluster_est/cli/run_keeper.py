@@ -14,8 +14,8 @@ from typing import Self
 from rich.console import Console
 
 from cluster_est.cli.printing import read_facts, say
-from cluster_est.config.build import build_resources
 from cluster_est.config.reader import Config
+from cluster_est.config.settings import build_resources
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.folder import RunFolder, check_free
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes

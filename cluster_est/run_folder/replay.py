@@ -10,8 +10,9 @@ from typing import Any, cast
 import numpy as np
 
 from cluster_est.cli.printing import read_facts
-from cluster_est.config.build import build_problem, build_resources
+from cluster_est.config.build import build_problem
 from cluster_est.config.reader import read_config
+from cluster_est.config.settings import build_resources
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.problem.problem import Problem, coefficient_names
 from cluster_est.run_folder.evaluation_log import read_log

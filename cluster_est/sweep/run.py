@@ -8,14 +8,10 @@ from pathlib import Path
 
 from cluster_est.cli.printing import read_facts
 from cluster_est.cli.progress import ProgressLine
-from cluster_est.config.build import (
-    build_method,
-    build_multistart,
-    build_problem,
-    build_resources,
-    build_uncertainty,
-)
+from cluster_est.config.build import build_problem
+from cluster_est.config.options import build_method
 from cluster_est.config.reader import Config
+from cluster_est.config.settings import build_multistart, build_resources, build_uncertainty
 from cluster_est.errors import ExecutorError, RunFolderError
 from cluster_est.executors import Executor
 from cluster_est.executors.log_replay import LogReplayExecutor

@@ -17,7 +17,7 @@ from support.problems.springs import ROOT
 
 import cluster_est as ce
 from cluster_est.cli import main as cli
-from cluster_est.config.build import build_method
+from cluster_est.config.options import build_method
 from cluster_est.config.reader import parse_config
 from cluster_est.config.sections.sweep import SweepSections
 from cluster_est.costs import COSTS
