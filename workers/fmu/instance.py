@@ -6,15 +6,12 @@ import contextlib
 import ctypes
 import math
 import os
-import sys
 import threading
-import weakref
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from ctypes import c_void_p
 from typing import Any
 
-import numpy as np
 from fmpy.fmi2 import FMU2Model, FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
@@ -22,9 +19,10 @@ from workers.errors import ModelError
 from workers.fmu.archive import unpack
 from workers.fmu.binary_dependencies import is_about_licence, load_failure
 from workers.fmu.description import ModelDescription
+from workers.fmu.functions import FunctionTable
+from workers.fmu.logger import CALLBACKS, log_message_3, open_log
 from workers.fmu.platforms import binary_path
-from workers.kernels.fmi.component import FmiComponent, nothing_loaded
-from workers.kernels.fmi.values import TYPES
+from workers.kernels.fmi.component import FmiComponent
 from workers.messages import Model
 
 _CLASSES = {
@@ -33,49 +31,6 @@ _CLASSES = {
     ("3.0", "model_exchange"): FMU3Model,
     ("3.0", "co_simulation"): FMU3Slave,
 }
-_REQUIRED = {
-    "reset": "Reset",
-    "enter_initialization_mode": "EnterInitializationMode",
-    "exit_initialization_mode": "ExitInitializationMode",
-    "set_string": "SetString",
-    "get_directional_derivative": "GetDirectionalDerivative",
-}
-_IN_2 = {"setup_experiment": "SetupExperiment"}
-_IN_3 = {
-    "enter_configuration_mode": "EnterConfigurationMode",
-    "exit_configuration_mode": "ExitConfigurationMode",
-}
-_MODEL_EXCHANGE = {
-    "set_time": "SetTime",
-    "set_continuous_states": "SetContinuousStates",
-    "get_continuous_states": "GetContinuousStates",
-    "get_nominals": "GetNominalsOfContinuousStates",
-    "get_event_indicators": "GetEventIndicators",
-    "enter_event_mode": "EnterEventMode",
-    "enter_continuous_time_mode": "EnterContinuousTimeMode",
-    "completed_integrator_step": "CompletedIntegratorStep",
-}
-_MODEL_EXCHANGE_2 = {
-    "get_derivatives": "GetDerivatives",
-    "update_discrete_states": "NewDiscreteStates",
-}
-_MODEL_EXCHANGE_3 = {
-    "get_derivatives": "GetContinuousStateDerivatives",
-    "update_discrete_states": "UpdateDiscreteStates",
-}
-_CO_SIMULATION = {"do_step": "DoStep"}
-_CO_SIMULATION_2 = {"set_real_input_derivatives": "SetRealInputDerivatives"}
-_OPTIONAL = {
-    "set_string",
-    "get_nominals",
-    "get_event_indicators",
-    "set_real_input_derivatives",
-    "get_directional_derivative",
-}
-"""Fields of functions that are called only where the description promises them."""
-_TYPES_IN_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
-"""Names in FMI 2.0 of those types that it has."""
-
 _TERMINATED, _LAST_SUCCESSFUL_TIME = 3, 2
 """Kinds of status of FMI 2.0's co-simulation."""
 _NO_RESET = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p)(lambda _handle: 0)
@@ -114,7 +69,7 @@ class FmuInstance:
         self.log: deque[str] = deque(maxlen=20)
         self._is_freed = self._is_used = False
         self._fmu = self._load()
-        self.component = self._addresses()
+        self.component = self._functions.component()
 
     def fresh(self) -> FmiComponent:
         """Return an instance that has simulated nothing yet, and needs no reset.
@@ -139,7 +94,7 @@ class FmuInstance:
         _abandoned.append(self._fmu)
         self._fmu = self._load()
         self._is_freed = self._is_used = False
-        self.component = self._addresses()
+        self.component = self._functions.component()
 
     def termination_time(self) -> float | None:
         """Return the time at which the FMU terminated, after it has discarded a step.
@@ -148,11 +103,19 @@ class FmuInstance:
         """
         terminated, time = ctypes.c_int(0), ctypes.c_double(-math.inf)
         if self._description.version == "2.0":
-            self._call("GetBooleanStatus", ctypes.c_int(_TERMINATED), ctypes.byref(terminated))
+            self._functions.call(
+                "GetBooleanStatus", ctypes.c_int(_TERMINATED), ctypes.byref(terminated)
+            )
         if not terminated.value:
             return None
-        self._call("GetRealStatus", ctypes.c_int(_LAST_SUCCESSFUL_TIME), ctypes.byref(time))
+        self._functions.call(
+            "GetRealStatus", ctypes.c_int(_LAST_SUCCESSFUL_TIME), ctypes.byref(time)
+        )
         return time.value
+
+    @property
+    def _functions(self) -> FunctionTable:
+        return FunctionTable(self._fmu, self._model, self._description)
 
     @property
     def fmu(self) -> Any:
@@ -175,9 +138,7 @@ class FmuInstance:
         with _load_lock:
             _instance_count += 1
             name = f"{identifier}-{_instance_count}"
-        _logs[name] = self.log
-        if self._model.logging_on:
-            _logging.add(name)
+        open_log(name, self.log, shown=self._model.logging_on)
         try:
             with _load_lock, _unchanged_working_folder():
                 fmu = model_class(
@@ -194,7 +155,7 @@ class FmuInstance:
 
     def _instantiate(self, fmu: Any, name: str) -> None:
         version_2 = self._description.version == "2.0"
-        how = {"callbacks": _callbacks} if version_2 else {"logMessage": _log_3(name)}
+        how = {"callbacks": CALLBACKS} if version_2 else {"logMessage": log_message_3(name)}
         try:
             fmu.instantiate(loggingOn=self._model.logging_on, **how)
         except Exception:
@@ -218,76 +179,6 @@ class FmuInstance:
             advice = "Get the licence that it asks for, or export it without the need of one"
         return f"{self._model.name}: cannot be loaded and instantiated ({error}).{log} {advice}"
 
-    def _addresses(self) -> FmiComponent:
-        description, exchange = self._description, self._model.interface == "model_exchange"
-        version = 2 if description.version == "2.0" else 3
-        used = _REQUIRED | (_IN_2 if version == 2 else _IN_3)
-        if exchange:
-            used |= _MODEL_EXCHANGE | (_MODEL_EXCHANGE_2 if version == 2 else _MODEL_EXCHANGE_3)
-        else:
-            used |= _CO_SIMULATION | (_CO_SIMULATION_2 if version == 2 else {})
-        found = {field: self._address(name) for field, name in used.items()}
-        absent = [used[field] for field, at in found.items() if not at and field not in _OPTIONAL]
-        if absent:
-            raise ModelError(
-                f"{self._model.name}: its binary must have the function fmi{version}{absent[0]} "
-                "but has not; export it again"
-            )
-        if exchange and version == 3 and not self._model.structure:
-            self._check_counts()
-        types = [_TYPES_IN_2.get(t, "") if version == 2 else t for t in TYPES]
-        accessors = np.array(
-            [[self._address(verb + t) if t else 0 for t in types] for verb in ("Get", "Set")]
-        )
-        return nothing_loaded(description.version)._replace(
-            handle=int(self._fmu.component),
-            get_real=int(accessors[0, 0]),
-            set_real=int(accessors[1, 0]),
-            accessors=accessors,
-            interpolates_inputs=description.interpolates_inputs,
-            completes_steps=description.completes_steps,
-            eventful=_has_events(description),
-            n_states=len(description.states) if exchange else 0,
-            n_indicators=description.event_indicators if exchange else 0,
-            **found,
-        )
-
-    def _check_counts(self) -> None:
-        """Refuse an FMU of FMI 3.0 that is not what its description says: events would be lost."""
-        described = self._description
-        counted = {
-            "EventIndicators": ("event indicators", described.event_indicators),
-            "ContinuousStates": ("continuous states", len(described.states)),
-        }
-        for name, (what, expected) in counted.items():
-            count = ctypes.c_size_t(expected)
-            self._call(f"GetNumberOf{name}", ctypes.byref(count))
-            if count.value != expected:
-                raise ModelError(
-                    f"{self._model.name}: its binary must have the {expected} {what} of its "
-                    f"modelDescription.xml but has {count.value}; export it again"
-                )
-
-    def _call(self, name: str, *arguments: Any) -> None:
-        """Call a function of the FMU that fills in its last argument; nothing if it has none."""
-        if address := self._address(name):
-            types = [c_void_p] * (1 + len(arguments))
-            types[1:-1] = [type(argument) for argument in arguments[:-1]]
-            ctypes.CFUNCTYPE(ctypes.c_int, *types)(address)(self._fmu.component, *arguments)
-
-    def _address(self, name: str) -> int:
-        """Return the address of a function of the FMU; 0 if it has none."""
-        whole = f"fmi{self._description.version[0]}{name}"
-        function = getattr(self._fmu.dll, whole, None)
-        return 0 if function is None else ctypes.cast(function, c_void_p).value or 0
-
-
-def _has_events(description: ModelDescription) -> bool:
-    """Return whether an input that jumps may be an event for the FMU."""
-    if description.event_indicators > 0:
-        return True
-    return any(v.variability == "discrete" for v in description.variables.values())
-
 
 @contextlib.contextmanager
 def _unchanged_working_folder() -> Iterator[None]:
@@ -297,53 +188,3 @@ def _unchanged_working_folder() -> Iterator[None]:
         yield
     finally:
         os.chdir(before)
-
-
-_logs: weakref.WeakValueDictionary[str, deque[str]] = weakref.WeakValueDictionary()
-_logging: set[str] = set()
-"""Instances whose messages are shown."""
-_STATUSES = ("ok", "warning", "discard", "error", "fatal", "pending")
-
-
-def _log(_environment: object, instance: bytes, status: int, _category: bytes, text: bytes) -> None:
-    """Receive a message from any instance; fmpy's proxy knows one logger for all of them."""
-    _append((instance or b"").decode(errors="replace"), status, text)
-
-
-def _log_3(name: str) -> Callable[[object, int, bytes, bytes], None]:
-    """Return a function that receives the messages of one instance of FMI 3.0."""
-    return lambda _environment, status, _category, text: _append(name, status, text)
-
-
-def _append(name: str, status: int, message: bytes) -> None:
-    text = (message or b"").decode(errors="replace").strip()
-    log = _logs.get(name.strip())
-    if log is not None and status > 0:
-        log.append(text)
-    if name in _logging:
-        of = _STATUSES[status] if 0 <= status < len(_STATUSES) else str(status)
-        sys.stderr.write(f"{of}: {text}\n")
-        sys.stderr.flush()  # the next call may end the process
-
-
-def _make_callbacks() -> ctypes.Structure:
-    from ctypes import byref
-
-    from fmpy import calloc, free
-    from fmpy.fmi2 import (
-        fmi2CallbackAllocateMemoryTYPE,
-        fmi2CallbackFreeMemoryTYPE,
-        fmi2CallbackFunctions,
-        fmi2CallbackLoggerTYPE,
-    )
-    from fmpy.logging import addLoggerProxy
-
-    callbacks = fmi2CallbackFunctions()
-    callbacks.logger = fmi2CallbackLoggerTYPE(_log)
-    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
-    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
-    addLoggerProxy(byref(callbacks))
-    return callbacks  # type: ignore[no-any-return]
-
-
-_callbacks = _make_callbacks()

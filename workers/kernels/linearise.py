@@ -66,17 +66,20 @@ class PerturbedVariables(NamedTuple):
 
 
 class LinearisationArrays(NamedTuple):
-    """Results, a row for each time, and memory for the two ends of a difference."""
+    """Results, a row for each time, and memory for the two ends of a difference.
+
+    A, B, C, D, P and Q are those of `workers.messages.Linearisation`.
+    """
 
     states: FloatArray
     derivatives: FloatArray
     effective_inputs: FloatArray
-    derivatives_by_state: FloatArray
-    derivatives_by_input: FloatArray
-    derivatives_by_parameter: FloatArray
-    outputs_by_state: FloatArray
-    outputs_by_input: FloatArray
-    outputs_by_parameter: FloatArray
+    A: FloatArray
+    B: FloatArray
+    P: FloatArray
+    C: FloatArray
+    D: FloatArray
+    Q: FloatArray
     upper_derivatives: FloatArray
     lower_derivatives: FloatArray
     upper_outputs: FloatArray
@@ -86,7 +89,7 @@ class LinearisationArrays(NamedTuple):
 
 @kernel
 def linearise(  # type: ignore[no-untyped-def]
-    stepping, c, references, starts, settings, hooks, offset_hooks, grid, point, work,
+    stepping, c, references, starts, settings, hooks, offsets, grid, point, work,
     perturbed, result, outputs,
 ):  # fmt: skip
     """Simulate one experiment for one point, and linearise the model at each time of the grid.
@@ -96,7 +99,7 @@ def linearise(  # type: ignore[no-untyped-def]
     stepping
         From each time to the next by the Dormand-Prince method (ADAPTIVE), by classic Runge-Kutta
         (FIXED), or to the states that `result` has already (PRECOMPUTED).
-    hooks, offset_hooks
+    hooks, offsets
         Effects, and the same with an offset at each input.
     point : (k,)
         Start values of the reals.
@@ -122,25 +125,12 @@ def linearise(  # type: ignore[no-untyped-def]
         status = record_outputs(c, references, hooks, grid, i, time, work, outputs[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), time
-        status = _linearise_at(c, references, hooks, offset_hooks, grid, i, work, perturbed, result)
+        status = _linearise_at(c, references, hooks, offsets, grid, i, work, perturbed, result)
         if status >= DISCARD:
             return failed(LINEARISATION, status), time
         if i + 1 == len(times):
             break
-        code, time, proposed, steps_left = _step_on_grid(
-            stepping,
-            c,
-            references,
-            settings,
-            hooks,
-            grid,
-            i,
-            time,
-            proposed,
-            steps_left,
-            work,
-            result,
-        )
+        code, time, proposed, steps_left = _step_on_grid(stepping, c, references, settings, hooks, grid, i, time, proposed, steps_left, work, result)  # fmt: skip
     return code, time
 
 
@@ -168,7 +158,7 @@ def _step_on_grid(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _linearise_at(c, references, hooks, offset_hooks, grid, i, work, perturbed, result):  # type: ignore[no-untyped-def]
+def _linearise_at(c, references, hooks, offsets, grid, i, work, perturbed, result):  # type: ignore[no-untyped-def]
     """Take all derivatives at grid time i, which the FMU is set to. Returns the worst status."""
     time, x = grid.times[i], work.states
     status = current_derivatives(c, hooks, time, x, work, result.derivatives[i])
@@ -179,13 +169,9 @@ def _linearise_at(c, references, hooks, offset_hooks, grid, i, work, perturbed, 
             work.effective_inputs[j] if hooks.modify_inputs != 0 else work.inputs[j]
         )
     if status < DISCARD:
-        status = max(
-            status, _by_states(c, references, offset_hooks, time, i, work, perturbed, result)
-        )
+        status = max(status, _by_states(c, references, offsets, time, i, work, perturbed, result))
     if status < DISCARD:
-        status = max(
-            status, _by_inputs(c, references, offset_hooks, time, i, work, perturbed, result)
-        )
+        status = max(status, _by_inputs(c, references, offsets, time, i, work, perturbed, result))
     if status < DISCARD:
         status = max(status, set_time_and_states(c, references, hooks, time, x, work))
     if status < DISCARD:
@@ -213,9 +199,7 @@ def _by_states(c, references, hooks, time, i, work, perturbed, result):  # type:
         trial[j] = x[j]
         if status >= DISCARD:
             return status
-        _fill_column(
-            upper - lower, result, result.derivatives_by_state[i], result.outputs_by_state[i], j
-        )
+        _fill_column(upper - lower, result, result.A[i], result.C[i], j)
     return status
 
 
@@ -233,9 +217,7 @@ def _by_inputs(c, references, hooks, time, i, work, perturbed, result):  # type:
         _set_input(hooks, work, perturbed, j, u, u)
         if status >= DISCARD:
             return status
-        _fill_column(
-            upper - lower, result, result.derivatives_by_input[i], result.outputs_by_input[i], j
-        )
+        _fill_column(upper - lower, result, result.B[i], result.D[i], j)
     return status
 
 
@@ -275,13 +257,7 @@ def _by_parameters(c, references, hooks, time, i, work, perturbed, result):  # t
             status = max(status, set_reals(c, reference, result.value))
         if status >= DISCARD:
             return status
-        _fill_column(
-            upper - lower,
-            result,
-            result.derivatives_by_parameter[i],
-            result.outputs_by_parameter[i],
-            j,
-        )
+        _fill_column(upper - lower, result, result.P[i], result.Q[i], j)
     return status
 
 

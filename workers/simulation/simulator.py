@@ -18,13 +18,12 @@ from workers.kernels.solvers.stiffness import stiffness
 from workers.messages import Effect, Experiment, FloatArray, Input, Model
 from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment, bind_experiment
+from workers.simulation.effect_bindings import EffectBindings
 from workers.simulation.integrator import FmuIntegrator
 from workers.simulation.sensitivities import SensitivitySource
 
 if TYPE_CHECKING:
     from workers.effects.definition import EffectDefinition
-    from workers.simulation.bind_effects import BoundEffects, EffectBatch
-    from workers.simulation.linearise import PreparedExperiment
 
 
 class Simulator:
@@ -54,15 +53,8 @@ class Simulator:
             replace(e, signals=()) for e in self._experiments
         ]  # they act through effects alone
         self._bound = [bind_experiment(model, description, e) for e in without_effects]
-        self._signals = tuple(dict.fromkeys(s.variable for e in experiments for s in e.signals))
-        self._effects: dict[tuple[Effect, ...], EffectBatch] = {}
-        self._bound_with_effects: dict[
-            tuple[int, tuple[tuple[EffectDefinition, int], ...]],
-            tuple[BoundEffects, BoundExperiment],
-        ] = {}
-        self._prepared: dict[
-            tuple[int, tuple[tuple[EffectDefinition, int], ...], int], PreparedExperiment
-        ] = {}
+        signals = tuple(dict.fromkeys(s.variable for e in experiments for s in e.signals))
+        self._bindings = EffectBindings(model, description, self._experiments, signals)
         self._sensitivity_source = SensitivitySource(model, description)
         self._integrator = FmuIntegrator(model, description)
 
@@ -118,7 +110,7 @@ class Simulator:
         if not effects:
             return self._integrator.run(bound, values, no_hooks(len(points)))
         batch = SimulationBatch.empty(len(points), len(bound.grid.times), len(bound.outputs))
-        for rows, active in self._effect_batch(effects).groups(coefficients):
+        for rows, active in self._bindings.groups(effects, coefficients):
             run = self._run_with_effects(experiment, values[rows], coefficients[rows], active)
             batch.outputs[rows], batch.codes[rows] = run.outputs, run.codes
             for row, message in zip(rows.tolist(), run.messages, strict=True):
@@ -152,7 +144,7 @@ class Simulator:
             len(points), len(without_effects.grid.times), len(without_effects.outputs)
         )
         for p, point in enumerate(points):
-            prepared = self._prepare(experiment, point, effects)
+            prepared = self._bindings.prepare(experiment, point, effects)
             one = prepared.at(point, cvode)
             n_effect_states = len(prepared.effect_states)
             run = self._integrator.run(one.bound, one.values, one.hooks, n_effect_states, one)
@@ -248,32 +240,6 @@ class Simulator:
         self._sensitivity_source.close()
         self.instance.free()
 
-    def _effect_batch(self, effects: tuple[Effect, ...]) -> EffectBatch:
-        from workers.simulation.bind_effects import (
-            EffectBatch,  # SymPy takes half a second to import
-        )
-
-        if effects not in self._effects:
-            self._effects[effects] = EffectBatch(
-                effects, self._description, self._model, self._signals
-            )
-        return self._effects[effects]
-
-    def _prepare(
-        self, experiment: int, point: FloatArray, effects: tuple[Effect, ...]
-    ) -> PreparedExperiment:
-        """Prepare an experiment to be linearised with the effects that act at a point, once."""
-        from workers.simulation.linearise import prepare
-
-        coefficients = point[None, len(self._model.parameters) :]
-        ((_, active),) = self._effect_batch(effects).groups(coefficients)
-        count = coefficients.shape[1]
-        key = (experiment, tuple(active), count)
-        if key not in self._prepared:
-            plain = self._experiments[experiment]
-            self._prepared[key] = prepare(self._model, self._description, plain, active, count)
-        return self._prepared[key]
-
     def _run_with_effects(
         self,
         experiment: int,
@@ -285,7 +251,7 @@ class Simulator:
         without_effects = self._bound[experiment]
         if not active:
             return self._integrator.run(without_effects, values, no_hooks(len(values)))
-        bound_effects, bound = self._bind_effects(experiment, active)
+        bound_effects, bound = self._bindings.bind(experiment, active)
         n_effect_states = (
             bound_effects.inner.n_effect_states if bound_effects.inner is not None else 0
         )
@@ -314,26 +280,6 @@ class Simulator:
             batch.codes[chunk] = run.codes
             batch.messages[chunk] = run.messages
         return batch
-
-    def _bind_effects(
-        self, experiment: int, active: list[tuple[EffectDefinition, int]]
-    ) -> tuple[BoundEffects, BoundExperiment]:
-        """Prepare an experiment for the effects that act on it, once."""
-        key = (experiment, tuple(active))
-        if key not in self._bound_with_effects:
-            from workers.simulation.bind_effects import bind_effects
-
-            effects = bind_effects(
-                active,
-                self._experiments[experiment],
-                self._description,
-                model_exchange=self._model.interface == "model_exchange",
-            )
-            bound = bind_experiment(
-                self._model, self._description, effects.experiment, effects.recorded
-            )
-            self._bound_with_effects[key] = effects, bound
-        return self._bound_with_effects[key]
 
 
 def _continuous_first(description: ModelDescription, experiment: Experiment) -> Experiment:
