@@ -114,11 +114,11 @@ class Evaluator:
     ) -> list[Outcome]:
         bound = self._simulator.bound_experiment(experiment)
         start = time.perf_counter()
-        simulate = {
+        simulations = {
             "linearisation": self._simulator.linearise,
             "sensitivities": self._simulator.sensitivities,
         }
-        result = simulate.get(batch.want, self._simulator.run)(experiment, values, batch.effects)
+        result = simulations.get(batch.want, self._simulator.run)(experiment, values, batch.effects)
         simulated = SimulatedOutputs(bound.grid.times, bound.outputs, result.outputs, values)
         comparison = self._comparisons[experiment].compare(simulated)
         seconds = (time.perf_counter() - start) / len(ids)

@@ -51,17 +51,7 @@ def signal_bound(section: ConstraintSection, where: str, start: float, stop: flo
     ConfigError
         If the limits contradict each other, or hold at no time of the simulation.
     """
-    first, last = section.between or (start, stop)
-    first, last = max(first, start), min(last, stop)
-    if section.between is not None and section.between[0] > section.between[1]:
-        raise ConfigError(
-            f"{where}.between: must be [from, to] but is {list(section.between)}; swap them"
-        )
-    if not first <= last:
-        raise ConfigError(
-            f"{where}.between: must overlap with the simulation, {start:g} to {stop:g} s, but is "
-            f"{list(section.between or ())}; change one"
-        )
+    first, last = _interval(section, where, start, stop)
     if section.final is not None:
         return _final(section, stop)
     if section.step_response is not None:
@@ -89,6 +79,24 @@ def signal_bound(section: ConstraintSection, where: str, start: float, stop: flo
         upper=upper,
         scale=section.scale or _magnitude(lower, upper),
     )
+
+
+def _interval(
+    section: ConstraintSection, where: str, start: float, stop: float
+) -> tuple[float, float]:
+    """Return the part of the simulation in which a limit holds."""
+    first, last = section.between or (start, stop)
+    first, last = max(first, start), min(last, stop)
+    if section.between is not None and section.between[0] > section.between[1]:
+        raise ConfigError(
+            f"{where}.between: must be [from, to] but is {list(section.between)}; swap them"
+        )
+    if not first <= last:
+        raise ConfigError(
+            f"{where}.between: must overlap with the simulation, {start:g} to {stop:g} s, but is "
+            f"{list(section.between or ())}; change one"
+        )
+    return first, last
 
 
 def _check_step(step: StepSection, where: str) -> None:

@@ -141,12 +141,9 @@ def lay_out(repair: RepairedModel) -> WrapperLayout:
     outputs = [i for i, e in enumerate(effects) if e.site.kind == "output"]
     inside = [i for i in range(len(effects)) if i not in (*memories, *outputs)]
     inputs = _inputs(description)
-    signals = tuple(
-        dict.fromkeys(n for e in effects for n in e.uses if n not in description.variables)
-    )
+    signals = _signals(effects, description)
     columns = (*(v.name for v in inputs), *signals)
     _check_inputs(effects, description, columns)
-    needed = [n for i in outputs for n in (*effects[i].uses, effects[i].site.target)]
     made = equations(
         tuple(effects[i] for i in inside),
         tuple(repair.positions[i] for i in inside),
@@ -156,6 +153,7 @@ def lay_out(repair: RepairedModel) -> WrapperLayout:
     known = [f for f in _starts(repair) if f.name not in made.parameters]
     order = sorted(inside, key=lambda i: effects[i].site.at_rates)
     own = _own(repair, signals, [*order, *outputs], exchange=exchange)
+    needed = [n for i in outputs for n in (*effects[i].uses, effects[i].site.target)]
     row = tuple(dict.fromkeys(n for n in needed if n not in columns))
     layout = WrapperLayout(
         repair, exchange, inputs, sum(v.is_continuous for v in inputs), signals, tuple(memories),
@@ -165,6 +163,14 @@ def lay_out(repair: RepairedModel) -> WrapperLayout:
     return replace(
         layout, specials=specials, touched=touched, places=flat.places, left_out=flat.left_out
     )
+
+
+def _signals(
+    effects: tuple[EffectDefinition, ...], description: ModelDescription
+) -> tuple[str, ...]:
+    """Return the measured signals that effects depend on."""
+    used = (name for effect in effects for name in effect.uses)
+    return tuple(dict.fromkeys(name for name in used if name not in description.variables))
 
 
 def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:

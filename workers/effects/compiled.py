@@ -111,37 +111,32 @@ def equations(
     start_states: list[CAssignment] = []
     add_derivatives: list[CAssignment] = []
     for definition in sorted(definitions, key=lambda d: d.site.at_rates):
-        substitutions = chain.substitutions(definition)
-        for symbol, start, derivative in zip(
-            definition.states, definition.starts, definition.derivatives, strict=True
-        ):
-            index = locations[symbol][1]
-            start_states.append(
-                CAssignment(EffectArray.STATES, index, start.xreplace(substitutions))
-            )
-            add_derivatives.append(
-                CAssignment(EffectArray.DERIVATIVES, index, derivative.xreplace(substitutions))
-            )
-        for target, equation in definition.equations:
-            expression = equation.xreplace(substitutions)
-            if definition.site.at_rates:
-                add_derivatives.append(
-                    CAssignment(EffectArray.DERIVATIVES, states.index(target), expression, add=True)
-                )
-            else:
-                chain.replace(definition, expression)
-    modify_inputs = [
-        CAssignment(EffectArray.EFFECTIVE_INPUTS, i, chain.inputs[n]) for i, n in enumerate(inputs)
-    ]
-    modify_inputs += [
-        CAssignment(EffectArray.EFFECTIVE_PARAMETERS, i, chain.parameters[n])
-        for i, n in enumerate(parameters)
-    ]
-    if all(d.site.at_rates for d in definitions):
-        modify_inputs = []
+        starts, derivatives = _own_states(definition, locations, chain.substitutions(definition))
+        start_states += starts
+        add_derivatives += derivatives + chain.apply(definition, states)
+    changes_signals = not all(d.site.at_rates for d in definitions)
+    modify_inputs = chain.assignments() if changes_signals else ()
     return CompiledEquations(
-        parameters, locations, tuple(start_states), tuple(modify_inputs), tuple(add_derivatives)
+        parameters, locations, tuple(start_states), modify_inputs, tuple(add_derivatives)
     )
+
+
+def _own_states(
+    definition: EffectDefinition,
+    locations: SymbolLocations,
+    substitutions: dict[sp.Symbol, sp.Expr],
+) -> tuple[list[CAssignment], list[CAssignment]]:
+    """Return the start values and the derivatives of an effect's own states."""
+    indices = [locations[symbol][1] for symbol in definition.states]
+    starts = [
+        CAssignment(EffectArray.STATES, i, start.xreplace(substitutions))
+        for i, start in zip(indices, definition.starts, strict=True)
+    ]
+    derivatives = [
+        CAssignment(EffectArray.DERIVATIVES, i, derivative.xreplace(substitutions))
+        for i, derivative in zip(indices, definition.derivatives, strict=True)
+    ]
+    return starts, derivatives
 
 
 READ = (EffectArray.STATES, EffectArray.INPUTS, EffectArray.COEFFICIENTS, EffectArray.BASE)
@@ -181,6 +176,7 @@ class _EffectChain:
     """Expressions of each input and parameter of the FMU after the effects so far."""
 
     def __init__(self, inputs: Sequence[str], parameters: Sequence[str]) -> None:
+        self._input_names = tuple(inputs)
         self.inputs: dict[str, sp.Expr] = {name: variable_symbol(name) for name in inputs}
         self.parameters: dict[str, sp.Expr] = {name: base_symbol(name) for name in parameters}
 
@@ -190,9 +186,27 @@ class _EffectChain:
             return {variable_symbol(name): value for name, value in self.inputs.items()}
         return {SIGNAL: self._of(definition)[definition.site.target]}
 
-    def replace(self, definition: EffectDefinition, equation: sp.Expr) -> None:
-        """Let an equation take the place of its signal, for the effects that follow."""
-        self._of(definition)[definition.site.target] = equation
+    def apply(self, definition: EffectDefinition, states: Sequence[str]) -> list[CAssignment]:
+        """Apply an effect: to its signal for those that follow, or to derivatives, returned."""
+        substitutions = self.substitutions(definition)
+        added = []
+        for target, equation in definition.equations:
+            expression = equation.xreplace(substitutions)
+            if definition.site.at_rates:
+                index = states.index(target)
+                added.append(CAssignment(EffectArray.DERIVATIVES, index, expression, add=True))
+            else:
+                self._of(definition)[definition.site.target] = expression
+        return added
+
+    def assignments(self) -> tuple[CAssignment, ...]:
+        """Assign the effective inputs and parameters."""
+        inputs = enumerate(self.inputs[name] for name in self._input_names)
+        parameters = enumerate(self.parameters.values())
+        return (
+            *(CAssignment(EffectArray.EFFECTIVE_INPUTS, i, value) for i, value in inputs),
+            *(CAssignment(EffectArray.EFFECTIVE_PARAMETERS, i, value) for i, value in parameters),
+        )
 
     def _of(self, definition: EffectDefinition) -> dict[str, sp.Expr]:
         return self.inputs if definition.site.kind == "input" else self.parameters

@@ -83,8 +83,8 @@ class EffectDefinition:
 def _rates(definition: EffectDefinition, names: tuple[str, ...]) -> Callable[..., list[FloatArray]]:
     """Return the rates of the own states as a function of coefficients and named variables."""
     symbols = (*definition.coefficients, *(variable_symbol(name) for name in names))
-    neutral_values = known_rates(definition, names)
-    function: Callable[..., list[FloatArray]] = sp.lambdify(symbols, neutral_values, "numpy")
+    rates = known_rates(definition, names)
+    function: Callable[..., list[FloatArray]] = sp.lambdify(symbols, rates, "numpy")
     return function
 
 
@@ -119,9 +119,16 @@ def define(
     where = f"effect {effect.name!r}"
     site = parse_site(effect.site, f"{where}: site")
     check_site(site, description, interface, f"{where}: site")
+    allowed = [*_variables(description, site, interface), *signals]
+    return _definition(effect, site, {name: variable_symbol(name) for name in allowed})
+
+
+def _definition(
+    effect: Effect, site: EffectSite, variables: Mapping[str, sp.Symbol]
+) -> EffectDefinition:
+    """Read the equations of an effect over the variables that they may depend on."""
+    where = f"effect {effect.name!r}"
     chosen = _chosen(effect, site, where)
-    neutral_values = [*_variables(description, site, interface), *signals]
-    variables = {name: variable_symbol(name) for name in neutral_values}
     names = _placeholders(effect, chosen, site, variables, where)
     own = {c.name: sp.Symbol(f"{effect.name}.{c.name}", real=True) for c in chosen.coefficients}
     states = {z.name: sp.Symbol(f"{effect.name}:{z.name}", real=True) for z in chosen.states}
@@ -228,16 +235,16 @@ def _variable(text: str, variables: Mapping[str, sp.Symbol], where: str) -> sp.E
     return first - second[0] if second else first
 
 
-def split_variable(text: str, neutral_values: Container[str]) -> tuple[str, ...]:
+def split_variable(text: str, known: Container[str]) -> tuple[str, ...]:
     """Return the name in a form's variable, the two of a difference "v - w", or none.
 
-    Names of FMUs may hold almost any character, so only `neutral_values` ones tell what a minus is.
+    Names of FMUs may hold almost any character, so only `known` ones tell what a minus is.
     """
     name = text.strip()
-    if name in neutral_values:
+    if name in known:
         return (name,)
     for sign in re.finditer("-", name):
         pair = name[: sign.start()].strip(), name[sign.end() :].strip()
-        if all(one in neutral_values for one in pair):
+        if all(one in known for one in pair):
             return pair
     return ()

@@ -32,6 +32,14 @@ class CompiledOutputEffect:
     output: Any
     states: int
 
+    def hooks(self) -> OutputHooks:
+        """Return their addresses."""
+        return OutputHooks(
+            self.start_states.address if self.start_states else 0,
+            self.state_derivatives.address if self.state_derivatives else 0,
+            self.output.address,
+        )
+
 
 def apply_output_effect(
     definition: EffectDefinition,
@@ -67,15 +75,10 @@ def apply_output_effect(
         inputs=np.zeros(len(inputs)),
         result=np.zeros(1),
     )
-    hooks = OutputHooks(
-        compiled.start_states.address if compiled.start_states else 0,
-        compiled.state_derivatives.address if compiled.state_derivatives else 0,
-        compiled.output.address,
-    )
     signals = dict(zip((*recorded, *inputs), (*outputs.T, *grid.inputs.T), strict=True))
     substeps = definition.substeps(coefficients, float(np.diff(grid.times).max()), signals)
     own_coefficients = np.ascontiguousarray(coefficients)
-    apply_to_outputs(hooks, grid, outputs, column, own_coefficients, substeps, work)
+    apply_to_outputs(compiled.hooks(), grid, outputs, column, own_coefficients, substeps, work)
 
 
 @lru_cache(maxsize=512)

@@ -94,10 +94,7 @@ def _scalar(
 
     causality = _one_of(own, "causality", _CAUSALITIES, notes) or "local"
     variability = _variability(own, causality, kind, notes)
-    low, high = limit("min"), limit("max")
-    if low is not None and high is not None and low > high:
-        notes.add("a min that is above the max is ignored, like that max", name)
-        low = high = None
+    low, high = _ordered(limit("min"), limit("max"), name, notes)
     nominal = limit("nominal")
     if attribute("nominal") is not None and not nominal:
         notes.add("a nominal value that is 0 or no number counts as 1", name)
@@ -116,6 +113,15 @@ def _scalar(
         variability=variability,
         description=" ".join((own.get("description") or "").split()),
     )
+
+
+def _ordered(
+    low: float | None, high: float | None, name: str, notes: ReadingNotes
+) -> tuple[float | None, float | None]:
+    if low is not None and high is not None and low > high:
+        notes.add("a min that is above the max is ignored, like that max", name)
+        return None, None
+    return low, high
 
 
 def _one_of(own: Element, key: str, known: tuple[str, ...], notes: ReadingNotes) -> str | None:

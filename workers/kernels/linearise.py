@@ -28,12 +28,9 @@ from workers.messages import FloatArray, IntArray
 
 ADAPTIVE, FIXED, PRECOMPUTED = range(3)
 """Ways of stepping from each time of the grid to the next."""
-
 LINEARISATION = 9
 """A code beside those of `workers.kernels.fmi.failure`."""
-
 MESSAGES = {LINEARISATION: "the FMU could not answer close to its trajectory"}
-
 RELATIVE_STEP = 1e-5
 """Near the cube root of the rounding unit: there, rounding and curvature cost a central difference
 equally little, some 1e-10 of the derivative."""
@@ -130,7 +127,10 @@ def linearise(  # type: ignore[no-untyped-def]
             return failed(LINEARISATION, status), time
         if i + 1 == len(times):
             break
-        code, time, proposed, steps_left = _step_on_grid(stepping, c, references, settings, hooks, grid, i, time, proposed, steps_left, work, result)  # fmt: skip
+        code, time, proposed, steps_left = _step_on_grid(
+            stepping, c, references, settings, hooks, grid, i, time, proposed, steps_left, work,
+            result,
+        )  # fmt: skip
     return code, time
 
 

@@ -119,10 +119,8 @@ class BoundEffects:
         """Return the value of a parameter without its effects, at each point."""
         if name in model.parameters:
             return points[:, model.parameters.index(name)]
-        all_definitions = dict(self.experiment.values).get(name, description.variables[name].start)
-        return np.full(
-            len(points), float(all_definitions if all_definitions is not None else np.nan)
-        )
+        start = dict(self.experiment.values).get(name, description.variables[name].start)
+        return np.full(len(points), float(start if start is not None else np.nan))
 
 
 def bind_effects(
@@ -209,14 +207,14 @@ def _with_dependencies(
 
 def _constant_input(name: str, experiment: Experiment, description: ModelDescription) -> Input:
     """Return a constant signal for an input that the data do not drive."""
-    all_definitions = dict(experiment.values).get(name, description.variables[name].start)
-    if all_definitions is None:
+    value = dict(experiment.values).get(name, description.variables[name].start)
+    if value is None:
         raise EffectError(
             f"experiment {experiment.id!r}: an effect needs the input {name!r}, which no column "
             "drives and which has no start value; give it one under values"
         )
     times = np.array([experiment.start, experiment.stop])
-    return Input(name, times, np.full(2, float(all_definitions)), "hold")
+    return Input(name, times, np.full(2, float(value)), "hold")
 
 
 class EffectBatch:
@@ -247,5 +245,5 @@ class EffectBatch:
             active = tuple(not d.is_neutral(row[a : a + len(d.coefficients)]) for d, a in pairs)
             members.setdefault(active, []).append(p)
         for active, rows in members.items():
-            inner_definitions = [pair for pair, on in zip(pairs, active, strict=True) if on]
-            yield np.array(rows, np.intp), inner_definitions
+            acting = [pair for pair, on in zip(pairs, active, strict=True) if on]
+            yield np.array(rows, np.intp), acting

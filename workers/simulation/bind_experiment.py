@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -61,49 +62,65 @@ def bind_experiment(
         experiment's times.
     """
     where = f"experiment {experiment.id!r}"
-    given = {n: v for n, v in experiment.values if n not in model.parameters}
-    variables = {n: description.variable(n, where) for n in given}
-    texts = {n: str(given[n]) for n, v in variables.items() if v.kind == "string"}
-    structure = [v for v in variables.values() if v.causality == "structuralParameter"]
-    numbers = [v for n, v in variables.items() if n not in texts and v not in structure]
     outputs = recorded or experiment.recorded
     experiment = replace(
         experiment, inputs=tuple(_held_if_discrete(description, each) for each in experiment.inputs)
     )
     grid = build_grid(experiment, outputs)
-
-    def array_starts(variable: ModelVariable) -> list[float]:
-        if variable.size == 1:
-            return [variable.start or 0.0]
-        own = (variable.reference, variable.type)
-        found = [v for v in description.variables.values() if (v.reference, v.type) == own]
-        starts = {v.element: v.start or 0.0 for v in found}
-        return [starts.get(e, 0.0) for e in range(variable.size)]
-
-    def look_up(names: Sequence[str]) -> list[ModelVariable]:
-        return [description.variable(n, where) for n in names]
-
-    inputs = look_up([each.variable for each in experiment.inputs])
+    starts, known_values, string_memory = _start_values(model, description, experiment)
+    array_starts = partial(_array_starts, description)
+    inputs = [description.variable(each.variable, where) for each in experiment.inputs]
     continuous_inputs = [v if v.is_continuous else None for v in inputs]
-    first = len(model.parameters) + len(numbers)
     return BoundExperiment(
         grid=grid,
         communication=communication_points(model, description, experiment, outputs, grid.times),
         outputs=outputs,
-        starts=StartValues(
-            structure=variable_access([*[None] * first, *structure], array_starts),
-            numbers=variable_access([*look_up(model.parameters), *numbers], array_starts),
-            strings=np.array([variables[n].reference for n in texts], np.uint32),
-            texts=(string_memory := _texts(list(texts.values())))[0],
-        ),
+        starts=starts,
         references=VariableReferences(
             inputs=variable_access(inputs, array_starts),
             continuous_inputs=variable_access(continuous_inputs, array_starts),
-            outputs=variable_access(look_up(outputs), array_starts),
+            outputs=variable_access(
+                [description.variable(n, where) for n in outputs], array_starts
+            ),
         ),
-        known_values=np.array([float(given[v.name]) for v in [*numbers, *structure]], np.float64),
-        string_memory=string_memory[1],
+        known_values=known_values,
+        string_memory=string_memory,
     )
+
+
+def _start_values(
+    model: Model, description: ModelDescription, experiment: Experiment
+) -> tuple[StartValues, FloatArray, IntArray]:
+    """Return what is set before a simulation, known values, and the memory of strings."""
+    where = f"experiment {experiment.id!r}"
+    given = {n: v for n, v in experiment.values if n not in model.parameters}
+    variables = {n: description.variable(n, where) for n in given}
+    texts = {n: str(given[n]) for n, v in variables.items() if v.kind == "string"}
+    structure = [v for v in variables.values() if v.causality == "structuralParameter"]
+    numbers = [v for n, v in variables.items() if n not in texts and v not in structure]
+    parameters = [description.variable(n, where) for n in model.parameters]
+    array_starts = partial(_array_starts, description)
+    addresses, memory = _texts(list(texts.values()))
+    starts = StartValues(
+        structure=variable_access(
+            [*[None] * (len(parameters) + len(numbers)), *structure], array_starts
+        ),
+        numbers=variable_access([*parameters, *numbers], array_starts),
+        strings=np.array([variables[n].reference for n in texts], np.uint32),
+        texts=addresses,
+    )
+    values = [float(given[v.name]) for v in [*numbers, *structure]]
+    return starts, np.array(values, np.float64), memory
+
+
+def _array_starts(description: ModelDescription, variable: ModelVariable) -> list[float]:
+    """Return the start values of all elements of the array that a variable is of."""
+    if variable.size == 1:
+        return [variable.start or 0.0]
+    own = (variable.reference, variable.type)
+    found = [v for v in description.variables.values() if (v.reference, v.type) == own]
+    starts = {v.element: v.start or 0.0 for v in found}
+    return [starts.get(e, 0.0) for e in range(variable.size)]
 
 
 def _held_if_discrete(description: ModelDescription, given: Input) -> Input:

@@ -45,11 +45,11 @@ class CommunicationPoints:
     fractions: FloatArray
     linear: IntArray
 
-    def interpolate(self, records: FloatArray) -> FloatArray:
+    def interpolate(self, outputs: FloatArray) -> FloatArray:
         """Interpolate outputs, (points, m, recorded), at the experiment's n times."""
-        values = records[:, self.before]
+        values = outputs[:, self.before]
         between = np.flatnonzero(self.fractions > 0.0)
-        first, second = records[:, self.before[between]], records[:, self.after[between]]
+        first, second = outputs[:, self.before[between]], outputs[:, self.after[between]]
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is said of outputs
             interpolated = first + self.fractions[between, None] * (second - first)
         values[:, between] = np.where(self.linear, interpolated, first)
@@ -89,14 +89,13 @@ def communication_points(
     first = np.where(on_point, nearest, np.floor(elapsed_steps))
     last = np.where(on_point, nearest, first + 1.0)
     counts = np.unique(np.concatenate([first, last]))
-    points = experiment.start + counts * step
-    sample_times = (
-        points.copy()
-    )  # an input that jumps at such a time has jumped, however it is rounded
+    grid_times = experiment.start + counts * step
+    # an input that jumps at such a time has jumped, however it is rounded
+    sample_times = grid_times.copy()
     sample_times[np.searchsorted(counts, nearest[on_point])] = times[on_point]
     max_interval = float(np.diff(counts).max(initial=1.0))
     return CommunicationPoints(
-        grid=on_times(experiment, sample_times)._replace(times=points),
+        grid=on_times(experiment, sample_times)._replace(times=grid_times),
         step=step,
         max_step=step * (1.0 + 0.5 / max_interval),
         before=np.searchsorted(counts, first),
@@ -116,13 +115,13 @@ def communication_notes(
     ModelError
         As `communication_points`.
     """
-    values: dict[float, list[str]] = {}
+    found: dict[float, list[str]] = {}
     for experiment in experiments:
         times = build_grid(experiment).times
         points = communication_points(model, description, experiment, experiment.recorded, times)
         if points is not None and points.fractions.any():
-            values.setdefault(points.step, []).append(experiment.id)
-    return tuple(_note(description.file, step, names) for step, names in values.items())
+            found.setdefault(points.step, []).append(experiment.id)
+    return tuple(_note(description.file, step, names) for step, names in found.items())
 
 
 def _note(file: str, step: float, names: Sequence[str]) -> str:

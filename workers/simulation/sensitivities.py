@@ -108,28 +108,22 @@ class SensitivitySource:
         `kinds` are those of `parameter_kinds`; `handle` is that of the instance that simulates.
         """
         chosen = np.flatnonzero(kinds != NOT_AVAILABLE)
-        states, outputs = (
-            self._references(self._description.states),
-            self._references(bound.outputs),
-        )
+        states = self._references(self._description.states)
+        outputs = self._references(bound.outputs)
         parameters = self._references(self._model.parameters)
         n, y = len(states), len(outputs)
         is_state = [int(np.flatnonzero(states == r)[0]) if r in states else -1 for r in outputs]
         output_positions = np.array([i for i, state in enumerate(is_state) if state < 0], np.int64)
         nodes, weights, finals = TABLEAUS[self._model.solver.name]
-        handles = np.full((len(chosen), 2), handle, np.int64)
-        instances = iter(self._perturbed)
-        for values in np.flatnonzero(kinds[chosen] == DIFFERENCES):
-            handles[values] = [next(instances).component.handle for _ in range(2)]
         widest = max(n, len(output_positions))
         forward = ForwardSensitivities(
             kinds=kinds[chosen],
             references=parameters[chosen],
             positions=chosen,
-            handles=handles,
+            handles=self._handles(kinds[chosen], handle),
             values=self._perturbed_values(point)[chosen],
-            derivative_references=np.array(
-                [self._derivatives()[s].reference for s in self._description.states], "u4"
+            derivative_references=self._references(
+                tuple(self._derivatives()[s].name for s in self._description.states)
             ),
             output_references=outputs[output_positions],
             output_positions=output_positions,
@@ -148,6 +142,14 @@ class SensitivitySource:
             sensitivities=np.zeros((len(bound.grid.times), len(chosen), y)),
         )
         return SensitivityPass(True if self._model.solver.name == "rk4" else None, forward)
+
+    def _handles(self, kinds: IntArray, handle: int) -> IntArray:
+        """Return (parameters, 2) handles of instances, above and below each value."""
+        handles = np.full((len(kinds), 2), handle, np.int64)
+        instances = iter(self._perturbed)
+        for row in np.flatnonzero(kinds == DIFFERENCES):
+            handles[row] = [next(instances).component.handle for _ in range(2)]
+        return handles
 
     def parameter_kinds(
         self,
@@ -220,8 +222,8 @@ class SensitivitySource:
 
     def _derivatives(self) -> dict[str, ModelVariable]:
         """Return the variable that is the derivative of each state."""
-        result = {v.derivative_of: v for v in self._description.variables.values()}
-        return {name: result[name] for name in self._description.states if name in result}
+        found = {v.derivative_of: v for v in self._description.variables.values()}
+        return {name: found[name] for name in self._description.states if name in found}
 
     def _references(self, names: tuple[str, ...]) -> IntArray:
         return np.array([self._description.variables[n].reference for n in names], np.uint32)
