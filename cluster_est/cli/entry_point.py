@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from cluster_est.config.messages import readable
+from cluster_est.cli.terminal_text import readable
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from cluster_est.config.messages import sentences
+from cluster_est.config.messages import error_messages
 from cluster_est.config.overrides import override
 from cluster_est.config.sections.experiment import (
     ColumnSection,
@@ -126,7 +126,7 @@ def parse_config(raw: dict[str, Any], where: str) -> Config:
     try:
         config = Config.model_validate(raw)
     except ValidationError as error:
-        raise ConfigError("\n".join(sentences(error, where, raw, Config))) from None
+        raise ConfigError("\n".join(error_messages(error, where, raw, Config))) from None
     problems = [*_unknown_names(config)]
     problems += _missing_starts(config)
     constrained = bool(config.constraints or config.cost.function)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import sympy as sp
 from sympy.printing.c import C99CodePrinter
@@ -47,7 +48,7 @@ def effects_source(layout: WrapperLayout) -> str:
             f"void effects_inside({read}, double *slopes)", made.locations, made.add_derivatives
         ),
         _inside_rate(layout),
-        *_outputs(layout),
+        *(_output(layout, function) for function in _OUTPUT_FUNCTIONS),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -104,54 +105,70 @@ def _inside_rate(layout: WrapperLayout) -> str:
     return f"{head} {{\n    double fastest;\n{_unused(head)}{body}    return fastest;\n}}"
 
 
-def _outputs(layout: WrapperLayout) -> list[str]:
-    """A function that chooses one of the effects at outputs, for each thing to be known of them."""
-    row = "const double *row, const double *raw, const double *coefficients"
-    heads = {
-        "begin": f"void output_begin(int e, double t, double *states, {row})",
-        "inside": f"void output_inside(int e, double t, const double *states, {row}, "
-        "double *slopes)",
-        "after": f"double output_after(int e, double t, const double *states, {row})",
-        "rate": f"double output_rate(int e, {row})",
-    }
-    made = []
-    for what, head in heads.items():
-        arms = ""
-        for number, i in enumerate(layout.outputs):
-            locations, assignments = _output(layout, i, what)
-            body = _body(locations, assignments, " " * 12)
-            arms += f"        case {number}: {{\n{body}            break;\n        }}\n"
-        gives = what in ("after", "rate")
-        first = "    double result = 0.0;\n" if gives else ""
-        last = "    return result;\n" if gives else ""
-        choice = f"    switch (e) {{\n{arms}        default:\n            break;\n    }}\n"
-        made.append(f"{head} {{\n{first}{_unused(head)}{choice}{last}}}")
-    return made
+@dataclass(frozen=True)
+class _OutputFunction:
+    """A C function over all effects at outputs: its head, and what it assigns for one of them.
+
+    `assign` takes the effect and the index of its first own state.
+    """
+
+    head: str
+    assign: Callable[[EffectDefinition, int], list[CAssignment]]
+    returns: bool
 
 
-def _output(
-    layout: WrapperLayout, index: int, what: str
-) -> tuple[SymbolLocations, list[CAssignment]]:
-    definition = layout.effect(index)
-    locations = _output_places(layout, definition, layout.repair.positions[index])
-    first = layout.first_output_state(index)
-    locations |= {s: (EffectArray.STATES, first + i) for i, s in enumerate(definition.states)}
-    if what == "begin":
-        return locations, [
-            CAssignment(EffectArray.STATES, first + i, e) for i, e in enumerate(definition.starts)
-        ]
-    if what == "inside":
-        return locations, [
+_ROW = "const double *row, const double *raw, const double *coefficients"
+_OUTPUT_FUNCTIONS = (
+    _OutputFunction(
+        f"void output_begin(int e, double t, double *states, {_ROW})",
+        lambda effect, first: [
+            CAssignment(EffectArray.STATES, first + i, e) for i, e in enumerate(effect.starts)
+        ],
+        returns=False,
+    ),
+    _OutputFunction(
+        f"void output_inside(int e, double t, const double *states, {_ROW}, double *slopes)",
+        lambda effect, first: [
             CAssignment(EffectArray.DERIVATIVES, first + i, e)
-            for i, e in enumerate(definition.derivatives)
-        ]
-    if what == "after":
-        return locations, [CAssignment(EffectArray.RESULT, -1, definition.equations[0][1])]
-    rates = [abs(rate) for rate in known_rates(definition, definition.uses)]
-    return locations, [CAssignment(EffectArray.RESULT, -1, sp.Max(sp.Integer(0), *rates))]
+            for i, e in enumerate(effect.derivatives)
+        ],
+        returns=False,
+    ),
+    _OutputFunction(
+        f"double output_after(int e, double t, const double *states, {_ROW})",
+        lambda effect, _: [CAssignment(EffectArray.RESULT, -1, effect.equations[0][1])],
+        returns=True,
+    ),
+    _OutputFunction(
+        f"double output_rate(int e, {_ROW})",
+        lambda effect, _: [CAssignment(EffectArray.RESULT, -1, _fastest(effect))],
+        returns=True,
+    ),
+)
 
 
-def _output_places(
+def _fastest(effect: EffectDefinition) -> sp.Expr:
+    """Return the fastest rate of its own states."""
+    rates = [abs(rate) for rate in known_rates(effect, effect.uses)]
+    return sp.Max(sp.Integer(0), *rates)
+
+
+def _output(layout: WrapperLayout, function: _OutputFunction) -> str:
+    """Return a function that chooses one of the effects at outputs by its number."""
+    arms = ""
+    for number, i in enumerate(layout.outputs):
+        effect, first = layout.effect(i), layout.first_output_state(i)
+        locations = _output_locations(layout, effect, layout.repair.positions[i])
+        locations |= {s: (EffectArray.STATES, first + n) for n, s in enumerate(effect.states)}
+        body = _body(locations, function.assign(effect, first), " " * 12)
+        arms += f"        case {number}: {{\n{body}            break;\n        }}\n"
+    declared = "    double result = 0.0;\n" if function.returns else ""
+    last = "    return result;\n" if function.returns else ""
+    choice = f"    switch (e) {{\n{arms}        default:\n            break;\n    }}\n"
+    return f"{function.head} {{\n{declared}{_unused(function.head)}{choice}{last}}}"
+
+
+def _output_locations(
     layout: WrapperLayout, definition: EffectDefinition, position: int
 ) -> SymbolLocations:
     locations: SymbolLocations = {

@@ -13,10 +13,10 @@ from pathlib import Path
 from cluster_est.cli.printing import read_facts
 from cluster_est.errors import RunFolderError
 from cluster_est.report.activity import ActivityTail, FailureGroup
+from cluster_est.report.folder import RUNNING
 from cluster_est.report.page import write_report
 from cluster_est.run_folder.progress_file import PROGRESS, IterationLine, ProgressTail, RunState
 
-RUNNING = "running"
 RATE_SECONDS = 15.0
 """Over which the rate of simulations is taken."""
 HTML_SECONDS = 5.0

@@ -36,7 +36,7 @@ LOG_FROM = 10.0
 """Ratio of the costs beyond which their axis is logarithmic."""
 
 
-def course(run: ReportedRun) -> ReportSection:
+def search(run: ReportedRun) -> ReportSection:
     """Everything about the search that the folder holds."""
     blocks = [*_convergence(run), *_starts(run), *_profiles(run), *_front(run)]
     return ReportSection("course", "How the search went", tuple(blocks))
