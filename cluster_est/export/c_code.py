@@ -30,7 +30,7 @@ class _CPrinter(C99CodePrinter):  # type: ignore[misc]
 
 def effects_source(layout: WrapperLayout) -> str:
     """The file effects.c."""
-    made = layout.equations
+    equations = layout.equations
     begin = "void effects_begin(double t, double *states, const double *raw, "
     begin += "const double *coefficients, const double *base)"
     read = "double t, const double *states, const double *raw, const double *coefficients, "
@@ -38,16 +38,18 @@ def effects_source(layout: WrapperLayout) -> str:
     parts = [
         "/* Printed from the effects of the run; see documentation/README.md. */",
         '#include "effects.h"\n\n#include <math.h>',
-        _function(begin, made.locations, made.start_states),
+        _function(begin, equations.locations, equations.start_states),
         _function(
             f"void effects_before({read}, double *edited, double *varied)",
-            made.locations,
-            made.modify_inputs,
+            equations.locations,
+            equations.modify_inputs,
         ),
         _function(
-            f"void effects_inside({read}, double *slopes)", made.locations, made.add_derivatives
+            f"void effects_inside({read}, double *slopes)",
+            equations.locations,
+            equations.add_derivatives,
         ),
-        _inside_rate(layout),
+        _inner_rate(layout),
         *(_output(layout, function) for function in _OUTPUT_FUNCTIONS),
     ]
     return "\n\n".join(parts) + "\n"
@@ -96,9 +98,9 @@ def _inline(value: sp.Expr) -> str:
     return " ".join(_CPrinter().doprint(value).split())
 
 
-def _inside_rate(layout: WrapperLayout) -> str:
+def _inner_rate(layout: WrapperLayout) -> str:
     """The fastest rate of own states, as far as it depends on coefficients alone."""
-    rates = [abs(rate) for i in layout.inside for rate in known_rates(layout.effect(i), ())]
+    rates = [abs(rate) for i in layout.inner for rate in known_rates(layout.effect(i), ())]
     fastest = CAssignment(EffectArray.FASTEST, -1, sp.Max(sp.Integer(0), *rates))
     head = "double effects_rate(const double *coefficients)"
     body = _body(layout.equations.locations, [fastest])

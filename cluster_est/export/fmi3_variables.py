@@ -43,14 +43,14 @@ class FlatDescription:
     ----------
     description
         With references of the exported FMU.
-    places
+    translated
         In the order of their first references.
     left_out
         Names of variables that FMI 2.0 cannot express.
     """
 
     description: ModelDescription
-    places: tuple[TranslatedVariable, ...] = ()
+    translated: tuple[TranslatedVariable, ...] = ()
     left_out: tuple[str, ...] = ()
 
 
@@ -71,7 +71,7 @@ def flatten(description: ModelDescription, structure: Mapping[str, int]) -> Flat
         groups.setdefault(variable.reference, []).append(variable)
     free = 1 + max(groups, default=0)
     kept: dict[str, ModelVariable] = {}
-    places, left_out = [], list[str]()
+    translated, left_out = [], list[str]()
     for reference, group in groups.items():
         own = [v for v in group if v.alias_of is None]
         if not _expressible(own):
@@ -82,13 +82,15 @@ def flatten(description: ModelDescription, structure: Mapping[str, int]) -> Flat
         free += one.size if one.size > 1 else 0
         if one.size > 1 or one.type not in _SAME:
             starts = tuple(v.start or 0.0 for v in own) if one.size > 1 and one.settable else ()
-            places.append(TranslatedVariable(first, one.size, one.type, reference, starts))
+            translated.append(TranslatedVariable(first, one.size, one.type, reference, starts))
         for v in group:
             start = structure.get(v.name, v.start)
             kept[v.name] = replace(v, reference=first + v.element, start=start)
     ordered = {name: kept[name] for name in description.variables if name in kept}
-    places.sort(key=lambda place: place.first)
-    return FlatDescription(replace(description, variables=ordered), tuple(places), tuple(left_out))
+    translated.sort(key=lambda each: each.first)
+    return FlatDescription(
+        replace(description, variables=ordered), tuple(translated), tuple(left_out)
+    )
 
 
 def _expressible(elements: list[ModelVariable]) -> bool:
