@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluster_est.config.build import (
-    build_method,
+from cluster_est.config.build import build_problem
+from cluster_est.config.options import build_method
+from cluster_est.config.reader import Config, read_config
+from cluster_est.config.settings import (
     build_multistart,
-    build_problem,
     build_resources,
     build_settings,
     build_uncertainty,
 )
-from cluster_est.config.reader import Config, read_config
 from cluster_est.errors import BudgetError, ProblemError
 from cluster_est.fit import FitPlan, check_search, fit_in
 from cluster_est.problem.space import make_space

@@ -138,7 +138,7 @@ def prepare_c(
     component = simulator.instance.component
     addresses = component._asdict()
     fmu = CFmu(*[addresses[name] for name in FUNCTIONS])
-    ready = simulator.installed(0)
+    ready = simulator.bound_experiment(0)
     times, force = signals()
     outputs = np.zeros(COUNT)
     states = 2

@@ -24,8 +24,9 @@ from closed_loop_benchmark.scenarios import all_scenarios
 import cluster_est as ce
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.loop import close_loop
-from cluster_est.config.build import build_problem, build_settings
+from cluster_est.config.build import build_problem
 from cluster_est.config.reader import read_config
+from cluster_est.config.settings import build_settings
 
 
 def main() -> None:

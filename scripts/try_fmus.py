@@ -192,7 +192,7 @@ def on_times(table: Array, given: Trial) -> Array:
     """The reference at the compared times; between its own times as the project promises it."""
     columns: list[Array] = []
     for name, column in zip(given.outputs, table[:, 1:].T, strict=True):
-        moves = given.description.variables[name].moves
+        moves = given.description.variables[name].is_continuous
         columns.append(_between(table[:, 0], column, given.times, moves))
     return np.column_stack(columns)
 

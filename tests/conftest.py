@@ -88,9 +88,10 @@ def fmpy_prints() -> Iterator[None]:
     from fmpy.logging import addLoggerProxy
 
     import workers.fmu.instance
+    import workers.fmu.logger
 
     theirs = fmpy.fmi2.fmi2CallbackFunctions()
     theirs.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(fmpy.fmi2.printLogMessage)
     addLoggerProxy(byref(theirs))
     yield
-    workers.fmu.instance._callbacks = workers.fmu.instance._make_callbacks()
+    workers.fmu.instance.CALLBACKS = workers.fmu.logger.make_callbacks()

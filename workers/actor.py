@@ -1,4 +1,4 @@
-"""The thin Ray shell around a guarded evaluator."""
+"""A Ray actor around a supervised evaluator."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class FmuActor:
     def __init__(
         self, model: Model, experiments: tuple[Experiment, ...], limits: Limits, name: str
     ) -> None:
-        self._guard = SupervisedEvaluator(model, experiments, name, limits)
+        self._evaluator = SupervisedEvaluator(model, experiments, name, limits)
 
     def ready(self) -> bool:
         """Return once the FMU is loaded; raise what went wrong otherwise."""
@@ -24,4 +24,4 @@ class FmuActor:
 
     def evaluate(self, batch: TaskBatch) -> OutcomeColumns:
         """Answer a batch of tasks."""
-        return OutcomeColumns.of(self._guard.evaluate(batch))
+        return OutcomeColumns.of(self._evaluator.evaluate(batch))

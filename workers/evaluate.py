@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,11 +22,11 @@ from workers.messages import (
     Trajectory,
     Want,
 )
-from workers.residuals.base import SimulatedBatch
+from workers.residuals.base import SimulatedOutputs
 from workers.residuals.experiment import BatchComparison, ExperimentComparison
 from workers.residuals.reduce import reduce_residuals
+from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment
-from workers.simulation.integrator import SimulationBatch
 from workers.simulation.simulator import Simulator
 from workers.wire import TaskBatch
 
@@ -38,7 +38,7 @@ TOO_LARGE = 1e100
 
 
 class Evaluator:
-    """Everything that one worker needs to answer tasks: a loaded FMU and its experiments.
+    """A loaded FMU and its experiments, with which one worker answers tasks.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Evaluator:
         self._simulator = Simulator(model, description, tuple(experiments))
         self.experiments = self._experiments = tuple(experiments)
         self._comparisons = [
-            ExperimentComparison(e, self._simulator.installed(i).grid, model.parameters)
+            ExperimentComparison(e, self._simulator.bound_experiment(i).grid, model.parameters)
             for i, e in enumerate(experiments)
         ]
         self._name = name
@@ -74,7 +74,7 @@ class Evaluator:
 
     @property
     def simulator(self) -> Simulator:
-        """What it simulates with, once it is loaded."""
+        """The simulator, once it is loaded."""
         return self._simulator
 
     def load(self) -> None:
@@ -104,92 +104,99 @@ class Evaluator:
 
     def _parts(self, experiment: int, chosen: IntArray) -> list[IntArray]:
         """Cut a batch so that its outputs fit into memory."""
-        ready = self._simulator.installed(experiment)
-        size = max(1, len(ready.grid.times) * len(ready.outputs))
+        bound = self._simulator.bound_experiment(experiment)
+        size = max(1, len(bound.grid.times) * len(bound.outputs))
         most = max(1, MAX_VALUES // size)
         return [chosen[first : first + most] for first in range(0, len(chosen), most)]
 
     def _simulate(
         self, experiment: int, ids: IntArray, values: FloatArray, batch: TaskBatch
     ) -> list[Outcome]:
-        ready = self._simulator.installed(experiment)
-        begin = time.perf_counter()
-        ways = {
+        bound = self._simulator.bound_experiment(experiment)
+        start = time.perf_counter()
+        simulations = {
             "linearisation": self._simulator.linearise,
             "sensitivities": self._simulator.sensitivities,
         }
-        record = ways.get(batch.want, self._simulator.run)(experiment, values, batch.effects)
-        simulated = SimulatedBatch(ready.grid.times, ready.outputs, record.outputs, values)
-        judged = self._comparisons[experiment].judge(simulated)
-        seconds = (time.perf_counter() - begin) / len(ids)
+        result = simulations.get(batch.want, self._simulator.run)(experiment, values, batch.effects)
+        simulated = SimulatedOutputs(bound.grid.times, bound.outputs, result.outputs, values)
+        comparison = self._comparisons[experiment].compare(simulated)
+        seconds = (time.perf_counter() - start) / len(ids)
+        evaluation = _BatchEvaluation(bound, result, comparison, batch.want)
         outcomes = [
-            self._outcome(task, ready, record, p, judged, batch.want, seconds)
+            replace(evaluation.outcome(task, p), seconds=seconds, worker=self._name)
             for p, task in enumerate(ids.tolist())
         ]
         if batch.want == "sensitivities":
             return [
-                self._with_slopes(experiment, simulated, record, p, outcome)
+                self._with_sensitivities(experiment, simulated, result, p, outcome)
                 for p, outcome in enumerate(outcomes)
             ]
         if batch.want not in REDUCTIONS:
             return outcomes
         return [_reduced(self._experiments[experiment], o, batch.want) for o in outcomes]
 
-    def _with_slopes(
+    def _with_sensitivities(
         self,
         experiment: int,
-        simulated: SimulatedBatch,
-        record: SimulationBatch,
+        simulated: SimulatedOutputs,
+        result: SimulationBatch,
         p: int,
         outcome: Outcome,
     ) -> Outcome:
-        """The same with derivatives by the parameters, or why it has none."""
+        """Add derivatives by the parameters to an outcome, or the reason why it has none."""
         if not outcome.ok:
             return outcome
-        if p not in record.slopes:
-            return replace(outcome, message=record.messages[p])
+        if p not in result.sensitivities:
+            return replace(outcome, message=result.messages[p])
         one = slice(p, p + 1)
-        alone = replace(simulated, record=simulated.record[one], values=simulated.values[one])
-        slopes = self._comparisons[experiment].slopes(alone, record.slopes[p])
-        return replace(outcome, sensitivities=slopes)
+        alone = replace(simulated, outputs=simulated.outputs[one], values=simulated.values[one])
+        jacobian = self._comparisons[experiment].jacobian(alone, result.sensitivities[p])
+        return replace(outcome, sensitivities=jacobian)
 
-    def _outcome(
-        self,
-        task: int,
-        ready: BoundExperiment,
-        record: SimulationBatch,
-        p: int,
-        judged: BatchComparison,
-        want: Want,
-        seconds: float,
-    ) -> Outcome:
-        found = np.concatenate([judged.residuals[p], judged.constraints[p]])
-        finite = (np.abs(found) < TOO_LARGE).all()  # no number is not less
-        if record.codes[p] != failure.FINISHED:
-            status, message = Status.SOLVER_FAILURE, record.messages[p]
-        elif p in judged.failures:
-            reason = judged.failures[p] or _where_not_finite(ready, record.outputs[p])
-            status, message = Status.NOT_FINITE, reason
-        elif not finite:
-            status, message = Status.NOT_FINITE, _where_not_finite(ready, record.outputs[p])
-        elif (said := _where_not_linear(record.linearisations.get(p))) is not None:
-            status, message = Status.NOT_FINITE, said
-        else:
-            wanted = want == "trajectory"
-            trajectory = (
-                Trajectory(ready.outputs, ready.grid.times, record.outputs[p]) if wanted else None
+
+@dataclass(frozen=True)
+class _BatchEvaluation:
+    """A batch of simulations of one experiment, with residuals and constraints."""
+
+    bound: BoundExperiment
+    result: SimulationBatch
+    comparison: BatchComparison
+    want: Want
+
+    def outcome(self, task: int, p: int) -> Outcome:
+        """Make the outcome of one point."""
+        failed = self._failure(p)
+        if failed is not None:
+            status, message = failed
+            return Outcome(task, status, message=message)
+        trajectory = None
+        if self.want == "trajectory":
+            trajectory = Trajectory(
+                self.bound.outputs, self.bound.grid.times, self.result.outputs[p]
             )
-            return Outcome(
-                task,
-                Status.OK,
-                judged.residuals[p],
-                trajectory,
-                seconds=seconds,
-                worker=self._name,
-                linearisation=record.linearisations.get(p),
-                constraints=judged.constraints[p],
-            )
-        return Outcome(task, status, message=message, seconds=seconds, worker=self._name)
+        return Outcome(
+            task,
+            Status.OK,
+            self.comparison.residuals[p],
+            trajectory,
+            linearisation=self.result.linearisations.get(p),
+            constraints=self.comparison.constraints[p],
+        )
+
+    def _failure(self, p: int) -> tuple[Status, str] | None:
+        """Return the status and message of a point that failed, None for another."""
+        result, comparison = self.result, self.comparison
+        if result.codes[p] != failure.FINISHED:
+            return Status.SOLVER_FAILURE, result.messages[p]
+        if p in comparison.failures:
+            message = comparison.failures[p] or _where_not_finite(self.bound, result.outputs[p])
+            return Status.NOT_FINITE, message
+        values = np.concatenate([comparison.residuals[p], comparison.constraints[p]])
+        if not (np.abs(values) < TOO_LARGE).all():  # no number is not less
+            return Status.NOT_FINITE, _where_not_finite(self.bound, result.outputs[p])
+        not_linear = _where_not_linear(result.linearisations.get(p))
+        return None if not_linear is None else (Status.NOT_FINITE, not_linear)
 
 
 def _reduced(experiment: Experiment, outcome: Outcome, want: Want) -> Outcome:
@@ -198,28 +205,28 @@ def _reduced(experiment: Experiment, outcome: Outcome, want: Want) -> Outcome:
     return replace(outcome, residuals=reduce_residuals(outcome.residuals, experiment.counts, want))
 
 
-def _where_not_finite(ready: BoundExperiment, outputs: FloatArray) -> str:
+def _where_not_finite(bound: BoundExperiment, outputs: FloatArray) -> str:
     if np.isfinite(outputs).all():
         return "the outputs are finite but too large for their residuals or constraints"
     row, column = np.argwhere(~np.isfinite(outputs))[0]
     return (
-        f"output {ready.outputs[column]!r} is {outputs[row, column]} from "
-        f"t = {ready.grid.times[row]:.9g} s on"
+        f"output {bound.outputs[column]!r} is {outputs[row, column]} from "
+        f"t = {bound.grid.times[row]:.9g} s on"
     )
 
 
 def _where_not_linear(found: Linearisation | None) -> str | None:
-    """A sentence if a derivative is not finite."""
+    """Return a message if a derivative is not finite."""
     if found is None:
         return None
-    slopes, outputs = tuple(f"der({name})" for name in found.state_names), found.output_names
+    derivatives = tuple(f"der({name})" for name in found.state_names)
     named = [
-        (found.A, slopes, found.state_names),
-        (found.B, slopes, found.input_names),
-        (found.P, slopes, found.parameter_names),
-        (found.C, outputs, found.state_names),
-        (found.D, outputs, found.input_names),
-        (found.Q, outputs, found.parameter_names),
+        (found.A, derivatives, found.state_names),
+        (found.B, derivatives, found.input_names),
+        (found.P, derivatives, found.parameter_names),
+        (found.C, found.output_names, found.state_names),
+        (found.D, found.output_names, found.input_names),
+        (found.Q, found.output_names, found.parameter_names),
     ]
     for matrix, rows, names in named:
         if not np.isfinite(matrix).all():

@@ -27,7 +27,7 @@ class SignalGrid(NamedTuple):
     jumps : (n,)
         Whether a held input jumps at this time.
     gather : (k,)
-        Where each measured value's simulated one stands in the flattened (n, recorded) record.
+        Index of each measured value's simulated one in the flattened (n, recorded) outputs.
     measured : (k,)
         Measured values, output after output.
     sigmas : (k,)
@@ -44,18 +44,18 @@ class SignalGrid(NamedTuple):
 
 
 def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> SignalGrid:
-    """Lay an experiment's inputs, signals, measured times and constraints' times on one grid.
+    """Make one grid of an experiment's inputs, signals, measured times and constraints' times.
 
-    `recorded` are the variables that a record has columns for; the experiment's own if empty.
+    `recorded` are the variables that are recorded; the experiment's own if empty.
     """
     recorded = recorded or experiment.recorded
     start, stop = experiment.start, experiment.stop
-    driving = (*experiment.inputs, *experiment.signals)
-    knots = [given.times for given in driving]
-    knots += [output.times for output in experiment.outputs]
-    knots += [bound.times for bound in experiment.bounds]
-    knots += [experiment.curve.times] if experiment.curve is not None else []
-    times = np.unique(np.concatenate([*knots, [start, stop]]))
+    signals = (*experiment.inputs, *experiment.signals)
+    times_of_signals = [signal.times for signal in signals]
+    times_of_signals += [output.times for output in experiment.outputs]
+    times_of_signals += [bound.times for bound in experiment.bounds]
+    times_of_signals += [experiment.curve.times] if experiment.curve is not None else []
+    times = np.unique(np.concatenate([*times_of_signals, [start, stop]]))
     times = times[(times >= start) & (times <= stop)]
     width = len(recorded)
     gather = [
@@ -72,13 +72,13 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
 
 
 def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
-    """Lay an experiment's inputs and signals on any times, with nothing measured."""
-    driving = (*experiment.inputs, *experiment.signals)
-    inputs = [_sample(given, times) for given in driving]
+    """Make a grid of an experiment's inputs and signals at any times, with nothing measured."""
+    signals = (*experiment.inputs, *experiment.signals)
+    inputs = [_sample(signal, times) for signal in signals]
     jumps = np.zeros(len(times), np.bool_)
-    for given, (at, _) in zip(experiment.inputs, inputs, strict=False):
-        if given.interpolation == "hold":
-            jumps[1:] |= at[1:] != at[:-1]
+    for signal, (values, _) in zip(experiment.inputs, inputs, strict=False):
+        if signal.interpolation == "hold":
+            jumps[1:] |= values[1:] != values[:-1]
     return SignalGrid(
         times=times,
         inputs=_columns([value for value, _ in inputs], len(times)),
@@ -90,15 +90,15 @@ def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
     )
 
 
-def _sample(given: Input, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The input at each time of the grid, and its slope in the interval that follows."""
-    if given.interpolation == "linear":
-        at = np.interp(times, given.times, given.values)
+def _sample(signal: Input, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the input at each time of the grid, and its slope in the interval that follows."""
+    if signal.interpolation == "linear":
+        values = np.interp(times, signal.times, signal.values)
         with np.errstate(over="ignore", invalid="ignore"):  # absurd slopes fail as simulations
-            return at, np.append(np.diff(at) / np.diff(times), 0.0)
-    latest = np.searchsorted(given.times, times, side="right") - 1
-    at = given.values[np.maximum(latest, 0)]
-    return at, np.zeros_like(at)
+            return values, np.append(np.diff(values) / np.diff(times), 0.0)
+    latest = np.searchsorted(signal.times, times, side="right") - 1
+    values = signal.values[np.maximum(latest, 0)]
+    return values, np.zeros_like(values)
 
 
 def _columns(columns: list[FloatArray], rows: int) -> FloatArray:

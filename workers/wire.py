@@ -1,4 +1,4 @@
-"""Tasks and outcomes on their way between machines: as columns, which are cheap to send."""
+"""Tasks and outcomes as columns, which are cheap to send between machines."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from workers.messages import (
 
 @dataclass(frozen=True)
 class TaskBatch:
-    """Tasks on their way to a worker, as columns: cheap to send.
+    """Tasks for a worker, as columns.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class TaskBatch:
 
 @dataclass(frozen=True)
 class OutcomeColumns:
-    """Outcomes on their way back, as columns: one array to send instead of one for each outcome.
+    """Outcomes of a worker, as columns: one array to send instead of one for each outcome.
 
     Attributes
     ----------

@@ -11,8 +11,8 @@ from rich.console import Console
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.preflight_printing import print_page
 from cluster_est.cli.printing import print_check, print_model, say
-from cluster_est.config.build import build_resources
 from cluster_est.config.reader import Config
+from cluster_est.config.settings import build_resources
 from cluster_est.configured_run import read_run
 from cluster_est.drafting import draft, unit_mismatches, write
 from cluster_est.errors import ConfigError, ModelError

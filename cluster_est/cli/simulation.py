@@ -12,8 +12,9 @@ import pyarrow.parquet
 from rich.console import Console
 
 from cluster_est.cli.exit_codes import ExitCode
-from cluster_est.config.build import build_problem, build_resources
+from cluster_est.config.build import build_problem
 from cluster_est.config.reader import read_config
+from cluster_est.config.settings import build_resources
 from cluster_est.errors import RunFolderError
 from cluster_est.fit import simulate as run_simulate
 from cluster_est.problem.problem import Problem

@@ -2,48 +2,29 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.config.constraints import check_signals, parameter_constraints
 from cluster_est.config.effects import build_effects
 from cluster_est.config.experiments import build_experiments
 from cluster_est.config.messages import shown
+from cluster_est.config.options import build_cost
 from cluster_est.config.reader import Config, ParameterSection, read_config
 from cluster_est.config.reading import find_file
 from cluster_est.config.user_code import UserCode
-from cluster_est.costs import ALIASES as COST_ALIASES
-from cluster_est.costs import COSTS, Cost
-from cluster_est.costs.total import TotalCost
-from cluster_est.errors import ConfigError, EffectError, ModelError
-from cluster_est.methods import ALIASES, METHODS, Method
+from cluster_est.errors import ConfigError, ModelError
 from cluster_est.problem.problem import Parameter, Problem
-from cluster_est.running.multistart import Multistart
-from cluster_est.running.resources import Resources
-from cluster_est.running.runner import Budget
-from cluster_est.uncertainty import UncertaintySettings
-from workers.effects.site import parse_site
-from workers.fmu.description import ModelDescription, describe, nearest
+from workers.fmu.description import ModelDescription, describe
 from workers.fmu.variable import ModelVariable
 from workers.messages import (
     Interface,
-    Limits,
     Model,
     Solver,
     SolverName,
     Value,
 )
-
-_OPTION_TYPES: dict[Any, tuple[Any, str]] = {
-    float: ((int, float), "a number"),
-    int: (int, "a whole number"),
-    bool: (bool, "true or false"),
-    str: (str, "text in quotes"),
-}
 
 
 def read_problem(
@@ -105,44 +86,6 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     return problem
 
 
-def build_method(config: Config) -> Method:
-    """The method with its options.
-
-    Raises
-    ------
-    ConfigError
-        If an option is unknown or of the wrong kind.
-    """
-    name = ALIASES.get(config.method.name, config.method.name)
-    return _with_options(METHODS[name], config.method.options, "method.options")
-
-
-def build_cost(config: Config) -> Cost:
-    """The cost with its options; likewise."""
-    name = COST_ALIASES.get(config.cost.name, config.cost.name)
-    if name == TotalCost.name and not config.cost.function:
-        raise ConfigError(
-            f'cost.name: "{name}" needs a function that returns one number but cost.function is '
-            "missing; add it, or choose another cost"
-        )
-    return _with_options(COSTS[name], config.cost.options, "cost.options")
-
-
-Kind = TypeVar("Kind", bound=Method | Cost)
-
-
-def _with_options(kind: type[Kind], options: dict[str, Any], where: str) -> Kind:
-    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    hints = get_type_hints(kind)
-    for key, value in options.items():
-        if key not in fields:
-            raise ConfigError(
-                f"{where}.{key}: {kind.name} has no such option{nearest(key, fields)}"
-            )
-        _check_option(f"{where}.{key}", value, hints[key], fields[key].metadata.get("least"))
-    return kind(**options)
-
-
 def _parameter(name: str, section: ParameterSection) -> Parameter:
     return Parameter(
         name=name,
@@ -157,81 +100,6 @@ def _parameter(name: str, section: ParameterSection) -> Parameter:
         expression=section.expression,
         auxiliary=section.auxiliary,
     )
-
-
-def build_settings(config: Config) -> LoopSettings:
-    """Thresholds and sizes of a closed loop.
-
-    Raises
-    ------
-    ConfigError
-        If a site cannot be read.
-    """
-    section = config.closed_loop
-    try:
-        sites = [str(parse_site(text, "closed_loop.sites")) for text in section.sites]
-    except EffectError as error:
-        raise ConfigError(str(error)) from None
-    return LoopSettings(
-        forms=tuple(section.effects),
-        sites=tuple(sites),
-        **section.model_dump(exclude={"effects", "sites", "seed"}),
-    )
-
-
-def build_multistart(config: Config) -> Multistart:
-    """From how many starts."""
-    section = config.multistart
-    return Multistart(
-        n=section.n,
-        sampler=section.sampler,
-        points=tuple(section.points),
-        screen=section.screen,
-        at_once=section.at_once,
-        patience=section.patience,
-        same=section.same,
-        seed=section.seed,
-    )
-
-
-def build_uncertainty(config: Config) -> UncertaintySettings:
-    """Which intervals are computed by refits."""
-    section = config.uncertainty
-    return UncertaintySettings(
-        profiles=tuple(section.profiles), **section.model_dump(exclude={"profiles"})
-    )
-
-
-def build_resources(config: Config) -> Resources:
-    """Executor and budget."""
-    return Resources(
-        executor=config.executor.name,
-        workers=config.executor.workers,
-        address=config.executor.address,
-        budget=Budget(config.budget.evaluations, config.budget.seconds),
-        limits=_limits(config),
-    )
-
-
-def _limits(config: Config) -> Limits:
-    section = config.executor
-    memory = float("inf") if section.memory is None else section.memory * 2.0**20
-    return Limits(section.timeout, section.patience, memory, section.growth * 2.0**20)
-
-
-def _check_option(where: str, value: Any, hint: Any, least: float | None) -> None:
-    if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            choices = ", ".join(repr(choice) for choice in get_args(hint))
-            raise ConfigError(f"{where}: must be one of {choices} but is {shown(value)}")
-        return
-    allowed, called = _OPTION_TYPES.get(hint, (hint, hint.__name__))
-    if not isinstance(value, allowed) or isinstance(value, bool) is not (hint is bool):
-        raise ConfigError(f"{where}: must be {called} but is {shown(value)}")
-    if hint is not str and not abs(value) < (1e100 if hint is float else 2**63):
-        raise ConfigError(f"{where}: must be finite and of a usual size but is {shown(value)}")
-    if least is not None and not value >= least:
-        raise ConfigError(f"{where}: must be at least {least:g} but is {shown(value)}")
 
 
 def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
@@ -257,7 +125,7 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
         solver,
         targets,
         tuple(structure.items()),
-        renew=config.model.reset,
+        reset=config.model.reset,
     )
 
 

@@ -7,6 +7,7 @@ import math
 from cluster_est.config.reader import CoefficientSection, EffectSection
 from cluster_est.errors import ConfigError
 from cluster_est.problem.problem import Parameter
+from workers.effects.kinds import FormCoefficient
 from workers.fmu.description import nearest
 from workers.messages import Effect
 
@@ -49,28 +50,29 @@ def _build(section: EffectSection) -> tuple[Effect, list[Parameter]]:
                 f"{where}: parameters.{given}: {section.form} has no such coefficient"
                 f"{nearest(given, [c.name for c in known])}"
             )
-    parameters = []
-    for coefficient in known:
-        chosen = section.parameters.get(coefficient.name, CoefficientSection())
-        start = chosen.start if chosen.start is not None else coefficient.neutral
-        if start is None or not math.isfinite(start):
-            raise ConfigError(
-                f"{where}: parameters.{coefficient.name}.start is missing; {coefficient.name} of "
-                f"{section.form or 'an own equation'} has no value to start from by itself"
-            )
-        lowest = 0.0 if coefficient.positive else -math.inf
-        low, high = chosen.bounds if chosen.bounds is not None else (lowest, math.inf)
-        label = f"{name}.{coefficient.name}"
-        parameters.append(
-            Parameter(
-                label,
-                start,
-                low,
-                high,
-                chosen.scale,
-                chosen.fixed,
-                per=chosen.per,
-                unit=chosen.unit,
-            )
+    return effect, [_parameter(section, coefficient, name, where) for coefficient in known]
+
+
+def _parameter(
+    section: EffectSection, coefficient: FormCoefficient, name: str, where: str
+) -> Parameter:
+    """Make the parameter of a coefficient of the effect `name`."""
+    chosen = section.parameters.get(coefficient.name, CoefficientSection())
+    start = chosen.start if chosen.start is not None else coefficient.neutral
+    if start is None or not math.isfinite(start):
+        raise ConfigError(
+            f"{where}: parameters.{coefficient.name}.start is missing; {coefficient.name} of "
+            f"{section.form or 'an own equation'} has no value to start from by itself"
         )
-    return effect, parameters
+    lowest = 0.0 if coefficient.positive else -math.inf
+    low, high = chosen.bounds if chosen.bounds is not None else (lowest, math.inf)
+    return Parameter(
+        f"{name}.{coefficient.name}",
+        start,
+        low,
+        high,
+        chosen.scale,
+        chosen.fixed,
+        per=chosen.per,
+        unit=chosen.unit,
+    )

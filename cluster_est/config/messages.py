@@ -1,4 +1,4 @@
-"""What pydantic finds wrong in a config, as sentences for its author."""
+"""Error messages about a config, in the words of its author."""
 
 from __future__ import annotations
 
@@ -30,26 +30,24 @@ _MUST = {
     "literal_error": "must be {expected}",
 }
 
-LONGEST_LINE = 2000
 
-
-def sentences(
+def error_messages(
     error: ValidationError, where: str, raw: dict[str, Any], root: type[BaseModel]
 ) -> list[str]:
-    """One sentence for each problem: where, what it must be, what it is, what to do.
+    """Return a message for each problem: where, what it must be, what it is, what to do.
 
     Parameters
     ----------
     error
         What pydantic found.
     where
-        Opens each sentence.
+        Opens each message.
     raw
         The config that was checked.
     root
         The class that it was checked against.
     """
-    found = [f"{where}: {_sentence(problem, raw, root)}" for problem in error.errors()]
+    found = [f"{where}: {_message(problem, raw, root)}" for problem in error.errors()]
     return list(dict.fromkeys(found))
 
 
@@ -64,24 +62,7 @@ def shown(value: Any) -> str:
     return text if len(text) < 60 else text[:57] + "..."
 
 
-def readable(text: str) -> str:
-    """A message as a terminal may get it, whatever a file made it quote.
-
-    What is not printable is written out, because a terminal may obey it; a line that nobody would
-    read to its end loses its middle.
-    """
-    return "\n".join(_cut("".join(map(_printable, line))) for line in text.split("\n"))
-
-
-def _printable(letter: str) -> str:
-    return letter if letter.isprintable() else repr(letter)[1:-1]
-
-
-def _cut(line: str) -> str:
-    return line if len(line) <= LONGEST_LINE else f"{line[:1000]} ... {line[-500:]}"
-
-
-def _sentence(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel]) -> str:
+def _message(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel]) -> str:
     parts, kind, value = list(problem["loc"]), problem["type"], problem["input"]
     if kind == "extra_forbidden":
         section, _ = _walk(root, parts[:-1])
@@ -105,7 +86,7 @@ def _sentence(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel])
 
 
 def _advice(kind: str, value: Any, path: str) -> str:
-    """What to do, where that can be told."""
+    """Return what to do, where that is known."""
     if kind == "literal_error" or not isinstance(value, str | dict):
         return ""
     if isinstance(value, dict):

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from cluster_est.config.messages import sentences
+from cluster_est.config.messages import error_messages
 from cluster_est.config.overrides import override
 from cluster_est.config.sections.experiment import (
     ColumnSection,
@@ -126,12 +126,12 @@ def parse_config(raw: dict[str, Any], where: str) -> Config:
     try:
         config = Config.model_validate(raw)
     except ValidationError as error:
-        raise ConfigError("\n".join(sentences(error, where, raw, Config))) from None
+        raise ConfigError("\n".join(error_messages(error, where, raw, Config))) from None
     problems = [*_unknown_names(config)]
     problems += _missing_starts(config)
-    demanded = bool(config.constraints or config.cost.function)
+    constrained = bool(config.constraints or config.cost.function)
     for experiment in config.experiments:
-        problems += _contradictions(experiment, demanded=demanded)
+        problems += _contradictions(experiment, constrained=constrained)
     if problems:
         raise ConfigError("\n".join(f"{where}: {problem}" for problem in problems))
     return config
@@ -160,11 +160,11 @@ def _missing_starts(config: Config) -> Iterator[str]:
             )
 
 
-def _wrong_source(where: str, experiment: ExperimentSection, *, demanded: bool) -> Iterator[str]:
+def _wrong_source(where: str, experiment: ExperimentSection, *, constrained: bool) -> Iterator[str]:
     """Data, times and what is measured, which depend on each other."""
     timed = experiment.outputs or experiment.inputs or experiment.signals
     given = [key for key in ("time", "sample_time") if getattr(experiment, key) is not None]
-    if not experiment.outputs and experiment.curve is None and not demanded:
+    if not experiment.outputs and experiment.curve is None and not constrained:
         yield f"{where}.outputs is missing; add it (FMU output = column), or a curve"
     elif experiment.data is None:
         if timed or experiment.curve is not None or given:
@@ -179,10 +179,10 @@ def _wrong_source(where: str, experiment: ExperimentSection, *, demanded: bool) 
         )
 
 
-def _contradictions(experiment: ExperimentSection, *, demanded: bool) -> Iterator[str]:
-    """What can be seen to be wrong before any file is read."""
+def _contradictions(experiment: ExperimentSection, *, constrained: bool) -> Iterator[str]:
+    """Contradictions within an experiment's section, found before any file is read."""
     where = f"experiments[{experiment.id!r}]"
-    yield from _wrong_source(where, experiment, demanded=demanded)
+    yield from _wrong_source(where, experiment, constrained=constrained)
     for name in experiment.sigma:
         if name not in experiment.outputs:
             yield (

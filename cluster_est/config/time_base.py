@@ -84,7 +84,7 @@ def _at(output: Output, interpolation: Interpolation, wanted: FloatArray) -> Out
 def counted(
     output: Output, first: float, last: float, windows: Sequence[tuple[float, float]]
 ) -> Output:
-    """What of an output counts: from first to last and, if there are any, in a window."""
+    """Keep the samples of an output from first to last and, if there are any, in windows."""
     keep = (output.times >= first) & (output.times <= last)
     if windows:
         inside = [(output.times >= a) & (output.times <= b) for a, b in windows]

@@ -29,8 +29,10 @@ class UserCode:
     allowed: bool
 
     def function(self, text: str, where: str, *, equality: bool = False) -> UserFunction:
-        """Find "module:name": in MODULE.py beside the config, whose text goes to the workers, or
-        in a module that is installed on each of them.
+        """Find the function "module:name".
+
+        It is in MODULE.py beside the config, whose text is sent to the workers, or in a module that
+        is installed on each of them.
 
         Raises
         ------

@@ -59,7 +59,7 @@ class LocalExecutor(WorkerPool):
         address: str | None,
         limits: Limits | None = None,
     ) -> Self:
-        if model.renew == "process":
+        if model.reset == "process":
             raise ExecutorError(
                 'model.reset: "process" needs workers that are processes of their own but '
                 'executor.name is "local"; choose "processes" or "ray" there'

@@ -1,1 +1,1 @@
-"""What a run has found, written for others: a repaired FMU, a parameter set, equations to read."""
+"""Export of a run's findings: a repaired FMU, a parameter set, equations to read."""

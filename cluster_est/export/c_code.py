@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import sympy as sp
 from sympy.printing.c import C99CodePrinter
 
 from cluster_est.export.layout import WrapperLayout
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, known_rates, variable_symbol
-from workers.effects.source import CAssignment
-
-Places = Mapping[sp.Symbol, tuple[str, int]]
+from workers.effects.source import CAssignment, EffectArray, SymbolLocations
 
 
 class _CPrinter(C99CodePrinter):  # type: ignore[misc]
@@ -31,7 +30,7 @@ class _CPrinter(C99CodePrinter):  # type: ignore[misc]
 
 def effects_source(layout: WrapperLayout) -> str:
     """The file effects.c."""
-    made = layout.equations
+    equations = layout.equations
     begin = "void effects_begin(double t, double *states, const double *raw, "
     begin += "const double *coefficients, const double *base)"
     read = "double t, const double *states, const double *raw, const double *coefficients, "
@@ -39,21 +38,25 @@ def effects_source(layout: WrapperLayout) -> str:
     parts = [
         "/* Printed from the effects of the run; see documentation/README.md. */",
         '#include "effects.h"\n\n#include <math.h>',
-        _function(begin, made.places, made.begin),
+        _function(begin, equations.locations, equations.start_states),
         _function(
             f"void effects_before({read}, double *edited, double *varied)",
-            made.places,
-            made.before,
+            equations.locations,
+            equations.modify_inputs,
         ),
-        _function(f"void effects_inside({read}, double *slopes)", made.places, made.inside),
-        _inside_rate(layout),
-        *_outputs(layout),
+        _function(
+            f"void effects_inside({read}, double *slopes)",
+            equations.locations,
+            equations.add_derivatives,
+        ),
+        _inner_rate(layout),
+        *(_output(layout, function) for function in _OUTPUT_FUNCTIONS),
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def _function(header: str, places: Places, assignments: Sequence[CAssignment]) -> str:
-    return f"{header} {{\n{_unused(header)}{_body(places, assignments)}}}"
+def _function(header: str, locations: SymbolLocations, assignments: Sequence[CAssignment]) -> str:
+    return f"{header} {{\n{_unused(header)}{_body(locations, assignments)}}}"
 
 
 def _unused(header: str) -> str:
@@ -61,13 +64,15 @@ def _unused(header: str) -> str:
     return "".join(f"    (void){name};\n" for name in re.findall(r"(\w+)[,)]", header))
 
 
-def _body(places: Places, assignments: Sequence[CAssignment], indent: str = "    ") -> str:
+def _body(
+    locations: SymbolLocations, assignments: Sequence[CAssignment], indent: str = "    "
+) -> str:
     """Statements: the symbols that are used, common parts, and what is assigned in the end."""
     used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
     meaning: dict[sp.Symbol, sp.Symbol] = {TIME: sp.Symbol("t", real=True)}
     lines = []
     for number, symbol in enumerate(sorted(used - {TIME}, key=str)):
-        array, index = places[symbol]
+        array, index = locations[symbol]
         meaning[symbol] = sp.Symbol(f"s{number}", real=True)
         lines.append(f"const double s{number} = {array}[{index}]; /* {_comment(symbol)} */")
     values = [a.value.xreplace(meaning) for a in assignments]
@@ -93,68 +98,89 @@ def _inline(value: sp.Expr) -> str:
     return " ".join(_CPrinter().doprint(value).split())
 
 
-def _inside_rate(layout: WrapperLayout) -> str:
+def _inner_rate(layout: WrapperLayout) -> str:
     """The fastest rate of own states, as far as it depends on coefficients alone."""
-    rates = [abs(rate) for i in layout.inside for rate in known_rates(layout.effect(i), ())]
-    fastest = CAssignment("fastest", -1, sp.Max(sp.Integer(0), *rates))
+    rates = [abs(rate) for i in layout.inner for rate in known_rates(layout.effect(i), ())]
+    fastest = CAssignment(EffectArray.FASTEST, -1, sp.Max(sp.Integer(0), *rates))
     head = "double effects_rate(const double *coefficients)"
-    body = _body(layout.equations.places, [fastest])
+    body = _body(layout.equations.locations, [fastest])
     return f"{head} {{\n    double fastest;\n{_unused(head)}{body}    return fastest;\n}}"
 
 
-def _outputs(layout: WrapperLayout) -> list[str]:
-    """A function that chooses one of the effects at outputs, for each thing to be known of them."""
-    row = "const double *row, const double *raw, const double *coefficients"
-    heads = {
-        "begin": f"void output_begin(int e, double t, double *states, {row})",
-        "inside": f"void output_inside(int e, double t, const double *states, {row}, "
-        "double *slopes)",
-        "after": f"double output_after(int e, double t, const double *states, {row})",
-        "rate": f"double output_rate(int e, {row})",
-    }
-    made = []
-    for what, head in heads.items():
-        arms = ""
-        for number, i in enumerate(layout.outputs):
-            places, assignments = _output(layout, i, what)
-            body = _body(places, assignments, " " * 12)
-            arms += f"        case {number}: {{\n{body}            break;\n        }}\n"
-        gives = what in ("after", "rate")
-        first = "    double result = 0.0;\n" if gives else ""
-        last = "    return result;\n" if gives else ""
-        choice = f"    switch (e) {{\n{arms}        default:\n            break;\n    }}\n"
-        made.append(f"{head} {{\n{first}{_unused(head)}{choice}{last}}}")
-    return made
+@dataclass(frozen=True)
+class _OutputFunction:
+    """A C function over all effects at outputs: its head, and what it assigns for one of them.
+
+    `assign` takes the effect and the index of its first own state.
+    """
+
+    head: str
+    assign: Callable[[EffectDefinition, int], list[CAssignment]]
+    returns: bool
 
 
-def _output(
-    layout: WrapperLayout, index: int, what: str
-) -> tuple[dict[sp.Symbol, tuple[str, int]], list[CAssignment]]:
-    definition = layout.effect(index)
-    places = _output_places(layout, definition, layout.repair.positions[index])
-    first = layout.first_output_state(index)
-    places |= {s: ("states", first + i) for i, s in enumerate(definition.states)}
-    if what == "begin":
-        return places, [
-            CAssignment("states", first + i, e) for i, e in enumerate(definition.starts)
-        ]
-    if what == "inside":
-        return places, [
-            CAssignment("slopes", first + i, e) for i, e in enumerate(definition.derivatives)
-        ]
-    if what == "after":
-        return places, [CAssignment("result", -1, definition.parts[0][1])]
-    rates = [abs(rate) for rate in known_rates(definition, definition.uses)]
-    return places, [CAssignment("result", -1, sp.Max(sp.Integer(0), *rates))]
+_ROW = "const double *row, const double *raw, const double *coefficients"
+_OUTPUT_FUNCTIONS = (
+    _OutputFunction(
+        f"void output_begin(int e, double t, double *states, {_ROW})",
+        lambda effect, first: [
+            CAssignment(EffectArray.STATES, first + i, e) for i, e in enumerate(effect.starts)
+        ],
+        returns=False,
+    ),
+    _OutputFunction(
+        f"void output_inside(int e, double t, const double *states, {_ROW}, double *slopes)",
+        lambda effect, first: [
+            CAssignment(EffectArray.DERIVATIVES, first + i, e)
+            for i, e in enumerate(effect.derivatives)
+        ],
+        returns=False,
+    ),
+    _OutputFunction(
+        f"double output_after(int e, double t, const double *states, {_ROW})",
+        lambda effect, _: [CAssignment(EffectArray.RESULT, -1, effect.equations[0][1])],
+        returns=True,
+    ),
+    _OutputFunction(
+        f"double output_rate(int e, {_ROW})",
+        lambda effect, _: [CAssignment(EffectArray.RESULT, -1, _fastest(effect))],
+        returns=True,
+    ),
+)
 
 
-def _output_places(
+def _fastest(effect: EffectDefinition) -> sp.Expr:
+    """Return the fastest rate of its own states."""
+    rates = [abs(rate) for rate in known_rates(effect, effect.uses)]
+    return sp.Max(sp.Integer(0), *rates)
+
+
+def _output(layout: WrapperLayout, function: _OutputFunction) -> str:
+    """Return a function that chooses one of the effects at outputs by its number."""
+    arms = ""
+    for number, i in enumerate(layout.outputs):
+        effect, first = layout.effect(i), layout.first_output_state(i)
+        locations = _output_locations(layout, effect, layout.repair.positions[i])
+        locations |= {s: (EffectArray.STATES, first + n) for n, s in enumerate(effect.states)}
+        body = _body(locations, function.assign(effect, first), " " * 12)
+        arms += f"        case {number}: {{\n{body}            break;\n        }}\n"
+    declared = "    double result = 0.0;\n" if function.returns else ""
+    last = "    return result;\n" if function.returns else ""
+    choice = f"    switch (e) {{\n{arms}        default:\n            break;\n    }}\n"
+    return f"{function.head} {{\n{declared}{_unused(function.head)}{choice}{last}}}"
+
+
+def _output_locations(
     layout: WrapperLayout, definition: EffectDefinition, position: int
-) -> dict[sp.Symbol, tuple[str, int]]:
-    places: dict[sp.Symbol, tuple[str, int]] = {
-        variable_symbol(name): ("raw", i) for i, name in enumerate(layout.columns)
+) -> SymbolLocations:
+    locations: SymbolLocations = {
+        variable_symbol(name): (EffectArray.INPUTS, i) for i, name in enumerate(layout.columns)
     }
-    places |= {variable_symbol(name): ("row", i) for i, name in enumerate(layout.row)}
-    places[SIGNAL] = ("row", layout.row.index(definition.site.target))
-    places |= {s: ("coefficients", position + i) for i, s in enumerate(definition.coefficients)}
-    return places
+    locations |= {
+        variable_symbol(name): (EffectArray.OUTPUTS, i) for i, name in enumerate(layout.row)
+    }
+    locations[SIGNAL] = (EffectArray.OUTPUTS, layout.row.index(definition.site.target))
+    locations |= {
+        s: (EffectArray.COEFFICIENTS, position + i) for i, s in enumerate(definition.coefficients)
+    }
+    return locations

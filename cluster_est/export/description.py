@@ -21,7 +21,7 @@ _FLAGS = (
 
 
 def identifier(layout: WrapperLayout) -> str:
-    """What the exported FMU's library is called."""
+    """Return the name of the exported FMU's library."""
     interface = layout.repair.problem.model.interface
     return f"{layout.repair.description.offer(interface).identifier}_repaired"
 
@@ -103,7 +103,7 @@ def _child(root: Element, tag: str, after: tuple[str, ...]) -> Element:
 
 
 def _add_units(root: Element, layout: WrapperLayout) -> None:
-    values = [own.value for own in layout.own if own.value is not None]
+    values = [added.value for added in layout.added if added.value is not None]
     missing = {value.unit for value in values if value.unit}
     units = root.find("UnitDefinitions")
     if units is not None:
@@ -145,27 +145,27 @@ def _add_variables(root: Element, layout: WrapperLayout) -> dict[str, int]:
     assert variables is not None
     names = {v.get("name", "") for v in variables}
     indices: dict[str, int] = {}
-    for own in layout.own:
-        name = own.name if own.name not in names else f"effect {own.name}"
-        indices[own.name] = len(variables) + 1
+    for added in layout.added:
+        name = added.name if added.name not in names else f"effect {added.name}"
+        indices[added.name] = len(variables) + 1
         scalar = SubElement(variables, "ScalarVariable", name=name)
-        scalar.set("valueReference", str(own.reference))
-        scalar.set("description", own.description)
+        scalar.set("valueReference", str(added.reference))
+        scalar.set("description", added.description)
         real = SubElement(scalar, "Real")
-        _describe(own, scalar, real)
-        if own.state:
-            real.set("derivative", str(indices[own.state]))
+        _describe(added, scalar, real)
+        if added.state:
+            real.set("derivative", str(indices[added.state]))
     return indices
 
 
-def _describe(own: AddedVariable, scalar: Element, real: Element) -> None:
-    if own.kind == "COEFFICIENT":
-        assert own.value is not None
+def _describe(added: AddedVariable, scalar: Element, real: Element) -> None:
+    if added.kind == "COEFFICIENT":
+        assert added.value is not None
         scalar.attrib.update(causality="parameter", variability="tunable", initial="exact")
-        if own.value.unit:
-            real.set("unit", own.value.unit)
-        real.set("start", repr(float(own.value.value)))
-    elif own.kind == "SIGNAL":
+        if added.value.unit:
+            real.set("unit", added.value.unit)
+        real.set("start", repr(float(added.value.value)))
+    elif added.kind == "SIGNAL":
         scalar.attrib.update(causality="input", variability="continuous")
         real.set("start", "0.0")
     else:
@@ -178,15 +178,17 @@ def _extend_structure(root: Element, layout: WrapperLayout, indices: dict[str, i
     variables = root.find("ModelVariables")
     assert structure is not None
     assert variables is not None
-    touched = {str(reference) for reference in layout.touched}
+    affected = {str(reference) for reference in layout.affected}
     ahead = any(e.site.kind in ("input", "parameter") for e in layout.repair.effects)
     for unknown in structure.iter("Unknown"):
         index = int(unknown.get("index", "0"))
-        if ahead or variables[index - 1].get("valueReference") in touched:
+        if ahead or variables[index - 1].get("valueReference") in affected:
             unknown.attrib.pop("dependencies", None)
             unknown.attrib.pop("dependenciesKind", None)
-    rates = [indices[own.name] for own in layout.own if own.kind == "RATE"]
-    states = [indices[own.name] for own in layout.own if own.kind == "STATE" and layout.exchange]
+    rates = [indices[added.name] for added in layout.added if added.kind == "RATE"]
+    states = [
+        indices[added.name] for added in layout.added if added.kind == "STATE" and layout.exchange
+    ]
     for tag, new, after in (
         ("Derivatives", rates, ("Outputs",)),
         ("InitialUnknowns", sorted(rates + states), ("Outputs", "Derivatives", "DiscreteStates")),

@@ -179,7 +179,7 @@ class _VariableWriter:
 
 
 def _places(description: ModelDescription) -> dict[str, int]:
-    """Where each variable stands in the document, which counts from 1."""
+    """Return the index of each variable in the document, from 1."""
     return {name: i for i, name in enumerate(description.variables, 1)}
 
 

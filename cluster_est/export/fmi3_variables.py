@@ -43,14 +43,14 @@ class FlatDescription:
     ----------
     description
         With references of the exported FMU.
-    places
+    translated
         In the order of their first references.
     left_out
-        Names of what FMI 2.0 cannot say.
+        Names of variables that FMI 2.0 cannot express.
     """
 
     description: ModelDescription
-    places: tuple[TranslatedVariable, ...] = ()
+    translated: tuple[TranslatedVariable, ...] = ()
     left_out: tuple[str, ...] = ()
 
 
@@ -71,7 +71,7 @@ def flatten(description: ModelDescription, structure: Mapping[str, int]) -> Flat
         groups.setdefault(variable.reference, []).append(variable)
     free = 1 + max(groups, default=0)
     kept: dict[str, ModelVariable] = {}
-    places, left_out = [], list[str]()
+    translated, left_out = [], list[str]()
     for reference, group in groups.items():
         own = [v for v in group if v.alias_of is None]
         if not _expressible(own):
@@ -82,17 +82,19 @@ def flatten(description: ModelDescription, structure: Mapping[str, int]) -> Flat
         free += one.size if one.size > 1 else 0
         if one.size > 1 or one.type not in _SAME:
             starts = tuple(v.start or 0.0 for v in own) if one.size > 1 and one.settable else ()
-            places.append(TranslatedVariable(first, one.size, one.type, reference, starts))
+            translated.append(TranslatedVariable(first, one.size, one.type, reference, starts))
         for v in group:
             start = structure.get(v.name, v.start)
             kept[v.name] = replace(v, reference=first + v.element, start=start)
     ordered = {name: kept[name] for name in description.variables if name in kept}
-    places.sort(key=lambda place: place.first)
-    return FlatDescription(replace(description, variables=ordered), tuple(places), tuple(left_out))
+    translated.sort(key=lambda each: each.first)
+    return FlatDescription(
+        replace(description, variables=ordered), tuple(translated), tuple(left_out)
+    )
 
 
 def _expressible(elements: list[ModelVariable]) -> bool:
-    """Whether FMI 2.0 can say it, as far as its start values show."""
+    """Return whether FMI 2.0 can express it, as far as its start values show."""
     kind, size = elements[0].kind, elements[0].size
     if kind == "integer":
         return all(_LEAST <= (v.start or 0.0) <= _MOST for v in elements)
@@ -100,5 +102,5 @@ def _expressible(elements: list[ModelVariable]) -> bool:
 
 
 def fits(limit: float | None) -> bool:
-    """Whether a limit of integers is one of FMI 2.0."""
+    """Return whether a limit of integers is one of FMI 2.0."""
     return limit is not None and _LEAST <= limit <= _MOST

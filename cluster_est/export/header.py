@@ -14,7 +14,7 @@ def header(layout: WrapperLayout, guid: str) -> str:
     lines = ["/* Written for one run; see documentation/README.md. */", "#ifndef MODEL_H"]
     lines += ["#define MODEL_H", "", "#include <math.h>", ""]
     found = {**_identity(layout, guid), **_counts(layout), **_solver(layout), **_tables(layout)}
-    found |= _others(layout) | _places(layout)
+    found |= _others(layout) | _translated(layout)
     lines += [f"#define {name} {value}" for name, value in found.items()]
     return "\n".join([*lines, "", "#endif", ""])
 
@@ -31,25 +31,25 @@ def _identity(layout: WrapperLayout, guid: str) -> dict[str, object]:
 
 
 def _counts(layout: WrapperLayout) -> dict[str, object]:
-    repair, made = layout.repair, layout.equations
+    repair, equations = layout.repair, layout.equations
     description = repair.description
     return {
         "N_STATES": len(layout.states),
-        "N_OWN": len(made.begin),
+        "N_OWN": len(equations.start_states),
         "N_OUTPUT_OWN": sum(len(layout.effect(i).states) for i in layout.outputs),
         "N_INDICATORS": description.event_indicators if layout.exchange else 0,
         "N_INPUTS": len(layout.inputs),
-        "N_MOVING": layout.moving,
+        "N_MOVING": layout.n_continuous,
         "N_SIGNALS": len(layout.signals),
         "N_COEFFICIENTS": sum(map(len, repair.coefficients)),
-        "N_BASE": len(made.parameters),
+        "N_BASE": len(equations.parameters),
         "N_STARTS": len(layout.starts),
         "N_ROW": len(layout.row),
         "N_INPUT_MEMORIES": len(layout.memories),
         "N_OUTPUT_EFFECTS": len(layout.outputs),
-        "N_SPECIALS": len(layout.specials),
-        "N_TOUCHED": len(layout.touched),
-        "HAS_BEFORE": int(bool(made.before)),
+        "N_SPECIALS": len(layout.answered),
+        "N_TOUCHED": len(layout.affected),
+        "HAS_BEFORE": int(bool(equations.modify_inputs)),
         "TOUCHES_EXCHANGE": int(bool(repair.effects)),
     }
 
@@ -79,7 +79,7 @@ def _solver(layout: WrapperLayout) -> dict[str, object]:
 def _tables(layout: WrapperLayout) -> dict[str, object]:
     repair, variables = layout.repair, layout.repair.description.variables
     nominals = [variables[name].nominal for name in layout.states]
-    nominals += [1.0] * len(layout.equations.begin)
+    nominals += [1.0] * len(layout.equations.start_states)
     found = {f.name: f.value for f in (*repair.parameters,)} | {
         name: float(value) for name, value in repair.known if isinstance(value, float | int)
     }
@@ -90,10 +90,10 @@ def _tables(layout: WrapperLayout) -> dict[str, object]:
         "BASE": [layout.reference(n) for n in layout.equations.parameters],
         "START": [layout.reference(f.name) for f in layout.starts],
         "ROW": [layout.reference(n) for n in layout.row],
-        "TOUCHED": layout.touched,
+        "TOUCHED": layout.affected,
         "RAW": [
             *(v.reference for v in layout.inputs),
-            *(own.reference for own in layout.own if own.kind == "SIGNAL"),
+            *(own.reference for own in layout.added if own.kind == "SIGNAL"),
         ],
     }
     tables: dict[str, object] = {
@@ -107,7 +107,7 @@ def _tables(layout: WrapperLayout) -> dict[str, object]:
         "NOMINALS": _list(map(_number, nominals)),
         "INPUT_MEMORIES": _list(_memory(layout, i) for i in layout.memories),
         "OUTPUT_EFFECTS": _list(_output(layout, i) for i in layout.outputs),
-        "SPECIALS": _list(f"{{{s.reference}, {s.kind}, {s.index}}}" for s in layout.specials),
+        "SPECIALS": _list(f"{{{s.reference}, {s.kind}, {s.index}}}" for s in layout.answered),
     }
 
 
@@ -125,21 +125,23 @@ def _others(layout: WrapperLayout) -> dict[str, object]:
     return found
 
 
-def _places(layout: WrapperLayout) -> dict[str, object]:
-    """What an original of FMI 3.0 has that FMI 2.0 has not; nothing for one of FMI 2.0."""
+def _translated(layout: WrapperLayout) -> dict[str, object]:
+    """Return tables of the variables of FMI 3.0 that FMI 2.0 has another form for."""
     variables = layout.repair.description.variables
     rows, elements = [], list[float]()
-    for place in layout.places:
-        kept = len(elements) if place.starts else -1
-        called = "Int64" if place.type == "Enumeration" else place.type
-        rows.append(f"{{{place.first}, {place.size}, {called}, {place.reference}, {kept}}}")
-        elements += place.starts
+    for variable in layout.translated:
+        kept = len(elements) if variable.starts else -1
+        called = "Int64" if variable.type == "Enumeration" else variable.type
+        rows.append(
+            f"{{{variable.first}, {variable.size}, {called}, {variable.reference}, {kept}}}"
+        )
+        elements += variable.starts
     sizes = layout.repair.problem.model.structure
     return {
         "N_PLACES": len(rows),
         "N_ELEMENTS": len(elements),
         "N_STRUCTURE": len(sizes),
-        "LARGEST": max((place.size for place in layout.places), default=1),
+        "LARGEST": max((variable.size for variable in layout.translated), default=1),
         "PLACES": _list(rows or ["{0}"]),
         "ELEMENTS": _list(map(_number, elements)),
         "STRUCTURE": _list([f"{{{variables[n].reference}, {v}}}" for n, v in sizes] or ["{0}"]),

@@ -1,4 +1,4 @@
-"""Where each variable of the exported FMU stands: in the original, or in arrays of the wrapper."""
+"""Layout of the exported FMU: its variables in the original, or in arrays of the wrapper."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class AnsweredReference:
 
 @dataclass(frozen=True)
 class WrapperLayout:
-    """Where everything stands.
+    """The variables of the exported FMU and of the original, and the wrapper's arrays.
 
     Attributes
     ----------
@@ -61,11 +61,11 @@ class WrapperLayout:
         Whether the original is integrated from outside (model exchange).
     inputs
         The original's real inputs, those that may move between events first.
-    moving
+    n_continuous
         How many of them these are.
     signals
         Measured signals that effects need: further inputs.
-    memories, inside, outputs
+    memories, inner, outputs
         Indices of the effects that change an input as a whole, that act while the simulation runs,
         and that act at outputs.
     equations
@@ -74,31 +74,31 @@ class WrapperLayout:
         Variables that effects at outputs need.
     starts
         Values of the original's variables that the exported FMU begins with.
-    own
+    added
         Variables that the original does not have.
-    specials
+    answered
         In the order of their references.
-    touched
+    affected
         References of what effects depend on or change.
-    places, left_out
-        What FMI 2.0 knows otherwise than an original of FMI 3.0, and what it cannot say.
+    translated, left_out
+        Variables that FMI 2.0 has another form for than FMI 3.0, and those that it has none for.
     """
 
     repair: RepairedModel
     exchange: bool
     inputs: tuple[ModelVariable, ...]
-    moving: int
+    n_continuous: int
     signals: tuple[str, ...]
     memories: tuple[int, ...]
-    inside: tuple[int, ...]
+    inner: tuple[int, ...]
     outputs: tuple[int, ...]
     equations: CompiledEquations
     row: tuple[str, ...]
     starts: tuple[EstimatedValue, ...]
-    own: tuple[AddedVariable, ...]
-    specials: tuple[AnsweredReference, ...]
-    touched: tuple[int, ...]
-    places: tuple[TranslatedVariable, ...] = ()
+    added: tuple[AddedVariable, ...]
+    answered: tuple[AnsweredReference, ...]
+    affected: tuple[int, ...]
+    translated: tuple[TranslatedVariable, ...] = ()
     left_out: tuple[str, ...] = ()
 
     @property
@@ -118,8 +118,8 @@ class WrapperLayout:
         return self.repair.description.variables[name].reference
 
     def first_output_state(self, index: int) -> int:
-        """Where the own states of an effect at an output begin."""
-        before = (*self.inside, *self.outputs[: self.outputs.index(index)])
+        """Return the index of the first own state of an effect at an output."""
+        before = (*self.inner, *self.outputs[: self.outputs.index(index)])
         return len(self.states) + sum(len(self.effect(i).states) for i in before)
 
 
@@ -139,32 +139,42 @@ def lay_out(repair: RepairedModel) -> WrapperLayout:
     effects = repair.effects
     memories = [i for i, e in enumerate(effects) if e.form.memory and e.site.kind == "input"]
     outputs = [i for i, e in enumerate(effects) if e.site.kind == "output"]
-    inside = [i for i in range(len(effects)) if i not in (*memories, *outputs)]
+    inner = [i for i in range(len(effects)) if i not in (*memories, *outputs)]
     inputs = _inputs(description)
-    signals = tuple(
-        dict.fromkeys(n for e in effects for n in e.uses if n not in description.variables)
-    )
+    signals = _signals(effects, description)
     columns = (*(v.name for v in inputs), *signals)
     _check_inputs(effects, description, columns)
-    needed = [n for i in outputs for n in (*effects[i].uses, effects[i].site.target)]
-    made = equations(
-        tuple(effects[i] for i in inside),
-        tuple(repair.positions[i] for i in inside),
+    compiled = equations(
+        tuple(effects[i] for i in inner),
+        tuple(repair.positions[i] for i in inner),
         description.states if exchange else (),
         columns,
     )
-    known = [f for f in _starts(repair) if f.name not in made.parameters]
-    order = sorted(inside, key=lambda i: effects[i].site.at_rates)
-    own = _own(repair, signals, [*order, *outputs], exchange=exchange)
+    known = [f for f in _starts(repair) if f.name not in compiled.parameters]
+    order = sorted(inner, key=lambda i: effects[i].site.at_rates)
+    added = _added(repair, signals, [*order, *outputs], exchange=exchange)
+    needed = [n for i in outputs for n in (*effects[i].uses, effects[i].site.target)]
     row = tuple(dict.fromkeys(n for n in needed if n not in columns))
     layout = WrapperLayout(
-        repair, exchange, inputs, sum(v.moves for v in inputs), signals, tuple(memories),
-        tuple(inside), tuple(outputs), made, row, tuple(known), own, (), (),
+        repair, exchange, inputs, sum(v.is_continuous for v in inputs), signals, tuple(memories),
+        tuple(inner), tuple(outputs), compiled, row, tuple(known), added, (), (),
     )  # fmt: skip
-    specials, touched = _specials(layout)
+    answered, affected = _answered(layout)
     return replace(
-        layout, specials=specials, touched=touched, places=flat.places, left_out=flat.left_out
+        layout,
+        answered=answered,
+        affected=affected,
+        translated=flat.translated,
+        left_out=flat.left_out,
     )
+
+
+def _signals(
+    effects: tuple[EffectDefinition, ...], description: ModelDescription
+) -> tuple[str, ...]:
+    """Return the measured signals that effects depend on."""
+    used = (name for effect in effects for name in effect.uses)
+    return tuple(dict.fromkeys(name for name in used if name not in description.variables))
 
 
 def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
@@ -191,7 +201,7 @@ def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
 def _inputs(description: ModelDescription) -> tuple[ModelVariable, ...]:
     real = {v.reference: v for v in reversed(description.inputs()) if v.kind == "real"}
     chosen = [v for v in description.inputs() if real.get(v.reference) is v]
-    return tuple(sorted(chosen, key=lambda v: not v.moves))
+    return tuple(sorted(chosen, key=lambda v: not v.is_continuous))
 
 
 def _check_inputs(
@@ -218,14 +228,14 @@ def _starts(repair: RepairedModel) -> list[EstimatedValue]:
     return found
 
 
-def _own(
+def _added(
     repair: RepairedModel, signals: tuple[str, ...], stateful: list[int], *, exchange: bool
 ) -> tuple[AddedVariable, ...]:
     """The new variables, their references behind those of the original's real ones."""
     variables = repair.description.variables.values()
     reference = 1 + max((v.reference for v in variables if v.kind == "real"), default=0)
     inputs = sum(v.kind == "real" for v in _inputs(repair.description))
-    made: list[tuple[str, Kind, int, str, EstimatedValue | None, str]] = [
+    rows: list[tuple[str, Kind, int, str, EstimatedValue | None, str]] = [
         (name, "SIGNAL", inputs + i, "a measured signal that an effect depends on", None, "")
         for i, name in enumerate(signals)
     ]
@@ -235,26 +245,26 @@ def _own(
         what = f"of effect {effect.form.name} at {effect.site}"
         for i, value in enumerate(values):
             text = f"{what}; {value.interval}" if value.interval else what
-            made.append((value.name, "COEFFICIENT", at + i, text, value, ""))
+            rows.append((value.name, "COEFFICIENT", at + i, text, value, ""))
     at = len(repair.description.states) if exchange else 0
     for i in stateful:
         effect = repair.effects[i]
         for own in effect.form.states:
             name, text = f"{effect.effect.name}.{own.name}", f"state of effect {effect.form.name}"
-            made.append((name, "STATE", at, text, None, ""))
+            rows.append((name, "STATE", at, text, None, ""))
             if exchange:
-                made.append((f"der({name})", "RATE", at, f"derivative of {name}", None, name))
+                rows.append((f"der({name})", "RATE", at, f"derivative of {name}", None, name))
             at += 1
     return tuple(
         AddedVariable(name, reference + i, kind, index, text, value, state)
-        for i, (name, kind, index, text, value, state) in enumerate(made)
+        for i, (name, kind, index, text, value, state) in enumerate(rows)
     )
 
 
-def _specials(layout: WrapperLayout) -> tuple[tuple[AnsweredReference, ...], tuple[int, ...]]:
+def _answered(layout: WrapperLayout) -> tuple[tuple[AnsweredReference, ...], tuple[int, ...]]:
     description = layout.repair.description
     found = {
-        own.reference: AnsweredReference(own.reference, own.kind, own.index) for own in layout.own
+        own.reference: AnsweredReference(own.reference, own.kind, own.index) for own in layout.added
     }
 
     def add(reference: int, kind: Kind, index: int) -> None:
@@ -269,14 +279,14 @@ def _specials(layout: WrapperLayout) -> tuple[tuple[AnsweredReference, ...], tup
     for i in layout.outputs:
         target = layout.effect(i).site.target
         add(layout.reference(target), "OUTPUT", layout.row.index(target))
-    rates = [t for i in layout.inside if layout.effect(i).site.at_rates
+    rate_targets = [t for i in layout.inner if layout.effect(i).site.at_rates
              for t in layout.effect(i).site.targets]  # fmt: skip
     for variable in description.variables.values():
-        if variable.derivative_of in rates:
+        if variable.derivative_of in rate_targets:
             add(variable.reference, "RATE", layout.states.index(variable.derivative_of))
     named = [n for e in layout.repair.effects for n in e.uses]
     named += [e.site.target for e in layout.repair.effects if not e.site.at_rates]
-    touched = {s.reference for s in found.values() if s.kind not in ("INPUT", "START")}
-    touched |= {layout.reference(name) for name in named if name in description.variables}
+    affected = {s.reference for s in found.values() if s.kind not in ("INPUT", "START")}
+    affected |= {layout.reference(name) for name in named if name in description.variables}
     order = sorted(found.values(), key=lambda special: special.reference)
-    return tuple(order), tuple(sorted(touched))
+    return tuple(order), tuple(sorted(affected))

@@ -109,7 +109,7 @@ def _equations(effect: EffectDefinition) -> Iterator[str]:
     def text(expression: sp.Expr) -> str:
         return str(_ModelicaPrinter().doprint(expression.xreplace(meaning)))
 
-    for target, equation in effect.parts:
+    for target, equation in effect.equations:
         result, site = _result(effect, target), effect.site
         if effect.form.memory:
             size = _name(str(effect.coefficients[0]))

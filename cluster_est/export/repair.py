@@ -1,4 +1,4 @@
-"""What is exported: the model of a run, its estimates and its effects, gathered from the folder."""
+"""The model of a run with its estimates and effects, gathered from its folder for an export."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class EstimatedValue:
 
 @dataclass(frozen=True)
 class RepairedModel:
-    """A model with what a run has found for it.
+    """A model with the estimates and effects of a run.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class RepairedModel:
 
     @cached_property
     def positions(self) -> tuple[int, ...]:
-        """Where the coefficients of each effect begin among those of all."""
+        """Index of the first coefficient of each effect among those of all."""
         return tuple(np.cumsum([0, *map(len, self.coefficients)])[:-1].tolist())
 
 
@@ -217,7 +217,7 @@ class _ParameterReader:
                 self._find(p, unit) or EstimatedValue(p.name, unit, p.start)
                 for p, unit in zip(own, units, strict=True)
             )
-            if definition.neutral(np.array([value.value for value in values])):
+            if definition.is_neutral(np.array([value.value for value in values])):
                 notes.append(f"effect {effect.name!r} does nothing at its values and is left out")
                 continue
             kept.append(definition)

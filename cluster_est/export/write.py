@@ -9,14 +9,14 @@ from pathlib import Path
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.export.fmu import write_fmu
 from cluster_est.export.modelica import modelica
-from cluster_est.export.repair import gather
+from cluster_est.export.repair import RepairedModel, gather
 from cluster_est.export.ssv import parameter_set
 from cluster_est.export.text import describe_repair
 
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """Which forms are asked for: files to write, and what to print."""
+    """Forms of export that are asked for: files to write, and texts to print."""
 
     fmu: Path | None = None
     ssv: Path | None = None
@@ -26,7 +26,7 @@ class ExportRequest:
 
 @dataclass(frozen=True)
 class ExportResult:
-    """What was made: files, texts to print, and sentences on what a user should know."""
+    """Files that were written, texts to print, and notes for a user."""
 
     files: tuple[Path, ...]
     printed: tuple[str, ...]
@@ -68,19 +68,23 @@ def export(
         notes += write_fmu(repair, wanted.fmu)
         files.append(wanted.fmu)
     if wanted.ssv is not None:
-        try:
-            wanted.ssv.parent.mkdir(parents=True, exist_ok=True)
-            wanted.ssv.write_bytes(parameter_set(repair))
-        except OSError as error:
-            raise RunFolderError(
-                f"--ssv: {wanted.ssv} cannot be written ({error}); choose another"
-            ) from error
+        _write_ssv(repair, wanted.ssv)
         files.append(wanted.ssv)
     if wanted.modelica:
         printed.append(modelica(repair))
     if wanted.text:
         printed.append(describe_repair(repair))
     return ExportResult(tuple(files), tuple(printed), tuple(notes))
+
+
+def _write_ssv(repair: RepairedModel, path: Path) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(parameter_set(repair))
+    except OSError as error:
+        raise RunFolderError(
+            f"--ssv: {path} cannot be written ({error}); choose another"
+        ) from error
 
 
 def _check_not_original(path: Path | None, original: str) -> None:

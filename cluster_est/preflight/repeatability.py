@@ -6,7 +6,7 @@ import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
-from workers.messages import Renewal
+from workers.messages import ResetPolicy
 from workers.probes.probes import (
     InstanceProbe,
     LeftoverProbe,
@@ -20,7 +20,7 @@ FACTOR = 1.37
 """Of every value, to see whether it survives a reset: no round number."""
 
 
-def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], Renewal | None]:
+def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy | None]:
     """Compare a reset instance with a fresh one, and two fresh processes with each other.
 
     Returns also the reset policy for all further checks; None if no policy helps.
@@ -44,7 +44,7 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], Renewal | Non
         )
         return [CheckFinding(CheckVerdict.PROBLEM, "repeatable", said, do)], None
     same = CheckFinding(CheckVerdict.OK, "repeatable", "two fresh processes give the same bits")
-    policy: Renewal = "reset" if found.reset == 0.0 else "instance"
+    policy: ResetPolicy = "reset" if found.reset == 0.0 else "instance"
     lines = [same, _reset(subject, found)]
     return lines + (_leftovers(subject) if policy == "reset" else []), policy
 
@@ -68,7 +68,7 @@ def _reset(subject: CheckSubject, found: RepetitionResult) -> CheckFinding:
 
 
 def _reset_advice(subject: CheckSubject, needed: str, how: str, do: str) -> CheckFinding:
-    renew = subject.problem.model.renew
+    renew = subject.problem.model.reset
     if renew in ("auto", needed, "process"):
         return CheckFinding(CheckVerdict.NOTE, "reset", how, do)
     return CheckFinding(

@@ -13,7 +13,7 @@ from workers.probes.directional import DirectionalProbe
 from workers.probes.probes import SolverProbe, StiffnessProbe
 from workers.process.trial import NoAnswer
 from workers.simulation.integrator import DEFAULT_RTOL
-from workers.simulation.jacobian import AGREES
+from workers.simulation.jacobian import MAX_JACOBIAN_ERROR
 
 TIGHTER = 100.0
 LEAST_RTOL = 1e-13
@@ -96,7 +96,7 @@ def derivatives(subject: CheckSubject) -> list[CheckFinding]:
     if found.zero:
         said = "directional derivatives are offered, but all are silently 0"
         return [CheckFinding(CheckVerdict.NOTE, check, said, do)]
-    if found.error > AGREES:
+    if found.error > MAX_JACOBIAN_ERROR:
         said = f"directional derivatives differ from the model's slopes by {found.error:.2g}"
         return [CheckFinding(CheckVerdict.NOTE, check, f"{said} of the largest", do)]
     said = f"directional derivatives agree with differences within {found.error:.1g}"

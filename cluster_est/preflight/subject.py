@@ -13,7 +13,7 @@ from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from workers.fmu.description import ModelDescription
-from workers.messages import FloatArray, Renewal
+from workers.messages import FloatArray, ResetPolicy
 from workers.probes.base import FmuProbe
 from workers.process.trial import NoAnswer, ProbeBench
 
@@ -72,13 +72,13 @@ class CheckSubject:
     growth: float = 256.0 * 2**20
     simulation_seconds: float = 0.0
     experiment: int = 0
-    reset_policy: Renewal = "reset"
+    reset_policy: ResetPolicy = "reset"
     repeats: bool = True
     declared: bool = True
     trajectory: FloatArray | None = None
 
     @property
-    def probe_arguments(self) -> tuple[int, FloatArray, Renewal]:
+    def probe_arguments(self) -> tuple[int, FloatArray, ResetPolicy]:
         """The first arguments of a probe: experiment, values and reset policy."""
         return self.experiment, self.start, self.reset_policy
 

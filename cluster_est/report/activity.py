@@ -1,4 +1,4 @@
-"""What the log says of the workers: when they were busy, and what failed."""
+"""Activity of workers and failures of simulations, from the log."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def read_activity(folder: Path) -> LogActivity:
 
 
 class ActivityTail:
-    """What a log says, kept up to date while it is written; see `LogTail`."""
+    """Activity of a log, kept up to date while it is written; see `LogTail`."""
 
     def __init__(self, folder: Path) -> None:
         self._tail = LogTail(folder)

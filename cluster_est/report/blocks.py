@@ -1,4 +1,4 @@
-"""What a section is made of; the template has a part for each kind of block."""
+"""Blocks of a section; the template has a part for each kind of block."""
 
 from __future__ import annotations
 

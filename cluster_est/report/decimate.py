@@ -11,7 +11,7 @@ from workers.messages import FloatArray, IntArray
 
 
 def peaks(curves: Sequence[FloatArray], most: int) -> IntArray:
-    """Where to look at curves over the same times, so that no peak of any is lost.
+    """Return indices into curves over the same times, so that no peak of any is lost.
 
     The samples are cut into buckets of equal counts; of each bucket, the lowest and the highest
     sample of each curve are kept, and the first and last of all.

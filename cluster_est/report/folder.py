@@ -16,6 +16,8 @@ from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
 from cluster_est.run_folder.reading import read_facts, read_run_table
 
 Row = Mapping[str, Any]
+RUNNING = "running"
+"""The status in run.json of a run that has not ended."""
 SMALL = (
     "parameters", "errors", "constraints", "starts", "minima", "front", "correlations",
     "directions", "profiles", "intervals", "searches", "workers", "findings", "shapes",
@@ -24,7 +26,7 @@ SMALL = (
 
 @dataclass(frozen=True)
 class ReportedRun:
-    """What a report is made of.
+    """The contents of a run folder, for a report.
 
     Attributes
     ----------
@@ -56,8 +58,13 @@ class ReportedRun:
         return str(self.facts["status"])
 
     @property
+    def is_running(self) -> bool:
+        """True while the run has not ended, as far as it has said."""
+        return self.status == RUNNING
+
+    @property
     def finished(self) -> bool:
-        """Whether there are results."""
+        """True if there are results."""
         return bool(self.tables["parameters"])
 
     @property
@@ -66,7 +73,7 @@ class ReportedRun:
 
     @property
     def before(self) -> str:
-        """What the curves and errors before are of."""
+        """The model that curves and errors "before" are of."""
         return "declared model, fitted" if self.is_loop else "start values"
 
 
@@ -80,7 +87,7 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
     """
     facts = read_facts(path)
     tables = {name: _rows(path, name) for name in SMALL}
-    if facts["status"] == "running":  # tables of an earlier run in a folder that is taken up again
+    if facts["status"] == RUNNING:  # tables of an earlier run in a folder that is taken up again
         tables = dict.fromkeys(SMALL, ())
     tables["progress"] = tuple(vars(line) for line in ProgressTail(path / PROGRESS).new())
     tables["searches"] = tables["searches"] or tables["progress"]

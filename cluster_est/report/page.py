@@ -21,17 +21,17 @@ from cluster_est.report.activity import LogActivity
 from cluster_est.report.blocks import ExplorerBlock, FigureBlock, ReportSection
 from cluster_est.report.encode import json_text
 from cluster_est.report.folder import ReportedRun, read_run
-from cluster_est.report.sections.course import course
 from cluster_est.report.sections.curves import curves
 from cluster_est.report.sections.effects import candidates, effects
 from cluster_est.report.sections.errors import errors
 from cluster_est.report.sections.parameters import parameters
 from cluster_est.report.sections.provenance import provenance
+from cluster_est.report.sections.search import search
 from cluster_est.report.sections.workers import workers
 from cluster_est.report.summary import summarise
 
 REPORT = "report.html"
-SECTIONS = (errors, curves, effects, candidates, parameters, course, workers, provenance)
+SECTIONS = (errors, curves, effects, candidates, parameters, search, workers, provenance)
 """In the order of the page."""
 
 
@@ -98,12 +98,12 @@ def render(run: ReportedRun, reload: float | None = None) -> str:
         style=Markup(_asset("report.css")),
         scripts={name: Markup(text) for name, text in scripts.items()},
         policy=_policy(scripts.values()),
-        reload=reload if run.status == "running" else None,
+        reload=reload if run.is_running else None,
     )
 
 
 def _data(sections: Sequence[ReportSection]) -> dict[str, Any]:
-    """What the script draws."""
+    """Return the data that the page's script draws."""
     blocks = [block for section in sections for block in section.blocks]
     figures = {
         b.id: {"traces": b.traces, "layout": b.layout} for b in blocks if isinstance(b, FigureBlock)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cluster_est.report.blocks import Tone
-from cluster_est.report.folder import ReportedRun, Row
+from cluster_est.report.folder import RUNNING, ReportedRun, Row
 from cluster_est.report.numbers import count, digits, duration, percent
 
 
@@ -22,7 +22,7 @@ class HeadlineFigure:
 
 @dataclass(frozen=True)
 class ReportSummary:
-    """What stands first."""
+    """The head of the page: verdict, sentences, figures and notes."""
 
     verdict: str
     tone: Tone
@@ -42,7 +42,7 @@ VERDICTS: dict[str, tuple[str, Tone]] = {
     "not converged": ("The fit did not converge", "bad"),
     "interrupted": ("The run was interrupted", "bad"),
     "failed": ("The run failed", "bad"),
-    "running": (GOING_ON, ""),
+    RUNNING: (GOING_ON, ""),
 }
 
 
@@ -63,7 +63,7 @@ def _opening(run: ReportedRun) -> list[str]:
         added = f"Added to the model: {named}." if effects else "Nothing was added to the model."
         return [_sentence(facts.get("summary") or ""), added]
     if not run.finished:
-        if run.status == "running":
+        if run.is_running:
             return ["What follows is what its folder holds so far; results come when it ends."]
         message = facts.get("message") or ""
         return [_sentence(message), "It left no results; what its folder holds is shown."]
@@ -94,7 +94,7 @@ def _costs(run: ReportedRun) -> list[str]:
 
 
 def _errors(run: ReportedRun) -> list[str]:
-    """How the held-out error moved, which no estimate was made for."""
+    """Return sentences on the change of the held-out error."""
     rows = [row for row in run.tables["errors"] if row["role"] == "test"]
     before, after = (_pooled(rows, when) for when in ("before", "after"))
     if math.isnan(before) or math.isnan(after) or not before:

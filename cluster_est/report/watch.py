@@ -12,11 +12,11 @@ from pathlib import Path
 
 from cluster_est.errors import RunFolderError
 from cluster_est.report.activity import ActivityTail, FailureGroup
+from cluster_est.report.folder import RUNNING
 from cluster_est.report.page import write_report
 from cluster_est.run_folder.progress_file import PROGRESS, IterationLine, ProgressTail, RunState
 from cluster_est.run_folder.reading import read_facts
 
-RUNNING = "running"
 RATE_SECONDS = 15.0
 """Over which the rate of simulations is taken."""
 HTML_SECONDS = 5.0
@@ -33,7 +33,7 @@ class SearchView:
 
 @dataclass(frozen=True)
 class RunView:
-    """What is known of a run at a look.
+    """The state of a run when its folder is read.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class RunFollower:
         self._moved = self._clock()
 
     def look(self) -> RunView:
-        """What is known now."""
+        """Read what is new, and return the state of the run."""
         started = self._facts.get("started")
         with suppress(RunFolderError):  # it is being replaced: what was known before holds so long
             self._facts = read_facts(self.path)

@@ -1,4 +1,4 @@
-"""What a person sees who watches a run: a table that renews itself."""
+"""The table that `watch` shows and updates."""
 
 from __future__ import annotations
 

@@ -9,8 +9,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from cluster_est.config.build import build_problem, build_resources
+from cluster_est.config.build import build_problem
 from cluster_est.config.reader import read_config
+from cluster_est.config.settings import build_resources
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.executors.simulation_key import simulation_key
 from cluster_est.problem.problem import Problem, coefficient_names
@@ -190,10 +191,10 @@ def prepare(
         )
     experiment = problem.experiments[index]
     key = simulation_key(problem.model.key, experiment.key, effects, logged.values)
-    if problem.model.renew == "auto":
+    if problem.model.reset == "auto":
         chosen = recorded(read_facts(run_folder))
         if chosen is not None:
-            problem = replace(problem, model=replace(problem.model, renew=chosen.renew))
+            problem = replace(problem, model=replace(problem.model, reset=chosen.renew))
     task = Task(0, index, logged.values, logged.want, effects)
     return ReplayRequest(problem, build_resources(resolved).limits, task, key == logged.key)
 
@@ -238,7 +239,7 @@ def replay(question: ReplayRequest) -> Outcome:
         If the FMU cannot be loaded, or its process dies while it is.
     """
     problem, task = question.problem, question.task
-    model = replace(problem.model, talks=True)
+    model = replace(problem.model, logging_on=True)
     guard = SupervisedEvaluator(
         model, (problem.experiments[task.experiment],), "replay", question.limits
     )

@@ -18,11 +18,11 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.running.resources import Resources
 from workers.errors import ModelError
-from workers.messages import Experiment, Outcome, Renewal, Task
+from workers.messages import Experiment, Outcome, ResetPolicy, Task
 
 SLOW_SECONDS = 1.0
 """A simulation of more is not repeated."""
-WAYS: tuple[Renewal, ...] = ("reset", "instance", "process")
+WAYS: tuple[ResetPolicy, ...] = ("reset", "instance", "process")
 BEGINS = {
     "reset": "a reset of the instance",
     "instance": "a new instance",
@@ -45,7 +45,7 @@ class ResetDecision:
         Whether that is nothing out of the ordinary.
     """
 
-    renew: Renewal
+    renew: ResetPolicy
     sentence: str
     plain: bool = False
 
@@ -93,7 +93,7 @@ class RepeatabilityTest:
 class _Start(Protocol):
     """Starts workers of an executor, whose simulations begin in some way."""
 
-    def __call__(self, kind: str, renew: Renewal, count: int | None) -> WorkerPool: ...
+    def __call__(self, kind: str, renew: ResetPolicy, count: int | None) -> WorkerPool: ...
 
 
 def open_with_reset(
@@ -116,12 +116,12 @@ def open_with_reset(
         If the FMU cannot be loaded.
     """
 
-    def start(kind: str, renew: Renewal, count: int | None) -> WorkerPool:
-        model = replace(problem.model, renew=renew)
+    def start(kind: str, renew: ResetPolicy, count: int | None) -> WorkerPool:
+        model = replace(problem.model, reset=renew)
         where = count, resources.address, resources.limits
         return executor_class(kind).open(model, problem.experiments, *where)
 
-    declared = problem.model.renew
+    declared = problem.model.reset
     if known is None and declared != "auto":
         said = f"each simulation begins with {BEGINS[declared]}, as model.reset says"
         known = ResetDecision(declared, said, plain=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from cluster_est.config.messages import sentences
+from cluster_est.config.messages import error_messages
 from cluster_est.config.reader import Config, read_config
 from cluster_est.config.sections.sweep import NAME, SweepSections
 from cluster_est.config.toml import inline
@@ -79,7 +79,7 @@ def read_sweep(path: Path) -> list[SweepRun]:
     try:
         sweep = SweepSections.model_validate(raw)
     except ValidationError as error:
-        raise ConfigError("\n".join(sentences(error, str(path), raw, SweepSections))) from None
+        raise ConfigError("\n".join(error_messages(error, str(path), raw, SweepSections))) from None
     _refuse(path, [*_wrong_names(sweep), *_wrong_overrides(sweep), *_wrong_skips(sweep)])
     count = len(sweep.configs) * math.prod(len(axis.values) for axis in sweep.axes)
     if count > LARGEST:

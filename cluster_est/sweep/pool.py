@@ -76,7 +76,7 @@ def pool_key(problem: Problem, resources: Resources) -> tuple[Any, ...]:
         resources.address,
         resources.limits,
         problem.model.key,
-        problem.model.renew,
+        problem.model.reset,
         *((experiment.id, experiment.key) for experiment in problem.experiments),
     )
 

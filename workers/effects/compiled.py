@@ -1,8 +1,9 @@
-"""Effects of one experiment made ready for the compiled loops.
+"""Effects of one experiment, compiled for the simulation loops.
 
 An effect at a state derivative, an input or a parameter acts while the simulation runs, through
-three functions: `begin` starts its own states, `before` edits inputs and parameters before the FMU
-sees them, `inside` adds to the derivatives. An effect at an output acts on the record afterwards.
+three functions: `start_states` sets its own states at the start, `modify_inputs` changes inputs and
+parameters before the FMU sees them, `add_derivatives` adds to the derivatives. An effect at an
+output is applied to the recorded outputs afterwards.
 """
 
 from __future__ import annotations
@@ -15,51 +16,49 @@ from typing import Any
 import sympy as sp
 
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
-from workers.effects.source import CAssignment, compile_function
-
-Places = dict[sp.Symbol, tuple[str, int]]
+from workers.effects.source import CAssignment, EffectArray, SymbolLocations, compile_function
 
 
 @dataclass(frozen=True)
 class InnerEffects:
-    """What acts while a simulation runs.
+    """Effects that act while a simulation runs.
 
     Attributes
     ----------
     parameters
-        FMU parameters that are modulated, in the order of the `base` and `varied` arrays.
-    own_states
-        How many states the effects bring along.
-    begin, before, inside
+        FMU parameters that effects change, in the order of their arrays.
+    n_effect_states
+        Number of own states of the effects.
+    start_states, modify_inputs, add_derivatives
         Compiled functions, None where there is nothing to do.
     """
 
     parameters: tuple[str, ...]
-    own_states: int
-    begin: Any
-    before: Any
-    inside: Any
+    n_effect_states: int
+    start_states: Any
+    modify_inputs: Any
+    add_derivatives: Any
 
 
 @dataclass(frozen=True)
 class CompiledEquations:
-    """What `InnerEffects` is compiled from: also what an exported FMU prints as C.
+    """Equations that `InnerEffects` is compiled from, and an exported FMU has as C.
 
     Attributes
     ----------
     parameters
         As in `InnerEffects`.
-    places
-        Where each symbol stands: (array, index).
-    begin, before, inside
-        What each function assigns.
+    locations
+        (array, index) of each symbol.
+    start_states, modify_inputs, add_derivatives
+        Assignments of each function.
     """
 
     parameters: tuple[str, ...]
-    places: Places
-    begin: tuple[CAssignment, ...]
-    before: tuple[CAssignment, ...]
-    inside: tuple[CAssignment, ...]
+    locations: SymbolLocations
+    start_states: tuple[CAssignment, ...]
+    modify_inputs: tuple[CAssignment, ...]
+    add_derivatives: tuple[CAssignment, ...]
 
 
 @lru_cache(maxsize=512)
@@ -70,13 +69,19 @@ def compile_inner(
     inputs: tuple[str, ...],
 ) -> InnerEffects:
     """Compile the effects at derivatives, inputs and parameters; arguments as of `equations`."""
-    made = equations(definitions, positions, states, inputs)
+    laid_out = equations(definitions, positions, states, inputs)
     return InnerEffects(
-        parameters=made.parameters,
-        own_states=len(made.begin),
-        begin=_compile(READ, made.places, made.begin),
-        before=_compile((*READ, "edited", "varied"), made.places, made.before),
-        inside=_compile((*READ, "slopes"), made.places, made.inside),
+        parameters=laid_out.parameters,
+        n_effect_states=len(laid_out.start_states),
+        start_states=_compile(READ, laid_out.locations, laid_out.start_states),
+        modify_inputs=_compile(
+            (*READ, EffectArray.EFFECTIVE_INPUTS, EffectArray.EFFECTIVE_PARAMETERS),
+            laid_out.locations,
+            laid_out.modify_inputs,
+        ),
+        add_derivatives=_compile(
+            (*READ, EffectArray.DERIVATIVES), laid_out.locations, laid_out.add_derivatives
+        ),
     )
 
 
@@ -101,81 +106,112 @@ def equations(
     parameters = tuple(
         dict.fromkeys(d.site.target for d in definitions if d.site.kind == "parameter")
     )
-    places = _places(definitions, positions, states, inputs, parameters)
+    locations = _locate_symbols(definitions, positions, states, inputs, parameters)
     chain = _EffectChain(inputs, parameters)
-    begin: list[CAssignment] = []
-    inside: list[CAssignment] = []
+    start_states: list[CAssignment] = []
+    add_derivatives: list[CAssignment] = []
     for definition in sorted(definitions, key=lambda d: d.site.at_rates):
-        meaning = chain.meaning(definition)
-        for symbol, start, slope in zip(
-            definition.states, definition.starts, definition.derivatives, strict=True
-        ):
-            index = places[symbol][1]
-            begin.append(CAssignment("states", index, start.xreplace(meaning)))
-            inside.append(CAssignment("slopes", index, slope.xreplace(meaning)))
-        for target, equation in definition.parts:
-            here = equation.xreplace(meaning)
-            if definition.site.at_rates:
-                inside.append(CAssignment("slopes", states.index(target), here, add=True))
-            else:
-                chain.replace(definition, here)
-    before = [CAssignment("edited", i, chain.inputs[n]) for i, n in enumerate(inputs)]
-    before += [CAssignment("varied", i, chain.parameters[n]) for i, n in enumerate(parameters)]
-    if all(d.site.at_rates for d in definitions):
-        before = []
-    return CompiledEquations(parameters, places, tuple(begin), tuple(before), tuple(inside))
+        starts, derivatives = _own_states(definition, locations, chain.substitutions(definition))
+        start_states += starts
+        add_derivatives += derivatives + chain.apply(definition, states)
+    changes_signals = not all(d.site.at_rates for d in definitions)
+    modify_inputs = chain.assignments() if changes_signals else ()
+    return CompiledEquations(
+        parameters, locations, tuple(start_states), modify_inputs, tuple(add_derivatives)
+    )
 
 
-READ = ("states", "raw", "coefficients", "base")
+def _own_states(
+    definition: EffectDefinition,
+    locations: SymbolLocations,
+    substitutions: dict[sp.Symbol, sp.Expr],
+) -> tuple[list[CAssignment], list[CAssignment]]:
+    """Return the start values and the derivatives of an effect's own states."""
+    indices = [locations[symbol][1] for symbol in definition.states]
+    starts = [
+        CAssignment(EffectArray.STATES, i, start.xreplace(substitutions))
+        for i, start in zip(indices, definition.starts, strict=True)
+    ]
+    derivatives = [
+        CAssignment(EffectArray.DERIVATIVES, i, derivative.xreplace(substitutions))
+        for i, derivative in zip(indices, definition.derivatives, strict=True)
+    ]
+    return starts, derivatives
+
+
+READ = (EffectArray.STATES, EffectArray.INPUTS, EffectArray.COEFFICIENTS, EffectArray.BASE)
 """Arrays that every function reads: states, inputs as measured, coefficients, parameters."""
 
 
-def _compile(arrays: tuple[str, ...], places: Places, assignments: Sequence[CAssignment]) -> Any:
-    return compile_function(arrays, places, assignments, TIME) if assignments else None
+def _compile(
+    arrays: tuple[EffectArray, ...], locations: SymbolLocations, assignments: Sequence[CAssignment]
+) -> Any:
+    return compile_function(arrays, locations, assignments, TIME) if assignments else None
 
 
-def _places(
+def _locate_symbols(
     definitions: Sequence[EffectDefinition],
     positions: Sequence[int],
     states: Sequence[str],
     inputs: Sequence[str],
     parameters: Sequence[str],
-) -> Places:
-    """Where each symbol stands in the arrays."""
-    places: Places = {variable_symbol(n): ("states", i) for i, n in enumerate(states)}
-    places |= {variable_symbol(n): ("raw", i) for i, n in enumerate(inputs)}
-    places |= {_base(name): ("base", i) for i, name in enumerate(parameters)}
-    own = len(states)
+) -> SymbolLocations:
+    """Return the array and index of each symbol."""
+    locations: SymbolLocations = {
+        variable_symbol(n): (EffectArray.STATES, i) for i, n in enumerate(states)
+    }
+    locations |= {variable_symbol(n): (EffectArray.INPUTS, i) for i, n in enumerate(inputs)}
+    locations |= {base_symbol(name): (EffectArray.BASE, i) for i, name in enumerate(parameters)}
+    position_of_state = len(states)
     for definition, position in zip(definitions, positions, strict=True):
         for i, symbol in enumerate(definition.coefficients):
-            places[symbol] = ("coefficients", position + i)
+            locations[symbol] = (EffectArray.COEFFICIENTS, position + i)
         for symbol in definition.states:
-            places[symbol] = ("states", own)
-            own += 1
-    return places
+            locations[symbol] = (EffectArray.STATES, position_of_state)
+            position_of_state += 1
+    return locations
 
 
 class _EffectChain:
-    """What reaches the FMU at each input and parameter after the effects so far."""
+    """Expressions of each input and parameter of the FMU after the effects so far."""
 
     def __init__(self, inputs: Sequence[str], parameters: Sequence[str]) -> None:
+        self._input_names = tuple(inputs)
         self.inputs: dict[str, sp.Expr] = {name: variable_symbol(name) for name in inputs}
-        self.parameters: dict[str, sp.Expr] = {name: _base(name) for name in parameters}
+        self.parameters: dict[str, sp.Expr] = {name: base_symbol(name) for name in parameters}
 
-    def meaning(self, definition: EffectDefinition) -> dict[sp.Symbol, sp.Expr]:
-        """What the symbols of an effect's equations stand for at its site."""
+    def substitutions(self, definition: EffectDefinition) -> dict[sp.Symbol, sp.Expr]:
+        """Return the expressions of the symbols of an effect's equations at its site."""
         if definition.site.at_rates:
             return {variable_symbol(name): value for name, value in self.inputs.items()}
         return {SIGNAL: self._of(definition)[definition.site.target]}
 
-    def replace(self, definition: EffectDefinition, equation: sp.Expr) -> None:
-        """Let an equation take the place of its signal, for the effects that follow."""
-        self._of(definition)[definition.site.target] = equation
+    def apply(self, definition: EffectDefinition, states: Sequence[str]) -> list[CAssignment]:
+        """Apply an effect: to its signal for those that follow, or to derivatives, returned."""
+        substitutions = self.substitutions(definition)
+        added = []
+        for target, equation in definition.equations:
+            expression = equation.xreplace(substitutions)
+            if definition.site.at_rates:
+                index = states.index(target)
+                added.append(CAssignment(EffectArray.DERIVATIVES, index, expression, add=True))
+            else:
+                self._of(definition)[definition.site.target] = expression
+        return added
+
+    def assignments(self) -> tuple[CAssignment, ...]:
+        """Assign the effective inputs and parameters."""
+        inputs = enumerate(self.inputs[name] for name in self._input_names)
+        parameters = enumerate(self.parameters.values())
+        return (
+            *(CAssignment(EffectArray.EFFECTIVE_INPUTS, i, value) for i, value in inputs),
+            *(CAssignment(EffectArray.EFFECTIVE_PARAMETERS, i, value) for i, value in parameters),
+        )
 
     def _of(self, definition: EffectDefinition) -> dict[str, sp.Expr]:
         return self.inputs if definition.site.kind == "input" else self.parameters
 
 
-def _base(name: str) -> sp.Symbol:
-    """The value of a parameter without its effects."""
+def base_symbol(name: str) -> sp.Symbol:
+    """Return the symbol of a parameter without its effects."""
     return sp.Symbol(f"base:{name}", real=True)

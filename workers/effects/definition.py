@@ -21,7 +21,7 @@ TIME, SIGNAL = sp.Symbol("t", real=True), sp.Symbol("s", real=True)
 
 
 def variable_symbol(name: str) -> sp.Symbol:
-    """What stands for a variable of the FMU in an equation."""
+    """Return the symbol of a variable of the FMU in an equation."""
     return sp.Symbol(f"fmu:{name}", real=True)
 
 
@@ -35,8 +35,8 @@ class EffectDefinition:
     Attributes
     ----------
     effect, site, form
-        What it is and where.
-    parts
+        The effect, where it acts, and its form.
+    equations
         (target, equation): what is added to the derivative of a state, or takes the place of the
         signal `SIGNAL` of that name. Two at a pair, else one.
     coefficients
@@ -50,7 +50,7 @@ class EffectDefinition:
     effect: Effect
     site: EffectSite
     form: EffectForm
-    parts: tuple[tuple[str, sp.Expr], ...]
+    equations: tuple[tuple[str, sp.Expr], ...]
     coefficients: tuple[sp.Symbol, ...]
     states: tuple[sp.Symbol, ...]
     derivatives: tuple[sp.Expr, ...]
@@ -60,7 +60,7 @@ class EffectDefinition:
     def substeps(
         self, values: FloatArray, step: float, signals: Mapping[str, FloatArray] | None = None
     ) -> int:
-        """Into how many parts a step must be cut, at least, for its own states to stay stable.
+        """Return the least number of substeps that keep its own states stable.
 
         Eight for each time constant, where the time constants depend on nothing but the
         coefficients and, if these are given, the variables in `signals`.
@@ -72,27 +72,27 @@ class EffectDefinition:
         fastest = max((float(np.max(np.abs(rate))) for rate in rates), default=0.0)
         return int(min(max(1.0, np.ceil(8.0 * step * fastest)), MOST_SUBSTEPS))
 
-    def neutral(self, values: FloatArray) -> bool:
-        """Whether it does nothing with these values of its coefficients."""
-        known = [c.neutral for c in self.form.coefficients]
-        pairs = zip(known, values.tolist(), strict=True)
+    def is_neutral(self, values: FloatArray) -> bool:
+        """Return whether it does nothing with these values of its coefficients."""
+        neutral_values = [c.neutral for c in self.form.coefficients]
+        pairs = zip(neutral_values, values.tolist(), strict=True)
         return all(value == still for still, value in pairs if still is not None)
 
 
 @lru_cache(maxsize=512)
 def _rates(definition: EffectDefinition, names: tuple[str, ...]) -> Callable[..., list[FloatArray]]:
-    """The rates of the own states, as a function of the coefficients and of variables by name."""
+    """Return the rates of the own states as a function of coefficients and named variables."""
     symbols = (*definition.coefficients, *(variable_symbol(name) for name in names))
-    known = known_rates(definition, names)
-    function: Callable[..., list[FloatArray]] = sp.lambdify(symbols, known, "numpy")
+    rates = known_rates(definition, names)
+    function: Callable[..., list[FloatArray]] = sp.lambdify(symbols, rates, "numpy")
     return function
 
 
 def known_rates(definition: EffectDefinition, names: tuple[str, ...]) -> list[sp.Expr]:
-    """The rates of those own states that depend on nothing but coefficients and these variables."""
+    """Return the rates of own states that depend on coefficients and these variables alone."""
     symbols = {*definition.coefficients, *(variable_symbol(name) for name in names)}
     pairs = zip(definition.derivatives, definition.states, strict=True)
-    rates = [sp.diff(slope, state) for slope, state in pairs]
+    rates = [sp.diff(derivative, state) for derivative, state in pairs]
     return [rate for rate in rates if rate.free_symbols <= symbols]
 
 
@@ -107,7 +107,7 @@ def define(
     Parameters
     ----------
     effect, description, interface
-        What is added, to what, and through which interface.
+        The effect, and the FMU and interface that it acts on.
     signals
         Names of measured signals beside the FMU's inputs.
 
@@ -119,9 +119,16 @@ def define(
     where = f"effect {effect.name!r}"
     site = parse_site(effect.site, f"{where}: site")
     check_site(site, description, interface, f"{where}: site")
+    allowed = [*_variables(description, site, interface), *signals]
+    return _definition(effect, site, {name: variable_symbol(name) for name in allowed})
+
+
+def _definition(
+    effect: Effect, site: EffectSite, variables: Mapping[str, sp.Symbol]
+) -> EffectDefinition:
+    """Read the equations of an effect over the variables that they may depend on."""
+    where = f"effect {effect.name!r}"
     chosen = _chosen(effect, site, where)
-    known = [*_variables(description, site, interface), *signals]
-    variables = {name: variable_symbol(name) for name in known}
     names = _placeholders(effect, chosen, site, variables, where)
     own = {c.name: sp.Symbol(f"{effect.name}.{c.name}", real=True) for c in chosen.coefficients}
     states = {z.name: sp.Symbol(f"{effect.name}:{z.name}", real=True) for z in chosen.states}
@@ -133,15 +140,17 @@ def define(
         return parse(text, symbols, f"{where}: equation")
 
     texts = (chosen.equation, chosen.reaction) if site.other else (chosen.equation,)
-    parts = tuple((t, read(text)) for t, text in zip(site.targets, texts, strict=True))
+    equations = tuple((t, read(text)) for t, text in zip(site.targets, texts, strict=True))
     derivatives = tuple(read(z.derivative) for z in chosen.states)
     starts = tuple(read(z.start) for z in chosen.states)
-    used = set().union(*(e.free_symbols for e in (*dict(parts).values(), *derivatives, *starts)))
+    used = set().union(
+        *(e.free_symbols for e in (*dict(equations).values(), *derivatives, *starts))
+    )
     return EffectDefinition(
         effect=effect,
         site=site,
         form=chosen,
-        parts=parts,
+        equations=equations,
         coefficients=tuple(own.values()),
         states=tuple(states.values()),
         derivatives=derivatives,
@@ -165,7 +174,7 @@ def coefficients(effect: Effect, where: str) -> tuple[FormCoefficient, ...]:
 
 
 def _chosen(effect: Effect, site: EffectSite, where: str) -> EffectForm:
-    """The form that an effect names, or the one that its own equation makes."""
+    """Return the form that an effect names, or that of its own equation."""
     if not effect.equation:
         return form(site.kind, effect.form, where)
     if site.kind == "pair":
@@ -177,12 +186,15 @@ def _chosen(effect: Effect, site: EffectSite, where: str) -> EffectForm:
 
 
 def _own_form(effect: Effect, site: EffectSite) -> EffectForm:
-    own = tuple(FormCoefficient(name, neutral) for name, neutral in effect.coefficients)
+    own = tuple(FormCoefficient(name, is_neutral) for name, is_neutral in effect.coefficients)
     return EffectForm("expression", "own", (site.kind,), effect.equation, own)
 
 
 def _variables(description: ModelDescription, site: EffectSite, interface: Interface) -> list[str]:
-    """What an equation at a site may depend on; states are seen in model exchange, or recorded."""
+    """Return the variables that an equation at a site may depend on.
+
+    States are known in model exchange, or from the recorded outputs.
+    """
     names = [v.name for v in description.inputs()]
     if interface == "model_exchange" or site.kind == "output":
         names = [*description.states, *names]
@@ -198,7 +210,7 @@ def _placeholders(
     variables: Mapping[str, sp.Symbol],
     where: str,
 ) -> dict[str, sp.Expr]:
-    """`v` and `w` of a form, or every variable by its own name in an equation of the user's."""
+    """Return `v` and `w` of a form, or every variable by its name for a user's equation."""
     if effect.equation:
         return dict(variables)
     given = effect.variables
@@ -214,7 +226,7 @@ def _placeholders(
 
 
 def _variable(text: str, variables: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
-    """What stands for a variable, or for the difference of two."""
+    """Return the expression of a variable, or of the difference of two."""
     names = split_variable(text, variables)
     if not names:
         parse(text, variables, where)  # says which name is unknown
@@ -224,7 +236,7 @@ def _variable(text: str, variables: Mapping[str, sp.Symbol], where: str) -> sp.E
 
 
 def split_variable(text: str, known: Container[str]) -> tuple[str, ...]:
-    """The name in a form's variable, the two of a difference "v - w", or none if it is neither.
+    """Return the name in a form's variable, the two of a difference "v - w", or none.
 
     Names of FMUs may hold almost any character, so only `known` ones tell what a minus is.
     """

@@ -1,8 +1,8 @@
-"""Forms that change a signal as a whole, because what they give depends on what it was before.
+"""Forms with memory, such as delays: they change a signal as a whole, from its past values.
 
 At an input they change its samples before the simulation, ahead of the effects that act while it
-runs; at an output they change the record. Each is a function of a signal's times and values and
-of the first coefficient of its form.
+runs; at an output they change the recorded outputs. Each is a function of a signal's times and
+values, and of the first coefficient of its form.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where an effect acts."""
+"""Sites of effects: where in the model an effect acts."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class EffectSite:
 
     @property
     def at_rates(self) -> bool:
-        """Whether an effect here is added to derivatives; elsewhere it replaces a signal."""
+        """True if an effect here is added to derivatives; elsewhere it replaces a signal."""
         return self.kind in ("derivative", "pair")
 
 
@@ -74,7 +74,7 @@ def parse_site(text: str, where: str) -> EffectSite:
 
 
 def open_sites(description: ModelDescription, interface: Interface) -> list[EffectSite]:
-    """Every site that an FMU offers: a co-simulation FMU keeps its state derivatives to itself."""
+    """Return every site that an FMU offers; none at state derivatives in co-simulation."""
     variables = [v for v in description.variables.values() if v.alias_of is None]
     exchange = interface == "model_exchange"
     sites = [EffectSite("derivative", name) for name in description.states] if exchange else []
@@ -85,7 +85,7 @@ def open_sites(description: ModelDescription, interface: Interface) -> list[Effe
 
 
 def open_pairs(description: ModelDescription, interface: Interface) -> list[EffectSite]:
-    """Every two states between which a force can be: those with one unit, like two velocities.
+    """Return all pairs of states between which a force can act: those of the same unit.
 
     An effect at a pair may name any two states; these are the ones that a search should try.
     """

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 import sympy as sp
@@ -12,19 +13,38 @@ from numba.core import types
 from sympy.printing.pycode import pycode
 
 
+class EffectArray(StrEnum):
+    """Arrays that equations of effects read and write, by their names in the C of exported FMUs."""
+
+    STATES = "states"
+    INPUTS = "raw"
+    COEFFICIENTS = "coefficients"
+    BASE = "base"
+    EFFECTIVE_INPUTS = "edited"
+    EFFECTIVE_PARAMETERS = "varied"
+    DERIVATIVES = "slopes"
+    OUTPUTS = "row"
+    RESULT = "result"
+    FASTEST = "fastest"
+
+
 @dataclass(frozen=True)
 class CAssignment:
     """`target[index] = value`, or `+=`."""
 
-    target: str
+    target: EffectArray
     index: int
     value: sp.Expr
     add: bool = False
 
 
+SymbolLocations = dict[sp.Symbol, tuple[EffectArray, int]]
+"""(array, index) of each symbol."""
+
+
 def compile_function(
-    arrays: Sequence[str],
-    places: Mapping[sp.Symbol, tuple[str, int]],
+    arrays: Sequence[EffectArray],
+    locations: SymbolLocations,
     assignments: Sequence[CAssignment],
     time: sp.Symbol,
 ) -> Any:
@@ -34,10 +54,10 @@ def compile_function(
     ----------
     arrays
         Names of the pointer arguments, in order.
-    places
-        Where each symbol of the equations stands: (array, index).
+    locations
+        (array, index) of each symbol of the equations.
     assignments
-        What the function does. All values are read before anything is written.
+        Statements of the function. All values are read before anything is written.
     time
         The symbol of the first argument.
 
@@ -46,7 +66,7 @@ def compile_function(
     numba cfunc
         Its `address` is what compiled loops call. Keep it: the code lives as long as the object.
     """
-    text = _source(arrays, places, assignments, time)
+    text = _source(arrays, locations, assignments, time)
     scope: dict[str, Any] = {"carray": carray, "math": __import__("math")}
     exec(compile(text, "<effect>", "exec"), scope)  # printed by SymPy from a checked syntax tree
     pointers = [types.CPointer(types.float64)] * len(arrays)  # type: ignore[attr-defined]
@@ -54,23 +74,23 @@ def compile_function(
 
 
 def _source(
-    arrays: Sequence[str],
-    places: Mapping[sp.Symbol, tuple[str, int]],
+    arrays: Sequence[EffectArray],
+    locations: SymbolLocations,
     assignments: Sequence[CAssignment],
     time: sp.Symbol,
 ) -> str:
-    """The function as Python text, common parts computed once."""
+    """Return the function as Python text, with common parts computed once."""
     sizes = dict.fromkeys(arrays, 1)
-    for array, index in [*places.values(), *((a.target, a.index) for a in assignments)]:
+    for array, index in [*locations.values(), *((a.target, a.index) for a in assignments)]:
         sizes[array] = max(sizes[array], index + 1)
     used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
-    locals_: dict[sp.Symbol, sp.Symbol] = {time: sp.Symbol("t", real=True)}
+    local_symbols: dict[sp.Symbol, sp.Symbol] = {time: sp.Symbol("t", real=True)}
     lines = [f"{name} = carray({name}_, {size})" for name, size in sizes.items()]
     for number, symbol in enumerate(sorted(used - {time}, key=str)):
-        array, index = places[symbol]
-        locals_[symbol] = sp.Symbol(f"s{number}", real=True)
+        array, index = locations[symbol]
+        local_symbols[symbol] = sp.Symbol(f"s{number}", real=True)
         lines.append(f"s{number} = {array}[{index}]")
-    values = [a.value.xreplace(locals_) for a in assignments]
+    values = [a.value.xreplace(local_symbols) for a in assignments]
     common, reduced = sp.cse(values, symbols=sp.numbered_symbols("c"))
     lines += [f"{symbol} = {_print(value)}" for symbol, value in common]
     lines += [f"r{i} = {_print(value)}" for i, value in enumerate(reduced)]
@@ -83,5 +103,5 @@ def _source(
 
 
 def _print(value: sp.Expr) -> str:
-    """Python text of an expression, a power of a half as a square root."""
+    """Return the Python text of an expression, a power of a half as a square root."""
     return str(pycode(value, fully_qualified_modules=True))

@@ -15,7 +15,7 @@ _WORD = re.compile(r"(site|other|travel|second|v|w|s)(\^[\d.]+)?")
 def coefficient_units(
     definition: EffectDefinition, description: ModelDescription
 ) -> tuple[str, ...]:
-    """The unit of each coefficient of an effect, such as "N/(m/s)^2".
+    """Return the unit of each coefficient of an effect, such as "N/(m/s)^2".
 
     A form says them in these words: `site` is what its equation gives (at the derivative of a state
     the state's unit over a second, elsewhere that of the signal, which `s` means too), `other` the

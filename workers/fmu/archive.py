@@ -64,20 +64,25 @@ def unpack(name: str, archive: bytes, archive_hash: str) -> Path:
                 f"{name}: cannot be unpacked into {target.parent} ({error.strerror}); set "
                 "CLUSTER_EST_CACHE to a folder that can be written"
             ) from error
-        try:
-            opened.extractall(private)
-            private.rename(target)
-        except OSError as error:
-            if not target.is_dir():  # no other process was faster
-                raise ModelError(
-                    f"{name}: cannot be unpacked into {target.parent} ({error.strerror}); make "
-                    "room there, or export the FMU again"
-                ) from error
-        except DAMAGED as error:
-            raise ModelError(f"{name}: cannot be unpacked ({error}); export it again") from error
-        finally:
-            shutil.rmtree(private, ignore_errors=True)
+        _extract(name, opened, private, target)
     return target
+
+
+def _extract(name: str, opened: zipfile.ZipFile, private: Path, target: Path) -> None:
+    """Extract an archive into a private folder, and rename that to the target."""
+    try:
+        opened.extractall(private)
+        private.rename(target)
+    except OSError as error:
+        if not target.is_dir():  # no other process was faster
+            raise ModelError(
+                f"{name}: cannot be unpacked into {target.parent} ({error.strerror}); make "
+                "room there, or export the FMU again"
+            ) from error
+    except DAMAGED as error:
+        raise ModelError(f"{name}: cannot be unpacked ({error}); export it again") from error
+    finally:
+        shutil.rmtree(private, ignore_errors=True)
 
 
 def open_archive(name: str, archive: bytes) -> zipfile.ZipFile:

@@ -29,7 +29,7 @@ class ArraySizes:
                 self._known.setdefault(raw.reference, given)
 
     def shape(self, raw: RawVariable, notes: ReadingNotes) -> tuple[int, ...] | None:
-        """Its shape, () for a scalar; None, with a note, for an array that must be left out."""
+        """Return its shape, () for a scalar; None, with a note, for an array to be left out."""
         sizes: list[int] = []
         for dimension in raw.own.findall("Dimension"):
             size = whole(dimension.get("start"))
@@ -56,7 +56,7 @@ def _reference(element: Element) -> int:
 def elements_of(
     raw: RawVariable, scalar: ModelVariable, shape: tuple[int, ...], notes: ReadingNotes
 ) -> tuple[ModelVariable, ...]:
-    """One variable for each element, with its start value."""
+    """Return one variable for each element, with its start value."""
     texts = [] if scalar.kind in ("string", "binary", "clock") else _starts(raw, shape)
     starts: list[float | None] = [_start(text, scalar, notes) for text in texts]
     if not shape:
@@ -94,6 +94,7 @@ def _start(text: str, scalar: ModelVariable, notes: ReadingNotes) -> float | Non
 
 
 def renamed(elements: tuple[ModelVariable, ...], name: str) -> list[ModelVariable]:
+    """Return the elements of a variable under another name, as aliases."""
     return [
         replace(v, name=name + v.name[v.name.rindex("[") :] if v.shape else name, alias_of=v.name)
         for v in elements

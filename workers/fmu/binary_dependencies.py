@@ -1,4 +1,4 @@
-"""Why a shared library of an FMU does not load: what it needs, read from the file itself (Linux).
+"""Dependencies of an FMU's shared library, read from its file, to explain why it does not load.
 
 The layout is that of the ELF specification (System V ABI, chapters 4 and 5); where libraries are
 searched for is from the manual page ld.so(8).
@@ -31,7 +31,7 @@ _REFUSAL = re.compile(
 
 @dataclass(frozen=True)
 class _ElfLibrary:
-    """What a library says about itself."""
+    """Processor, dependencies and search folders that a library declares."""
 
     machine: str
     needed: tuple[str, ...]
@@ -55,24 +55,24 @@ def missing_libraries(binary: Path) -> tuple[str, ...]:
         if elf is None:
             continue
         for name in elf.needed:
-            beside = _beside(path, elf, name)
-            if beside is not None and beside not in seen:
-                seen.add(beside)
-                waiting.append(beside)
-            elif beside is None and not _installed(name):
+            location = _declared_location(path, elf, name)
+            if location is not None and location not in seen:
+                seen.add(location)
+                waiting.append(location)
+            elif location is None and not _is_installed(name):
                 missing[name] = None
     return tuple(sorted(missing))
 
 
-def why_not_loaded(binary: Path, said: str = "") -> str | None:
-    """Why a library cannot be loaded here and what can be done, as the end of a sentence.
+def load_failure(binary: Path, system_message: str = "") -> str | None:
+    """Explain why a library cannot be loaded here and what to do, as the end of a sentence.
 
     Parameters
     ----------
     binary
         The FMU's library.
-    said
-        What the system said when it was loaded.
+    system_message
+        The system's message when it was loaded.
 
     Returns
     -------
@@ -90,18 +90,18 @@ def why_not_loaded(binary: Path, said: str = "") -> str | None:
         )
     missing = missing_libraries(binary)
     if missing:
-        lying = [name for name in missing if (binary.parent / name).is_file()]
-        if len(lying) == len(missing):
+        beside = [name for name in missing if (binary.parent / name).is_file()]
+        if len(beside) == len(missing):
             return (
                 f"its library {binary.name} needs {_listed(missing)}, beside it, where the system "
                 f"does not look; set LD_LIBRARY_PATH to {binary.parent} and start again"
             )
-        lacking = [name for name in missing if name not in lying]
-        plural = "libraries" if len(lacking) > 1 else "library"
-        return f"it needs the shared {plural} {_listed(lacking)}, which this machine lacks; " + (
-            "install them" if len(lacking) > 1 else "install it"
+        absent = [name for name in missing if name not in beside]
+        plural = "libraries" if len(absent) > 1 else "library"
+        return f"it needs the shared {plural} {_listed(absent)}, which this machine lacks; " + (
+            "install them" if len(absent) > 1 else "install it"
         )
-    found = _TOO_NEW.search(said)
+    found = _TOO_NEW.search(system_message)
     if found:
         return (
             f"it was built for a newer system, with {found.group(1)}, than this machine has; "
@@ -110,8 +110,8 @@ def why_not_loaded(binary: Path, said: str = "") -> str | None:
     return None
 
 
-def about_licence(text: str) -> bool:
-    """Whether a message of an FMU says that a licence was refused."""
+def is_about_licence(text: str) -> bool:
+    """Return whether a message of an FMU says that a licence was refused."""
     return bool(_LICENCE.search(text) and _REFUSAL.search(text))
 
 
@@ -183,8 +183,8 @@ def _offset(address: int, loads: list[_Segment]) -> int:
     raise ValueError("an address that is in no segment")
 
 
-def _beside(path: Path, elf: _ElfLibrary, name: str) -> Path | None:
-    """The library, where the one that needs it says to look."""
+def _declared_location(path: Path, elf: _ElfLibrary, name: str) -> Path | None:
+    """Return the library's path in the folders that the one that needs it declares."""
     if "/" in name:
         return Path(name) if Path(name).is_file() else None
     origin = str(path.parent)
@@ -195,8 +195,8 @@ def _beside(path: Path, elf: _ElfLibrary, name: str) -> Path | None:
     return None
 
 
-def _installed(name: str) -> bool:
-    """Whether the system's loader finds it: in the user's folders, its cache or its own folders."""
+def _is_installed(name: str) -> bool:
+    """Return whether the system's loader finds a library in its folders or its cache."""
     try:
         if b"\0" + name.encode() + b"\0" in _CACHE.read_bytes():
             return True

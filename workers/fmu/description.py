@@ -1,4 +1,4 @@
-"""What an FMU says about itself: its variables and what it can do."""
+"""The model description of an FMU: its variables, interfaces and structure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from workers.fmu.archive import DAMAGED, open_archive
 from workers.fmu.elements import Version
 from workers.fmu.interfaces import InterfaceOffer, read_offers
 from workers.fmu.model_variables import read_variables
-from workers.fmu.platforms import platforms_in, why_not_here
+from workers.fmu.platforms import missing_binary, platforms_in
 from workers.fmu.structure import VariableDependency, read_structure
 from workers.fmu.variable import ModelVariable
 from workers.fmu.xml import XML, ReadingNotes, first_line, flag, number, parse
@@ -23,7 +23,7 @@ from workers.messages import Interface, Model
 
 @dataclass(frozen=True)
 class ModelDescription:
-    """What an FMU says about itself.
+    """The model description of an FMU.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class ModelDescription:
     default_start, default_stop, default_step, default_tolerance
         Seconds, and a relative tolerance; None where the FMU names none.
     warnings
-        A sentence for each thing that was read around.
+        A sentence for each fault that was read around.
     """
 
     file: str
@@ -97,7 +97,7 @@ class ModelDescription:
         return any(name.startswith("sources/") and name.endswith(".c") for name in self.files)
 
     def offer(self, interface: Interface) -> InterfaceOffer:
-        """What it can do with one of its interfaces."""
+        """Return the capabilities of one of its interfaces."""
         return next(offer for offer in self.offers if offer.interface == interface)
 
     def variable(self, name: str, where: str) -> ModelVariable:
@@ -124,13 +124,13 @@ class ModelDescription:
             With what it has instead and what can be done.
         """
         identifier = self.offer(interface).identifier
-        why = why_not_here(self.version, identifier, self.files, self.has_sources)
-        if why is not None:
-            raise ModelError(f"{self.file}: {why}")
+        fault = missing_binary(self.version, identifier, self.files, self.has_sources)
+        if fault is not None:
+            raise ModelError(f"{self.file}: {fault}")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """The end of a sentence: which known name a misspelt one is nearest to, or which there are."""
+    """Return the end of a message: the known name nearest to a misspelt one, or all of them."""
     names = [str(k) for k in known]
     lowered = {k.lower(): k for k in names}
     close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.5)
@@ -147,7 +147,7 @@ def describe(
 ) -> ModelDescription:
     """Read the model description of an FMU.
 
-    Harmless faults are read around and noted in `Description.warnings`.
+    Harmless faults are read around and noted in `ModelDescription.warnings`.
 
     Parameters
     ----------
@@ -162,15 +162,15 @@ def describe(
         version, or has no such structural parameter.
     """
     notes = ReadingNotes(file)
-    with open_archive(file, archive) as opened:
-        names = opened.namelist()
-        root = parse(file, _content(file, opened), notes)
+    with open_archive(file, archive) as archive_file:
+        names = archive_file.namelist()
+        root = parse(file, _content(file, archive_file), notes)
     version = _version(root, notes)
     declared = read_variables(root, version, structural or {}, notes)
     _check_structural(file, declared.variables, structural or {})
     structure = read_structure(root, version, declared, notes)
     offers = read_offers(root, structure.fault, notes)
-    exchange, simulation, usual = (
+    exchange, simulation, default_experiment = (
         _section(root, tag) for tag in ("ModelExchange", "CoSimulation", "DefaultExperiment")
     )
     if version == "2.0":
@@ -197,26 +197,26 @@ def describe(
         fixed_internal_step=_setting(simulation, "fixedInternalStepSize", notes),
         completes_steps="model_exchange" in offered and completes_steps,
         once_per_process=any(offer.once_per_process for offer in offers),
-        default_start=_setting(usual, "startTime", notes),
-        default_stop=_setting(usual, "stopTime", notes),
-        default_step=_setting(usual, "stepSize", notes),
-        default_tolerance=_setting(usual, "tolerance", notes),
-        warnings=notes.sentences(),
+        default_start=_setting(default_experiment, "startTime", notes),
+        default_stop=_setting(default_experiment, "stopTime", notes),
+        default_step=_setting(default_experiment, "stepSize", notes),
+        default_tolerance=_setting(default_experiment, "tolerance", notes),
+        warnings=notes.messages(),
     )
 
 
 def describe_model(model: Model) -> ModelDescription:
-    """The same for what a worker is sent."""
+    """Read the model description of a model that a worker is sent."""
     return describe(model.name, model.archive, dict(model.structure))
 
 
-def _content(file: str, opened: zipfile.ZipFile) -> bytes:
-    if XML not in opened.namelist():
+def _content(file: str, archive_file: zipfile.ZipFile) -> bytes:
+    if XML not in archive_file.namelist():
         raise ModelError(
             f"{file}: must hold a {XML} but does not, so it is no FMU; export the model as an FMU"
         )
     try:
-        return opened.read(XML)
+        return archive_file.read(XML)
     except (*DAMAGED, OSError) as error:
         raise ModelError(
             f"{file}: its {XML} must be XML but cannot be read ({first_line(error)}); export it "

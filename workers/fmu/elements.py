@@ -1,4 +1,4 @@
-"""Which elements of a model description are variables, and of which type."""
+"""Elements of a model description that are variables, and their types."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class RawVariable:
     value: Element
     tag: str
     key: int
-    """What other parts of the description call it by."""
+    """Position (FMI 2) or value reference (FMI 3), by which other parts refer to it."""
     name: str
     reference: int
 
 
 def raw_variables(root: Element, version: Version, notes: ReadingNotes) -> list[RawVariable]:
-    """The variables that can be called; in FMI 2, the others still count for positions."""
+    """Return the usable variables; in FMI 2, the others still count for positions."""
     section = root.find("ModelVariables")
     types = TYPES[version]
     found = []
@@ -67,6 +67,7 @@ def raw_variables(root: Element, version: Version, notes: ReadingNotes) -> list[
 
 
 def declared_types(root: Element, version: Version) -> dict[str, Element]:
+    """Return the element with the attributes of each declared type, by its name."""
     found = {}
     for definition in root.iterfind("TypeDefinitions/*"):
         holds = definition

@@ -6,25 +6,23 @@ import contextlib
 import ctypes
 import math
 import os
-import sys
 import threading
-import weakref
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from ctypes import c_void_p
 from typing import Any
 
-import numpy as np
 from fmpy.fmi2 import FMU2Model, FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
 from workers.errors import ModelError
 from workers.fmu.archive import unpack
-from workers.fmu.binary_dependencies import about_licence, why_not_loaded
+from workers.fmu.binary_dependencies import is_about_licence, load_failure
 from workers.fmu.description import ModelDescription
+from workers.fmu.functions import FunctionTable
+from workers.fmu.logger import CALLBACKS, log_message_3, open_log
 from workers.fmu.platforms import binary_path
-from workers.kernels.fmi.component import FmiComponent, nothing_loaded
-from workers.kernels.fmi.values import TYPES
+from workers.kernels.fmi.component import FmiComponent
 from workers.messages import Model
 
 _CLASSES = {
@@ -33,63 +31,20 @@ _CLASSES = {
     ("3.0", "model_exchange"): FMU3Model,
     ("3.0", "co_simulation"): FMU3Slave,
 }
-_ALWAYS = {
-    "reset": "Reset",
-    "enter_initialization_mode": "EnterInitializationMode",
-    "exit_initialization_mode": "ExitInitializationMode",
-    "set_string": "SetString",
-    "get_directional_derivative": "GetDirectionalDerivative",
-}
-_IN_2 = {"setup_experiment": "SetupExperiment"}
-_IN_3 = {
-    "enter_configuration_mode": "EnterConfigurationMode",
-    "exit_configuration_mode": "ExitConfigurationMode",
-}
-_MODEL_EXCHANGE = {
-    "set_time": "SetTime",
-    "set_continuous_states": "SetContinuousStates",
-    "get_continuous_states": "GetContinuousStates",
-    "get_nominals": "GetNominalsOfContinuousStates",
-    "get_event_indicators": "GetEventIndicators",
-    "enter_event_mode": "EnterEventMode",
-    "enter_continuous_time_mode": "EnterContinuousTimeMode",
-    "completed_integrator_step": "CompletedIntegratorStep",
-}
-_MODEL_EXCHANGE_2 = {
-    "get_derivatives": "GetDerivatives",
-    "update_discrete_states": "NewDiscreteStates",
-}
-_MODEL_EXCHANGE_3 = {
-    "get_derivatives": "GetContinuousStateDerivatives",
-    "update_discrete_states": "UpdateDiscreteStates",
-}
-_CO_SIMULATION = {"do_step": "DoStep"}
-_CO_SIMULATION_2 = {"set_real_input_derivatives": "SetRealInputDerivatives"}
-_SOMETIMES = {
-    "set_string",
-    "get_nominals",
-    "get_event_indicators",
-    "set_real_input_derivatives",
-    "get_directional_derivative",
-}
-"""Fields of functions that are called only where the description promises them."""
-_TYPES_IN_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
-"""How FMI 2.0 calls those types that it has."""
-
 _TERMINATED, _LAST_SUCCESSFUL_TIME = 3, 2
 """Kinds of status of FMI 2.0's co-simulation."""
-_NO_RESET = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p)(lambda handle: 0)
+_NO_RESET = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p)(lambda _handle: 0)
 _NO_RESET_AT = ctypes.cast(_NO_RESET, c_void_p).value or 0
 """What stands for the reset of an instance that has just been made."""
 
-_loading = threading.Lock()
-_made = 0
-_given_up: list[Any] = []
+_load_lock = threading.Lock()
+_instance_count = 0
+_abandoned: list[Any] = []
 
 
-def instances() -> int:
-    """How many instances of FMUs this process has made so far."""
-    return _made
+def instances_made() -> int:
+    """Return the number of instances of FMUs that this process has made so far."""
+    return _instance_count
 
 
 class FmuInstance:
@@ -112,75 +67,81 @@ class FmuInstance:
         description.check_platform(model.interface)
         self._folder = unpack(model.name, model.archive, model.archive_hash)
         self.log: deque[str] = deque(maxlen=20)
-        self._freed = self._used = False
+        self._is_freed = self._is_used = False
         self._fmu = self._load()
-        self.component = self._addresses()
+        self.component = self._functions.component()
 
     def fresh(self) -> FmiComponent:
-        """Give an instance that nothing has been simulated with, and that needs no reset.
+        """Return an instance that has simulated nothing yet, and needs no reset.
 
         Raises
         ------
         ModelError
             If the FMU cannot be instantiated again.
         """
-        if self._used:
+        if self._is_used:
             self.free()
-            self.renew()
-        self._used = True
+            self.replace()
+        self._is_used = True
         return self.component._replace(reset=_NO_RESET_AT)
 
-    def renew(self) -> None:
+    def replace(self) -> None:
         """Replace the instance by a fresh one: all that is left after a fatal error.
 
         The old one is not freed, because the standard forbids any further call to it. It is kept,
         because it may still call its logger.
         """
-        _given_up.append(self._fmu)
+        _abandoned.append(self._fmu)
         self._fmu = self._load()
-        self._freed = self._used = False
-        self.component = self._addresses()
+        self._is_freed = self._is_used = False
+        self.component = self._functions.component()
 
-    def ended_at(self) -> float | None:
-        """Return the time at which the FMU ended a simulation, after it has discarded a step.
+    def termination_time(self) -> float | None:
+        """Return the time at which the FMU terminated, after it has discarded a step.
 
-        None if it did not end it. Of FMI 2.0; in 3.0 a step says this itself.
+        None if it did not terminate. Of FMI 2.0; in 3.0 a step says this itself.
         """
-        ended, time = ctypes.c_int(0), ctypes.c_double(-math.inf)
+        terminated, time = ctypes.c_int(0), ctypes.c_double(-math.inf)
         if self._description.version == "2.0":
-            self._ask("GetBooleanStatus", ctypes.c_int(_TERMINATED), ctypes.byref(ended))
-        if not ended.value:
+            self._functions.call(
+                "GetBooleanStatus", ctypes.c_int(_TERMINATED), ctypes.byref(terminated)
+            )
+        if not terminated.value:
             return None
-        self._ask("GetRealStatus", ctypes.c_int(_LAST_SUCCESSFUL_TIME), ctypes.byref(time))
+        self._functions.call(
+            "GetRealStatus", ctypes.c_int(_LAST_SUCCESSFUL_TIME), ctypes.byref(time)
+        )
         return time.value
 
     @property
+    def _functions(self) -> FunctionTable:
+        return FunctionTable(self._fmu, self._model, self._description)
+
+    @property
     def fmu(self) -> Any:
-        """The same as fmpy has it."""
+        """The instance as an object of fmpy."""
         return self._fmu
 
     def free(self) -> None:
-        """Free the instance and unload its library. Again does nothing: it would be freed twice."""
-        with _loading:
-            if not self._freed:
-                self._freed = True
+        """Free the instance and unload its library; a second call does nothing."""
+        with _load_lock:
+            if not self._is_freed:
+                self._is_freed = True
                 self._fmu.freeInstance()
 
     def _load(self) -> Any:
-        """The instance as fmpy has it; its class depends on version and interface."""
+        """Load it with fmpy's class for its version and interface."""
         version, interface = self._description.version, self._model.interface
-        make = _CLASSES[version, interface]
+        model_class = _CLASSES[version, interface]
         identifier = self._description.offer(interface).identifier
-        global _made
-        with _loading:
-            _made += 1
-            name = f"{identifier}-{_made}"
-        _logs[name] = self.log
-        if self._model.talks:
-            _talking.add(name)
+        global _instance_count
+        with _load_lock:
+            _instance_count += 1
+            name = f"{identifier}-{_instance_count}"
+        open_log(name, self.log, shown=self._model.logging_on)
         try:
-            with _loading, _same_folder():
-                fmu = make(
+            with _load_lock, _unchanged_working_folder():
+                fmu = model_class(
                     guid=self._description.guid,
                     modelIdentifier=identifier,
                     unzipDirectory=str(self._folder),
@@ -189,161 +150,41 @@ class FmuInstance:
                 )
                 self._instantiate(fmu, name)
         except Exception as error:  # fmpy raises bare exceptions here
-            raise ModelError(self._why_not(error)) from error
+            raise ModelError(self._load_failure(error)) from error
         return fmu
 
     def _instantiate(self, fmu: Any, name: str) -> None:
         version_2 = self._description.version == "2.0"
-        how = {"callbacks": _callbacks} if version_2 else {"logMessage": _log_3(name)}
+        how = {"callbacks": CALLBACKS} if version_2 else {"logMessage": log_message_3(name)}
         try:
-            fmu.instantiate(loggingOn=self._model.talks, **how)
+            fmu.instantiate(loggingOn=self._model.logging_on, **how)
         except Exception:
             if not self.log and not self._description.once_per_process:
                 with contextlib.suppress(Exception):  # some say why only if they are to talk
                     fmu.instantiate(loggingOn=True, **how)
             raise
 
-    def _why_not(self, error: Exception) -> str:
-        """What kept the FMU from being loaded, and what can be done."""
+    def _load_failure(self, error: Exception) -> str:
+        """Explain why the FMU could not be loaded, and what to do."""
         identifier = self._description.offer(self._model.interface).identifier
         binary = self._folder / binary_path(self._description.version, identifier)
-        known = why_not_loaded(binary, str(error))
-        if known is not None:
-            return f"{self._model.name}: cannot be loaded: {known}"
-        said = f" It said: {' '.join(self.log[-1].split()).rstrip('.')}." if self.log else ""
+        cause = load_failure(binary, str(error))
+        if cause is not None:
+            return f"{self._model.name}: cannot be loaded: {cause}"
+        log = f" It said: {' '.join(self.log[-1].split()).rstrip('.')}." if self.log else ""
         advice = "Check that it runs on this machine and that everything it needs is installed"
         if self._description.offer(self._model.interface).needs_execution_tool:
             advice += f"; it needs {self._description.tool or 'the tool that exported it'} here"
-        if any(about_licence(line) for line in (*self.log, str(error))):
+        if any(is_about_licence(line) for line in (*self.log, str(error))):
             advice = "Get the licence that it asks for, or export it without the need of one"
-        return f"{self._model.name}: cannot be loaded and instantiated ({error}).{said} {advice}"
-
-    def _addresses(self) -> FmiComponent:
-        description, exchange = self._description, self._model.interface == "model_exchange"
-        version = 2 if description.version == "2.0" else 3
-        used = _ALWAYS | (_IN_2 if version == 2 else _IN_3)
-        if exchange:
-            used |= _MODEL_EXCHANGE | (_MODEL_EXCHANGE_2 if version == 2 else _MODEL_EXCHANGE_3)
-        else:
-            used |= _CO_SIMULATION | (_CO_SIMULATION_2 if version == 2 else {})
-        found = {field: self._address(name) for field, name in used.items()}
-        absent = [used[field] for field, at in found.items() if not at and field not in _SOMETIMES]
-        if absent:
-            raise ModelError(
-                f"{self._model.name}: its binary must have the function fmi{version}{absent[0]} "
-                "but has not; export it again"
-            )
-        if exchange and version == 3 and not self._model.structure:
-            self._check_counts()
-        types = [_TYPES_IN_2.get(t, "") if version == 2 else t for t in TYPES]
-        accessors = np.array(
-            [[self._address(verb + t) if t else 0 for t in types] for verb in ("Get", "Set")]
-        )
-        return nothing_loaded(description.version)._replace(
-            handle=int(self._fmu.component),
-            get_real=int(accessors[0, 0]),
-            set_real=int(accessors[1, 0]),
-            accessors=accessors,
-            interpolates_inputs=description.interpolates_inputs,
-            completes_steps=description.completes_steps,
-            eventful=_is_eventful(description),
-            n_states=len(description.states) if exchange else 0,
-            n_indicators=description.event_indicators if exchange else 0,
-            **found,
-        )
-
-    def _check_counts(self) -> None:
-        """Refuse an FMU of FMI 3.0 that is not what its description says: events would be lost."""
-        described = self._description
-        counted = {
-            "EventIndicators": ("event indicators", described.event_indicators),
-            "ContinuousStates": ("continuous states", len(described.states)),
-        }
-        for name, (what, expected) in counted.items():
-            count = ctypes.c_size_t(expected)
-            self._ask(f"GetNumberOf{name}", ctypes.byref(count))
-            if count.value != expected:
-                raise ModelError(
-                    f"{self._model.name}: its binary must have the {expected} {what} of its "
-                    f"modelDescription.xml but has {count.value}; export it again"
-                )
-
-    def _ask(self, name: str, *arguments: Any) -> None:
-        """Call a function of the FMU that fills in its last argument; nothing if it has none."""
-        if address := self._address(name):
-            types = [c_void_p] * (1 + len(arguments))
-            types[1:-1] = [type(argument) for argument in arguments[:-1]]
-            ctypes.CFUNCTYPE(ctypes.c_int, *types)(address)(self._fmu.component, *arguments)
-
-    def _address(self, name: str) -> int:
-        """Of a function of the FMU; 0 if it has none."""
-        whole = f"fmi{self._description.version[0]}{name}"
-        function = getattr(self._fmu.dll, whole, None)
-        return 0 if function is None else ctypes.cast(function, c_void_p).value or 0
-
-
-def _is_eventful(description: ModelDescription) -> bool:
-    """Whether an input that jumps may be an event for the FMU."""
-    if description.event_indicators > 0:
-        return True
-    return any(v.variability == "discrete" for v in description.variables.values())
+        return f"{self._model.name}: cannot be loaded and instantiated ({error}).{log} {advice}"
 
 
 @contextlib.contextmanager
-def _same_folder() -> Iterator[None]:
+def _unchanged_working_folder() -> Iterator[None]:
     """Come back to the working folder, which fmpy leaves while it loads a library."""
     before = os.getcwd()
     try:
         yield
     finally:
         os.chdir(before)
-
-
-_logs: weakref.WeakValueDictionary[str, deque[str]] = weakref.WeakValueDictionary()
-_talking: set[str] = set()
-"""Instances whose messages are shown."""
-_STATUSES = ("ok", "warning", "discard", "error", "fatal", "pending")
-
-
-def _log(environment: object, instance: bytes, status: int, category: bytes, text: bytes) -> None:
-    """Receive a message from any instance; fmpy's proxy knows one logger for all of them."""
-    _note((instance or b"").decode(errors="replace"), status, text)
-
-
-def _log_3(name: str) -> Callable[[object, int, bytes, bytes], None]:
-    """Receives the messages of one instance of FMI 3.0."""
-    return lambda environment, status, category, text: _note(name, status, text)
-
-
-def _note(name: str, status: int, text: bytes) -> None:
-    said = (text or b"").decode(errors="replace").strip()
-    log = _logs.get(name.strip())
-    if log is not None and status > 0:
-        log.append(said)
-    if name in _talking:
-        of = _STATUSES[status] if 0 <= status < len(_STATUSES) else str(status)
-        sys.stderr.write(f"{of}: {said}\n")
-        sys.stderr.flush()  # the next call may end the process
-
-
-def _make_callbacks() -> ctypes.Structure:
-    from ctypes import byref
-
-    from fmpy import calloc, free
-    from fmpy.fmi2 import (
-        fmi2CallbackAllocateMemoryTYPE,
-        fmi2CallbackFreeMemoryTYPE,
-        fmi2CallbackFunctions,
-        fmi2CallbackLoggerTYPE,
-    )
-    from fmpy.logging import addLoggerProxy
-
-    callbacks = fmi2CallbackFunctions()
-    callbacks.logger = fmi2CallbackLoggerTYPE(_log)
-    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
-    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
-    addLoggerProxy(byref(callbacks))
-    return callbacks  # type: ignore[no-any-return]
-
-
-_callbacks = _make_callbacks()

@@ -44,7 +44,8 @@ def read_offers(root: Element, fault: str, notes: ReadingNotes) -> tuple[Interfa
     ModelError
         If none is left.
     """
-    file, found, refused = notes.file, [], []
+    file, found = notes.file, []
+    refused: list[tuple[str, str]] = []
     for tag, interface in _INTERFACES.items():
         element = root.find(tag)
         if element is None:
@@ -57,19 +58,8 @@ def read_offers(root: Element, fault: str, notes: ReadingNotes) -> tuple[Interfa
             refused.append((tag, f"cannot be used, because {fault}"))
         else:
             found.append(_offer(interface, element, identifier))
-    if not found and not refused:
-        alone = root.find("ScheduledExecution") is not None
-        offers = "scheduled execution alone" if alone else "neither"
-        raise ModelError(
-            f"{file}: must offer model exchange or co-simulation but offers {offers}; export it "
-            "with one of them"
-        )
     if not found:
-        tag, why = refused[-1]
-        raise ModelError(
-            f"{file}: its {XML} must describe an interface that can be used, but {_SAID[tag]} "
-            f"{why}; export it again"
-        )
+        raise _none_usable(root, file, refused)
     for tag, why in refused:
         notes.add(f"its interface {_SAID[tag]} {why}, and is left out")
     for offer in found:
@@ -79,6 +69,22 @@ def read_offers(root: Element, fault: str, notes: ReadingNotes) -> tuple[Interfa
             said = "co-simulation" if offer.interface == "co_simulation" else "model exchange"
             notes.add(f"its interface {said} needs {tool} on this machine")
     return tuple(found)
+
+
+def _none_usable(root: Element, file: str, refused: list[tuple[str, str]]) -> ModelError:
+    """Explain why no interface can be used."""
+    if not refused:
+        alone = root.find("ScheduledExecution") is not None
+        offers = "scheduled execution alone" if alone else "neither"
+        return ModelError(
+            f"{file}: must offer model exchange or co-simulation but offers {offers}; export it "
+            "with one of them"
+        )
+    tag, why = refused[-1]
+    return ModelError(
+        f"{file}: its {XML} must describe an interface that can be used, but {_SAID[tag]} "
+        f"{why}; export it again"
+    )
 
 
 def _offer(interface: Interface, element: Element, identifier: str) -> InterfaceOffer:

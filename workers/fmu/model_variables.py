@@ -28,18 +28,18 @@ _INITIALS = ("exact", "approx", "calculated")
 
 @dataclass(frozen=True)
 class DeclaredVariables:
-    """All variables, and which of them a number in the description stands for.
+    """All variables, and their names by the numbers that the description refers to them by.
 
     Attributes
     ----------
     variables
         By name, array elements and aliases on their own, in the order of the description.
-    behind
+    names_by_key
         Position of a variable (FMI 2, from 1) or value reference (FMI 3) -> names of its elements.
     """
 
     variables: dict[str, ModelVariable]
-    behind: dict[int, tuple[str, ...]]
+    names_by_key: dict[int, tuple[str, ...]]
 
 
 def read_variables(
@@ -52,13 +52,13 @@ def read_variables(
     structural
         Values of structural parameters that differ from their start values.
     notes
-        Receives what was read around.
+        Receives notes on faults.
     """
     raws = raw_variables(root, version, notes)
     types = declared_types(root, version)
     sizes = ArraySizes(raws, structural)
     found: dict[str, ModelVariable] = {}
-    behind: dict[int, tuple[str, ...]] = {}
+    names_by_key: dict[int, tuple[str, ...]] = {}
     for raw in raws:
         scalar = _scalar(raw, version, types, notes)
         shape = sizes.shape(raw, notes)
@@ -66,19 +66,19 @@ def read_variables(
             continue
         elements = elements_of(raw, scalar, shape, notes)
         aliases = [a.get("name", "") for a in raw.own.findall("Alias")]
-        behind.setdefault(raw.key, tuple(v.name for v in elements))
+        names_by_key.setdefault(raw.key, tuple(v.name for v in elements))
         for variable in (*elements, *(a for n in aliases if n for a in renamed(elements, n))):
             if found.setdefault(variable.name, variable) is not variable:
                 notes.add("names that are there twice mean the first variable", variable.name)
-    _add_derivatives(raws, found, behind, notes)
+    _add_derivatives(raws, found, names_by_key, notes)
     _add_aliases(found, version)
-    return DeclaredVariables(found, behind)
+    return DeclaredVariables(found, names_by_key)
 
 
 def _scalar(
     raw: RawVariable, version: Version, types: Mapping[str, Element], notes: ReadingNotes
 ) -> ModelVariable:
-    """The variable as if it were no array and without a start value."""
+    """Return the variable as if it were no array and without a start value."""
     own, value, name = raw.own, raw.value, raw.name
     kind = KINDS[TYPES[version][raw.tag]]
     wanted = value.get("declaredType")
@@ -94,10 +94,7 @@ def _scalar(
 
     causality = _one_of(own, "causality", _CAUSALITIES, notes) or "local"
     variability = _variability(own, causality, kind, notes)
-    low, high = limit("min"), limit("max")
-    if low is not None and high is not None and low > high:
-        notes.add("a min that is above the max is ignored, like that max", name)
-        low = high = None
+    low, high = _ordered(limit("min"), limit("max"), name, notes)
     nominal = limit("nominal")
     if attribute("nominal") is not None and not nominal:
         notes.add("a nominal value that is 0 or no number counts as 1", name)
@@ -116,6 +113,15 @@ def _scalar(
         variability=variability,
         description=" ".join((own.get("description") or "").split()),
     )
+
+
+def _ordered(
+    low: float | None, high: float | None, name: str, notes: ReadingNotes
+) -> tuple[float | None, float | None]:
+    if low is not None and high is not None and low > high:
+        notes.add("a min that is above the max is ignored, like that max", name)
+        return None, None
+    return low, high
 
 
 def _one_of(own: Element, key: str, known: tuple[str, ...], notes: ReadingNotes) -> str | None:
@@ -138,7 +144,7 @@ def _variability(own: Element, causality: str, kind: Kind, notes: ReadingNotes) 
 def _settable(
     own: Element, value: Element, causality: str, variability: str, notes: ReadingNotes
 ) -> bool:
-    """Whether FMI allows a start value to be set before initialisation."""
+    """Return whether FMI allows a start value to be set before initialisation."""
     initial = _one_of(own, "initial", _INITIALS, notes)
     if variability == "constant" or causality in ("calculatedParameter", "independent"):
         return False
@@ -150,16 +156,16 @@ def _settable(
 def _add_derivatives(
     raws: list[RawVariable],
     found: dict[str, ModelVariable],
-    behind: Mapping[int, tuple[str, ...]],
+    names_by_key: Mapping[int, tuple[str, ...]],
     notes: ReadingNotes,
 ) -> None:
     for raw in raws:
         text = raw.value.get("derivative")
-        if text is None or raw.key not in behind:
+        if text is None or raw.key not in names_by_key:
             continue
         key = whole(text)
-        states = behind.get(key, ()) if key is not None else ()
-        rates = behind[raw.key]
+        states = names_by_key.get(key, ()) if key is not None else ()
+        rates = names_by_key[raw.key]
         if len(states) != len(rates):
             notes.add("attributes derivative that name no fitting variable are ignored", raw.name)
             continue
@@ -168,13 +174,13 @@ def _add_derivatives(
 
 
 def _add_aliases(found: dict[str, ModelVariable], version: Version) -> None:
-    """Names that share a value. FMI 2 counts references for each type on its own."""
-    sharing: dict[tuple[str, int, int], list[str]] = {}
+    """Add the names that share a value. FMI 2 counts references for each type on its own."""
+    names_by_value: dict[tuple[str, int, int], list[str]] = {}
     for v in found.values():
         family = v.type if version == "2.0" else ""
-        sharing.setdefault((family, v.reference, v.element), []).append(v.name)
-    for names in sharing.values():
+        names_by_value.setdefault((family, v.reference, v.element), []).append(v.name)
+    for names in names_by_value.values():
         if len(names) > 1:
-            together = tuple(names)  # one tuple for all: thousands may share a constant
+            aliases = tuple(names)  # one tuple for all: thousands may share a constant
             for name in names:
-                found[name] = replace(found[name], aliases=together)
+                found[name] = replace(found[name], aliases=aliases)

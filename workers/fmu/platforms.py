@@ -1,4 +1,4 @@
-"""Which binaries an FMU holds, and which of them this machine can load."""
+"""Platforms of an FMU's binaries, and of this machine."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ _BITS_32 = ("linux32", "win32", "darwin32", "x86-linux", "x86-windows", "i686-li
 
 
 def platform_for(version: Version) -> str:
-    """This machine's platform, as the folder of its binaries is called in that version of FMI."""
+    """Return this machine's platform, as that version of FMI calls the folder of its binaries."""
     return PLATFORM if version == "2.0" else PLATFORM_TUPLE
 
 
 def platforms_in(names: Iterable[str]) -> tuple[str, ...]:
-    """The platforms with a folder of binaries, from the names in an archive."""
+    """Return the platforms with a folder of binaries, from the names in an archive."""
     found = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
     return tuple(sorted(found))
 
 
 def binary_path(version: Version, identifier: str) -> str:
-    """Where an FMU's shared library for this machine must be in the archive."""
+    """Return the path in the archive of an FMU's shared library for this machine."""
     return f"binaries/{platform_for(version)}/{identifier}{_SUFFIX}"
 
 
-def why_not_here(
+def missing_binary(
     version: Version, identifier: str, names: Iterable[str], has_sources: bool
 ) -> str | None:
-    """Why an FMU has nothing that this machine can load: a sentence without its beginning.
+    """Explain why an FMU has nothing that this machine can load: a sentence without its beginning.
 
     None if it has its binary. `names` are the archive's files.
     """

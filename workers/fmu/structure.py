@@ -14,7 +14,7 @@ from workers.fmu.xml import ReadingNotes, whole
 
 @dataclass(frozen=True)
 class VariableDependency:
-    """What an output or a state derivative depends on, as the FMU declares it.
+    """Dependencies of an output or a state derivative, as the FMU declares them.
 
     Attributes
     ----------
@@ -31,14 +31,14 @@ class VariableDependency:
 
 @dataclass(frozen=True)
 class ModelStructure:
-    """How the variables hang together.
+    """States, event indicators, outputs and dependencies of a model.
 
     Attributes
     ----------
     states
         Names of the continuous states, in the order of the FMU's state vector.
     event_indicators
-        How many there are.
+        Their number.
     outputs
         Names of the outputs, in the order of the structure.
     fault
@@ -59,7 +59,7 @@ class _StructureUnknown:
     """None if it names no variable."""
 
 
-_PLACES = {
+_PATHS = {
     ("2.0", "output"): "Outputs/Unknown",
     ("2.0", "derivative"): "Derivatives/Unknown",
     ("3.0", "output"): "Output",
@@ -83,8 +83,8 @@ def read_structure(
     outputs = list(_unknowns(section, version, "output", declared))
     if any(u.names is None for u in outputs):
         notes.add("outputs in its <ModelStructure> that name no variable are ignored")
-    indicators, wrong = _indicators(root, section, version, declared)
-    states, unnamed = _states(derivatives, declared, notes)
+    indicators, indicator_fault = _indicators(root, section, version, declared)
+    states, state_fault = _states(derivatives, declared, notes)
     return ModelStructure(
         states=states,
         event_indicators=indicators,
@@ -93,7 +93,7 @@ def read_structure(
             *_dependencies(outputs, "output", declared),
             *_dependencies(derivatives, "derivative", declared),
         ),
-        fault=unnamed or wrong,
+        fault=state_fault or indicator_fault,
     )
 
 
@@ -101,15 +101,15 @@ def _unknowns(
     section: Element, version: Version, role: str, declared: DeclaredVariables
 ) -> Iterator[_StructureUnknown]:
     key = "index" if version == "2.0" else "valueReference"
-    for element in section.iterfind(_PLACES[version, role]):
+    for element in section.iterfind(_PATHS[version, role]):
         at = whole(element.get(key))
-        yield _StructureUnknown(element, None if at is None else declared.behind.get(at))
+        yield _StructureUnknown(element, None if at is None else declared.names_by_key.get(at))
 
 
 def _states(
     derivatives: list[_StructureUnknown], declared: DeclaredVariables, notes: ReadingNotes
 ) -> tuple[tuple[str, ...], str]:
-    """The states, and what is wrong with them."""
+    """Return the states, and their fault, if any."""
     states: list[str] = []
     for position, unknown in enumerate(derivatives, start=1):
         if unknown.names is None:
@@ -144,7 +144,7 @@ def _indicators(
 
 
 def _outputs(listed: list[_StructureUnknown], declared: DeclaredVariables) -> tuple[str, ...]:
-    """All variables of that causality: those of the structure first, and in its order."""
+    """Return all outputs: those of the structure first, and in its order."""
     known = declared.variables
     names = [name for unknown in listed for name in unknown.names or ()]
     names += [v.name for v in known.values() if v.alias_of is None]
@@ -160,7 +160,7 @@ def _dependencies(
         text = unknown.element.get("dependencies")
         on: tuple[str, ...] | None = None
         if text is not None:
-            found = [declared.behind.get(whole(each) or 0) for each in text.split()]
+            found = [declared.names_by_key.get(whole(each) or 0) for each in text.split()]
             if None not in found:  # else it is as good as not declared
                 on = tuple(name for names in found for name in names or ())
         for name in unknown.names or ():

@@ -85,6 +85,6 @@ class ModelVariable:
     description: str = ""
 
     @property
-    def moves(self) -> bool:
-        """Whether it may change between events."""
+    def is_continuous(self) -> bool:
+        """True if it may change between events."""
         return self.kind == "real" and self.variability == "continuous"

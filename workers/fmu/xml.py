@@ -25,7 +25,7 @@ _SHOWN = 3
 
 
 class ReadingNotes:
-    """What was read around, as sentences; the same thing on many variables is one sentence."""
+    """Notes on faults that were read around; one note for the same fault of many variables."""
 
     def __init__(self, file: str) -> None:
         self.file = file
@@ -37,7 +37,7 @@ class ReadingNotes:
         if name is not None:
             names.append(name)
 
-    def sentences(self) -> tuple[str, ...]:
+    def messages(self) -> tuple[str, ...]:
         return tuple(f"{self.file}: {what}{_listed(names)}" for what, names in self._names.items())
 
 
@@ -94,7 +94,7 @@ def _tree(file: str, content: bytes, encoding: str | None) -> Element:
 
 
 def _codecs(content: bytes) -> list[str]:
-    """In which encodings to try once more: the declared one, UTF-8, western Windows, Latin-1."""
+    """Return encodings to try: the declared one, UTF-8, western Windows, Latin-1."""
     declared = _DECLARED.search(content[:200])
     known = []
     if declared:
@@ -118,6 +118,7 @@ def _mended(text: str) -> str:
 
 
 def first_line(error: BaseException) -> str:
+    """Return the first line of an error's text, or the name of its type."""
     lines = str(error).strip().splitlines()
     return lines[0] if lines else type(error).__name__
 

@@ -1,10 +1,11 @@
-"""Simulating a model and, at every time of the grid, its derivatives by central differences.
+"""Simulate a model and, at every time of the grid, its derivatives by central differences.
 
 With effects, the differences are those of the FMU together with its effects. An input is then
-changed behind all of them, through coefficients of their own at the end of the chain ("knobs"), so
+perturbed behind all of them, by an offset that is added at the end of the chain of effects, so
 that an effect at a derivative that depends on an input sees the change as well.
 
-The FMU is put back to where it stood after each time, so that the trajectory keeps its bits.
+States, inputs and parameters of the FMU are restored after each time, so that the trajectory keeps
+its bits.
 """
 
 from __future__ import annotations
@@ -13,29 +14,30 @@ from typing import NamedTuple
 
 from workers.kernels.fmi.calling import inlined, kernel
 from workers.kernels.fmi.failure import EVENT, FINISHED, OUTPUT, failed
-from workers.kernels.fmi.hooks import take_point
+from workers.kernels.fmi.hooks import select_point
 from workers.kernels.fmi.values import DISCARD, get_values, set_reals
-from workers.kernels.model_exchange.moving import go_to, record_outputs, slopes_here
-from workers.kernels.model_exchange.solver_steps import arrive, start
+from workers.kernels.model_exchange.evaluation import (
+    current_derivatives,
+    record_outputs,
+    set_time_and_states,
+)
+from workers.kernels.model_exchange.solver_steps import handle_input_jump, start_simulation
 from workers.kernels.solvers.dormand_prince import adaptive_steps
 from workers.kernels.solvers.rk4 import equal_steps
 from workers.messages import FloatArray, IntArray
 
-ADAPTIVE, FIXED, GIVEN = range(3)
-"""Ways to go from each time of the grid to the next."""
-
+ADAPTIVE, FIXED, PRECOMPUTED = range(3)
+"""Ways of stepping from each time of the grid to the next."""
 LINEARISATION = 9
 """A code beside those of `workers.kernels.fmi.failure`."""
-
-SENTENCES = {LINEARISATION: "the FMU could not answer close to its trajectory"}
-
+MESSAGES = {LINEARISATION: "the FMU could not answer close to its trajectory"}
 RELATIVE_STEP = 1e-5
 """Near the cube root of the rounding unit: there, rounding and curvature cost a central difference
 equally little, some 1e-10 of the derivative."""
 
 
 class PerturbationRange(NamedTuple):
-    """Of each variable that is changed: its usual size, and the bounds that the FMU declares."""
+    """Nominal values of perturbed variables, and the bounds that the FMU declares."""
 
     nominals: FloatArray
     lows: FloatArray
@@ -43,11 +45,12 @@ class PerturbationRange(NamedTuple):
 
 
 class PerturbedVariables(NamedTuple):
-    """What is changed for the differences.
+    """Variables that are perturbed for the differences.
 
     `references` are those of the tunable parameters, `values` their values in this simulation, and
-    `varied` where each stands among the parameters that effects vary, or -1. `knobs` is where the
-    coefficients that are added to the inputs begin; they are there if there is a hook `before`.
+    `effect_positions` the position of each among the parameters that effects change, or -1.
+    `input_offsets` is the position of the first of the coefficients that are added to the inputs;
+    they exist where there is a hook `modify_inputs`.
     """
 
     states: PerturbationRange
@@ -55,24 +58,27 @@ class PerturbedVariables(NamedTuple):
     parameters: PerturbationRange
     references: IntArray
     values: FloatArray
-    varied: IntArray
-    knobs: int
+    effect_positions: IntArray
+    input_offsets: int
 
 
 class LinearisationArrays(NamedTuple):
-    """What is filled in: a row for each time, and memory for the two ends of a difference."""
+    """Results, a row for each time, and memory for the two ends of a difference.
+
+    A, B, C, D, P and Q are those of `workers.messages.Linearisation`.
+    """
 
     states: FloatArray
-    slopes: FloatArray
-    edited: FloatArray
-    slopes_by_state: FloatArray
-    slopes_by_input: FloatArray
-    slopes_by_parameter: FloatArray
-    outputs_by_state: FloatArray
-    outputs_by_input: FloatArray
-    outputs_by_parameter: FloatArray
-    upper_slopes: FloatArray
-    lower_slopes: FloatArray
+    derivatives: FloatArray
+    effective_inputs: FloatArray
+    A: FloatArray
+    B: FloatArray
+    P: FloatArray
+    C: FloatArray
+    D: FloatArray
+    Q: FloatArray
+    upper_derivatives: FloatArray
+    lower_derivatives: FloatArray
     upper_outputs: FloatArray
     lower_outputs: FloatArray
     value: FloatArray
@@ -80,23 +86,23 @@ class LinearisationArrays(NamedTuple):
 
 @kernel
 def linearise(  # type: ignore[no-untyped-def]
-    way, c, references, starts, settings, hooks, probing, grid, point, work,
-    probe, found, record,
+    stepping, c, references, starts, settings, hooks, offsets, grid, point, work,
+    perturbed, result, outputs,
 ):  # fmt: skip
     """Simulate one experiment for one point, and linearise the model at each time of the grid.
 
     Parameters
     ----------
-    way
-        How to go from each time to the next: by the Dormand-Prince method (ADAPTIVE), by classic
-        Runge-Kutta (FIXED), or to the states that `found` has already (GIVEN).
-    hooks, probing
-        Effects, and the same with a knob at each input.
+    stepping
+        From each time to the next by the Dormand-Prince method (ADAPTIVE), by classic Runge-Kutta
+        (FIXED), or to the states that `result` has already (PRECOMPUTED).
+    hooks, offsets
+        Effects, and the same with an offset at each input.
     point : (k,)
         Start values of the reals.
-    probe, found
-        What is changed, and what is filled in.
-    record : (n, y)
+    perturbed, result
+        Variables to perturb; filled with the derivatives.
+    outputs : (n, y)
         Filled with the outputs.
 
     Returns
@@ -106,36 +112,39 @@ def linearise(  # type: ignore[no-untyped-def]
     """
     times, steps_left = grid.times, settings.max_steps
     time, proposed = times[0], 0.0
-    take_point(hooks, 0, work)
-    code = start(c, references, starts, settings, hooks, grid, point, work)
+    select_point(hooks, 0, work)
+    code = start_simulation(c, references, starts, settings, hooks, grid, point, work)
     for i in range(len(times)):
         if code == FINISHED:
-            code = arrive(c, references, settings, hooks, grid, i, time, work)
+            code = handle_input_jump(c, references, settings, hooks, grid, i, time, work)
         if code != FINISHED:
             return code, time
-        status = record_outputs(c, references, hooks, grid, i, time, work, record[i])
+        status = record_outputs(c, references, hooks, grid, i, time, work, outputs[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), time
-        status = _linearise_here(c, references, hooks, probing, grid, i, work, probe, found)
+        status = _linearise_at(c, references, hooks, offsets, grid, i, work, perturbed, result)
         if status >= DISCARD:
             return failed(LINEARISATION, status), time
         if i + 1 == len(times):
             break
-        code, time, proposed, steps_left = _go_on(
-            way, c, references, settings, hooks, grid, i, time, proposed, steps_left, work, found
-        )
+        code, time, proposed, steps_left = _step_on_grid(
+            stepping, c, references, settings, hooks, grid, i, time, proposed, steps_left, work,
+            result,
+        )  # fmt: skip
     return code, time
 
 
 @inlined
-def _go_on(way, c, references, settings, hooks, grid, i, time, proposed, steps_left, work, found):  # type: ignore[no-untyped-def]
-    """To grid time i + 1. Returns what `adaptive_steps` does."""
+def _step_on_grid(  # type: ignore[no-untyped-def]
+    stepping, c, references, settings, hooks, grid, i, time, proposed, steps_left, work, result
+):
+    """Step to grid time i + 1. Returns what `adaptive_steps` does."""
     code = FINISHED
-    if way == ADAPTIVE:
+    if stepping == ADAPTIVE:
         code, time, proposed, steps_left = adaptive_steps(
             c, references, settings, hooks, grid, i, time, proposed, steps_left, work
         )
-    elif way == FIXED:
+    elif stepping == FIXED:
         code, time, steps_left = equal_steps(
             c, references, settings, hooks, grid, i, time, steps_left, work
         )
@@ -144,111 +153,117 @@ def _go_on(way, c, references, settings, hooks, grid, i, time, proposed, steps_l
         if work.next_event[0] <= time:
             code = EVENT
         for j in range(len(work.states)):
-            work.states[j] = found.states[i + 1, j]
+            work.states[j] = result.states[i + 1, j]
     return code, time, proposed, steps_left
 
 
 @kernel
-def _linearise_here(c, references, hooks, probing, grid, i, work, probe, found):  # type: ignore[no-untyped-def]
-    """All derivatives at grid time i, where the FMU stands before and after. Gives the status."""
+def _linearise_at(c, references, hooks, offsets, grid, i, work, perturbed, result):  # type: ignore[no-untyped-def]
+    """Take all derivatives at grid time i, which the FMU is set to. Returns the worst status."""
     time, x = grid.times[i], work.states
-    status = slopes_here(c, hooks, time, x, work, found.slopes[i])
+    status = current_derivatives(c, hooks, time, x, work, result.derivatives[i])
     for j in range(len(x)):
-        found.states[i, j] = x[j]
-    for j in range(len(probe.inputs.nominals)):  # measured signals may follow them in `work`
-        found.edited[i, j] = work.edited[j] if hooks.before != 0 else work.inputs[j]
+        result.states[i, j] = x[j]
+    for j in range(len(perturbed.inputs.nominals)):  # measured signals may follow them in `work`
+        result.effective_inputs[i, j] = (
+            work.effective_inputs[j] if hooks.modify_inputs != 0 else work.inputs[j]
+        )
     if status < DISCARD:
-        status = max(status, _by_states(c, references, probing, time, i, work, probe, found))
+        status = max(status, _by_states(c, references, offsets, time, i, work, perturbed, result))
     if status < DISCARD:
-        status = max(status, _by_inputs(c, references, probing, time, i, work, probe, found))
+        status = max(status, _by_inputs(c, references, offsets, time, i, work, perturbed, result))
     if status < DISCARD:
-        status = max(status, go_to(c, references, hooks, time, x, work))
+        status = max(status, set_time_and_states(c, references, hooks, time, x, work))
     if status < DISCARD:
-        status = max(status, _by_parameters(c, references, hooks, time, i, work, probe, found))
-    if status < DISCARD:  # the parameters that effects vary, too
-        status = max(status, go_to(c, references, hooks, time, x, work))
+        status = max(status, _by_parameters(c, references, hooks, time, i, work, perturbed, result))
+    if status < DISCARD:  # and the parameters that effects change
+        status = max(status, set_time_and_states(c, references, hooks, time, x, work))
     return status
 
 
 @kernel
-def _by_states(c, references, hooks, time, i, work, probe, found):  # type: ignore[no-untyped-def]
+def _by_states(c, references, hooks, time, i, work, perturbed, result):  # type: ignore[no-untyped-def]
     x, trial = work.states, work.trial
     status = 0
     for j in range(len(x)):
         trial[j] = x[j]
     for j in range(len(x)):
-        upper, lower = _ends(x[j], probe.states.nominals[j], probe.states, j)
+        upper, lower = _perturbed_values(x[j], perturbed.states.nominals[j], perturbed.states, j)
         trial[j] = upper
-        status = max(status, _ask(c, references, hooks, time, trial, work, found, True))
+        status = max(status, _evaluate_at(c, references, hooks, time, trial, work, result, True))
         trial[j] = lower
         if status < DISCARD:
-            status = max(status, _ask(c, references, hooks, time, trial, work, found, False))
+            status = max(
+                status, _evaluate_at(c, references, hooks, time, trial, work, result, False)
+            )
         trial[j] = x[j]
         if status >= DISCARD:
             return status
-        _divide(upper - lower, found, found.slopes_by_state[i], found.outputs_by_state[i], j)
+        _fill_column(upper - lower, result, result.A[i], result.C[i], j)
     return status
 
 
 @kernel
-def _by_inputs(c, references, hooks, time, i, work, probe, found):  # type: ignore[no-untyped-def]
+def _by_inputs(c, references, hooks, time, i, work, perturbed, result):  # type: ignore[no-untyped-def]
     x, status = work.states, 0
-    for j in range(len(probe.inputs.nominals)):
-        u = found.edited[i, j]
-        upper, lower = _ends(u, probe.inputs.nominals[j], probe.inputs, j)
-        _turn(hooks, work, probe, j, u, upper)
-        status = max(status, _ask(c, references, hooks, time, x, work, found, True))
-        _turn(hooks, work, probe, j, u, lower)
+    for j in range(len(perturbed.inputs.nominals)):
+        u = result.effective_inputs[i, j]
+        upper, lower = _perturbed_values(u, perturbed.inputs.nominals[j], perturbed.inputs, j)
+        _set_input(hooks, work, perturbed, j, u, upper)
+        status = max(status, _evaluate_at(c, references, hooks, time, x, work, result, True))
+        _set_input(hooks, work, perturbed, j, u, lower)
         if status < DISCARD:
-            status = max(status, _ask(c, references, hooks, time, x, work, found, False))
-        _turn(hooks, work, probe, j, u, u)
+            status = max(status, _evaluate_at(c, references, hooks, time, x, work, result, False))
+        _set_input(hooks, work, perturbed, j, u, u)
         if status >= DISCARD:
             return status
-        _divide(upper - lower, found, found.slopes_by_input[i], found.outputs_by_input[i], j)
+        _fill_column(upper - lower, result, result.B[i], result.D[i], j)
     return status
 
 
 @inlined
-def _turn(hooks, work, probe, j, u, value):  # type: ignore[no-untyped-def]
+def _set_input(hooks, work, perturbed, j, u, value):  # type: ignore[no-untyped-def]
     """Let an input that would reach the FMU as `u` reach it as another value."""
-    if hooks.before != 0:
-        work.coefficients[probe.knobs + j] = value - u
+    if hooks.modify_inputs != 0:
+        work.coefficients[perturbed.input_offsets + j] = value - u
     else:
         work.inputs[j] = value
 
 
 @kernel
-def _by_parameters(c, references, hooks, time, i, work, probe, found):  # type: ignore[no-untyped-def]
-    """From where the FMU stands; each parameter is put back."""
+def _by_parameters(c, references, hooks, time, i, work, perturbed, result):  # type: ignore[no-untyped-def]
+    """Take the derivatives by parameters at the FMU's present states; each is restored."""
     x, status = work.states, 0
-    for j in range(len(probe.references)):
-        reference = probe.references[j : j + 1]
-        p = work.varied[probe.varied[j]] if probe.varied[j] >= 0 else probe.values[j]
-        size = abs(p) if p != 0.0 else probe.parameters.nominals[j]
-        upper, lower = _ends(p, size, probe.parameters, j)
-        found.value[0] = upper
-        status = max(status, set_reals(c, reference, found.value))
+    for j in range(len(perturbed.references)):
+        reference = perturbed.references[j : j + 1]
+        p = (
+            work.effective_parameters[perturbed.effect_positions[j]]
+            if perturbed.effect_positions[j] >= 0
+            else perturbed.values[j]
+        )
+        size = abs(p) if p != 0.0 else perturbed.parameters.nominals[j]
+        upper, lower = _perturbed_values(p, size, perturbed.parameters, j)
+        result.value[0] = upper
+        status = max(status, set_reals(c, reference, result.value))
         if status < DISCARD:
-            status = max(status, _answer(c, references, hooks, time, x, work, found, True))
-        found.value[0] = lower
+            status = max(status, _evaluate(c, references, hooks, time, x, work, result, True))
+        result.value[0] = lower
         if status < DISCARD:
-            status = max(status, set_reals(c, reference, found.value))
+            status = max(status, set_reals(c, reference, result.value))
         if status < DISCARD:
-            status = max(status, _answer(c, references, hooks, time, x, work, found, False))
-        found.value[0] = p
+            status = max(status, _evaluate(c, references, hooks, time, x, work, result, False))
+        result.value[0] = p
         if status < DISCARD:
-            status = max(status, set_reals(c, reference, found.value))
+            status = max(status, set_reals(c, reference, result.value))
         if status >= DISCARD:
             return status
-        _divide(
-            upper - lower, found, found.slopes_by_parameter[i], found.outputs_by_parameter[i], j
-        )
+        _fill_column(upper - lower, result, result.P[i], result.Q[i], j)
     return status
 
 
 @inlined
-def _ends(value, nominal, within, j):  # type: ignore[no-untyped-def]
-    """The two ends of a difference: a bound that the FMU declares is not crossed."""
+def _perturbed_values(value, nominal, within, j):  # type: ignore[no-untyped-def]
+    """Return the two ends of a difference, within the bounds that the FMU declares."""
     step = RELATIVE_STEP * max(abs(value), nominal)
     upper = min(value + step, max(within.highs[j], value))
     lower = max(value - step, min(within.lows[j], value))
@@ -258,30 +273,30 @@ def _ends(value, nominal, within, j):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _ask(c, references, hooks, time, states, work, found, upper):  # type: ignore[no-untyped-def]
-    """Move the FMU and ask for slopes and outputs, at one end of a difference."""
-    status = go_to(c, references, hooks, time, states, work)
+def _evaluate_at(c, references, hooks, time, states, work, result, upper):  # type: ignore[no-untyped-def]
+    """Set the states and evaluate derivatives and outputs, at one end of a difference."""
+    status = set_time_and_states(c, references, hooks, time, states, work)
     if status >= DISCARD:
         return status
-    return max(status, _answer(c, references, hooks, time, states, work, found, upper))
+    return max(status, _evaluate(c, references, hooks, time, states, work, result, upper))
 
 
 @kernel
-def _answer(c, references, hooks, time, states, work, found, upper):  # type: ignore[no-untyped-def]
-    slopes = found.upper_slopes if upper else found.lower_slopes
-    outputs = found.upper_outputs if upper else found.lower_outputs
-    status = slopes_here(c, hooks, time, states, work, slopes)
+def _evaluate(c, references, hooks, time, states, work, result, upper):  # type: ignore[no-untyped-def]
+    derivatives = result.upper_derivatives if upper else result.lower_derivatives
+    outputs = result.upper_outputs if upper else result.lower_outputs
+    status = current_derivatives(c, hooks, time, states, work, derivatives)
     return (
-        max(status, get_values(c, references.outputs, outputs, work.cell))
+        max(status, get_values(c, references.outputs, outputs, work.buffer))
         if status < DISCARD
         else status
     )
 
 
 @inlined
-def _divide(width, found, slopes, outputs, j):  # type: ignore[no-untyped-def]
+def _fill_column(width, result, derivatives, outputs, j):  # type: ignore[no-untyped-def]
     """Fill column j of two matrices."""
-    for r in range(len(found.upper_slopes)):
-        slopes[r, j] = (found.upper_slopes[r] - found.lower_slopes[r]) / width
-    for r in range(len(found.upper_outputs)):
-        outputs[r, j] = (found.upper_outputs[r] - found.lower_outputs[r]) / width
+    for r in range(len(result.upper_derivatives)):
+        derivatives[r, j] = (result.upper_derivatives[r] - result.lower_derivatives[r]) / width
+    for r in range(len(result.upper_outputs)):
+        outputs[r, j] = (result.upper_outputs[r] - result.lower_outputs[r]) / width

@@ -1,4 +1,4 @@
-"""Effects at outputs: they act on what was recorded, and need no simulation."""
+"""Effects at outputs: applied to recorded outputs after a simulation."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from workers.messages import FloatArray
 class OutputHooks(NamedTuple):
     """Three functions by address, 0 where there is none.
 
-    ``begin(t, states, record, raw, coefficients)`` starts the effect's own states,
-    ``inside(t, states, record, raw, coefficients, slopes)`` gives their derivatives, and
-    ``after(t, states, record, raw, coefficients, result)`` the output.
+    ``start_states(t, states, outputs, inputs, coefficients)`` sets the effect's own states at the
+    start, ``state_derivatives(t, states, outputs, inputs, coefficients, derivatives)`` gives their
+    derivatives, and ``output(t, states, outputs, inputs, coefficients, result)`` the output.
     """
 
-    begin: int
-    inside: int
-    after: int
+    start_states: int
+    state_derivatives: int
+    output: int
 
 
 class OutputWorkspace(NamedTuple):
-    """Memory of an effect at an output; `row` and `raw` are what was recorded at one time."""
+    """Memory of an effect at an output; `outputs` and `inputs` hold the values at one time."""
 
     states: FloatArray
     trial: FloatArray
     stages: FloatArray
-    row: FloatArray
-    raw: FloatArray
+    outputs: FloatArray
+    inputs: FloatArray
     result: FloatArray
 
 
@@ -39,88 +39,88 @@ _call_into = c_function(int32, float64, intp, intp, intp, intp, intp)
 
 
 @kernel
-def edit_record(hooks, grid, record, column, coefficients, substeps, work):  # type: ignore[no-untyped-def]
-    """Let an effect act on one column of a record.
+def apply_to_outputs(hooks, grid, outputs, column, coefficients, substeps, work):  # type: ignore[no-untyped-def]
+    """Apply an effect to one column of the recorded outputs.
 
-    Between times of the grid, what was recorded counts as linear.
+    Between times of the grid, outputs are interpolated linearly.
 
     Parameters
     ----------
-    record : (n, y)
+    outputs : (n, y)
         Outputs at each time of the grid; changed in place.
     column
-        The output at whose site the effect is.
+        Index of the output that the effect is at.
     coefficients
         Of the effect.
     substeps
         Steps of the effect's own states from one time of the grid to the next.
     """
     for i in range(len(grid.times)):
-        if i > 0 and hooks.inside != 0:
+        if i > 0 and hooks.add_derivatives != 0:
             for n in range(substeps):
-                _advance(hooks, grid, record, i - 1, n, substeps, coefficients, work)
-        _take(grid, record, i, 0.0, work)
-        if i == 0 and hooks.begin != 0:
-            _invoke(hooks.begin, grid.times[0], work.states, coefficients, work)
-        _invoke_into(hooks.after, grid.times[i], work.states, coefficients, work, work.result)
+                _advance_states(hooks, grid, outputs, i - 1, n, substeps, coefficients, work)
+        _interpolate(grid, outputs, i, 0.0, work)
+        if i == 0 and hooks.start_states != 0:
+            _call_hook(hooks.start_states, grid.times[0], work.states, coefficients, work)
+        _call_hook_into(hooks.output, grid.times[i], work.states, coefficients, work, work.result)
         if i > 0:
-            record[i - 1, column] = work.stages[4, 0]
+            outputs[i - 1, column] = work.stages[4, 0]
         work.stages[4, 0] = work.result[0]
-    record[len(grid.times) - 1, column] = work.stages[4, 0]
+    outputs[len(grid.times) - 1, column] = work.stages[4, 0]
 
 
 @inlined
-def _advance(hooks, grid, record, i, n, substeps, coefficients, work):  # type: ignore[no-untyped-def]
-    """Classic Runge-Kutta step n of so many from grid time i to the next, of the own states."""
+def _advance_states(hooks, grid, outputs, i, n, substeps, coefficients, work):  # type: ignore[no-untyped-def]
+    """Advance the effect's states by Runge-Kutta substep n of those after grid time i."""
     x, trial, k = work.states, work.trial, work.stages
     length = grid.times[i + 1] - grid.times[i]
     step = length / substeps
     for stage in range(4):
-        reach = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+        node = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
         for j in range(len(x)):
-            trial[j] = x[j] + reach * step * k[max(stage - 1, 0), j] if stage > 0 else x[j]
-        part = (n + reach) / substeps
-        _take(grid, record, i, part, work)
-        time = grid.times[i] + part * length
-        _invoke_into(hooks.inside, time, trial, coefficients, work, k[stage])
+            trial[j] = x[j] + node * step * k[max(stage - 1, 0), j] if stage > 0 else x[j]
+        fraction = (n + node) / substeps
+        _interpolate(grid, outputs, i, fraction, work)
+        time = grid.times[i] + fraction * length
+        _call_hook_into(hooks.add_derivatives, time, trial, coefficients, work, k[stage])
     for j in range(len(x)):
         x[j] += step / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
 
 
 @inlined
-def _take(grid, record, i, part, work):  # type: ignore[no-untyped-def]
-    """Record and inputs at a part of the interval after grid time i."""
-    after = min(i + 1, len(grid.times) - 1)
-    for j in range(len(work.row)):
-        work.row[j] = record[i, j] + part * (record[after, j] - record[i, j])
-    length = grid.times[after] - grid.times[i]
-    for j in range(len(work.raw)):
-        work.raw[j] = grid.inputs[i, j] + part * length * grid.slopes[i, j]
+def _interpolate(grid, outputs, i, fraction, work):  # type: ignore[no-untyped-def]
+    """Interpolate outputs and inputs at a fraction of the interval after grid time i."""
+    output = min(i + 1, len(grid.times) - 1)
+    for j in range(len(work.outputs)):
+        work.outputs[j] = outputs[i, j] + fraction * (outputs[output, j] - outputs[i, j])
+    length = grid.times[output] - grid.times[i]
+    for j in range(len(work.inputs)):
+        work.inputs[j] = grid.inputs[i, j] + fraction * length * grid.slopes[i, j]
 
 
 @inlined
-def _invoke(function, time, states, coefficients, work):  # type: ignore[no-untyped-def]
+def _call_hook(function, time, states, coefficients, work):  # type: ignore[no-untyped-def]
     _call(
         function,
         (
             time,
             address_of(states),
-            address_of(work.row),
-            address_of(work.raw),
+            address_of(work.outputs),
+            address_of(work.inputs),
             address_of(coefficients),
         ),
     )
 
 
 @inlined
-def _invoke_into(function, time, states, coefficients, work, target):  # type: ignore[no-untyped-def]
+def _call_hook_into(function, time, states, coefficients, work, target):  # type: ignore[no-untyped-def]
     _call_into(
         function,
         (
             time,
             address_of(states),
-            address_of(work.row),
-            address_of(work.raw),
+            address_of(work.outputs),
+            address_of(work.inputs),
             address_of(coefficients),
             address_of(target),
         ),

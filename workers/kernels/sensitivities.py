@@ -1,4 +1,4 @@
-"""One simulation with the sensitivities of its outputs, carried along by the solver's own steps."""
+"""One simulation with forward sensitivities of its outputs, on the steps of the solver."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from workers.kernels.fmi.calling import kernel
 from workers.kernels.fmi.failure import FINISHED, HAS_EVENTS, OUTPUT, SENSITIVITIES, failed
 from workers.kernels.fmi.functions import get_directional_derivative
 from workers.kernels.fmi.values import DISCARD
+from workers.kernels.model_exchange.evaluation import record_outputs
 from workers.kernels.model_exchange.forward_sensitivities import instance_of, record_sensitivities
-from workers.kernels.model_exchange.moving import record_outputs
-from workers.kernels.model_exchange.solver_steps import start
+from workers.kernels.model_exchange.solver_steps import start_simulation
 from workers.kernels.solvers.dormand_prince import adaptive_steps
 from workers.kernels.solvers.rk4 import equal_steps
 
 
 @kernel
 def simulate_forward(  # type: ignore[no-untyped-def]
-    fixed, c, references, starts, settings, hooks, grid, point, work, forward, record
+    fixed, c, references, starts, settings, hooks, grid, point, work, forward, outputs
 ):
     """Simulate one experiment for one point, with sensitivities, without events.
 
@@ -24,8 +24,8 @@ def simulate_forward(  # type: ignore[no-untyped-def]
     fixed
         True for classic Runge-Kutta with a fixed step, None for the Dormand-Prince method: only
         the one that is used is compiled.
-    record : (n, y)
-        Filled with the outputs; `forward.record` with their sensitivities.
+    outputs : (n, y)
+        Filled with the outputs; `sensitivities` with their sensitivities.
 
     Returns
     -------
@@ -36,13 +36,13 @@ def simulate_forward(  # type: ignore[no-untyped-def]
     time, proposed = times[0], 0.0
     code = _start_sensitivities(c, references, starts, settings, hooks, grid, point, work, forward)
     if code == FINISHED:
-        code = _start(c, references, starts, settings, hooks, grid, point, work)
+        code = _start_compiled_once(c, references, starts, settings, hooks, grid, point, work)
     for i in range(len(times)):
         if code != FINISHED:
             return code, time
         if work.next_event[0] <= times[-1]:
             return HAS_EVENTS, time
-        status = record_outputs(c, references, hooks, grid, i, time, work, record[i])
+        status = record_outputs(c, references, hooks, grid, i, time, work, outputs[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), time
         status = record_sensitivities(c, references, hooks, grid, i, work, forward)
@@ -62,40 +62,44 @@ def simulate_forward(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _start(c, references, starts, settings, hooks, grid, point, work):  # type: ignore[no-untyped-def]
-    """Compiled once, for all who start an instance here."""
-    return start(c, references, starts, settings, hooks, grid, point, work)
+def _start_compiled_once(c, references, starts, settings, hooks, grid, point, work):  # type: ignore[no-untyped-def]
+    """Start a simulation; one compiled function for all callers here, which compiles faster."""
+    return start_simulation(c, references, starts, settings, hooks, grid, point, work)
 
 
 @kernel
 def _start_sensitivities(c, references, starts, settings, hooks, grid, point, work, forward):  # type: ignore[no-untyped-def]
-    """S(t0) by differences of the initial states; leaves the twins where the simulation starts."""
+    """Compute S(t0) by differences of initial states; perturbed instances are initialised too."""
     for p in range(len(forward.kinds)):
         for side in range(2):
             for j in range(len(point)):
                 forward.point[j] = point[j]
-            forward.point[forward.columns[p]] = forward.values[p, side]
-            code = _start(
+            forward.point[forward.positions[p]] = forward.values[p, side]
+            code = _start_compiled_once(
                 instance_of(c, forward.handles[p, side]),
                 references, starts, settings, hooks, grid, forward.point, work,
             )  # fmt: skip
             if code != FINISHED:
                 return code
             for j in range(len(work.states)):
-                forward.sides[side, j] = work.states[j]
+                forward.perturbed_results[side, j] = work.states[j]
         width = forward.values[p, 0] - forward.values[p, 1]
         for j in range(len(work.states)):
-            forward.columns_now[p, j] = (forward.sides[0, j] - forward.sides[1, j]) / width
+            forward.current[p, j] = (
+                forward.perturbed_results[0, j] - forward.perturbed_results[1, j]
+            ) / width
     return FINISHED
 
 
 @kernel
-def takes_as_known(  # type: ignore[no-untyped-def]
-    c, references, starts, settings, hooks, grid, point, work, unknowns, known, found
+def is_known(  # type: ignore[no-untyped-def]
+    c, references, starts, settings, hooks, grid, point, work, unknowns, known, derivatives
 ):
-    """Start the FMU and ask it for a derivative by one variable. Returns (code, status)."""
-    code = _start(c, references, starts, settings, hooks, grid, point, work)
+    """Start the FMU and get a derivative by one variable. Returns (code, status)."""
+    code = _start_compiled_once(c, references, starts, settings, hooks, grid, point, work)
     if code != FINISHED:
         return code, 0
-    found[len(unknowns)] = 1.0
-    return code, get_directional_derivative(c, unknowns, known, 1, found[len(unknowns) :], found)
+    derivatives[len(unknowns)] = 1.0
+    return code, get_directional_derivative(
+        c, unknowns, known, 1, derivatives[len(unknowns) :], derivatives
+    )

@@ -1,6 +1,6 @@
 """The protocol between coordinator and worker: frozen, arrays and strings only.
 
-The coordinator installs a `Model` and its `Experiment`s once on every worker and then sends `Task`s
+The coordinator sends a `Model` and its `Experiment`s once to every worker, and then `Task`s
 (one point, one experiment). The worker answers each with an `Outcome`, failures included.
 """
 
@@ -17,7 +17,7 @@ from workers.messages.types import (
     Interface,
     Interpolation,
     Reduction,
-    Renewal,
+    ResetPolicy,
     Role,
     SolverName,
     Value,
@@ -41,7 +41,7 @@ __all__ = [
     "Outcome",
     "Output",
     "Reduction",
-    "Renewal",
+    "ResetPolicy",
     "Role",
     "SignalBound",
     "Solver",

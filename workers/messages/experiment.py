@@ -1,4 +1,4 @@
-"""What a simulation is fed with and compared with: one measured experiment."""
+"""One measured experiment: its inputs, known values, measured outputs and constraints."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class UserFunction:
     Attributes
     ----------
     module, name
-        Where it stands.
+        Where it is defined.
     source
         The module's text, where it is a file of the user's; empty if the module is installed.
     equality
@@ -198,7 +198,7 @@ class Experiment:
 
     @cached_property
     def equality(self) -> tuple[bool, ...]:
-        """Whether each of those must be 0, else at most 0."""
+        """True for each of those constraints that must be 0, False for one that is at most 0."""
         kinds = [False] * (0 if self.curve is None else len(self.curve.names))
         for bound in self.bounds:
             kinds += [bound.equality] * len(bound.names)

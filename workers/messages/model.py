@@ -1,4 +1,4 @@
-"""What a worker simulates: an FMU, effects around it, and how it is integrated."""
+"""The model that a worker simulates: an FMU, effects, solver and reset policy."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from workers.messages.hashing import content_hash
-from workers.messages.types import Interface, Renewal, SolverName
+from workers.messages.types import Interface, ResetPolicy, SolverName
 
 
 @dataclass(frozen=True)
 class Solver:
-    """How one simulation is integrated.
+    """The solver of a simulation, and its settings.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Model:
-    """What a worker simulates: an FMU and how to integrate it.
+    """The model that a worker simulates: an FMU and its solver.
 
     Attributes
     ----------
@@ -84,11 +84,11 @@ class Model:
     structure
         (name, value) of structural parameters (FMI 3) that differ from their start values: they
         say how large arrays are, so they are the same in all experiments.
-    talks
+    logging_on
         Whether the FMU logs all that it can, and its messages go to stderr too as they come.
-    renew
-        What every simulation begins with: a "reset" of the instance that there is; a new
-        "instance", for FMUs whose reset leaves something behind; or a new "process", for those
+    reset
+        The reset policy: every simulation begins with a "reset" of the instance that there is; a
+        new "instance", for FMUs whose reset leaves something behind; or a new "process", for those
         whose library does. "auto" leaves the choice to the coordinator; a worker resets.
     """
 
@@ -98,8 +98,8 @@ class Model:
     solver: Solver
     parameters: tuple[str, ...]
     structure: tuple[tuple[str, int], ...] = ()
-    talks: bool = False
-    renew: Renewal = "auto"
+    logging_on: bool = False
+    reset: ResetPolicy = "auto"
 
     @cached_property
     def archive_hash(self) -> str:
@@ -110,7 +110,7 @@ class Model:
     def key(self) -> str:
         """Hash of everything that makes a simulation's result, but values and experiment."""
         more = [repr(self.structure)] if self.structure else []
-        more += [f"renew {self.renew}"] if self.renew != "auto" else []
+        more += [f"renew {self.reset}"] if self.reset != "auto" else []
         return content_hash(
             [self.archive_hash, self.interface, repr(self.solver), *self.parameters, *more]
         )

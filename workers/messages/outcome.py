@@ -1,4 +1,4 @@
-"""What a worker answers."""
+"""Outcomes of tasks, which workers return."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from workers.messages.types import FloatArray
 
 
 class Status(enum.StrEnum):
-    """How a task ended. A member's text is what a person reads."""
+    """The ending of a task. A member's text is what a person reads."""
 
     OK = "ok"
     SOLVER_FAILURE = "solver failure"
@@ -53,9 +53,9 @@ class Linearisation:
     ----------
     times : (n,)
         The grid.
-    states, slopes : (n, x)
+    states, derivatives : (n, x)
         x and f.
-    inputs, edited : (n, u)
+    inputs, effective_inputs : (n, u)
         Inputs before and after the effects.
     outputs, plain_outputs : (n, y)
         With effects at outputs, and without: the experiment's outputs.
@@ -69,9 +69,9 @@ class Linearisation:
 
     times: FloatArray
     states: FloatArray
-    slopes: FloatArray
+    derivatives: FloatArray
     inputs: FloatArray
-    edited: FloatArray
+    effective_inputs: FloatArray
     outputs: FloatArray
     plain_outputs: FloatArray
     A: FloatArray

@@ -1,4 +1,4 @@
-"""What is asked of a worker, and when it is stopped."""
+"""Tasks of workers, and their limits."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Task:
     id
         Chosen by the coordinator; the outcome repeats it.
     experiment
-        Index into the installed experiments.
+        Index of the experiment among those that the worker has.
     values
         Physical values of `Model.parameters`, then of the coefficients of each effect.
     want
@@ -39,7 +39,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """When a simulation in a process of its own is ended from outside.
+    """Limits beyond which a simulation in a process of its own is ended from outside.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Names of choices, and what arrays are called."""
+"""Types of arrays, and of choices by name."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Interpolation = Literal["linear", "hold"]
 Role = Literal["train", "test"]
 Reduction = Literal["squares", "absolutes"]
 Want = Literal["residuals", "squares", "absolutes", "trajectory", "linearisation", "sensitivities"]
-Renewal = Literal["auto", "reset", "instance", "process"]
+ResetPolicy = Literal["auto", "reset", "instance", "process"]
 Value = float | int | bool | str
 
 REDUCTIONS: tuple[Reduction, ...] = get_args(Reduction)
-"""What takes the place of the residuals r of an output: the root of the sum of r^2, or the sum of
+"""Reductions of the residuals r of an output: the root of the sum of r^2, or the sum of
 |r|. Of one number, the sum of squares or of absolute values is that of them all."""
 USUAL: tuple[Want, ...] = ("residuals", *REDUCTIONS)
-"""What searches ask for: the same simulation, of which less or more is sent back."""
+"""Wants of searches: the same simulation, of which less or more is sent back."""

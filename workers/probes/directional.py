@@ -1,4 +1,4 @@
-"""Whether the directional derivatives that an FMU offers are the slopes of its own functions."""
+"""Check of an FMU's directional derivatives against differences of its own functions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from workers.evaluate import Evaluator
 from workers.kernels.fmi import failure
 from workers.messages import FloatArray
 from workers.probes.base import FmuProbe
-from workers.simulation.jacobian import StateJacobian, compare, named
+from workers.simulation.jacobian import (
+    StateJacobian,
+    compare_with_differences,
+    directional_jacobian,
+)
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class DirectionalProbe(FmuProbe):
         record = simulator.run(self.experiment, self.point[None])
         if record.codes[0] != failure.FINISHED:
             raise ModelError(record.messages[0])
-        jacobian = named(description)
+        jacobian = directional_jacobian(description)
         if len(jacobian.states) < len(description.states):
             raise ModelError("it does not say which variables are its state derivatives")
-        return compare(simulator.instance.fmu, description.version, jacobian)
+        return compare_with_differences(simulator.instance.fmu, description.version, jacobian)

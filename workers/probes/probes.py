@@ -1,4 +1,4 @@
-"""What `cluster-est check` asks of an FMU, beside it in a process of its own."""
+"""Probes of `cluster-est check`, each run beside the FMU in a process of its own."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.fmu.instance import FmuInstance
 from workers.kernels.fmi import failure
-from workers.messages import Experiment, FloatArray, Model, Outcome, Renewal, Solver, Task
+from workers.messages import Experiment, FloatArray, Model, Outcome, ResetPolicy, Solver, Task
 from workers.probes.base import FmuProbe
 from workers.probes.memory import resident_bytes
-from workers.simulation.integrator import SimulationBatch
+from workers.simulation.batch import SimulationBatch
 from workers.simulation.simulator import Simulator
 from workers.wire import TaskBatch
 
-WARM = 10
+WARM_UP_SIMULATIONS = 10
 """Simulations after which a process has all the memory that it will need, if it does not leak."""
-AT_ONCE = 5
+BATCH_SIZE = 5
 """Simulations in one call, of which the cost is taken."""
 
 
 def difference(found: FloatArray, truth: FloatArray) -> float:
-    """The largest difference of two tables of outputs, each over the size of its output."""
+    """Return the largest difference of two tables of outputs, each over the size of its output."""
     if found.tobytes() == truth.tobytes():
         return 0.0
     with np.errstate(all="ignore"):
@@ -73,8 +73,8 @@ class RepeatProbe(FmuProbe):
 
     def answer(self, evaluator: Evaluator) -> RepetitionResult:
         model, experiment = evaluator.model, evaluator.experiments[self.experiment]
-        fresh = _twin(evaluator, replace(model, renew="instance"), experiment)
-        reset = _twin(evaluator, replace(model, renew="reset"), experiment)
+        fresh = _simulator_of(evaluator, replace(model, reset="instance"), experiment)
+        reset = _simulator_of(evaluator, replace(model, reset="reset"), experiment)
         first = _outputs(fresh.run(0, self.point[None]))
         after = _distance(reset, self.point, first)
         again = after if after == 0.0 else _distance(fresh, self.point, first)
@@ -96,9 +96,9 @@ class LeftoverProbe(FmuProbe):
         bare = replace(evaluator.experiments[self.experiment], values=())
         nothing = np.empty((1, 0))
 
-        def simulator(renew: Renewal) -> Simulator:
-            model = replace(evaluator.model, renew=renew, parameters=())
-            return _twin(evaluator, model, bare)
+        def simulator(reset: ResetPolicy) -> Simulator:
+            model = replace(evaluator.model, reset=reset, parameters=())
+            return _simulator_of(evaluator, model, bare)
 
         before = _outputs(simulator("instance").run(0, nothing))
         evaluator.simulator.run(self.experiment, self.other[None])
@@ -107,7 +107,7 @@ class LeftoverProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class SimulationCost:
-    """What simulations take.
+    """The time and memory that simulations take.
 
     Attributes
     ----------
@@ -126,47 +126,49 @@ class SimulationCost:
 
 @dataclass(frozen=True)
 class CostProbe(FmuProbe):
-    """Asks what many simulations take, for about some seconds and at most so many of them."""
+    """Asks for the cost of many simulations, within about some seconds and a number of them."""
 
     experiment: int
     point: FloatArray
-    renew: Renewal
+    reset: ResetPolicy
     seconds: float
-    most: int = 300
+    max_count: int = 300
 
     def answer(self, evaluator: Evaluator) -> SimulationCost:
         end = time.monotonic() + self.seconds
-        points = np.repeat(self.point[None], AT_ONCE, axis=0)
-        simulator = _renewing(evaluator, self.experiment, self.renew)
-        took: list[float] = []
-        grown: list[tuple[int, int]] = []
-        while len(took) * AT_ONCE < self.most and (len(took) < 2 or time.monotonic() < end):
+        points = np.repeat(self.point[None], BATCH_SIZE, axis=0)
+        simulator = _simulator_with_reset(evaluator, self.experiment, self.reset)
+        durations: list[float] = []
+        memory: list[tuple[int, int]] = []
+        while len(durations) * BATCH_SIZE < self.max_count and (
+            len(durations) < 2 or time.monotonic() < end
+        ):
             begin = time.perf_counter()
             _outputs(simulator.run(0, points))
-            took.append((time.perf_counter() - begin) / AT_ONCE)
-            grown.append((len(took) * AT_ONCE, resident_bytes("self")))
-        warm = [each for each in grown if each[0] >= WARM]
+            durations.append((time.perf_counter() - begin) / BATCH_SIZE)
+            memory.append((len(durations) * BATCH_SIZE, resident_bytes("self")))
+        warm = [each for each in memory if each[0] >= WARM_UP_SIMULATIONS]
         leak = None
         if len(warm) > 1:
             (first, before), (last, after) = warm[0], warm[-1]
             leak = max(after - before, 0) / (last - first)
-        return SimulationCost(float(np.median(took)), leak, len(took) * AT_ONCE)
+        return SimulationCost(float(np.median(durations)), leak, len(durations) * BATCH_SIZE)
 
 
 @dataclass(frozen=True)
 class InstanceProbe(FmuProbe):
-    """Asks how many instances there can be at once, up to `most`; and what the next one said."""
+    """Asks for the number of instances at once, up to `max_count`, and the message of the next."""
 
-    most: int = 3
+    max_count: int = 3
 
     def answer(self, evaluator: Evaluator) -> tuple[int, str]:
-        held: list[FmuInstance] = []
-        for count in range(1, self.most):
+        instances: list[FmuInstance] = []
+        for count in range(1, self.max_count):
             try:
-                held.append(FmuInstance(evaluator.model, evaluator.description))
+                instances.append(FmuInstance(evaluator.model, evaluator.description))
             except ModelError as error:
                 return count, str(error)
-        return self.most, ""
+        return self.max_count, ""
 
 
 @dataclass(frozen=True)
@@ -185,22 +187,22 @@ class MovementProbe(FmuProbe):
 
     experiment: int
     point: FloatArray
-    renew: Renewal
+    reset: ResetPolicy
     others: FloatArray = field(repr=False)
     seconds: float
 
     def answer(self, evaluator: Evaluator) -> list[float | str]:
         """For each point a distance, or what went wrong there."""
         end = time.monotonic() + self.seconds
-        simulator = _renewing(evaluator, self.experiment, self.renew)
+        simulator = _simulator_with_reset(evaluator, self.experiment, self.reset)
         base = _outputs(simulator.run(0, self.point[None]))
         found: list[float | str] = []
         for other in self.others:
             if time.monotonic() > end:
                 break
-            record = simulator.run(0, other[None])
-            failed = record.codes[0] != failure.FINISHED
-            found.append(record.messages[0] if failed else difference(record.outputs[0], base))
+            batch = simulator.run(0, other[None])
+            failed = batch.codes[0] != failure.FINISHED
+            found.append(batch.messages[0] if failed else difference(batch.outputs[0], base))
         return found
 
 
@@ -210,13 +212,13 @@ class SolverProbe(FmuProbe):
 
     experiment: int
     point: FloatArray
-    renew: Renewal
+    reset: ResetPolicy
     solver: Solver
 
     def answer(self, evaluator: Evaluator) -> float:
-        model = replace(evaluator.model, solver=self.solver, renew=self.renew)
-        other = _twin(evaluator, model, evaluator.experiments[self.experiment])
-        usual = _renewing(evaluator, self.experiment, self.renew)
+        model = replace(evaluator.model, solver=self.solver, reset=self.reset)
+        other = _simulator_of(evaluator, model, evaluator.experiments[self.experiment])
+        usual = _simulator_with_reset(evaluator, self.experiment, self.reset)
         base = _outputs(usual.run(0, self.point[None]))
         return difference(base, _outputs(other.run(0, self.point[None])))
 
@@ -226,7 +228,7 @@ class CompileProbe(FmuProbe):
     """Asks for what `StiffnessProbe` needs to be compiled and on disk, which takes long once."""
 
     def answer(self, evaluator: Evaluator) -> None:
-        evaluator.simulator.compile_stiff()
+        evaluator.simulator.compile_stiffness()
 
 
 @dataclass(frozen=True)
@@ -237,33 +239,33 @@ class StiffnessProbe(FmuProbe):
     point: FloatArray
 
     def answer(self, evaluator: Evaluator) -> bool:
-        return evaluator.simulator.stiff(self.experiment, self.point)
+        return evaluator.simulator.is_stiff(self.experiment, self.point)
 
 
-def _renewing(evaluator: Evaluator, experiment: int, renew: Renewal) -> Simulator:
-    """Each of its simulations begins with a new instance, if that is wanted."""
-    model = replace(evaluator.model, renew=renew)
-    return _twin(evaluator, model, evaluator.experiments[experiment])
+def _simulator_with_reset(evaluator: Evaluator, experiment: int, reset: ResetPolicy) -> Simulator:
+    """Return a simulator of the same with another reset policy."""
+    model = replace(evaluator.model, reset=reset)
+    return _simulator_of(evaluator, model, evaluator.experiments[experiment])
 
 
-def _twin(evaluator: Evaluator, model: Model, experiment: Experiment) -> Simulator:
-    """A simulator of something slightly else, on the same instance."""
-    twin = Simulator(model, evaluator.description, (experiment,))
-    twin.load(evaluator.simulator.instance)
-    return twin
+def _simulator_of(evaluator: Evaluator, model: Model, experiment: Experiment) -> Simulator:
+    """Return a simulator of another model or experiment, on the same instance."""
+    simulator = Simulator(model, evaluator.description, (experiment,))
+    simulator.load(evaluator.simulator.instance)
+    return simulator
 
 
-def _outputs(record: SimulationBatch) -> FloatArray:
-    """Of the first simulation.
+def _outputs(batch: SimulationBatch) -> FloatArray:
+    """Return the outputs of the first simulation.
 
     Raises
     ------
     ModelError
         If it failed.
     """
-    if record.codes[0] != failure.FINISHED:
-        raise ModelError(record.messages[0])
-    outputs: FloatArray = record.outputs[0]
+    if batch.codes[0] != failure.FINISHED:
+        raise ModelError(batch.messages[0])
+    outputs: FloatArray = batch.outputs[0]
     return outputs
 
 

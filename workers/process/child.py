@@ -14,7 +14,7 @@ from typing import Any
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
-from workers.fmu.instance import instances
+from workers.fmu.instance import instances_made
 from workers.probes.base import FmuProbe
 from workers.probes.memory import resident_bytes
 from workers.wire import OutcomeColumns
@@ -54,7 +54,7 @@ def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
                 connection.send(_probed(asked, evaluator))
                 continue
             answers = OutcomeColumns.of(evaluator.evaluate(asked))
-            connection.send(BatchReport(answers, resident_bytes("self"), instances()))
+            connection.send(BatchReport(answers, resident_bytes("self"), instances_made()))
     evaluator.close()
 
 

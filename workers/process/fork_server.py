@@ -56,7 +56,7 @@ def main(descriptor: int) -> None:
 def _keep_apart(model: Model) -> None:
     """Keep what an FMU prints out of what this program prints to its standard output."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(2 if model.talks else nowhere, 1)
+    os.dup2(2 if model.logging_on else nowhere, 1)
     os.close(nowhere)
 
 

@@ -80,7 +80,7 @@ class SupervisedEvaluator:
         self, model: Model, experiments: Sequence[Experiment], name: str, limits: Limits
     ) -> None:
         self._name, self._file, self._limits = name, model.name, limits
-        self._renew = model.renew
+        self._renew = model.reset
         self._seconds: dict[int, deque[float]] = {}
         self._careful = 0
         self._base = 0

@@ -11,8 +11,8 @@ from workers.messages import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
-class SimulatedBatch:
-    """A batch of simulations of one experiment.
+class SimulatedOutputs:
+    """Recorded outputs of a batch of simulations of one experiment.
 
     Attributes
     ----------
@@ -20,25 +20,25 @@ class SimulatedBatch:
         Of the experiment's grid.
     names
         Of the recorded variables.
-    record : (points, n, names)
-        What was simulated; not finite where a simulation stopped early.
+    outputs : (points, n, names)
+        Recorded values; not finite where a simulation stopped early.
     values : (points, parameters)
         The values of the tasks.
     """
 
     times: FloatArray
     names: tuple[str, ...]
-    record: FloatArray
+    outputs: FloatArray
     values: FloatArray
 
     def of(self, variable: str) -> FloatArray:
-        """(points, n): one recorded variable."""
-        return self.record[:, :, self.names.index(variable)]
+        """Return one recorded variable, (points, n)."""
+        return self.outputs[:, :, self.names.index(variable)]
 
 
 @dataclass
 class ComparisonResult:
-    """What came of a comparison: (points, k) numbers, and sentences for points without them."""
+    """Values of a comparison, (points, k), and messages for points without them."""
 
     values: FloatArray
     failures: dict[int, str] = field(default_factory=dict)
@@ -51,11 +51,11 @@ class Comparison(ABC):
     """
 
     @abstractmethod
-    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
-        """Compare a batch of simulations with what was measured or is demanded."""
+    def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
+        """Compare a batch of simulations with measurements, or with the limits of constraints."""
 
 
 def positions(times: FloatArray, grid: FloatArray) -> IntArray:
-    """Where times stand on a grid that holds each of them."""
+    """Return the indices of times on a grid that has each of them."""
     found: IntArray = np.searchsorted(grid, times)
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from workers.messages import FloatArray, SignalBound
-from workers.residuals.base import Comparison, ComparisonResult, SimulatedBatch, positions
+from workers.residuals.base import Comparison, ComparisonResult, SimulatedOutputs, positions
 
 
 class SignalBounds(Comparison):
@@ -19,13 +19,13 @@ class SignalBounds(Comparison):
         self._bounds = bounds
 
     @np.errstate(over="ignore", invalid="ignore")  # what overflows is said to be not finite
-    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
+    def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
         columns = [column for bound in self._bounds for column in _sides(bound, simulated)]
-        table = np.array(columns, np.float64).reshape(-1, len(simulated.record))
+        table = np.array(columns, np.float64).reshape(-1, len(simulated.outputs))
         return ComparisonResult(np.ascontiguousarray(table.T))
 
 
-def _sides(bound: SignalBound, simulated: SimulatedBatch) -> list[FloatArray]:
+def _sides(bound: SignalBound, simulated: SimulatedOutputs) -> list[FloatArray]:
     """(points,) for each side of a bound."""
     rows = positions(bound.times, simulated.times)
     signal = simulated.of(bound.variable)[:, rows]

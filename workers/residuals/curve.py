@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from workers.messages import Curve, FloatArray
-from workers.residuals.base import Comparison, ComparisonResult, SimulatedBatch, positions
+from workers.residuals.base import Comparison, ComparisonResult, SimulatedOutputs, positions
 from workers.residuals.nearest_segment import segment_distances, tolerance_constraints
 
 
@@ -15,7 +15,7 @@ class CurveDistances(Comparison):
     def __init__(self, curve: Curve) -> None:
         self._curve = curve
 
-    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
+    def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
         points = _points(self._curve, simulated)
         found = [segment_distances(each, self._curve.points) for each in points]
         return ComparisonResult(np.array(found, np.float64).reshape(len(points), -1))
@@ -27,15 +27,15 @@ class CurveTolerances(Comparison):
     def __init__(self, curve: Curve) -> None:
         self._curve = curve
 
-    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
+    def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
         tolerances = np.array(self._curve.tolerances)
         points = _points(self._curve, simulated)
         found = [tolerance_constraints(each, self._curve.points, tolerances) for each in points]
         return ComparisonResult(np.array(found, np.float64).reshape(len(points), -1))
 
 
-def _points(curve: Curve, simulated: SimulatedBatch) -> FloatArray:
+def _points(curve: Curve, simulated: SimulatedOutputs) -> FloatArray:
     """(points, m, d): the simulated curves at the times at which they are sampled."""
     rows = positions(curve.times, simulated.times)
     columns = [simulated.names.index(name) for name in curve.variables]
-    return np.ascontiguousarray(simulated.record[:, rows][:, :, columns])
+    return np.ascontiguousarray(simulated.outputs[:, rows][:, :, columns])

@@ -1,4 +1,4 @@
-"""Everything that one experiment's simulations are compared with."""
+"""Residuals and constraints of one experiment."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 
 from workers.grid import SignalGrid
 from workers.messages import Experiment, FloatArray
-from workers.residuals.base import Comparison, SimulatedBatch
+from workers.residuals.base import Comparison, SimulatedOutputs
 from workers.residuals.bounds import SignalBounds
 from workers.residuals.curve import CurveDistances, CurveTolerances
 from workers.residuals.functions import FunctionComparison
+from workers.residuals.jacobian import comparison_jacobian
 from workers.residuals.measured_times import MeasuredTimes
-from workers.residuals.slopes import comparison_slopes
 
 
 class BatchComparison(NamedTuple):
@@ -46,20 +46,20 @@ class ExperimentComparison:
         self._residuals = _residuals(experiment, grid, parameters)
         self._constraints = _constraints(experiment, parameters)
 
-    def judge(self, simulated: SimulatedBatch) -> BatchComparison:
+    def compare(self, simulated: SimulatedOutputs) -> BatchComparison:
         """Compare a batch of simulations."""
         failures: dict[int, str] = {}
         residuals = _joined(self._residuals, simulated, failures)
         return BatchComparison(residuals, _joined(self._constraints, simulated, failures), failures)
 
-    def slopes(self, simulated: SimulatedBatch, slopes: FloatArray) -> FloatArray:
-        """(residuals + constraints, parameters): what one simulation's change with each parameter.
+    def jacobian(self, simulated: SimulatedOutputs, sensitivities: FloatArray) -> FloatArray:
+        """Return the (residuals + constraints, parameters) derivatives of one simulation's.
 
-        `slopes` are the derivatives of its record, (parameters, n, names).
+        `sensitivities` are those of its outputs, (parameters, n, names).
         """
         kinds = (*self._residuals, *self._constraints)
-        parts = [comparison_slopes(each, simulated, slopes) for each in kinds]
-        return np.concatenate([np.zeros((0, len(slopes))), *parts])
+        parts = [comparison_jacobian(each, simulated, sensitivities) for each in kinds]
+        return np.concatenate([np.zeros((0, len(sensitivities))), *parts])
 
 
 def _residuals(
@@ -87,7 +87,7 @@ def _constraints(experiment: Experiment, parameters: tuple[str, ...]) -> list[Co
 
 
 def _joined(
-    comparisons: list[Comparison], simulated: SimulatedBatch, failures: dict[int, str]
+    comparisons: list[Comparison], simulated: SimulatedOutputs, failures: dict[int, str]
 ) -> FloatArray:
     parts = []
     for comparison in comparisons:
@@ -96,4 +96,4 @@ def _joined(
         parts.append(compared.values)
     if len(parts) == 1:
         return parts[0]
-    return np.concatenate([np.zeros((len(simulated.record), 0)), *parts], axis=1)
+    return np.concatenate([np.zeros((len(simulated.outputs), 0)), *parts], axis=1)

@@ -13,12 +13,12 @@ import numpy as np
 
 from workers.errors import ModelError
 from workers.messages import Experiment, FloatArray, UserFunction
-from workers.residuals.base import Comparison, ComparisonResult, SimulatedBatch, positions
+from workers.residuals.base import Comparison, ComparisonResult, SimulatedOutputs, positions
 
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """What a user's function is given: one simulation of one experiment.
+    """One simulation of one experiment, as a user's function receives it.
 
     Attributes
     ----------
@@ -81,18 +81,18 @@ class FunctionComparison(Comparison):
         self._experiment, self._parameters, self._single = experiment, parameters, single
         self._size = 1 if single else -1
 
-    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
+    def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
         found: dict[int, FloatArray] = {}
         failures: dict[int, str] = {}
-        for p in range(len(simulated.record)):
-            if not np.isfinite(simulated.record[p]).all():
+        for p in range(len(simulated.outputs)):
+            if not np.isfinite(simulated.outputs[p]).all():
                 failures[p] = ""  # the simulation has failed and says so itself
                 continue
             try:
                 found[p] = self._checked(self._call(self._run(simulated, p)))
             except (Exception, SystemExit) as error:  # it is the user's code
                 failures[p] = f"{self._name} failed ({type(error).__name__}: {error})"
-        values = np.full((len(simulated.record), max(self._size, 0)), np.nan)
+        values = np.full((len(simulated.outputs), max(self._size, 0)), np.nan)
         for p, row in found.items():
             values[p] = row
         return ComparisonResult(values, failures)
@@ -112,12 +112,12 @@ class FunctionComparison(Comparison):
             raise ValueError(f"it must return finite numbers but returned {bad}")
         return values
 
-    def _run(self, simulated: SimulatedBatch, p: int) -> SimulatedRun:
+    def _run(self, simulated: SimulatedOutputs, p: int) -> SimulatedRun:
         outputs = self._experiment.outputs
         return SimulatedRun(
             experiment=self._experiment.id,
             times=_lent(simulated.times),
-            simulated={n: _lent(simulated.record[p, :, i]) for i, n in enumerate(simulated.names)},
+            simulated={n: _lent(simulated.outputs[p, :, i]) for i, n in enumerate(simulated.names)},
             measured={o.variable: (_lent(o.times), _lent(o.values)) for o in outputs},
             sigma={o.variable: o.sigma for o in outputs},
             values=dict(zip(self._parameters, simulated.values[p].tolist(), strict=False)),
@@ -125,7 +125,7 @@ class FunctionComparison(Comparison):
 
 
 def _lent(values: FloatArray) -> FloatArray:
-    """The same numbers to read: others need them too."""
+    """Return a read-only view: the numbers have other users."""
     view = values.view()
     view.flags.writeable = False
     return view

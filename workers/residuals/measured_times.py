@@ -6,7 +6,7 @@ import numpy as np
 
 from workers.grid import SignalGrid
 from workers.messages import FloatArray
-from workers.residuals.base import Comparison, ComparisonResult, SimulatedBatch
+from workers.residuals.base import Comparison, ComparisonResult, SimulatedOutputs
 
 
 class MeasuredTimes(Comparison):
@@ -19,14 +19,17 @@ class MeasuredTimes(Comparison):
     def __init__(self, grid: SignalGrid) -> None:
         self._grid = grid
 
-    def compare(self, simulated: SimulatedBatch) -> ComparisonResult:
-        grid, record = self._grid, simulated.record
+    def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
+        grid, outputs = self._grid, simulated.outputs
         # take keeps each point's row contiguous: sums over strided rows round differently
-        taken = np.take(record.reshape(len(record), -1), grid.gather, axis=1)
+        simulated_values = np.take(outputs.reshape(len(outputs), -1), grid.gather, axis=1)
         with np.errstate(over="ignore"):  # what overflows is said to be not finite
-            return ComparisonResult((grid.measured - taken) / grid.sigmas)
+            return ComparisonResult((grid.measured - simulated_values) / grid.sigmas)
 
-    def slopes(self, slopes: FloatArray) -> FloatArray:
-        """(parameters, residuals): the residuals' derivatives, from those of the record."""
+    def jacobian(self, sensitivities: FloatArray) -> FloatArray:
+        """Return the (parameters, residuals) derivatives, from those of the outputs."""
         grid = self._grid
-        return -np.take(slopes.reshape(len(slopes), -1), grid.gather, axis=1) / grid.sigmas
+        return (
+            -np.take(sensitivities.reshape(len(sensitivities), -1), grid.gather, axis=1)
+            / grid.sigmas
+        )

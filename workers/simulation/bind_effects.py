@@ -1,4 +1,4 @@
-"""An experiment with effects on it: what the compiled loops need beside the FMU and its data."""
+"""Effects bound to an experiment: compiled functions, and the signals that they depend on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from workers.effects.compiled import InnerEffects, compile_inner
 from workers.effects.definition import EffectDefinition, define
 from workers.effects.memory import MEMORIES
-from workers.effects.outputs import act_on_record
+from workers.effects.outputs import apply_output_effect
 from workers.errors import EffectError
 from workers.fmu.description import ModelDescription, nearest
 from workers.grid import SignalGrid
@@ -58,48 +58,52 @@ class BoundEffects:
         model: Model,
         description: ModelDescription,
     ) -> EffectHooks:
-        """What the loops call, for a batch of points on a grid."""
+        """Return the functions that the loops call, for a batch of points on a grid."""
         if self.inner is None:
             return no_hooks(len(points))
-        base = [self._base(name, points, model, description) for name in self.inner.parameters]
+        base_parameters = [
+            self._base_values(name, points, model, description) for name in self.inner.parameters
+        ]
         references = [description.variables[name].reference for name in self.inner.parameters]
         return EffectHooks(
-            begin=self.inner.begin.address if self.inner.begin else 0,
-            before=self.inner.before.address if self.inner.before else 0,
-            inside=self.inner.inside.address if self.inner.inside else 0,
+            start_states=self.inner.start_states.address if self.inner.start_states else 0,
+            modify_inputs=self.inner.modify_inputs.address if self.inner.modify_inputs else 0,
+            add_derivatives=self.inner.add_derivatives.address if self.inner.add_derivatives else 0,
             parameters=np.array(references, np.uint32),
             substeps=self._substeps(grid, coefficients),
             coefficients=np.ascontiguousarray(coefficients),
-            base=np.ascontiguousarray(np.column_stack(base))
-            if base
+            base_parameters=np.ascontiguousarray(np.column_stack(base_parameters))
+            if base_parameters
             else np.zeros((len(points), 0)),
         )
 
-    def remembered(self, coefficients: FloatArray) -> Experiment:
-        """The experiment with the inputs that effects change as a whole, for one point."""
+    def with_memory_effects(self, coefficients: FloatArray) -> Experiment:
+        """Return the experiment with the inputs that effects change as a whole, for one point."""
         inputs = list(self.experiment.inputs)
         for definition, position in zip(self.definitions, self.positions, strict=True):
-            if _remembers(definition):
+            if _has_memory(definition):
                 which = self.inputs.index(definition.site.target)
-                change, old = MEMORIES[definition.form.memory], inputs[which]
-                times, values = change(old.times, old.values, float(coefficients[position]))
-                inputs[which] = replace(old, times=times, values=values)
+                change, signal = MEMORIES[definition.form.memory], inputs[which]
+                times, values = change(signal.times, signal.values, float(coefficients[position]))
+                inputs[which] = replace(signal, times=times, values=values)
         return replace(self.experiment, inputs=tuple(inputs))
 
     @property
-    def remembers(self) -> bool:
-        """Whether an input is changed as a whole, so that each point has a grid of its own."""
-        return any(_remembers(d) for d in self.definitions)
+    def has_memory(self) -> bool:
+        """True if an input is changed as a whole, so that each point has a grid of its own."""
+        return any(_has_memory(d) for d in self.definitions)
 
-    def act_on(self, grid: SignalGrid, record: FloatArray, coefficients: FloatArray) -> None:
-        """Let the effects at outputs act on one point's record."""
+    def apply_to_outputs(
+        self, grid: SignalGrid, outputs: FloatArray, coefficients: FloatArray
+    ) -> None:
+        """Apply the effects at outputs to the outputs of one point, in place."""
         for definition, position in zip(self.definitions, self.positions, strict=True):
             if definition.site.kind == "output":
                 own = coefficients[position : position + len(definition.coefficients)]
-                act_on_record(definition, own, grid, record, self.recorded, self.columns)
+                apply_output_effect(definition, own, grid, outputs, self.recorded, self.columns)
 
     def _substeps(self, grid: SignalGrid, coefficients: FloatArray) -> IntArray:
-        """Of each point, for own states that are integrated between communication points."""
+        """Return the substeps of each point, for own states between communication points."""
         longest = float(np.diff(grid.times).max())
         counts = np.ones(len(coefficients), np.int64)
         for definition, position in zip(self.definitions, self.positions, strict=True):
@@ -109,24 +113,24 @@ class BoundEffects:
                     counts[p] = max(counts[p], definition.substeps(own, longest))
         return counts
 
-    def _base(
+    def _base_values(
         self, name: str, points: FloatArray, model: Model, description: ModelDescription
     ) -> FloatArray:
-        """The value of a parameter without its effects, at each point."""
+        """Return the value of a parameter without its effects, at each point."""
         if name in model.parameters:
             return points[:, model.parameters.index(name)]
-        known = dict(self.experiment.values).get(name, description.variables[name].start)
-        return np.full(len(points), float(known if known is not None else np.nan))
+        start = dict(self.experiment.values).get(name, description.variables[name].start)
+        return np.full(len(points), float(start if start is not None else np.nan))
 
 
-def augment(
+def bind_effects(
     definitions: Sequence[tuple[EffectDefinition, int]],
     experiment: Experiment,
     description: ModelDescription,
     *,
-    exchange: bool,
+    model_exchange: bool,
 ) -> BoundEffects:
-    """Prepare an experiment for effects that do something.
+    """Bind effects that do something to an experiment.
 
     Parameters
     ----------
@@ -134,31 +138,35 @@ def augment(
         Each effect with the position of its first coefficient.
     experiment, description
         What they act on.
-    exchange
+    model_exchange
         Whether the FMU's own states are in the array of states (model exchange).
     """
     outputs = tuple(output.variable for output in experiment.outputs)
-    known = [definition for definition, _ in definitions]
-    widened = _widened(known, experiment, description)
-    extra = [n for d in known if d.site.kind == "output" for n in _needed(d)]
-    extra = [n for n in extra if n not in (*_columns(widened), *outputs)]
-    acting = [(d, p) for d, p in definitions if d.site.kind != "output" and not _remembers(d)]
+    all_definitions = [definition for definition, _ in definitions]
+    experiment_with_signals = _with_dependencies(all_definitions, experiment, description)
+    extra = [n for d in all_definitions if d.site.kind == "output" for n in _dependencies(d)]
+    extra = [n for n in extra if n not in (*_columns(experiment_with_signals), *outputs)]
+    inner_effects = [
+        (d, p) for d, p in definitions if d.site.kind != "output" and not _has_memory(d)
+    ]
     inner = None
-    if acting:
-        states = description.states if exchange else ()
-        chosen, positions = zip(*acting, strict=True)
-        inner = compile_inner(chosen, positions, states, _columns(widened))
+    if inner_effects:
+        states = description.states if model_exchange else ()
+        inner_definitions, positions = zip(*inner_effects, strict=True)
+        inner = compile_inner(
+            inner_definitions, positions, states, _columns(experiment_with_signals)
+        )
     return BoundEffects(
-        definitions=tuple(known),
+        definitions=tuple(all_definitions),
         positions=tuple(p for _, p in definitions),
-        experiment=widened,
+        experiment=experiment_with_signals,
         recorded=(*outputs, *dict.fromkeys(extra)),
         inner=inner,
     )
 
 
-def _remembers(definition: EffectDefinition) -> bool:
-    """Whether it changes an input as a whole."""
+def _has_memory(definition: EffectDefinition) -> bool:
+    """Return whether it changes an input as a whole."""
     return definition.site.kind == "input" and bool(definition.form.memory)
 
 
@@ -166,18 +174,18 @@ def _columns(experiment: Experiment) -> tuple[str, ...]:
     return tuple(given.variable for given in (*experiment.inputs, *experiment.signals))
 
 
-def _needed(definition: EffectDefinition) -> tuple[str, ...]:
-    """What an effect depends on, with the signal that it takes the place of."""
+def _dependencies(definition: EffectDefinition) -> tuple[str, ...]:
+    """Return the variables that an effect depends on, with the signal that it replaces."""
     if definition.site.kind in ("input", "output"):
         return (*definition.uses, definition.site.target)
     return definition.uses
 
 
-def _widened(
+def _with_dependencies(
     definitions: Sequence[EffectDefinition], experiment: Experiment, description: ModelDescription
 ) -> Experiment:
-    """The experiment with all that effects depend on, and no signal beside."""
-    needed = dict.fromkeys(name for d in definitions for name in _needed(d))
+    """Return the experiment with the signals that effects depend on, and no others."""
+    needed = dict.fromkeys(name for d in definitions for name in _dependencies(d))
     signals = {given.variable: given for given in experiment.signals}
     driven = [given.variable for given in experiment.inputs]
     constants = []
@@ -189,7 +197,7 @@ def _widened(
                 f"must have under signals{nearest(name, signals)}"
             )
         if variable is not None and variable.causality == "input" and name not in driven:
-            constants.append(_constant(name, experiment, description))
+            constants.append(_constant_input(name, experiment, description))
     return replace(
         experiment,
         inputs=(*experiment.inputs, *constants),
@@ -197,16 +205,16 @@ def _widened(
     )
 
 
-def _constant(name: str, experiment: Experiment, description: ModelDescription) -> Input:
-    """An input that the data do not drive, as a signal."""
-    known = dict(experiment.values).get(name, description.variables[name].start)
-    if known is None:
+def _constant_input(name: str, experiment: Experiment, description: ModelDescription) -> Input:
+    """Return a constant signal for an input that the data do not drive."""
+    value = dict(experiment.values).get(name, description.variables[name].start)
+    if value is None:
         raise EffectError(
             f"experiment {experiment.id!r}: an effect needs the input {name!r}, which no column "
             "drives and which has no start value; give it one under values"
         )
     times = np.array([experiment.start, experiment.stop])
-    return Input(name, times, np.full(2, float(known)), "hold")
+    return Input(name, times, np.full(2, float(value)), "hold")
 
 
 class EffectBatch:
@@ -226,7 +234,7 @@ class EffectBatch:
     def groups(
         self, coefficients: FloatArray
     ) -> Iterator[tuple[IntArray, list[tuple[EffectDefinition, int]]]]:
-        """Points in groups with the same effects doing something, in order of first appearance.
+        """Group points on which the same effects act, in order of first appearance.
 
         An effect whose coefficients are neutral is left out of the simulation altogether, which is
         why it changes no bit of it.
@@ -234,8 +242,8 @@ class EffectBatch:
         pairs = list(zip(self._definitions, self._positions, strict=True))
         members: dict[tuple[bool, ...], list[int]] = {}
         for p, row in enumerate(coefficients):
-            active = tuple(not d.neutral(row[a : a + len(d.coefficients)]) for d, a in pairs)
+            active = tuple(not d.is_neutral(row[a : a + len(d.coefficients)]) for d, a in pairs)
             members.setdefault(active, []).append(p)
         for active, rows in members.items():
-            chosen = [pair for pair, on in zip(pairs, active, strict=True) if on]
-            yield np.array(rows, np.intp), chosen
+            acting = [pair for pair, on in zip(pairs, active, strict=True) if on]
+            yield np.array(rows, np.intp), acting

@@ -1,31 +1,34 @@
-"""An experiment made ready for one model: its grid, and the FMU's references for its variables."""
+"""An experiment bound to one model: its grid, and the FMU's references for its variables."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from workers.fmu.access import access
+from workers.fmu.access import variable_access
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
 from workers.grid import SignalGrid, build_grid
 from workers.kernels.fmi.component import StartValues, VariableReferences
 from workers.messages import Experiment, FloatArray, Input, IntArray, Model
-from workers.simulation.fixed_step import CommunicationPoints, communicate
+from workers.simulation.fixed_step import CommunicationPoints, communication_points
 
 
 @dataclass(frozen=True)
 class BoundExperiment:
-    """An experiment made ready for one model.
+    """An experiment bound to one model.
 
     Attributes
     ----------
     communication
-        When the FMU communicates, if it cannot do so at all times of the grid.
-    held
-        The memory that strings stand in.
+        The FMU's communication points, if it cannot communicate at all times of the grid.
+    known_values
+        Known start values, after those of the parameters.
+    string_memory
+        The memory that holds the texts of `starts`.
     """
 
     grid: SignalGrid
@@ -33,22 +36,22 @@ class BoundExperiment:
     outputs: tuple[str, ...]
     starts: StartValues
     references: VariableReferences
-    known: FloatArray
-    held: IntArray
+    known_values: FloatArray
+    string_memory: IntArray
 
     @property
-    def running(self) -> SignalGrid:
-        """What the loops go along."""
+    def integration_grid(self) -> SignalGrid:
+        """The times that the FMU is stepped to, and the inputs there."""
         return self.grid if self.communication is None else self.communication.grid
 
 
-def install(
+def bind_experiment(
     model: Model,
     description: ModelDescription,
     experiment: Experiment,
     recorded: tuple[str, ...] | None = None,
 ) -> BoundExperiment:
-    """Lay an experiment on its grid and look up the FMU's references for it.
+    """Bind an experiment to a model: its grid, and the FMU's references for its variables.
 
     `recorded` are the variables to record; the experiment's own if None.
 
@@ -59,61 +62,77 @@ def install(
         experiment's times.
     """
     where = f"experiment {experiment.id!r}"
-    given = {n: v for n, v in experiment.values if n not in model.parameters}
-    chosen = {n: description.variable(n, where) for n in given}
-    texts = {n: str(given[n]) for n, v in chosen.items() if v.kind == "string"}
-    structure = [v for v in chosen.values() if v.causality == "structuralParameter"]
-    known = [v for n, v in chosen.items() if n not in texts and v not in structure]
     outputs = recorded or experiment.recorded
     experiment = replace(
-        experiment, inputs=tuple(_held(description, each) for each in experiment.inputs)
+        experiment, inputs=tuple(_held_if_discrete(description, each) for each in experiment.inputs)
     )
     grid = build_grid(experiment, outputs)
-
-    def bases(variable: ModelVariable) -> list[float]:
-        if variable.size == 1:
-            return [variable.start or 0.0]
-        own = (variable.reference, variable.type)
-        found = [v for v in description.variables.values() if (v.reference, v.type) == own]
-        starts = {v.element: v.start or 0.0 for v in found}
-        return [starts.get(e, 0.0) for e in range(variable.size)]
-
-    def at(names: Sequence[str]) -> list[ModelVariable]:
-        return [description.variable(n, where) for n in names]
-
-    inputs = at([each.variable for each in experiment.inputs])
-    moving = [v if v.moves else None for v in inputs]
-    first = len(model.parameters) + len(known)
+    starts, known_values, string_memory = _start_values(model, description, experiment)
+    array_starts = partial(_array_starts, description)
+    inputs = [description.variable(each.variable, where) for each in experiment.inputs]
+    continuous_inputs = [v if v.is_continuous else None for v in inputs]
     return BoundExperiment(
         grid=grid,
-        communication=communicate(model, description, experiment, outputs, grid.times),
+        communication=communication_points(model, description, experiment, outputs, grid.times),
         outputs=outputs,
-        starts=StartValues(
-            structure=access([*[None] * first, *structure], bases),
-            numbers=access([*at(model.parameters), *known], bases),
-            strings=np.array([chosen[n].reference for n in texts], np.uint32),
-            texts=(held := _texts(list(texts.values())))[0],
-        ),
+        starts=starts,
         references=VariableReferences(
-            inputs=access(inputs, bases),
-            moving=access(moving, bases),
-            outputs=access(at(outputs), bases),
+            inputs=variable_access(inputs, array_starts),
+            continuous_inputs=variable_access(continuous_inputs, array_starts),
+            outputs=variable_access(
+                [description.variable(n, where) for n in outputs], array_starts
+            ),
         ),
-        known=np.array([float(given[v.name]) for v in [*known, *structure]], np.float64),
-        held=held[1],
+        known_values=known_values,
+        string_memory=string_memory,
     )
 
 
-def _held(description: ModelDescription, given: Input) -> Input:
-    """An input whose variable changes at events alone cannot be in between two samples."""
+def _start_values(
+    model: Model, description: ModelDescription, experiment: Experiment
+) -> tuple[StartValues, FloatArray, IntArray]:
+    """Return what is set before a simulation, known values, and the memory of strings."""
+    where = f"experiment {experiment.id!r}"
+    given = {n: v for n, v in experiment.values if n not in model.parameters}
+    variables = {n: description.variable(n, where) for n in given}
+    texts = {n: str(given[n]) for n, v in variables.items() if v.kind == "string"}
+    structure = [v for v in variables.values() if v.causality == "structuralParameter"]
+    numbers = [v for n, v in variables.items() if n not in texts and v not in structure]
+    parameters = [description.variable(n, where) for n in model.parameters]
+    array_starts = partial(_array_starts, description)
+    addresses, memory = _texts(list(texts.values()))
+    starts = StartValues(
+        structure=variable_access(
+            [*[None] * (len(parameters) + len(numbers)), *structure], array_starts
+        ),
+        numbers=variable_access([*parameters, *numbers], array_starts),
+        strings=np.array([variables[n].reference for n in texts], np.uint32),
+        texts=addresses,
+    )
+    values = [float(given[v.name]) for v in [*numbers, *structure]]
+    return starts, np.array(values, np.float64), memory
+
+
+def _array_starts(description: ModelDescription, variable: ModelVariable) -> list[float]:
+    """Return the start values of all elements of the array that a variable is of."""
+    if variable.size == 1:
+        return [variable.start or 0.0]
+    own = (variable.reference, variable.type)
+    found = [v for v in description.variables.values() if (v.reference, v.type) == own]
+    starts = {v.element: v.start or 0.0 for v in found}
+    return [starts.get(e, 0.0) for e in range(variable.size)]
+
+
+def _held_if_discrete(description: ModelDescription, given: Input) -> Input:
+    """Hold an input whose variable changes at events alone, between its samples."""
     variable = description.variables.get(given.variable)
-    if variable is None or variable.moves:
+    if variable is None or variable.is_continuous:
         return given
     return replace(given, interpolation="hold")
 
 
 def _texts(texts: Sequence[str]) -> tuple[IntArray, IntArray]:
-    """Addresses of strings that end with a zero byte, and the memory that holds them."""
+    """Return addresses of strings that end with a zero byte, and the memory that holds them."""
     encoded = [text.encode() + b"\0" for text in texts]
     memory = np.frombuffer(bytearray(b"".join(encoded)) or bytearray(1), np.uint8)
     begins = np.cumsum([0, *(len(each) for each in encoded)], dtype=np.int64)[:-1]

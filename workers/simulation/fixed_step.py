@@ -1,4 +1,4 @@
-"""Co-simulation FMUs that cannot vary their communication step: when they communicate instead."""
+"""Communication points of co-simulation FMUs that cannot vary their communication step."""
 
 from __future__ import annotations
 
@@ -27,43 +27,43 @@ class CommunicationPoints:
         input has a kink.
     step
         Seconds from one point to the next.
-    longest
+    max_step
         The same with room for rounding, so that every interval is cut into steps of this length.
     before, after : (n,)
-        Between which points each time of the experiment lies.
-    parts : (n,)
-        How far it lies beyond the first of them, as a part of the step; 0 if it stands on it.
+        The points before and after each time of the experiment.
+    fractions : (n,)
+        Its distance from the first of them, as a part of the step; 0 if it is on it.
     linear : (recorded,)
-        Which variables are interpolated. Others change at events alone, and keep their value.
+        True for variables that are interpolated. Others change at events alone: they are held.
     """
 
     grid: SignalGrid
     step: float
-    longest: float
+    max_step: float
     before: IntArray
     after: IntArray
-    parts: FloatArray
+    fractions: FloatArray
     linear: IntArray
 
-    def read(self, records: FloatArray) -> FloatArray:
-        """(points, n, recorded) at the experiment's times, of (points, m, recorded) at its own."""
-        found = records[:, self.before]
-        between = np.flatnonzero(self.parts > 0.0)
-        first, second = records[:, self.before[between]], records[:, self.after[between]]
+    def interpolate(self, outputs: FloatArray) -> FloatArray:
+        """Interpolate outputs, (points, m, recorded), at the experiment's n times."""
+        values = outputs[:, self.before]
+        between = np.flatnonzero(self.fractions > 0.0)
+        first, second = outputs[:, self.before[between]], outputs[:, self.after[between]]
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is said of outputs
-            middle = first + self.parts[between, None] * (second - first)
-        found[:, between] = np.where(self.linear, middle, first)
-        return found
+            interpolated = first + self.fractions[between, None] * (second - first)
+        values[:, between] = np.where(self.linear, interpolated, first)
+        return values
 
 
-def communicate(
+def communication_points(
     model: Model,
     description: ModelDescription,
     experiment: Experiment,
     recorded: tuple[str, ...],
     times: FloatArray,
 ) -> CommunicationPoints | None:
-    """Return when the FMU communicates in an experiment; None if it does so at all of its times.
+    """Return the communication points of an experiment; None if they are all of its times.
 
     Steps begin at the start of the experiment. Their length is `Solver.step`, else the one that the
     FMU names, else the shortest interval of the experiment if all others are multiples of it.
@@ -83,24 +83,25 @@ def communicate(
     if model.interface != "co_simulation" or description.variable_steps:
         return None
     step = _step(model, description, experiment, times)
-    passed = (times - experiment.start) / step
-    nearest = np.round(passed)
-    stands = np.abs(passed - nearest) <= ON_GRID
-    first = np.where(stands, nearest, np.floor(passed))
-    last = np.where(stands, nearest, first + 1.0)
+    elapsed_steps = (times - experiment.start) / step
+    nearest = np.round(elapsed_steps)
+    on_point = np.abs(elapsed_steps - nearest) <= ON_GRID
+    first = np.where(on_point, nearest, np.floor(elapsed_steps))
+    last = np.where(on_point, nearest, first + 1.0)
     counts = np.unique(np.concatenate([first, last]))
-    points = experiment.start + counts * step
-    sampled = points.copy()  # an input that jumps at such a time has jumped, however it is rounded
-    sampled[np.searchsorted(counts, nearest[stands])] = times[stands]
-    most = float(np.diff(counts).max(initial=1.0))
+    grid_times = experiment.start + counts * step
+    # an input that jumps at such a time has jumped, however it is rounded
+    sample_times = grid_times.copy()
+    sample_times[np.searchsorted(counts, nearest[on_point])] = times[on_point]
+    max_interval = float(np.diff(counts).max(initial=1.0))
     return CommunicationPoints(
-        grid=on_times(experiment, sampled)._replace(times=points),
+        grid=on_times(experiment, sample_times)._replace(times=grid_times),
         step=step,
-        longest=step * (1.0 + 0.5 / most),
+        max_step=step * (1.0 + 0.5 / max_interval),
         before=np.searchsorted(counts, first),
         after=np.searchsorted(counts, last),
-        parts=np.where(stands, 0.0, passed - first),
-        linear=np.array([_moves(description, name) for name in recorded], np.bool_),
+        fractions=np.where(on_point, 0.0, elapsed_steps - first),
+        linear=np.array([_is_continuous(description, name) for name in recorded], np.bool_),
     )
 
 
@@ -112,14 +113,14 @@ def communication_notes(
     Raises
     ------
     ModelError
-        As `communicate`.
+        As `communication_points`.
     """
     found: dict[float, list[str]] = {}
     for experiment in experiments:
         times = build_grid(experiment).times
-        made = communicate(model, description, experiment, experiment.recorded, times)
-        if made is not None and made.parts.any():
-            found.setdefault(made.step, []).append(experiment.id)
+        points = communication_points(model, description, experiment, experiment.recorded, times)
+        if points is not None and points.fractions.any():
+            found.setdefault(points.step, []).append(experiment.id)
     return tuple(_note(description.file, step, names) for step, names in found.items())
 
 
@@ -159,6 +160,6 @@ def _step(
     return step
 
 
-def _moves(description: ModelDescription, name: str) -> bool:
+def _is_continuous(description: ModelDescription, name: str) -> bool:
     variable = description.variables.get(name)
-    return variable is not None and variable.moves
+    return variable is not None and variable.is_continuous

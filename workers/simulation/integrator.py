@@ -1,9 +1,9 @@
-"""An instance of an FMU and the compiled loop that simulates it: rows of values in, outputs out."""
+"""Integration of one FMU by a compiled loop: rows of values in, outputs out."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,16 +20,21 @@ from workers.kernels.solvers.co_simulation import co_simulate_batch
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.dormand_prince import dormand_prince_batch
 from workers.kernels.solvers.rk4 import rk4_batch
-from workers.messages import FloatArray, IntArray, Linearisation, Model
+from workers.messages import FloatArray, Model
+from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment
-from workers.simulation.jacobian import AGREES, compare, named
+from workers.simulation.jacobian import (
+    MAX_JACOBIAN_ERROR,
+    compare_with_differences,
+    directional_jacobian,
+)
 
 Batch = Callable[[KernelArguments], int]
 """Simulates many points and returns how many of them: up to the first that failed."""
 BATCHES: dict[str, Batch] = {
-    "fmu": lambda asked: int(co_simulate_batch(*asked)),
-    "rk4": lambda asked: int(rk4_batch(*asked)),
-    "dormand_prince": lambda asked: int(dormand_prince_batch(*asked)),
+    "fmu": lambda arguments: int(co_simulate_batch(*arguments)),
+    "rk4": lambda arguments: int(rk4_batch(*arguments)),
+    "dormand_prince": lambda arguments: int(dormand_prince_batch(*arguments)),
 }
 
 DEFAULT_RTOL = 1e-8
@@ -37,39 +42,78 @@ DEFAULT_RTOL = 1e-8
 
 
 @dataclass(frozen=True)
-class SimulationBatch:
-    """What a batch of simulations gave.
+class _BatchRun:
+    """A batch of points on their way through the loop.
 
     Attributes
     ----------
-    outputs : (points, times, outputs)
-    messages : (points,)
-        Empty where a simulation reached its end, else a sentence.
-    codes : (points,)
-        See `workers.kernels.fmi.failure`.
-    linearisations
-        By point, where that was asked for and the simulation reached its end.
-    slopes
-        (parameters, times, outputs) by point, where sensitivities were asked for and to be had;
-        NaN for parameters by which there are none.
+    batch
+        Simulates them.
+    rows : (points, k)
+        Values of the parameters, then known values.
+    hooks, n_effect_states
+        The effects that act, and the number of their own states.
+    stopped_at : (points,)
+        Times of failures.
     """
 
-    outputs: FloatArray
-    messages: list[str]
-    codes: IntArray
-    linearisations: dict[int, Linearisation] = field(default_factory=dict)
-    slopes: dict[int, FloatArray] = field(default_factory=dict)
+    batch: Batch
+    bound: BoundExperiment
+    rows: FloatArray
+    hooks: EffectHooks
+    n_effect_states: int
+    result: SimulationBatch
+    stopped_at: FloatArray
 
     @classmethod
-    def empty(cls, points: int, times: int, outputs: int) -> SimulationBatch:
-        """Nothing simulated yet."""
-        return cls(
-            np.full((points, times, outputs), np.nan), [""] * points, np.zeros(points, np.int64)
+    def of(
+        cls,
+        batch: Batch,
+        bound: BoundExperiment,
+        values: FloatArray,
+        hooks: EffectHooks,
+        n_effect_states: int,
+    ) -> _BatchRun:
+        """Allocate the results of some points."""
+        known = np.broadcast_to(bound.known_values, (len(values), len(bound.known_values)))
+        # hstack keeps columns together if its parts do; the loops need rows
+        rows = np.ascontiguousarray(np.hstack([values, known]))
+        result = SimulationBatch.empty(
+            len(rows), len(bound.integration_grid.times), len(bound.outputs)
+        )
+        return cls(batch, bound, rows, hooks, n_effect_states, result, np.zeros(len(rows)))
+
+    def arguments(
+        self,
+        points: slice,
+        component: FmiComponent,
+        settings: SolverSettings,
+        work: KernelWorkspace,
+    ) -> KernelArguments:
+        """Return the arguments of the loop for some of the points."""
+        if (fixed := self.bound.communication) is not None:
+            settings = settings._replace(step=fixed.max_step, fixed=fixed.step)
+        return KernelArguments(
+            component,
+            self.bound.references,
+            self.bound.starts,
+            settings,
+            self.hooks._replace(
+                substeps=self.hooks.substeps[points],
+                coefficients=self.hooks.coefficients[points],
+                base_parameters=self.hooks.base_parameters[points],
+            ),
+            self.bound.integration_grid,
+            self.rows[points],
+            work,
+            self.result.outputs[points],
+            self.result.codes[points],
+            self.stopped_at[points],
         )
 
 
 class FmuIntegrator:
-    """One instance of an FMU, and the solver's loop that takes it along an experiment.
+    """One instance of an FMU, and the solver's loop that simulates experiments with it.
 
     It must be loaded before it can simulate anything.
 
@@ -85,9 +129,9 @@ class FmuIntegrator:
         self._model, self._description = model, description
         name = model.solver.name
         self.batch: Batch = CvodeBatch() if name == "cvode" else BATCHES[name]
-        self._asks_for_jacobian = name == "cvode" and _may_give_jacobian(model, description)
+        self._checks_jacobian = name == "cvode" and _may_use_jacobian(model, description)
         self._workspaces: dict[tuple[int, ...], KernelWorkspace] = {}
-        self._widest = max((v.size for v in description.variables.values()), default=1)
+        self._largest_array = max((v.size for v in description.variables.values()), default=1)
 
     def load(self, instance: FmuInstance | None = None) -> None:
         """Load the FMU and instantiate it, unless another's instance is to be used.
@@ -101,118 +145,80 @@ class FmuIntegrator:
             FmuInstance(self._model, self._description) if instance is None else instance
         )
 
-    def warm_up(self, ready: BoundExperiment) -> None:
-        """Have the loop compiled, or read from disk, before there is an FMU to run it on."""
-        rows = np.empty((0, len(self._model.parameters) + len(ready.known)))
-        sizes = len(ready.grid.times), len(ready.outputs)
-        nowhere, record = (
-            nothing_loaded(self._description.version),
-            SimulationBatch.empty(0, *sizes),
-        )
-        self._call(self.batch, nowhere, ready, no_hooks(0), 0, rows, record, np.empty(0))
+    def warm_up(self, bound: BoundExperiment) -> None:
+        """Compile the loop, or read it from disk, before there is an FMU to run it on."""
+        nothing = np.empty((0, len(self._model.parameters)))
+        run = _BatchRun.of(self.batch, bound, nothing, no_hooks(0), 0)
+        self._simulate(run, nothing_loaded(self._description.version), 0)
 
     def run(
         self,
-        ready: BoundExperiment,
+        bound: BoundExperiment,
         values: FloatArray,
         hooks: EffectHooks,
-        own_states: int = 0,
+        n_effect_states: int = 0,
         batch: Batch | None = None,
     ) -> SimulationBatch:
         """Simulate an experiment for many points.
 
         Parameters
         ----------
-        ready
+        bound
             The experiment.
         values
             A row for each point: values of the model's parameters.
-        hooks, own_states
-            The effects that act, which have so many states of their own.
+        hooks, n_effect_states
+            The effects that act, and the number of their own states.
         batch
-            What simulates, in place of the solver.
+            Simulates in place of the solver.
         """
-        known = np.broadcast_to(ready.known, (len(values), len(ready.known)))
-        # hstack keeps columns together if its parts do; the loops need rows
-        rows = np.ascontiguousarray(np.hstack([values, known]))
-        record = SimulationBatch.empty(len(rows), len(ready.running.times), len(ready.outputs))
-        stopped_at = np.zeros(len(rows))
-        batch = self.batch if batch is None else batch
-        tried = 0
-        while tried < len(rows):
-            self.instance.log.clear()
-            first = tried
-            try:
-                component = self.component()
-            except ModelError as error:
-                record.codes[first], record.messages[first] = failure.INITIALISATION, str(error)
-                tried += 1
-                continue
-            tried += self._call(
-                batch,
-                component,
-                ready,
-                hooks,
-                own_states,
-                rows,
-                record,
-                stopped_at,
-                first,
-            )
-            last = tried - 1
-            code = int(record.codes[last])
-            if code == failure.FINISHED:
-                continue
-            if code == failure.DISCARDED and (end := self.instance.ended_at()) is not None:
-                record.codes[last] = code = failure.TERMINATED
-                stopped_at[last] = max(stopped_at[last], end)
-            if last > first and self.instance.log:
-                tried = last  # again, alone: its neighbours may have said some of this
-            else:
-                record.messages[last] = self._explain(code, float(stopped_at[last]))
-            if code >= failure.FATAL:
-                self.instance.renew()
-        if ready.communication is not None:
-            record = replace(record, outputs=ready.communication.read(record.outputs))
-        return record
+        run = _BatchRun.of(
+            self.batch if batch is None else batch, bound, values, hooks, n_effect_states
+        )
+        point = 0
+        while point < len(run.rows):
+            point = self._simulate_from(run, point)
+        if bound.communication is not None:
+            return replace(run.result, outputs=bound.communication.interpolate(run.result.outputs))
+        return run.result
 
-    def find_jacobian(self, ready: BoundExperiment) -> None:
-        """Let CVODE have the FMU's directional derivatives, if they are right where it starts.
+    def find_jacobian(self, bound: BoundExperiment) -> None:
+        """Let CVODE use the FMU's directional derivatives, if they are right at the start.
 
         That is at the FMU's own start values, so that all workers find the same.
         """
-        if not self._asks_for_jacobian or not isinstance(self.batch, CvodeBatch):
+        if not self._checks_jacobian or not isinstance(self.batch, CvodeBatch):
             return
-        self._asks_for_jacobian = False
+        self._checks_jacobian = False
         known = self._description.variables
-        start = replace(ready, grid=ready.grid._replace(times=ready.grid.times[:1]))
+        start = replace(bound, grid=bound.grid._replace(times=bound.grid.times[:1]))
         values = np.array([[known[name].start or 0.0 for name in self._model.parameters]])
         if self.run(start, values, no_hooks(1)).codes[0] != failure.FINISHED:
             return
-        jacobian = named(self._description)
+        jacobian = directional_jacobian(self._description)
         try:
-            found = compare(self.instance.fmu, self._description.version, jacobian)
+            found = compare_with_differences(self.instance.fmu, self._description.version, jacobian)
         except ModelError:
             return
-        if found.error <= AGREES:  # zeros in the place of slopes are an error of 1
+        if found.error <= MAX_JACOBIAN_ERROR:  # zeros in place of derivatives are an error of 1
             self.batch.jacobian = jacobian
 
     @property
     def gives_jacobian(self) -> bool:
-        """Whether CVODE takes its Jacobian from the FMU, as far as it has simulated anything."""
+        """True once CVODE takes its Jacobian from the FMU; decided at the first simulation."""
         return isinstance(self.batch, CvodeBatch) and len(self.batch.jacobian.states) > 0
 
     def component(self) -> FmiComponent:
-        """What the next simulation runs on."""
-        return self.instance.fresh() if self._renews else self.instance.component
+        """Return the instance for the next simulation."""
+        return self.instance.fresh() if self._new_instance_each else self.instance.component
 
-    def settings(self, own_states: int = 0) -> SolverSettings:
-        """What the loop is told about accuracy, with states of effects."""
+    def settings(self, n_effect_states: int = 0) -> SolverSettings:
+        """Return the solver settings, with tolerances of the effects' states."""
         solver = self._model.solver
         rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
         atol = rtol if solver.atol is None else solver.atol
         nominals = [self._description.variables[name].nominal for name in self._description.states]
-        nominals += [1.0] * own_states
+        nominals += [1.0] * n_effect_states
         return SolverSettings(
             step=solver.step or 0.0,
             rtol=rtol,
@@ -223,76 +229,71 @@ class FmuIntegrator:
         )
 
     def workspace(
-        self, ready: BoundExperiment, hooks: EffectHooks, own_states: int = 0
+        self, bound: BoundExperiment, hooks: EffectHooks, n_effect_states: int = 0
     ) -> KernelWorkspace:
-        states = own_states
+        states = n_effect_states
         if self._model.interface == "model_exchange":
             states += len(self._description.states)
         sizes = (
-            ready.grid.inputs.shape[1],
+            bound.grid.inputs.shape[1],
             states,
             hooks.coefficients.shape[1],
-            hooks.base.shape[1],
+            hooks.base_parameters.shape[1],
             self._description.event_indicators,
-            self._widest,
+            self._largest_array,
         )
         if sizes not in self._workspaces:
             self._workspaces[sizes] = workspace(*sizes)
         return self._workspaces[sizes]
 
     @property
-    def _renews(self) -> bool:
-        """Whether each simulation has an instance of its own."""
-        return self._model.renew in ("instance", "process")
+    def _new_instance_each(self) -> bool:
+        """True if each simulation has an instance of its own."""
+        return self._model.reset in ("instance", "process")
 
-    def _call(
-        self,
-        batch: Batch,
-        component: FmiComponent,
-        ready: BoundExperiment,
-        hooks: EffectHooks,
-        own_states: int,
-        rows: FloatArray,
-        record: SimulationBatch,
-        stopped_at: FloatArray,
-        first: int = 0,
-    ) -> int:
-        """Simulate rows from the first to one that fails; how many."""
-        left = slice(first, first + 1 if self._renews else None)
-        rest = hooks._replace(
-            substeps=hooks.substeps[left],
-            coefficients=hooks.coefficients[left],
-            base=hooks.base[left],
-        )
-        settings = self.settings(own_states)
-        if (fixed := ready.communication) is not None:
-            settings = settings._replace(step=fixed.longest, fixed=fixed.step)
-        asked = KernelArguments(
-            component,
-            ready.references,
-            ready.starts,
-            settings,
-            rest,
-            ready.running,
-            rows[left],
-            self.workspace(ready, hooks, own_states),
-            record.outputs[left],
-            record.codes[left],
-            stopped_at[left],
-        )
-        return batch(asked)
+    def _simulate_from(self, run: _BatchRun, first: int) -> int:
+        """Simulate points from the first to one that fails; returns the next one to simulate."""
+        self.instance.log.clear()
+        try:
+            component = self.component()
+        except ModelError as error:
+            run.result.codes[first] = failure.INITIALISATION
+            run.result.messages[first] = str(error)
+            return first + 1
+        following = first + self._simulate(run, component, first)
+        last = following - 1
+        code = int(run.result.codes[last])
+        if code == failure.FINISHED:
+            return following
+        if code == failure.DISCARDED and (end := self.instance.termination_time()) is not None:
+            run.result.codes[last] = code = failure.TERMINATED
+            run.stopped_at[last] = max(run.stopped_at[last], end)
+        if last > first and self.instance.log:
+            following = last  # again, alone: its neighbours may have said some of this
+        else:
+            run.result.messages[last] = self._explain(code, float(run.stopped_at[last]))
+        if code >= failure.FATAL:
+            self.instance.replace()
+        return following
+
+    def _simulate(self, run: _BatchRun, component: FmiComponent, first: int) -> int:
+        """Simulate points from the first to one that fails; returns how many."""
+        remaining = slice(first, first + 1 if self._new_instance_each else None)
+        settings = self.settings(run.n_effect_states)
+        work = self.workspace(run.bound, run.hooks, run.n_effect_states)
+        return run.batch(run.arguments(remaining, component, settings, work))
 
     def _explain(self, code: int, time: float) -> str:
-        said = " | ".join(dict.fromkeys(self.instance.log))
-        sentences = failure.SENTENCES | linearise.SENTENCES
-        sentence = f"{sentences[code % failure.FATAL]} at t = {time:.9g} s"
-        if code in failure.OF_STIFFNESS and self._model.solver.name == "dormand_prince":
-            sentence += '; if the model is stiff, model.solver = "cvode" goes on in long steps'
-        return f"{sentence}; it said: {said}" if said else sentence
+        log = " | ".join(dict.fromkeys(self.instance.log))
+        messages = failure.MESSAGES | linearise.MESSAGES
+        message = f"{messages[code % failure.FATAL]} at t = {time:.9g} s"
+        if code in failure.SUGGEST_STIFFNESS and self._model.solver.name == "dormand_prince":
+            message += '; if the model is stiff, model.solver = "cvode" goes on in long steps'
+        return f"{message}; it said: {log}" if log else message
 
 
-def _may_give_jacobian(model: Model, description: ModelDescription) -> bool:
-    """Whether an FMU offers it, and may be started only to be asked whether it is right."""
+def _may_use_jacobian(model: Model, description: ModelDescription) -> bool:
+    """Return whether an FMU offers it, and may be started once only to check it."""
     offered = description.offer(model.interface).provides_directional_derivatives
-    renewed = model.renew == "process"
-    return offered and not renewed and len(named(description).states) > 0
+    new_process = model.reset == "process"
+    return offered and not new_process and len(directional_jacobian(description).states) > 0

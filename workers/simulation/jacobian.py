@@ -1,6 +1,6 @@
-"""The Jacobian of an FMU's states by the directional derivatives that it offers, if they are right.
+"""The Jacobian of an FMU's states by its directional derivatives, after a check of them.
 
-They may be silently zero or wrong, so they are compared with differences where the FMU stands.
+They may be silently zero or wrong, so they are compared with differences at the present states.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from workers.fmu.description import ModelDescription
 from workers.kernels.solvers.sundials import DirectionalJacobian
 from workers.messages import FloatArray
 
-STEP = float(np.cbrt(np.finfo(np.float64).eps))
+RELATIVE_STEP = float(np.cbrt(np.finfo(np.float64).eps))
 """Of a central difference, over the size of a state."""
-AGREES = 1e-4
-"""How far directional derivatives may be off, over the largest slope of a state derivative."""
+MAX_JACOBIAN_ERROR = 1e-4
+"""Largest error of directional derivatives, over the largest derivative in their row."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class StateJacobian:
     Attributes
     ----------
     error
-        The largest difference, over the largest slope of that state derivative.
+        The largest difference, over the largest derivative of that state derivative.
     zero
         Whether all are 0 where differences are not.
     """
@@ -38,39 +38,41 @@ class StateJacobian:
     zero: bool
 
 
-def named(description: ModelDescription) -> DirectionalJacobian:
-    """The references that a Jacobian is asked for with; none where the FMU does not say enough."""
+def directional_jacobian(description: ModelDescription) -> DirectionalJacobian:
+    """Return the references of the Jacobian; none where the FMU does not declare enough."""
     variables = description.variables
-    slopes = {v.derivative_of: v for v in variables.values() if v.derivative_of}
-    if any(name not in slopes for name in description.states):
+    derivatives = {v.derivative_of: v for v in variables.values() if v.derivative_of}
+    if any(name not in derivatives for name in description.states):
         return DirectionalJacobian.of()
-    asked = [(variables[name], slopes[name]) for name in description.states]
-    if any(v.type != "Float64" or v.size > 1 for pair in asked for v in pair):
+    pairs = [(variables[name], derivatives[name]) for name in description.states]
+    if any(v.type != "Float64" or v.size > 1 for pair in pairs for v in pair):
         return DirectionalJacobian.of()
     return DirectionalJacobian.of(
-        [x.reference for x, _ in asked], [dx.reference for _, dx in asked]
+        [x.reference for x, _ in pairs], [dx.reference for _, dx in pairs]
     )
 
 
-def compare(fmu: Any, version: str, jacobian: DirectionalJacobian) -> StateJacobian:
-    """Compare them where the FMU stands, in continuous-time mode.
+def compare_with_differences(
+    fmu: Any, version: str, jacobian: DirectionalJacobian
+) -> StateJacobian:
+    """Compare directional derivatives with differences, in continuous-time mode.
 
     Parameters
     ----------
     fmu
-        The instance as fmpy has it.
+        The instance as an object of fmpy.
     version
         Of FMI.
     jacobian
-        What to compare.
+        The references of states and derivatives.
 
     Raises
     ------
     ModelError
-        If the FMU refuses to answer.
+        If the FMU fails.
     """
     try:
-        return _compare(fmu, version, jacobian.slopes.tolist(), jacobian.states.tolist())
+        return _compare(fmu, version, jacobian.derivatives.tolist(), jacobian.states.tolist())
     except Exception as error:  # fmpy raises bare exceptions
         raise ModelError(f"asked for one, it failed ({error})") from error
 
@@ -78,32 +80,32 @@ def compare(fmu: Any, version: str, jacobian: DirectionalJacobian) -> StateJacob
 def _compare(fmu: Any, version: str, unknowns: list[int], knowns: list[int]) -> StateJacobian:
     vectors = _StateVectors(fmu, len(knowns), version)
     states = vectors.states()
-    given, taken = np.zeros((2, len(unknowns), len(knowns)))
+    directional, differences = np.zeros((2, len(unknowns), len(knowns)))
     for column, known in enumerate(knowns):
-        given[:, column] = fmu.getDirectionalDerivative(unknowns, [known], [1.0])
+        directional[:, column] = fmu.getDirectionalDerivative(unknowns, [known], [1.0])
     for column in range(len(knowns)):
-        step = STEP * max(abs(states[column]), 1.0)
-        moved = np.tile(states, (2, 1))
-        moved[:, column] += step, -step
-        high, low = (vectors.slopes_at(x) for x in moved)
-        taken[:, column] = (high - low) / (moved[0, column] - moved[1, column])
-    sizes = np.maximum(np.abs(taken).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    zero = not given.any() and bool(taken.any())
-    return StateJacobian(float((np.abs(given - taken) / sizes).max(initial=0.0)), zero)
+        step = RELATIVE_STEP * max(abs(states[column]), 1.0)
+        perturbed = np.tile(states, (2, 1))
+        perturbed[:, column] += step, -step
+        high, low = (vectors.derivatives_at(x) for x in perturbed)
+        differences[:, column] = (high - low) / (perturbed[0, column] - perturbed[1, column])
+    sizes = np.maximum(np.abs(differences).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    zero = not directional.any() and bool(differences.any())
+    return StateJacobian(float((np.abs(directional - differences) / sizes).max(initial=0.0)), zero)
 
 
 class _StateVectors:
     """States and their derivatives, through the calls of either version."""
 
     def __init__(self, fmu: Any, count: int, version: str) -> None:
-        self._fmu, self._count, self._old = fmu, count, version == "2.0"
+        self._fmu, self._count, self._fmi_2 = fmu, count, version == "2.0"
 
     def states(self) -> FloatArray:
         return self._call("getContinuousStates", np.zeros(self._count))
 
-    def slopes_at(self, states: FloatArray) -> FloatArray:
+    def derivatives_at(self, states: FloatArray) -> FloatArray:
         self._call("setContinuousStates", np.ascontiguousarray(states))
-        name = "getDerivatives" if self._old else "getContinuousStateDerivatives"
+        name = "getDerivatives" if self._fmi_2 else "getContinuousStateDerivatives"
         return self._call(name, np.zeros(self._count))
 
     def _call(self, name: str, values: FloatArray) -> FloatArray:

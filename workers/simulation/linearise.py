@@ -1,4 +1,4 @@
-"""One simulation and the model's derivatives along it: what the compiled loop needs and fills."""
+"""Linearisation of a model along one simulation: arguments and results of the compiled loop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from workers.kernels.fmi.hooks import EffectHooks
 from workers.kernels.linearise import (
     ADAPTIVE,
     FIXED,
-    GIVEN,
+    PRECOMPUTED,
     LinearisationArrays,
     PerturbationRange,
     PerturbedVariables,
@@ -31,8 +31,8 @@ from workers.messages import (
     Linearisation,
     Model,
 )
-from workers.simulation.bind_effects import BoundEffects, augment
-from workers.simulation.bind_experiment import BoundExperiment, install
+from workers.simulation.bind_effects import BoundEffects, bind_effects
+from workers.simulation.bind_experiment import BoundExperiment, bind_experiment
 
 
 @dataclass(frozen=True)
@@ -41,50 +41,56 @@ class PreparedExperiment:
 
     Attributes
     ----------
-    augmentation, probing
-        The effects, and the same with a knob at each input: a coefficient, 0 in the simulation,
+    effects, with_offsets
+        The effects, and the same with an offset at each input: a coefficient, 0 in the simulation,
         that is added behind all effects. None where nothing acts while the simulation runs; the
-        inputs themselves are changed then.
-    knobs
-        Where the knobs' coefficients begin.
+        inputs themselves are perturbed then.
+    n_coefficients
+        Coefficients of the task, after which those of the offsets follow.
     """
 
     model: Model
     description: ModelDescription
-    augmentation: BoundEffects
-    probing: BoundEffects | None
-    knobs: int
+    effects: BoundEffects
+    with_offsets: BoundEffects | None
+    n_coefficients: int
 
     def at(self, point: FloatArray, cvode: CvodeBatch | None = None) -> LinearisationPass:
-        """Make ready for one point: values of the model's parameters, then coefficients.
+        """Prepare the linearisation at one point: values of parameters, then coefficients.
 
-        `cvode` is the solver if that is the one.
+        `cvode` is the solver, if the model names that one.
         """
-        made, count = self.augmentation, len(self.model.parameters)
+        effects, count = self.effects, len(self.model.parameters)
         values, coefficients = point[None, :count], point[None, count:]
-        run = made.remembered(coefficients[0]) if made.remembers else made.experiment
-        ready = install(self.model, self.description, run, made.recorded)
-        knobs = np.zeros((1, len(self.inputs) if self.probing else 0))
-        widened = np.hstack([coefficients, knobs])
-        hooks = made.hooks(ready.grid, values, widened, self.model, self.description)
-        probing = hooks
-        if self.probing is not None:
-            probing = self.probing.hooks(ready.grid, values, widened, self.model, self.description)
-        probe = self._probe(values[0])
-        found = _allocate(probe, len(ready.grid.times), len(ready.outputs))
+        experiment = (
+            effects.with_memory_effects(coefficients[0])
+            if effects.has_memory
+            else effects.experiment
+        )
+        bound = bind_experiment(self.model, self.description, experiment, effects.recorded)
+        offsets = np.zeros((1, len(self.inputs) if self.with_offsets else 0))
+        with_zero_offsets = np.hstack([coefficients, offsets])
+        hooks = effects.hooks(bound.grid, values, with_zero_offsets, self.model, self.description)
+        with_offsets = hooks
+        if self.with_offsets is not None:
+            with_offsets = self.with_offsets.hooks(
+                bound.grid, values, with_zero_offsets, self.model, self.description
+            )
+        perturbed = self._perturbed_variables(values[0])
+        arrays = _allocate(perturbed, len(bound.grid.times), len(bound.outputs))
         return LinearisationPass(
-            self, ready, values, coefficients[0], hooks, probing, probe, found, cvode
+            self, bound, values, coefficients[0], hooks, with_offsets, perturbed, arrays, cvode
         )
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """The FMU's inputs, without the measured signals that may follow them on the grid."""
-        return tuple(given.variable for given in self.augmentation.experiment.inputs)
+        return tuple(given.variable for given in self.effects.experiment.inputs)
 
     @property
-    def own_states(self) -> tuple[str, ...]:
-        """Names of the states that effects bring along, in the order of the array of states."""
-        inside = [d for d in self.augmentation.definitions if d.site.kind != "output"]
+    def effect_states(self) -> tuple[str, ...]:
+        """Names of the effects' own states, in the order of the array of states."""
+        inside = [d for d in self.effects.definitions if d.site.kind != "output"]
         return tuple(str(state) for d in inside for state in d.states)
 
     @property
@@ -92,21 +98,22 @@ class PreparedExperiment:
         """The parameters that may change while a simulation runs."""
         return tuple(n for n in self.model.parameters if self.description.variables[n].tunable)
 
-    def _probe(self, values: FloatArray) -> PerturbedVariables:
-        known, inner = self.description.variables, self.augmentation.inner
+    def _perturbed_variables(self, values: FloatArray) -> PerturbedVariables:
+        known, inner = self.description.variables, self.effects.inner
         states: list[ModelVariable | None] = [known[name] for name in self.description.states]
-        states += [None] * len(self.own_states)
-        varied = inner.parameters if inner is not None else ()
+        states += [None] * len(self.effect_states)
+        effect_positions = inner.parameters if inner is not None else ()
         return PerturbedVariables(
-            states=_range(states),
-            inputs=_range([known[name] for name in self.inputs]),
-            parameters=_range([known[name] for name in self.tunable]),
+            states=_perturbation_range(states),
+            inputs=_perturbation_range([known[name] for name in self.inputs]),
+            parameters=_perturbation_range([known[name] for name in self.tunable]),
             references=np.array([known[name].reference for name in self.tunable], np.uint32),
             values=np.array([values[self.model.parameters.index(n)] for n in self.tunable]),
-            varied=np.array(
-                [varied.index(n) if n in varied else -1 for n in self.tunable], np.int64
+            effect_positions=np.array(
+                [effect_positions.index(n) if n in effect_positions else -1 for n in self.tunable],
+                np.int64,
             ),
-            knobs=self.knobs,
+            input_offsets=self.n_coefficients,
         )
 
 
@@ -115,53 +122,58 @@ class LinearisationPass:
     """One point of a prepared experiment. Takes the place of a solver's batch function."""
 
     prepared: PreparedExperiment
-    ready: BoundExperiment
+    bound: BoundExperiment
     values: FloatArray
     coefficients: FloatArray
     hooks: EffectHooks
-    probing: EffectHooks
-    probe: PerturbedVariables
-    found: LinearisationArrays
+    with_offsets: EffectHooks
+    perturbed: PerturbedVariables
+    arrays: LinearisationArrays
     cvode: CvodeBatch | None
 
-    def __call__(self, asked: KernelArguments) -> int:
+    def __call__(self, arguments: KernelArguments) -> int:
         """Simulate one point. Always returns 1."""
-        way = ADAPTIVE if self.prepared.model.solver.name == "dormand_prince" else FIXED
-        if self.cvode is not None:  # it goes ahead, because nobody may call the FMU in between
-            way = GIVEN
-            self.cvode(asked, self.found.states)
-            if asked.codes[0] != FINISHED:
+        stepping = ADAPTIVE if self.prepared.model.solver.name == "dormand_prince" else FIXED
+        if (
+            self.cvode is not None
+        ):  # it simulates first: nothing else may call the FMU during its steps
+            stepping = PRECOMPUTED
+            self.cvode(arguments, self.arrays.states)
+            if arguments.codes[0] != FINISHED:
                 return 1
-        asked.codes[0], asked.stopped_at[0] = linearise(
-            way, *asked[:5], self.probing, asked.grid, asked.points[0], asked.work, self.probe,
-            self.found, asked.outputs[0],
+        arguments.codes[0], arguments.stopped_at[0] = linearise(
+            stepping, *arguments[:5], self.with_offsets, arguments.grid, arguments.points[0],
+            arguments.work, self.perturbed, self.arrays, arguments.outputs[0],
         )  # fmt: skip
         return 1
 
-    def result(self, outputs: FloatArray, plain: BoundExperiment) -> Linearisation:
-        """What was found at the times of the experiment's own grid; `outputs` are as recorded."""
-        found, made = self.found, self.prepared.augmentation
-        kept = np.searchsorted(self.ready.grid.times, plain.grid.times)
-        own = slice(len(plain.outputs))
-        acted = outputs.copy()
-        made.act_on(self.ready.grid, acted, self.coefficients)
+    def result(self, outputs: FloatArray, without_effects: BoundExperiment) -> Linearisation:
+        """Return the linearisation at the times of the experiment's own grid.
+
+        `outputs` are as recorded.
+        """
+        arrays, effects = self.arrays, self.prepared.effects
+        kept = np.searchsorted(self.bound.grid.times, without_effects.grid.times)
+        own = slice(len(without_effects.outputs))
+        with_output_effects = outputs.copy()
+        effects.apply_to_outputs(self.bound.grid, with_output_effects, self.coefficients)
         return Linearisation(
-            times=plain.grid.times,
-            states=found.states[kept],
-            slopes=found.slopes[kept],
-            inputs=self.ready.grid.inputs[kept, : len(self.prepared.inputs)],
-            edited=found.edited[kept],
-            outputs=acted[kept, own],
+            times=without_effects.grid.times,
+            states=arrays.states[kept],
+            derivatives=arrays.derivatives[kept],
+            inputs=self.bound.grid.inputs[kept, : len(self.prepared.inputs)],
+            effective_inputs=arrays.effective_inputs[kept],
+            outputs=with_output_effects[kept, own],
             plain_outputs=outputs[kept, own],
-            A=found.slopes_by_state[kept],
-            B=found.slopes_by_input[kept],
-            C=found.outputs_by_state[kept, own],
-            D=found.outputs_by_input[kept, own],
-            P=found.slopes_by_parameter[kept],
-            Q=found.outputs_by_parameter[kept, own],
-            state_names=(*self.prepared.description.states, *self.prepared.own_states),
+            A=arrays.A[kept],
+            B=arrays.B[kept],
+            C=arrays.C[kept, own],
+            D=arrays.D[kept, own],
+            P=arrays.P[kept],
+            Q=arrays.Q[kept, own],
+            state_names=(*self.prepared.description.states, *self.prepared.effect_states),
             input_names=self.prepared.inputs,
-            output_names=plain.outputs,
+            output_names=without_effects.outputs,
             parameter_names=self.prepared.tunable,
         )
 
@@ -171,7 +183,7 @@ def prepare(
     description: ModelDescription,
     experiment: Experiment,
     active: Sequence[tuple[EffectDefinition, int]],
-    knobs: int,
+    n_coefficients: int,
 ) -> PreparedExperiment:
     """Prepare an experiment to be linearised with the effects that act on it.
 
@@ -179,29 +191,29 @@ def prepare(
     ----------
     active
         Each effect that does something, with the position of its first coefficient.
-    knobs
-        How many coefficients the task has.
+    n_coefficients
+        Number of coefficients of the task.
     """
-    run = _every_input_driven(model, description, experiment)
-    made = augment(active, run, description, exchange=True)
-    probing = None
-    if made.inner is not None:
+    experiment = _with_all_inputs_driven(model, description, experiment)
+    effects = bind_effects(active, experiment, description, model_exchange=True)
+    with_offsets = None
+    if effects.inner is not None:
         added = [
-            (define(_knob(name), description, model.interface), knobs + j)
-            for j, name in enumerate(given.variable for given in made.experiment.inputs)
+            (define(_offset_effect(name), description, model.interface), n_coefficients + j)
+            for j, name in enumerate(given.variable for given in effects.experiment.inputs)
         ]
-        probing = augment([*active, *added], run, description, exchange=True)
-    return PreparedExperiment(model, description, made, probing, knobs)
+        with_offsets = bind_effects([*active, *added], experiment, description, model_exchange=True)
+    return PreparedExperiment(model, description, effects, with_offsets, n_coefficients)
 
 
-def _knob(name: str) -> Effect:
+def _offset_effect(name: str) -> Effect:
     return Effect(f":{name}", f"input {name}", "bias")
 
 
-def _every_input_driven(
+def _with_all_inputs_driven(
     model: Model, description: ModelDescription, experiment: Experiment
 ) -> Experiment:
-    """The experiment with a constant signal for each real input that nothing sets.
+    """Add a constant signal for each real input of the FMU that nothing sets.
 
     The FMU would keep these at their start values by itself; here, they have derivatives.
     """
@@ -216,8 +228,8 @@ def _every_input_driven(
     return replace(experiment, inputs=(*experiment.inputs, *added))
 
 
-def _range(variables: Sequence[ModelVariable | None]) -> PerturbationRange:
-    """None stands for a state of an effect, which says nothing about its size."""
+def _perturbation_range(variables: Sequence[ModelVariable | None]) -> PerturbationRange:
+    """Nominal values and bounds; None stands for a state of an effect, which has neither."""
     return PerturbationRange(
         nominals=np.array([1.0 if v is None else v.nominal for v in variables]),
         lows=np.array([-np.inf if v is None or v.low is None else v.low for v in variables]),
@@ -225,21 +237,21 @@ def _range(variables: Sequence[ModelVariable | None]) -> PerturbationRange:
     )
 
 
-def _allocate(probe: PerturbedVariables, n: int, outputs: int) -> LinearisationArrays:
-    states, inputs = len(probe.states.nominals), len(probe.inputs.nominals)
-    parameters = len(probe.references)
+def _allocate(perturbed: PerturbedVariables, n: int, outputs: int) -> LinearisationArrays:
+    states, inputs = len(perturbed.states.nominals), len(perturbed.inputs.nominals)
+    parameters = len(perturbed.references)
     return LinearisationArrays(
         states=np.zeros((n, states)),
-        slopes=np.zeros((n, states)),
-        edited=np.zeros((n, inputs)),
-        slopes_by_state=np.zeros((n, states, states)),
-        slopes_by_input=np.zeros((n, states, inputs)),
-        slopes_by_parameter=np.zeros((n, states, parameters)),
-        outputs_by_state=np.zeros((n, outputs, states)),
-        outputs_by_input=np.zeros((n, outputs, inputs)),
-        outputs_by_parameter=np.zeros((n, outputs, parameters)),
-        upper_slopes=np.zeros(states),
-        lower_slopes=np.zeros(states),
+        derivatives=np.zeros((n, states)),
+        effective_inputs=np.zeros((n, inputs)),
+        A=np.zeros((n, states, states)),
+        B=np.zeros((n, states, inputs)),
+        P=np.zeros((n, states, parameters)),
+        C=np.zeros((n, outputs, states)),
+        D=np.zeros((n, outputs, inputs)),
+        Q=np.zeros((n, outputs, parameters)),
+        upper_derivatives=np.zeros(states),
+        lower_derivatives=np.zeros(states),
         upper_outputs=np.zeros(outputs),
         lower_outputs=np.zeros(outputs),
         value=np.zeros(1),

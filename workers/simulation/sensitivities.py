@@ -1,4 +1,4 @@
-"""Derivatives of the outputs by the model's parameters, carried along with one simulation."""
+"""Forward sensitivities: derivatives of the outputs by the parameters, in one simulation."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from workers.kernels.fmi.hooks import EffectHooks
 from workers.kernels.fmi.initialise import SolverSettings
 from workers.kernels.fmi.values import DISCARD
 from workers.kernels.model_exchange.forward_sensitivities import (
-    AT_START,
+    DIFFERENCES,
+    INITIAL_STATES,
     KNOWN,
-    TWINS,
     ForwardSensitivities,
 )
-from workers.kernels.sensitivities import simulate_forward, takes_as_known
+from workers.kernels.sensitivities import is_known, simulate_forward
 from workers.kernels.solvers.dormand_prince import NODES, WEIGHTS
 from workers.messages import FloatArray, IntArray, Model
 from workers.simulation.bind_experiment import BoundExperiment
@@ -37,10 +37,10 @@ TABLEAUS = {
     ),
 }
 RELATIVE_STEP = 6e-6
-"""The cube root of the rounding unit: of a parameter, for differences of twins and initial states;
-they are no simulations, so rounding is all their noise."""
-UNKNOWN = -1
-"""Beside the kinds of `forward_sensitivities`: neither a known nor twins."""
+"""The cube root of the rounding unit: of a parameter, for differences of instances and initial
+states; they are no simulations, so rounding is all their noise."""
+NOT_AVAILABLE = -1
+"""A kind beside those of `forward_sensitivities`: no sensitivity can be computed."""
 
 
 @dataclass(frozen=True)
@@ -50,16 +50,21 @@ class SensitivityPass:
     fixed: Literal[True] | None
     forward: ForwardSensitivities
 
-    def __call__(self, asked: KernelArguments) -> int:
+    def __call__(self, arguments: KernelArguments) -> int:
         """Simulate one point. Always returns 1."""
-        asked.codes[0], asked.stopped_at[0] = simulate_forward(
-            self.fixed, *asked[:6], asked.points[0], asked.work, self.forward, asked.outputs[0]
+        arguments.codes[0], arguments.stopped_at[0] = simulate_forward(
+            self.fixed,
+            *arguments[:6],
+            arguments.points[0],
+            arguments.work,
+            self.forward,
+            arguments.outputs[0],
         )
         return 1
 
 
 class SensitivitySource:
-    """How sensitivities are had of one FMU; found out at the first simulation, then kept.
+    """Forward sensitivities of one FMU; the kinds of its parameters are found once.
 
     Parameters
     ----------
@@ -70,10 +75,10 @@ class SensitivitySource:
     def __init__(self, model: Model, description: ModelDescription) -> None:
         self._model, self._description = model, description
         self._kinds: IntArray | None = None
-        self._twins: list[FmuInstance] = []
+        self._perturbed: list[FmuInstance] = []
 
-    def why_not(self, ready: BoundExperiment) -> str:
-        """Why there are none for an experiment; "" where there may be."""
+    def unavailable_reason(self, bound: BoundExperiment) -> str:
+        """Return why an experiment has none; "" where it may have them."""
         known, solver = self._description.variables, self._model.solver.name
         if self._model.interface != "model_exchange":
             return "sensitivities need the states, which an FMU gives in model exchange only"
@@ -81,124 +86,132 @@ class SensitivitySource:
             return "the FMU provides no directional derivatives"
         if solver not in TABLEAUS:
             return f"solver {solver!r} carries no sensitivities along"
-        jumps = any(v.variability == "discrete" for v in known.values()) and ready.grid.jumps.any()
+        jumps = any(v.variability == "discrete" for v in known.values()) and bound.grid.jumps.any()
         if self._description.event_indicators > 0 or jumps:
             return "the FMU has events, across which sensitivities cannot be carried"
-        odd = [n for n in (*self._description.states, *ready.outputs) if not _is_plain(known[n])]
-        if odd:
-            return f"{odd[0]!r} is no float64 scalar, which alone have directional derivatives"
-        if set(self._rates()) < set(self._description.states):
+        unsupported = [
+            n for n in (*self._description.states, *bound.outputs) if not _is_plain(known[n])
+        ]
+        if unsupported:
+            return (
+                f"{unsupported[0]!r} is no float64 scalar, which alone have directional derivatives"
+            )
+        if set(self._derivatives()) < set(self._description.states):
             return "the FMU does not name the derivative of every state"
         return ""
 
-    def along(
-        self, ready: BoundExperiment, point: FloatArray, kinds: IntArray, handle: int
+    def prepare_pass(
+        self, bound: BoundExperiment, point: FloatArray, kinds: IntArray, handle: int
     ) -> SensitivityPass:
-        """Make ready for one point: the values of the model's parameters.
+        """Prepare the simulation of one point: the values of the model's parameters.
 
-        `kinds` are those that `find_kinds` gave; `handle` is that of the instance that simulates.
+        `kinds` are those of `parameter_kinds`; `handle` is that of the instance that simulates.
         """
-        chosen = np.flatnonzero(kinds != UNKNOWN)
-        states, outputs = (
-            self._references(self._description.states),
-            self._references(ready.outputs),
-        )
+        chosen = np.flatnonzero(kinds != NOT_AVAILABLE)
+        states = self._references(self._description.states)
+        outputs = self._references(bound.outputs)
         parameters = self._references(self._model.parameters)
         n, y = len(states), len(outputs)
         is_state = [int(np.flatnonzero(states == r)[0]) if r in states else -1 for r in outputs]
-        places = np.array([i for i, state in enumerate(is_state) if state < 0], np.int64)
+        output_positions = np.array([i for i, state in enumerate(is_state) if state < 0], np.int64)
         nodes, weights, finals = TABLEAUS[self._model.solver.name]
-        handles = np.full((len(chosen), 2), handle, np.int64)
-        twins = iter(self._twins)
-        for row in np.flatnonzero(kinds[chosen] == TWINS):
-            handles[row] = [next(twins).component.handle for _ in range(2)]
-        widest = max(n, len(places))
+        widest = max(n, len(output_positions))
         forward = ForwardSensitivities(
             kinds=kinds[chosen],
             references=parameters[chosen],
-            columns=chosen,
-            handles=handles,
-            values=self._sides(point)[chosen],
-            slopes=np.array([self._rates()[s].reference for s in self._description.states], "u4"),
-            asked=outputs[places],
-            places=places,
-            states=np.array(is_state, np.int64),
+            positions=chosen,
+            handles=self._handles(kinds[chosen], handle),
+            values=self._perturbed_values(point)[chosen],
+            derivative_references=self._references(
+                tuple(self._derivatives()[s].name for s in self._description.states)
+            ),
+            output_references=outputs[output_positions],
+            output_positions=output_positions,
+            output_states=np.array(is_state, np.int64),
             knowns=np.append(states, np.uint32(0)),
             seed=np.zeros(n + 1),
             nodes=nodes,
             weights=weights,
             finals=finals,
-            columns_now=np.zeros((len(chosen), n)),
+            current=np.zeros((len(chosen), n)),
             stages=np.zeros((len(nodes), len(chosen), n)),
-            at=np.zeros(n),
-            found=np.zeros(widest),
-            sides=np.zeros((2, widest)),
-            point=np.zeros(len(point) + len(ready.known)),
-            record=np.zeros((len(ready.grid.times), len(chosen), y)),
+            stage_states=np.zeros(n),
+            result=np.zeros(widest),
+            perturbed_results=np.zeros((2, widest)),
+            point=np.zeros(len(point) + len(bound.known_values)),
+            sensitivities=np.zeros((len(bound.grid.times), len(chosen), y)),
         )
         return SensitivityPass(True if self._model.solver.name == "rk4" else None, forward)
 
-    def find_kinds(
+    def _handles(self, kinds: IntArray, handle: int) -> IntArray:
+        """Return (parameters, 2) handles of instances, above and below each value."""
+        handles = np.full((len(kinds), 2), handle, np.int64)
+        instances = iter(self._perturbed)
+        for row in np.flatnonzero(kinds == DIFFERENCES):
+            handles[row] = [next(instances).component.handle for _ in range(2)]
+        return handles
+
+    def parameter_kinds(
         self,
         instance: FmuInstance,
-        ready: BoundExperiment,
+        bound: BoundExperiment,
         settings: SolverSettings,
         hooks: EffectHooks,
-        row: FloatArray,
+        values: FloatArray,
         work: KernelWorkspace,
     ) -> IntArray | str:
-        """How each of the model's parameters acts; a sentence where the FMU does not even start."""
+        """Return the kind of each of the model's parameters; a message if it does not start."""
         if self._kinds is not None:
             return self._kinds
-        kinds = np.full(len(self._model.parameters), UNKNOWN, np.int64)
-        unknowns = np.array([v.reference for v in self._rates().values()], np.uint32)
+        kinds = np.full(len(self._model.parameters), NOT_AVAILABLE, np.int64)
+        unknowns = np.array([v.reference for v in self._derivatives().values()], np.uint32)
         for p, name in enumerate(self._model.parameters):
             variable = self._description.variables[name]
             if not _is_plain(variable):
                 continue
             if variable.causality not in ("parameter", "input"):
-                kinds[p] = AT_START
+                kinds[p] = INITIAL_STATES
                 continue
-            found = np.zeros(len(unknowns) + 1)
+            result = np.zeros(len(unknowns) + 1)
             known = np.array([variable.reference], np.uint32)
-            code, status = takes_as_known(
-                instance.component, ready.references, ready.starts, settings, hooks, ready.grid,
-                row, work, unknowns, known, found,
+            code, status = is_known(
+                instance.component, bound.references, bound.starts, settings, hooks, bound.grid,
+                values, work, unknowns, known, result,
             )  # fmt: skip
             if max(status, 4 if code >= FATAL else 0) >= 4:
-                instance.renew()
+                instance.replace()
             if code != FINISHED:
                 return "the FMU could not be started to be asked for its directional derivatives"
-            kinds[p] = KNOWN if status < DISCARD else self._add_twins()
+            kinds[p] = KNOWN if status < DISCARD else self._add_perturbed_instances()
         self._kinds = kinds
         return kinds
 
-    def forget_twins(self) -> None:
-        """Replace the twins after a fatal error."""
-        for twin in self._twins:
-            twin.renew()
+    def replace_perturbed_instances(self) -> None:
+        """Replace the perturbed instances after a fatal error."""
+        for instance in self._perturbed:
+            instance.replace()
 
     def close(self) -> None:
-        for twin in self._twins:
-            twin.free()
+        for instance in self._perturbed:
+            instance.free()
 
-    def _add_twins(self) -> int:
-        """Two more instances, where there may be some. Returns the kind of the parameter then."""
+    def _add_perturbed_instances(self) -> int:
+        """Add two instances, where there may be more. Returns the kind of the parameter then."""
         if self._description.once_per_process:
-            return UNKNOWN
-        made: list[FmuInstance] = []
+            return NOT_AVAILABLE
+        added: list[FmuInstance] = []
         try:
             for _ in range(2):
-                made.append(FmuInstance(self._model, self._description))  # noqa: PERF401
+                added.append(FmuInstance(self._model, self._description))  # noqa: PERF401
         except ModelError:  # there may be one only, though the FMU does not say so
-            for twin in made:
-                twin.free()
-            return UNKNOWN
-        self._twins += made
-        return TWINS
+            for instance in added:
+                instance.free()
+            return NOT_AVAILABLE
+        self._perturbed += added
+        return DIFFERENCES
 
-    def _sides(self, point: FloatArray) -> FloatArray:
-        """(parameters, 2): above and below each value, within the bounds that the FMU declares."""
+    def _perturbed_values(self, point: FloatArray) -> FloatArray:
+        """Return (parameters, 2) values above and below each, within declared bounds."""
         known = [self._description.variables[name] for name in self._model.parameters]
         sizes = np.where(point == 0.0, [v.nominal for v in known], np.abs(point))
         lows = [-np.inf if v.low is None else v.low for v in known]
@@ -207,8 +220,8 @@ class SensitivitySource:
         below = np.minimum(np.maximum(point - RELATIVE_STEP * sizes, lows), point)
         return np.column_stack([above, below])
 
-    def _rates(self) -> dict[str, ModelVariable]:
-        """The derivative of each state."""
+    def _derivatives(self) -> dict[str, ModelVariable]:
+        """Return the variable that is the derivative of each state."""
         found = {v.derivative_of: v for v in self._description.variables.values()}
         return {name: found[name] for name in self._description.states if name in found}
 

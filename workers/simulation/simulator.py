@@ -1,4 +1,4 @@
-"""Model, experiment and effects in, outputs at every time of the grid out, for many points."""
+"""Simulation of a model with its effects in an experiment, for many points."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from workers.kernels.fmi.hooks import no_hooks
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.stiffness import stiffness
 from workers.messages import Effect, Experiment, FloatArray, Input, Model
-from workers.simulation.bind_experiment import BoundExperiment, install
-from workers.simulation.integrator import FmuIntegrator, SimulationBatch
+from workers.simulation.batch import SimulationBatch
+from workers.simulation.bind_experiment import BoundExperiment, bind_experiment
+from workers.simulation.effect_bindings import EffectBindings
+from workers.simulation.integrator import FmuIntegrator
 from workers.simulation.sensitivities import SensitivitySource
 
 if TYPE_CHECKING:
     from workers.effects.definition import EffectDefinition
-    from workers.simulation.bind_effects import BoundEffects, EffectBatch
-    from workers.simulation.linearise import PreparedExperiment
 
 
 class Simulator:
-    """One instance of an FMU and the experiments that it can be asked to simulate.
+    """One instance of an FMU and the experiments that it can simulate.
 
-    It must be loaded before it can be asked anything.
+    It must be loaded before it can simulate anything.
 
     Parameters
     ----------
     model, description
         The FMU; the description must be of the same archive.
     experiments
-        What `run` counts by index.
+        Those that `run` refers to by index.
 
     Raises
     ------
@@ -48,22 +48,15 @@ class Simulator:
         self, model: Model, description: ModelDescription, experiments: tuple[Experiment, ...]
     ) -> None:
         self._model, self._description = model, description
-        self._experiments = tuple(_moving_first(description, e) for e in experiments)
-        plain = [
+        self._experiments = tuple(_continuous_first(description, e) for e in experiments)
+        without_effects = [
             replace(e, signals=()) for e in self._experiments
         ]  # they act through effects alone
-        self._installed = [install(model, description, e) for e in plain]
-        self._signals = tuple(dict.fromkeys(s.variable for e in experiments for s in e.signals))
-        self._effects: dict[tuple[Effect, ...], EffectBatch] = {}
-        self._augmented: dict[
-            tuple[int, tuple[tuple[EffectDefinition, int], ...]],
-            tuple[BoundEffects, BoundExperiment],
-        ] = {}
-        self._prepared: dict[
-            tuple[int, tuple[tuple[EffectDefinition, int], ...], int], PreparedExperiment
-        ] = {}
-        self._sensing = SensitivitySource(model, description)
-        self._loop = FmuIntegrator(model, description)
+        self._bound = [bind_experiment(model, description, e) for e in without_effects]
+        signals = tuple(dict.fromkeys(s.variable for e in experiments for s in e.signals))
+        self._bindings = EffectBindings(model, description, self._experiments, signals)
+        self._sensitivity_source = SensitivitySource(model, description)
+        self._integrator = FmuIntegrator(model, description)
 
     def load(self, instance: FmuInstance | None = None) -> None:
         """Load the FMU and instantiate it, unless another's instance is to be used.
@@ -73,23 +66,23 @@ class Simulator:
         ModelError
             If that does not work on this machine.
         """
-        self._loop.load(instance)
+        self._integrator.load(instance)
 
     @property
     def instance(self) -> FmuInstance:
-        return self._loop.instance
+        return self._integrator.instance
 
     @property
     def gives_jacobian(self) -> bool:
-        """Whether CVODE takes its Jacobian from the FMU, as far as it has simulated anything."""
-        return self._loop.gives_jacobian
+        """True once CVODE takes its Jacobian from the FMU; decided at the first simulation."""
+        return self._integrator.gives_jacobian
 
     def warm_up(self) -> None:
-        """Have the loop compiled, or read from disk, before there is an FMU to run it on."""
-        self._loop.warm_up(self._installed[0])
+        """Compile the loop, or read it from disk, before there is an FMU to run it on."""
+        self._integrator.warm_up(self._bound[0])
 
-    def installed(self, experiment: int) -> BoundExperiment:
-        return self._installed[experiment]
+    def bound_experiment(self, experiment: int) -> BoundExperiment:
+        return self._bound[experiment]
 
     def run(
         self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
@@ -103,31 +96,31 @@ class Simulator:
         points
             A row for each: values of the model's parameters, then of the effects' coefficients.
         effects
-            What is added to the model.
+            Effects that are added to the model.
 
         Raises
         ------
         EffectError
             If an effect does not fit the FMU.
         """
-        self._loop.find_jacobian(self._installed[0])
-        ready = self._installed[experiment]
+        self._integrator.find_jacobian(self._bound[0])
+        bound = self._bound[experiment]
         count = len(self._model.parameters)
         values, coefficients = points[:, :count], points[:, count:]
         if not effects:
-            return self._loop.run(ready, values, no_hooks(len(points)))
-        record = SimulationBatch.empty(len(points), len(ready.grid.times), len(ready.outputs))
-        for rows, active in self._resolved(effects).groups(coefficients):
-            part = self._run_augmented(experiment, values[rows], coefficients[rows], active)
-            record.outputs[rows], record.codes[rows] = part.outputs, part.codes
-            for row, message in zip(rows.tolist(), part.messages, strict=True):
-                record.messages[row] = message
-        return record
+            return self._integrator.run(bound, values, no_hooks(len(points)))
+        batch = SimulationBatch.empty(len(points), len(bound.grid.times), len(bound.outputs))
+        for rows, active in self._bindings.groups(effects, coefficients):
+            run = self._run_with_effects(experiment, values[rows], coefficients[rows], active)
+            batch.outputs[rows], batch.codes[rows] = run.outputs, run.codes
+            for row, message in zip(rows.tolist(), run.messages, strict=True):
+                batch.messages[row] = message
+        return batch
 
     def linearise(
         self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
     ) -> SimulationBatch:
-        """Do the same, and take the derivatives of the model and its effects on the way.
+        """Simulate as `run` does, and linearise the model with its effects at each time.
 
         Raises
         ------
@@ -140,182 +133,160 @@ class Simulator:
                 "which an FMU gives in model exchange only; set model.interface to "
                 '"model_exchange", but it is "co_simulation"'
             )
-        cvode = self._loop.batch if isinstance(self._loop.batch, CvodeBatch) else None
+        cvode = self._integrator.batch if isinstance(self._integrator.batch, CvodeBatch) else None
         if cvode is not None and self._description.event_indicators > 0:
             raise ModelError(
                 f"{self._model.name}: has events, across which solver cvode cannot be linearised; "
                 'set model.solver to "dormand_prince" or "rk4"'
             )
-        plain = self._installed[experiment]
-        record = SimulationBatch.empty(len(points), len(plain.grid.times), len(plain.outputs))
+        without_effects = self._bound[experiment]
+        batch = SimulationBatch.empty(
+            len(points), len(without_effects.grid.times), len(without_effects.outputs)
+        )
         for p, point in enumerate(points):
-            prepared = self._prepare(experiment, point, effects)
-            made = prepared.at(point, cvode)
-            own = len(prepared.own_states)
-            part = self._loop.run(made.ready, made.values, made.hooks, own, made)
-            record.codes[p], record.messages[p] = part.codes[0], part.messages[0]
-            if part.codes[0] == failure.FINISHED:
-                record.linearisations[p] = made.result(part.outputs[0], plain)
-                record.outputs[p] = record.linearisations[p].outputs
-        return record
+            prepared = self._bindings.prepare(experiment, point, effects)
+            one = prepared.at(point, cvode)
+            n_effect_states = len(prepared.effect_states)
+            run = self._integrator.run(one.bound, one.values, one.hooks, n_effect_states, one)
+            batch.codes[p], batch.messages[p] = run.codes[0], run.messages[0]
+            if run.codes[0] == failure.FINISHED:
+                batch.linearisations[p] = one.result(run.outputs[0], without_effects)
+                batch.outputs[p] = batch.linearisations[p].outputs
+        return batch
 
     def sensitivities(
         self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
     ) -> SimulationBatch:
-        """Do as `run` does, and take the outputs' derivatives by the parameters along.
+        """Do as `run` does, with the forward sensitivities of the outputs to the parameters.
 
         A point without them has a message that says why, though its simulation may have reached its
         end.
         """
-        ready = self._installed[experiment]
-        record = SimulationBatch.empty(len(points), len(ready.grid.times), len(ready.outputs))
+        bound = self._bound[experiment]
+        batch = SimulationBatch.empty(len(points), len(bound.grid.times), len(bound.outputs))
         for p, point in enumerate(points):
-            part, why = self._sense(ready, point) if not effects else (None, "there are effects")
-            if part is None:
-                part = self.run(experiment, point[None], effects)
-                part.messages[0] = part.messages[0] or f"no sensitivities: {why}"
-            record.outputs[p], record.codes[p] = part.outputs[0], part.codes[0]
-            record.messages[p] = part.messages[0]
-            if part.slopes:
-                record.slopes[p] = part.slopes[0]
-        return record
+            run, reason = None, "there are effects"
+            if not effects:
+                run, reason = self._run_with_sensitivities(bound, point)
+            if run is None:
+                run = self.run(experiment, point[None], effects)
+                run.messages[0] = run.messages[0] or f"no sensitivities: {reason}"
+            batch.outputs[p], batch.codes[p] = run.outputs[0], run.codes[0]
+            batch.messages[p] = run.messages[0]
+            if run.sensitivities:
+                batch.sensitivities[p] = run.sensitivities[0]
+        return batch
 
-    def _sense(
-        self, ready: BoundExperiment, point: FloatArray
+    def _run_with_sensitivities(
+        self, bound: BoundExperiment, point: FloatArray
     ) -> tuple[SimulationBatch | None, str]:
-        """One simulation with sensitivities, or why there are none."""
-        why = self._sensing.why_not(ready)
-        if why:
-            return None, why
-        row = np.concatenate([point, ready.known])
-        kinds = self._sensing.find_kinds(
-            self.instance, ready, self._loop.settings(), no_hooks(1), row,
-            self._loop.workspace(ready, no_hooks(1)),
+        """Run one simulation with sensitivities; None and a reason where there are none."""
+        reason = self._sensitivity_source.unavailable_reason(bound)
+        if reason:
+            return None, reason
+        row = np.concatenate([point, bound.known_values])
+        kinds = self._sensitivity_source.parameter_kinds(
+            self.instance, bound, self._integrator.settings(), no_hooks(1), row,
+            self._integrator.workspace(bound, no_hooks(1)),
         )  # fmt: skip
         if isinstance(kinds, str):
             return None, kinds
-        along = self._sensing.along(ready, point, kinds, self.instance.component.handle)
-        part = self._loop.run(ready, point[None], no_hooks(1), 0, along)
-        if part.codes[0] != failure.FINISHED:
-            if part.codes[0] >= failure.FATAL:
-                self._sensing.forget_twins()
-            return None, part.messages[0]
-        slopes = np.full((len(point), *part.outputs.shape[1:]), np.nan)
-        slopes[along.forward.columns] = along.forward.record.transpose(1, 0, 2)
-        part.slopes[0] = slopes
-        return part, ""
+        sensitivity_pass = self._sensitivity_source.prepare_pass(
+            bound, point, kinds, self.instance.component.handle
+        )
+        run = self._integrator.run(bound, point[None], no_hooks(1), 0, sensitivity_pass)
+        if run.codes[0] != failure.FINISHED:
+            if run.codes[0] >= failure.FATAL:
+                self._sensitivity_source.replace_perturbed_instances()
+            return None, run.messages[0]
+        sensitivities = np.full((len(point), *run.outputs.shape[1:]), np.nan)
+        forward = sensitivity_pass.forward
+        sensitivities[forward.positions] = forward.sensitivities.transpose(1, 0, 2)
+        run.sensitivities[0] = sensitivities
+        return run, ""
 
-    def stiff(self, experiment: int, point: FloatArray, max_steps: int = 5000) -> bool:
-        """Whether a model exchange FMU is stiff at one point of an experiment, without effects.
+    def is_stiff(self, experiment: int, point: FloatArray, max_steps: int = 5000) -> bool:
+        """Return whether a model exchange FMU without effects is stiff at a point.
 
-        Solver "cvode" suits it then. So many steps of the Dormand-Prince method, or fewer, tell;
-        it is not stiff if the simulation fails within them.
+        Solver "cvode" suits it then. It is found within `max_steps` steps of the
+        Dormand-Prince method, and False if the simulation fails within them.
         """
-        found, code = stiffness(*self._of_stiffness(experiment, point, max_steps))
+        found, code = stiffness(*self._stiffness_arguments(experiment, point, max_steps))
         if code >= failure.FATAL:
-            self.instance.renew()
+            self.instance.replace()
         return bool(found)
 
-    def compile_stiff(self) -> None:
-        """Have what `stiff` needs compiled, or read from disk."""
+    def compile_stiffness(self) -> None:
+        """Compile what `is_stiff` needs, or read it from disk."""
         point = np.zeros(len(self._model.parameters))
-        stiffness.compile(tuple(typeof(each) for each in self._of_stiffness(0, point, 1)))
+        stiffness.compile(tuple(typeof(each) for each in self._stiffness_arguments(0, point, 1)))
 
-    def _of_stiffness(self, experiment: int, point: FloatArray, max_steps: int) -> tuple[Any, ...]:
-        ready, hooks = self._installed[experiment], no_hooks(1)
+    def _stiffness_arguments(
+        self, experiment: int, point: FloatArray, max_steps: int
+    ) -> tuple[Any, ...]:
+        bound, hooks = self._bound[experiment], no_hooks(1)
         return (
-            self._loop.component(),
-            ready.references,
-            ready.starts,
-            self._loop.settings()._replace(max_steps=max_steps),
+            self._integrator.component(),
+            bound.references,
+            bound.starts,
+            self._integrator.settings()._replace(max_steps=max_steps),
             hooks,
-            ready.grid,
-            np.concatenate([point, ready.known]),
-            self._loop.workspace(ready, hooks),
+            bound.grid,
+            np.concatenate([point, bound.known_values]),
+            self._integrator.workspace(bound, hooks),
         )
 
     def close(self) -> None:
-        self._sensing.close()
+        self._sensitivity_source.close()
         self.instance.free()
 
-    def _resolved(self, effects: tuple[Effect, ...]) -> EffectBatch:
-        from workers.simulation.bind_effects import (
-            EffectBatch,  # SymPy takes half a second to import
-        )
-
-        if effects not in self._effects:
-            self._effects[effects] = EffectBatch(
-                effects, self._description, self._model, self._signals
-            )
-        return self._effects[effects]
-
-    def _prepare(
-        self, experiment: int, point: FloatArray, effects: tuple[Effect, ...]
-    ) -> PreparedExperiment:
-        """Prepare an experiment to be linearised with the effects that act at a point, once."""
-        from workers.simulation.linearise import prepare
-
-        coefficients = point[None, len(self._model.parameters) :]
-        ((_, active),) = self._resolved(effects).groups(coefficients)
-        count = coefficients.shape[1]
-        key = (experiment, tuple(active), count)
-        if key not in self._prepared:
-            run = self._experiments[experiment]
-            self._prepared[key] = prepare(self._model, self._description, run, active, count)
-        return self._prepared[key]
-
-    def _run_augmented(
+    def _run_with_effects(
         self,
         experiment: int,
         values: FloatArray,
         coefficients: FloatArray,
         active: list[tuple[EffectDefinition, int]],
     ) -> SimulationBatch:
-        """A group of points on which the same effects act."""
-        plain = self._installed[experiment]
+        """Simulate a group of points on which the same effects act."""
+        without_effects = self._bound[experiment]
         if not active:
-            return self._loop.run(plain, values, no_hooks(len(values)))
-        augmentation, ready = self._augment(experiment, active)
-        own = augmentation.inner.own_states if augmentation.inner is not None else 0
-        record = SimulationBatch.empty(len(values), len(plain.grid.times), len(plain.outputs))
+            return self._integrator.run(without_effects, values, no_hooks(len(values)))
+        bound_effects, bound = self._bindings.bind(experiment, active)
+        n_effect_states = (
+            bound_effects.inner.n_effect_states if bound_effects.inner is not None else 0
+        )
+        batch = SimulationBatch.empty(
+            len(values), len(without_effects.grid.times), len(without_effects.outputs)
+        )
         chunks = [slice(p, p + 1) for p in range(len(values))]
-        for chunk in chunks if augmentation.remembers else [slice(None)]:
-            if augmentation.remembers:
-                changed = augmentation.remembered(coefficients[chunk][0])
-                ready = install(self._model, self._description, changed, augmentation.recorded)
-            hooks = augmentation.hooks(
-                ready.running, values[chunk], coefficients[chunk], self._model, self._description
+        for chunk in chunks if bound_effects.has_memory else [slice(None)]:
+            if bound_effects.has_memory:
+                with_memory = bound_effects.with_memory_effects(coefficients[chunk][0])
+                bound = bind_experiment(
+                    self._model, self._description, with_memory, bound_effects.recorded
+                )
+            hooks = bound_effects.hooks(
+                bound.integration_grid,
+                values[chunk],
+                coefficients[chunk],
+                self._model,
+                self._description,
             )
-            part = self._loop.run(ready, values[chunk], hooks, own)
-            for p, outputs in enumerate(part.outputs):
-                augmentation.act_on(ready.grid, outputs, coefficients[chunk][p])
-            kept = np.searchsorted(ready.grid.times, plain.grid.times)
-            record.outputs[chunk] = part.outputs[:, kept, : len(plain.outputs)]
-            record.codes[chunk] = part.codes
-            record.messages[chunk] = part.messages
-        return record
-
-    def _augment(
-        self, experiment: int, active: list[tuple[EffectDefinition, int]]
-    ) -> tuple[BoundEffects, BoundExperiment]:
-        """Prepare an experiment for the effects that act on it, once."""
-        key = (experiment, tuple(active))
-        if key not in self._augmented:
-            from workers.simulation.bind_effects import augment
-
-            run = self._experiments[experiment]
-            exchange = self._model.interface == "model_exchange"
-            made = augment(active, run, self._description, exchange=exchange)
-            ready = install(self._model, self._description, made.experiment, made.recorded)
-            self._augmented[key] = made, ready
-        return self._augmented[key]
+            run = self._integrator.run(bound, values[chunk], hooks, n_effect_states)
+            for p, outputs in enumerate(run.outputs):
+                bound_effects.apply_to_outputs(bound.grid, outputs, coefficients[chunk][p])
+            kept = np.searchsorted(bound.grid.times, without_effects.grid.times)
+            batch.outputs[chunk] = run.outputs[:, kept, : len(without_effects.outputs)]
+            batch.codes[chunk] = run.codes
+            batch.messages[chunk] = run.messages
+        return batch
 
 
-def _moving_first(description: ModelDescription, experiment: Experiment) -> Experiment:
-    """The same with inputs that may move between events first: those are set together."""
+def _continuous_first(description: ModelDescription, experiment: Experiment) -> Experiment:
+    """Order inputs: those that may change between events first, because they are set together."""
 
-    def is_discrete(given: Input) -> bool:
-        variable = description.variables.get(given.variable)
-        return variable is not None and not variable.moves
+    def is_discrete(signal: Input) -> bool:
+        variable = description.variables.get(signal.variable)
+        return variable is not None and not variable.is_continuous
 
     return replace(experiment, inputs=tuple(sorted(experiment.inputs, key=is_discrete)))

@@ -167,8 +167,8 @@ def kinematic_states(courses: Sequence[LinearisedTrajectory]) -> set[str]:
             j = int(np.argmax(linear.A[0, i]))
             row = np.abs(linear.A[:, i] - np.eye(len(linear.state_names))[j]).max()
             driven = np.abs(linear.B[:, i]).max(initial=0.0)
-            size = np.abs(linear.slopes[:, i]).max()
-            gap = np.abs(linear.slopes[:, i] - linear.states[:, j]).max()
+            size = np.abs(linear.derivatives[:, i]).max()
+            gap = np.abs(linear.derivatives[:, i] - linear.states[:, j]).max()
             if i != j and gap <= KINEMATIC * size and max(row, driven) < 1e-4:
                 found.add(name)
     return found

@@ -75,7 +75,7 @@ def make_course(
         plain, shown = linear.plain_outputs, linear.outputs
         signals = dict(zip(linear.state_names, linear.states.T, strict=True))
         signals = {name: signals[name] for name in states}
-        signals |= dict(zip(linear.input_names, linear.edited.T, strict=True))
+        signals |= dict(zip(linear.input_names, linear.effective_inputs.T, strict=True))
     elif trajectory is not None:
         times, names = trajectory.times, trajectory.variables
         plain = shown = trajectory.values

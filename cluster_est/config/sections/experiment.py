@@ -19,11 +19,15 @@ from cluster_est.config.sections.types import (
 
 
 class InputSection(ConfigSection):
+    """Keys of an input or signal: its column and interpolation."""
+
     column: str = Field(description="column of the data")
     interpolation: Literal["linear", "hold"] = Field("linear", description="between samples")
 
 
 class OutputSection(ConfigSection):
+    """Keys of a measured output."""
+
     column: str = Field(description="column of the data")
     interpolation: Literal["linear", "hold"] = Field(
         "linear", description="between samples, where the time base asks for other times"
@@ -32,12 +36,16 @@ class OutputSection(ConfigSection):
 
 
 class ColumnSection(ConfigSection):
+    """Conversion of a column of the data."""
+
     factor: Finite = Field(1.0, description="the column is multiplied by it")
     offset: Finite = Field(0.0, description="and this is added, in the new unit")
     demean: bool = Field(False, description="subtract the mean of the used rows first")
 
 
 class CurveSection(ConfigSection):
+    """Keys of a measured curve without times."""
+
     columns: dict[str, str] = Field(
         min_length=1, description="FMU output = column: points without times, in their order"
     )
@@ -51,6 +59,8 @@ class CurveSection(ConfigSection):
 
 
 class ExperimentSection(ConfigSection):
+    """Keys of one measured experiment."""
+
     id: str = Field(min_length=1, description="name of the experiment, unique")
     data: str | None = Field(
         None,

@@ -34,6 +34,8 @@ Name = Annotated[str, Field(min_length=1)]
 
 
 class CostSection(ConfigSection):
+    """Keys of the cost."""
+
     name: str = Field("sse", description="sse, sae, huber, soft_l1, cauchy, likelihood or total")
     options: dict[str, Any] = Field(default_factory=dict, description="of the cost")
     function: str = Field(
@@ -60,6 +62,8 @@ class CostSection(ConfigSection):
 
 
 class StepSection(ConfigSection):
+    """Limits of a step response."""
+
     initial: Finite = Field(0.0, description="value before the step")
     final: Finite = Field(description="value that it settles at")
     time: Finite = Field(0.0, description="seconds; when the step begins")
@@ -72,6 +76,8 @@ class StepSection(ConfigSection):
 
 
 class TrackingSection(ConfigSection):
+    """A band around a measured signal."""
+
     absolute: Finite = Field(0.0, ge=0.0, description="tolerance in the signal's unit")
     relative: Finite = Field(0.0, ge=0.0, description="and this part of the measured value")
     side: Literal["both", "upper", "lower"] = Field(
@@ -80,6 +86,8 @@ class TrackingSection(ConfigSection):
 
 
 class ConstraintSection(ConfigSection):
+    """Keys of a constraint on parameters, on a signal, or by a function."""
+
     name: str = Field("", description="for tables; default: what it says")
     expression: str = Field(
         "", description='on parameters: two formulas with <=, >= or = between, "mu_d <= mu_s"'
@@ -112,12 +120,16 @@ class ConstraintSection(ConfigSection):
 
 
 class MethodSection(ConfigSection):
+    """Keys of the method."""
+
     name: str = Field("least_squares", description="see the documentation: which method when")
     options: dict[str, Any] = Field(default_factory=dict, description="of the method")
     seed: Count = Field(0, description="of the method's random generator")
 
 
 class MultistartSection(ConfigSection):
+    """Keys of several starts."""
+
     n: Positive = Field(1, description="starts, the parameters' own first")
     sampler: Literal["sobol", "latin_hypercube", "uniform"] = Field(
         "sobol", description="how the others are spread over the bounds"
@@ -139,6 +151,8 @@ class MultistartSection(ConfigSection):
 
 
 class UncertaintySection(ConfigSection):
+    """Keys of intervals that take refits."""
+
     profiles: list[str] = Field(
         default_factory=list,
         description='labels or parameters whose likelihood profiles are taken; "shared" or "all"',

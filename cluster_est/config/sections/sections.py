@@ -18,6 +18,8 @@ from cluster_est.config.sections.types import LARGEST, ConfigSection, Count, Fin
 
 
 class ModelSection(ConfigSection):
+    """Keys of the model and its solver."""
+
     fmu: str = Field(description="path of the FMU, from the config's folder")
     interface: Literal["auto", "model_exchange", "co_simulation"] = Field(
         "auto", description="which of the FMU's interfaces; auto prefers model exchange"
@@ -48,6 +50,8 @@ class ModelSection(ConfigSection):
 
 
 class ParameterSection(ConfigSection):
+    """Keys of a parameter."""
+
     start: Finite | None = Field(
         None,
         description="where the estimation starts, in the FMU's unit; needed but for an expression",
@@ -71,6 +75,8 @@ class ParameterSection(ConfigSection):
 
 
 class CoefficientSection(ConfigSection):
+    """Keys of an effect's coefficient."""
+
     start: Finite | None = Field(
         None, description="where the estimation starts; default: the value that does nothing"
     )
@@ -87,6 +93,8 @@ class CoefficientSection(ConfigSection):
 
 
 class EffectSection(ConfigSection):
+    """Keys of an effect."""
+
     name: str = Field("", description="of the effect; default: its form")
     site: str = Field(
         description='"der(STATE)", "pair STATE,STATE", "input NAME", "output NAME" or '
@@ -105,6 +113,8 @@ class EffectSection(ConfigSection):
 
 
 class ClosedLoopSection(ConfigSection):
+    """Keys of the closed loop."""
+
     effects: list[str] = Field(
         default_factory=list, description="forms to try, such as coulomb; default: the library"
     )
@@ -131,6 +141,8 @@ class ClosedLoopSection(ConfigSection):
 
 
 class ExecutorSection(ConfigSection):
+    """Keys of the executor and its limits."""
+
     name: str = Field("local", description="local, processes or ray")
     workers: Count | None = Field(
         None, gt=0, description="default: every core of the cluster for ray, else 1"
@@ -155,11 +167,15 @@ class ExecutorSection(ConfigSection):
 
 
 class BudgetSection(ConfigSection):
+    """Limits of a run."""
+
     evaluations: Count | None = Field(None, gt=0, description="points to evaluate at most")
     seconds: Finite | None = Field(None, gt=0.0, description="after which nothing new is asked")
 
 
 class LogSection(ConfigSection):
+    """Keys of the log of evaluations."""
+
     residuals: bool = Field(
         True,
         description="false: leave residuals and trajectories out; a resumed run computes them anew",

@@ -16,7 +16,7 @@ NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+-]*[A-Za-z0-9])?")
 
 
 def value_name(value: Any) -> str:
-    """What a plain value is called in the name of a run; "" where it needs a name of its own."""
+    """Return the text of a plain value in the name of a run; "" where it needs its own name."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str | int | float):
@@ -56,6 +56,8 @@ def _names(value: Any) -> Any:
 
 
 class AxisSection(ConfigSection):
+    """One axis of a sweep: values of a key, or sets of overrides."""
+
     name: str = Field(min_length=1, description="of the axis: a column of the summary")
     key: str = Field("", description='that its values are for, such as "method.seed"')
     values: Annotated[dict[str, Any], BeforeValidator(_values)] = Field(
@@ -66,6 +68,8 @@ class AxisSection(ConfigSection):
 
 
 class SingleRunSection(ConfigSection):
+    """One run of a sweep besides the combinations."""
+
     name: str = Field(min_length=1, description="of the run: its folder")
     config: str = Field("", description="name of the config; needed where there are several")
     overrides: dict[str, Any] = Field(default_factory=dict, description='"KEY" = value')

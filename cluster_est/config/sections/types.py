@@ -1,4 +1,4 @@
-"""What the keys of a config file are made of."""
+"""Types of values in a config file."""
 
 from __future__ import annotations
 
@@ -51,4 +51,6 @@ Pair = Annotated[tuple[Finite, Finite], Strict(False)]
 
 
 class ConfigSection(BaseModel):
+    """A section of a config file: strict, frozen, without unknown keys."""
+
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)

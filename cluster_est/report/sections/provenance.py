@@ -1,4 +1,4 @@
-"""What the run was made from, so that it can be made again."""
+"""The section on the origins of a run, with which it can be repeated."""
 
 from __future__ import annotations
 

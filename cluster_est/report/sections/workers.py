@@ -1,4 +1,4 @@
-"""When the workers were busy, and what failed."""
+"""The section on busy times of workers, and on failures."""
 
 from __future__ import annotations
 

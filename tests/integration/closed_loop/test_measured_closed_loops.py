@@ -23,7 +23,7 @@ def closed(name: str, file: str, monkeypatch: pytest.MonkeyPatch):
     config = ce.read_config(ROOT / "configs" / f"{name}.toml")
     assert not config.effects
     problem = ce.build_problem(config, ROOT / "configs")
-    from cluster_est.config.build import build_settings
+    from cluster_est.config.settings import build_settings
 
     result = ce.close_loop(problem, ce.Resources(workers=2), build_settings(config))
     return problem, result

@@ -32,7 +32,7 @@ from support.spoiled import (
 
 from cluster_est import build_problem
 from cluster_est.cli import main
-from cluster_est.config.build import build_method
+from cluster_est.config.options import build_method
 from cluster_est.config.reader import parse_config
 from cluster_est.errors import ClusterEstError
 

@@ -19,7 +19,7 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.cli.commands import COMMANDS as KNOWN
 from cluster_est.cli.parser import parse
-from cluster_est.config.build import build_method
+from cluster_est.config.options import build_method
 from cluster_est.config.reader import parse_config
 from cluster_est.config.sections.sweep import SweepSections
 from cluster_est.costs import COSTS

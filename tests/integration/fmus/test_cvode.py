@@ -254,9 +254,9 @@ def test_stiffness_is_told(simulator, rtol):
         run = oscillation(np.linspace(0.0, stop, 21))
         for solver in ("dormand_prince", "cvode"):
             asked = oscillator(simulator, rtol, run, solver=solver)
-            assert asked.stiff(0, np.array([mu])) is stiff
-    assert simulator("robertson_fed", fed("linear"), rtol).stiff(0, np.zeros(0))
-    assert not oscillator(simulator, rtol).stiff(0, np.array([np.nan]))
+            assert asked.is_stiff(0, np.array([mu])) is stiff
+    assert simulator("robertson_fed", fed("linear"), rtol).is_stiff(0, np.zeros(0))
+    assert not oscillator(simulator, rtol).is_stiff(0, np.array([np.nan]))
 
 
 def test_a_stiff_model_is_fitted(built_fmu):

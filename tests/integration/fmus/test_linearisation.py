@@ -76,9 +76,9 @@ def test_the_spring_has_the_textbook_matrices(solver):
     np.testing.assert_allclose(found.states, states, atol=1e-7)
     x, v = found.states.T
     acceleration = (FORCE - K * x - C * v) / M
-    np.testing.assert_allclose(found.slopes, np.column_stack([v, acceleration]), atol=1e-12)
+    np.testing.assert_allclose(found.derivatives, np.column_stack([v, acceleration]), atol=1e-12)
     np.testing.assert_array_equal(found.inputs[:, 0], FORCE)
-    np.testing.assert_array_equal(found.edited[:, 0], FORCE)
+    np.testing.assert_array_equal(found.effective_inputs[:, 0], FORCE)
     np.testing.assert_array_equal(found.outputs[:, 0], x)
     np.testing.assert_array_equal(found.plain_outputs, found.outputs)
     np.testing.assert_allclose(found.A, each(TIMES, [[0, 1], [-K / M, -C / M]]), **EXACT)
@@ -153,7 +153,7 @@ def test_inputs_that_nothing_drives_have_derivatives_too():
     found = linearised(model, experiment, (6e-4,))
     assert found.input_names == ("V", "T_load")
     assert found.output_names == ("load_speed", "current")
-    np.testing.assert_array_equal(found.edited[:, 1], 0.01)
+    np.testing.assert_array_equal(found.effective_inputs[:, 1], 0.01)
     load = found.state_names.index("w_load")
     np.testing.assert_allclose(found.B[:, load, 1], -1 / 6e-4, rtol=1e-8)
     np.testing.assert_array_equal(found.C.argmax(axis=2), [[load, found.state_names.index("i")]]
@@ -177,7 +177,7 @@ def test_a_term_at_a_derivative_a_lagged_input_and_an_effect_at_an_output():
     assert found.state_names == ("x", "v", "lag:z")
     x, v, z = found.states.T
     np.testing.assert_array_equal(found.inputs[:, 0], FORCE)
-    np.testing.assert_array_equal(found.edited[:, 0], z)
+    np.testing.assert_array_equal(found.effective_inputs[:, 0], z)
     rows = [[0, 1, 0], [-K / M, -C / M - 3 * drag * v**2, 1 / M], [0, 0, -1 / tau]]
     np.testing.assert_allclose(found.A, each(TIMES, rows), **EXACT)
     np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M], [0]]), **EXACT)
@@ -199,7 +199,7 @@ def test_a_parameter_that_heats_up(solver):
     damping = C * (1 + k * (z - at))
     acceleration = (FORCE - K * x - damping * v) / M
     np.testing.assert_allclose(
-        found.slopes, np.column_stack([v, acceleration, (v**2 - z) / tau]), atol=1e-12
+        found.derivatives, np.column_stack([v, acceleration, (v**2 - z) / tau]), atol=1e-12
     )
     rows = [[0, 1, 0], [-K / M, -damping / M, -C * k * v / M], [0, 2 * v / tau, -1 / tau]]
     np.testing.assert_allclose(found.A, each(TIMES, rows), **EXACT)
@@ -218,7 +218,7 @@ def test_an_effect_at_a_derivative_sees_a_changed_input_behind_the_effects_at_it
     found = linearised(spring(), spring_experiment(), (*SPRING, coupling, bias, gain), effects)
     x, _ = found.states.T
     edited = (FORCE + bias) * (1 + gain)
-    np.testing.assert_allclose(found.edited[:, 0], edited, rtol=1e-14)
+    np.testing.assert_allclose(found.effective_inputs[:, 0], edited, rtol=1e-14)
     rows = [[0, 1], [-K / M + coupling * edited, -C / M]]
     np.testing.assert_allclose(found.A, each(TIMES, rows), **EXACT)
     np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M + coupling * x]]), **EXACT)
@@ -229,7 +229,7 @@ def test_a_delayed_input_is_reported_on_the_grid_of_the_experiment():
     found = linearised(spring(), spring_experiment(), (*SPRING, 0.013, 0.4), effects)
     np.testing.assert_array_equal(found.times, TIMES)
     late = np.interp(TIMES - 0.013, TIMES, FORCE)
-    np.testing.assert_allclose(found.edited[:, 0], late, atol=1e-12)
+    np.testing.assert_allclose(found.effective_inputs[:, 0], late, atol=1e-12)
     np.testing.assert_allclose(found.A, each(TIMES, [[0, 1], [-K / M, -C / M - 0.4]]), **EXACT)
 
 
@@ -242,7 +242,7 @@ def test_a_measured_signal_is_no_input():
     x, v = found.states.T
     now = np.interp(TIMES, TIMES + 0.001, wind)
     acceleration = (FORCE + 0.5 - K * x - C * v) / M + 0.8 * now
-    np.testing.assert_allclose(found.slopes, np.column_stack([v, acceleration]), atol=1e-12)
+    np.testing.assert_allclose(found.derivatives, np.column_stack([v, acceleration]), atol=1e-12)
     np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M]]), **EXACT)
     np.testing.assert_allclose(found.A, each(TIMES, [[0, 1], [-K / M, -C / M]]), **EXACT)
 

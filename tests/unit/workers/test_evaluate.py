@@ -192,7 +192,7 @@ def test_an_instance_that_talks_is_made_to_log_and_shows_it(built_fmu, monkeypat
     times = np.linspace(0.0, 2.0, 5)
     run = Experiment("a", 0.0, 2.0, (), (Output("y", times, np.zeros(5)),))
     quiet = Model("talks.fmu", built_fmu("talks"), "model_exchange", Solver("rk4", 0.1), ("rate",))
-    for model in (quiet, replace(quiet, talks=True)):
+    for model in (quiet, replace(quiet, logging_on=True)):
         asking = Evaluator(model, [run], "w")
         (outcome,) = ask(asking, [(0, np.array([3.0]))])
         assert "it said: rate 3 is too much" in outcome.message

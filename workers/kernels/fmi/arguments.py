@@ -1,4 +1,4 @@
-"""What the loops are asked: one experiment, for many points, on one instance."""
+"""The arguments of the loops: one experiment, for many points, on one instance."""
 
 from __future__ import annotations
 

@@ -65,8 +65,8 @@ def c_function(returns: Any, *arguments: Any) -> Callable[..., Any]:
     """
 
     @intrinsic
-    def call(typing_context: Any, address: Any, values: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+    def call(_typing_context: Any, _address: Any, values: Any) -> Any:
+        def generate(context: Any, builder: Any, _signature: Any, operands: Any) -> Any:
             pointer, packed = operands
             prototype = ir.FunctionType(
                 context.get_value_type(returns), [context.get_value_type(a) for a in arguments]
@@ -83,7 +83,7 @@ def c_function(returns: Any, *arguments: Any) -> Callable[..., Any]:
 
 
 @intrinsic
-def address_of(typing_context: Any, array: Any) -> Any:
+def address_of(_typing_context: Any, array: Any) -> Any:
     """Give the address of an array's first element, without touching its reference count.
 
     The array must outlive the use of the address: it has to be an argument of the outermost
@@ -98,10 +98,10 @@ def address_of(typing_context: Any, array: Any) -> Any:
 
 
 @intrinsic
-def peek(typing_context: Any, address: Any, like: Any) -> Any:
-    """What stands at an address, read as the type of another number."""
+def peek(_typing_context: Any, _address: Any, like: Any) -> Any:
+    """Read the number at an address, in the type of another number."""
 
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+    def generate(context: Any, builder: Any, _signature: Any, operands: Any) -> Any:
         pointer = builder.inttoptr(operands[0], context.get_value_type(like).as_pointer())
         return builder.load(pointer)
 
@@ -109,10 +109,10 @@ def peek(typing_context: Any, address: Any, like: Any) -> Any:
 
 
 @intrinsic
-def poke(typing_context: Any, address: Any, value: Any) -> Any:
+def poke(_typing_context: Any, _address: Any, value: Any) -> Any:
     """Write a number to an address, in its own type."""
 
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+    def generate(context: Any, builder: Any, _signature: Any, operands: Any) -> Any:
         pointer = builder.inttoptr(operands[0], context.get_value_type(value).as_pointer())
         builder.store(operands[1], pointer)
         return context.get_dummy_value()
@@ -121,14 +121,14 @@ def poke(typing_context: Any, address: Any, value: Any) -> Any:
 
 
 @intrinsic
-def is_fmi_2(typing_context: Any, component: Any) -> Any:
-    """Whether an instance is of FMI 2.0: known to the compiler, so the other branch costs nothing.
+def is_fmi_2(_typing_context: Any, component: Any) -> Any:
+    """Return whether an instance is of FMI 2.0: a constant for the compiler.
 
     Its type says so; see `workers.kernels.fmi.component`.
     """
     constant = int(not component.instance_class.__name__.endswith("3"))
 
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+    def generate(context: Any, _builder: Any, _signature: Any, _operands: Any) -> Any:
         return context.get_constant(types.boolean, constant)
 
     return types.boolean(component), generate

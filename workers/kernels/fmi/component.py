@@ -57,7 +57,7 @@ Component3 = NamedTuple("Component3", list(FmiComponent.__annotations__.items())
 
 
 class StartValues(NamedTuple):
-    """What is written before a simulation: `structure` (structural parameters) and strings first.
+    """Variables that are set before a simulation: `structure` has structural parameters.
 
     Strings are addresses of what ends with a zero byte.
     """
@@ -69,36 +69,37 @@ class StartValues(NamedTuple):
 
 
 class VariableReferences(NamedTuple):
-    """What is written and read during a simulation.
+    """Variables that are set and got during a simulation.
 
-    `moving` are those inputs that may be set between events.
+    `continuous_inputs` are those inputs that may be set between events.
     """
 
     inputs: VariableAccess
-    moving: VariableAccess
+    continuous_inputs: VariableAccess
     outputs: VariableAccess
 
 
 class KernelWorkspace(NamedTuple):
     """Memory that a simulation writes to. Reused: nothing is allocated inside a loop.
 
-    `inputs` are as measured; `edited` what effects make of them, `slopes` how fast those change,
-    `varied` the parameters that effects vary, `counts` the substeps of the effects' own states.
+    `inputs` are as measured; `effective_inputs` include the effects, and `input_slopes` are their
+    slopes. `effective_parameters` are those that effects change, `base_parameters` their values
+    without effects. `substeps` holds the substeps of the effects' own states.
     `stages` holds the integrator's derivatives, a row a stage; `atols` the absolute tolerances that
     hold at the moment; `next_event` the time of the next time event. `indicators` are the event
     indicators after the last step, behind an event that is being located, and of a trial.
-    `info` has what FMUs say of events (see `workers.kernels.fmi.functions`), `cell` the value of
+    `info` has what FMUs say of events (see `workers.kernels.fmi.functions`), `buffer` the value of
     one variable.
     """
 
     inputs: FloatArray
-    edited: FloatArray
-    slopes: FloatArray
-    varied: FloatArray
+    effective_inputs: FloatArray
+    input_slopes: FloatArray
+    effective_parameters: FloatArray
     coefficients: FloatArray
-    base: FloatArray
-    counts: IntArray
-    orders: IntArray
+    base_parameters: FloatArray
+    substeps: IntArray
+    derivative_orders: IntArray
     states: FloatArray
     trial: FloatArray
     stages: FloatArray
@@ -106,7 +107,7 @@ class KernelWorkspace(NamedTuple):
     next_event: FloatArray
     indicators: FloatArray
     info: IntArray
-    cell: FloatArray
+    buffer: FloatArray
 
 
 def workspace(
@@ -115,22 +116,22 @@ def workspace(
     n_coefficients: int = 0,
     n_parameters: int = 0,
     n_indicators: int = 0,
-    n_cells: int = 1,
+    buffer_size: int = 1,
 ) -> KernelWorkspace:
     """Allocate the memory for one instance.
 
-    `n_coefficients` and `n_parameters` are those of effects; `n_cells` is the size of the largest
+    `n_coefficients` and `n_parameters` are those of effects; `buffer_size` is that of the largest
     array variable.
     """
     return KernelWorkspace(
         inputs=np.zeros(n_inputs),
-        edited=np.zeros(n_inputs),
-        slopes=np.zeros(n_inputs),
-        varied=np.zeros(n_parameters),
+        effective_inputs=np.zeros(n_inputs),
+        input_slopes=np.zeros(n_inputs),
+        effective_parameters=np.zeros(n_parameters),
         coefficients=np.zeros(n_coefficients),
-        base=np.zeros(n_parameters),
-        counts=np.ones(1, np.int64),
-        orders=np.ones(n_inputs, np.int32),
+        base_parameters=np.zeros(n_parameters),
+        substeps=np.ones(1, np.int64),
+        derivative_orders=np.ones(n_inputs, np.int32),
         states=np.zeros(n_states),
         trial=np.zeros(n_states),
         stages=np.zeros((7, n_states)),
@@ -138,12 +139,12 @@ def workspace(
         next_event=np.full(1, np.inf),
         indicators=np.zeros((3, n_indicators)),
         info=np.zeros(12, np.int32),
-        cell=np.zeros(n_cells),
+        buffer=np.zeros(buffer_size),
     )
 
 
 def nothing_loaded(version: str) -> FmiComponent:
-    """A component whose functions must not be called, for compiled loops that call none."""
+    """Return a component whose functions must not be called, for loops that call none."""
     fields: dict[str, Any] = dict.fromkeys(FmiComponent._fields, 0)
     fields.update(accessors=np.zeros((2, len(TYPES)), np.int64))
     fields.update(interpolates_inputs=False, completes_steps=False, eventful=False)

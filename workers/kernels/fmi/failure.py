@@ -1,4 +1,4 @@
-"""What a kernel reports when a simulation does not reach its end."""
+"""Codes and messages of simulations that do not reach their end."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PENDING = 12
 SENSITIVITIES = 13
 HAS_EVENTS = 14
 
-SENTENCES = {
+MESSAGES = {
     INITIALISATION: "the FMU could not be initialised",
     STEP: "the FMU could not go on",
     OUTPUT: "the FMU could not compute its outputs",
@@ -35,22 +35,22 @@ SENTENCES = {
     TERMINATED: "the FMU ended the simulation by itself",
 }
 
-OF_STIFFNESS = (STEP_TOO_SMALL, TOO_MANY_STEPS)
-"""What an explicit solver reports of a stiff model."""
+SUGGEST_STIFFNESS = (STEP_TOO_SMALL, TOO_MANY_STEPS)
+"""Codes that an explicit solver returns for a stiff model."""
 
 FATAL = 100
-"""Added to a code after status fatal: nothing may be asked of this instance any more."""
+"""Added to a code after status fatal: this instance must not be called any more."""
 
 
 @inlined
 def failed(code, status):  # type: ignore[no-untyped-def]
-    """The code of a call that brought no result."""
+    """Return the code of a call that brought no result."""
     return code + FATAL if status >= 4 else code
 
 
 @inlined
 def failed_step(status):  # type: ignore[no-untyped-def]
-    """Do the same for a communication step: the FMU may discard it, or go on for itself."""
+    """Return the code of a failed communication step: the FMU may discard it, or be pending."""
     if status == 2:
         return DISCARDED
     return PENDING + FATAL if status == 5 else failed(STEP, status)

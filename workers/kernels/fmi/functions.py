@@ -3,9 +3,9 @@
 Each returns the standard's status: 0 OK, 1 warning, 2 discard, 3 error, 4 fatal, 5 pending. Where
 the versions differ, the function of the instance's version is called with what it takes.
 
-What FMUs say of events stands in an array of int32 in the order of fmi2EventInfo, from `AGAIN` to
-`NEXT_DEFINED`, followed by the time of the next event; then come whether a step wants an event,
-whether the FMU ends the simulation, and room for FMI 3.0's booleans, which are bytes.
+What FMUs say of events is in an array of int32 in the order of fmi2EventInfo, from `UPDATE_NEEDED`
+to `NEXT_EVENT_DEFINED`, followed by the time of the next event; then come whether a step needs an
+event, whether the FMU ends the simulation, and room for FMI 3.0's booleans, which are bytes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,17 @@ from numba.core.types import float64, int32, intp, uintp
 
 from workers.kernels.fmi.calling import address_of, c_function, inlined, is_fmi_2, peek
 
-AGAIN, ENDS, NOMINALS, VALUES, NEXT_DEFINED, NEXT, WANTS, ENDED, BYTES = 0, 1, 2, 3, 4, 6, 8, 9, 10
+(
+    UPDATE_NEEDED,
+    TERMINATE,
+    NOMINALS_CHANGED,
+    VALUES_CHANGED,
+    NEXT_EVENT_DEFINED,
+    NEXT_EVENT_TIME,
+    EVENT_NEEDED,
+    SIMULATION_ENDED,
+    BOOLEANS,
+) = 0, 1, 2, 3, 4, 6, 8, 9, 10
 
 _handle_only = c_function(int32, intp)
 _setup = c_function(int32, intp, int32, float64, float64, int32, float64)
@@ -28,28 +38,32 @@ _event_3 = c_function(int32, intp, intp, intp, intp, intp, intp, intp)
 _completed = c_function(int32, intp, int32, intp, intp)
 _step = c_function(int32, intp, float64, float64, int32)
 _step_3 = c_function(int32, intp, float64, float64, int32, intp, intp, intp, intp)
-_slopes = c_function(int32, intp, intp, uintp, intp, intp)
+_input_derivatives = c_function(int32, intp, intp, uintp, intp, intp)
 _directional = c_function(int32, intp, intp, uintp, intp, uintp, intp, intp)
 _directional_3 = c_function(int32, intp, intp, uintp, intp, uintp, intp, uintp, intp, uintp)
 
 
 @inlined
 def reset(c):  # type: ignore[no-untyped-def]
+    """Reset the instance."""
     return _handle_only(c.reset, (c.handle,))
 
 
 @inlined
 def enter_configuration_mode(c):  # type: ignore[no-untyped-def]
+    """Enter the mode in which structural parameters are set (FMI 3.0)."""
     return _handle_only(c.enter_configuration_mode, (c.handle,))
 
 
 @inlined
 def exit_configuration_mode(c):  # type: ignore[no-untyped-def]
+    """Leave it."""
     return _handle_only(c.exit_configuration_mode, (c.handle,))
 
 
 @inlined
 def set_strings(c, references, texts):  # type: ignore[no-untyped-def]
+    """Set string variables to texts, given by their addresses."""
     at, count, first = address_of(references), len(references), address_of(texts)
     if is_fmi_2(c):
         return _strings(c.set_string, (c.handle, at, count, first))
@@ -75,53 +89,62 @@ def enter_initialization_mode(c, tolerance, start):  # type: ignore[no-untyped-d
 
 @inlined
 def exit_initialization_mode(c):  # type: ignore[no-untyped-def]
+    """End initialisation."""
     return _handle_only(c.exit_initialization_mode, (c.handle,))
 
 
 @inlined
 def set_time(c, time):  # type: ignore[no-untyped-def]
+    """Set the time."""
     return _time(c.set_time, (c.handle, time))
 
 
 @inlined
 def set_continuous_states(c, states):  # type: ignore[no-untyped-def]
+    """Set the continuous states; the array may be longer."""
     return _vector(c.set_continuous_states, (c.handle, address_of(states), c.n_states))
 
 
 @inlined
 def get_continuous_states(c, states):  # type: ignore[no-untyped-def]
+    """Get the continuous states."""
     return _vector(c.get_continuous_states, (c.handle, address_of(states), c.n_states))
 
 
 @inlined
 def get_nominals_of_continuous_states(c, nominals):  # type: ignore[no-untyped-def]
+    """Get the nominal values of the continuous states."""
     return _vector(c.get_nominals, (c.handle, address_of(nominals), c.n_states))
 
 
 @inlined
 def get_derivatives(c, derivatives):  # type: ignore[no-untyped-def]
+    """Get the derivatives of the continuous states."""
     return _vector(c.get_derivatives, (c.handle, address_of(derivatives), c.n_states))
 
 
 @inlined
 def get_event_indicators(c, indicators):  # type: ignore[no-untyped-def]
+    """Get the event indicators."""
     return _vector(c.get_event_indicators, (c.handle, address_of(indicators), c.n_indicators))
 
 
 @inlined
 def enter_event_mode(c):  # type: ignore[no-untyped-def]
+    """Enter the mode in which events are handled."""
     return _handle_only(c.enter_event_mode, (c.handle,))
 
 
 @inlined
 def update_discrete_states(c, info):  # type: ignore[no-untyped-def]
-    """Called fmi2NewDiscreteStates in FMI 2.0. Fills `info` from AGAIN to NEXT."""
+    """Update discrete states: fmi2NewDiscreteStates in FMI 2.0. Fills `info` from AGAIN to NEXT."""
     at = address_of(info)
     if is_fmi_2(c):
         return _event(c.update_discrete_states, (c.handle, at))
-    b = at + 4 * BYTES
+    b = at + 4 * BOOLEANS
     status = _event_3(
-        c.update_discrete_states, (c.handle, b, b + 1, b + 2, b + 3, b + 4, at + 4 * NEXT)
+        c.update_discrete_states,
+        (c.handle, b, b + 1, b + 2, b + 3, b + 4, at + 4 * NEXT_EVENT_TIME),
     )
     for j in range(5):
         info[j] = peek(b + j, np.uint8(0))
@@ -130,13 +153,14 @@ def update_discrete_states(c, info):  # type: ignore[no-untyped-def]
 
 @inlined
 def next_event_time(info):  # type: ignore[no-untyped-def]
-    """Of the next time event, infinite if there is none."""
-    time = peek(address_of(info) + 4 * NEXT, np.float64(0.0))
-    return time if info[NEXT_DEFINED] != 0 else np.inf
+    """Return the time of the next time event, infinite if there is none."""
+    time = peek(address_of(info) + 4 * NEXT_EVENT_TIME, np.float64(0.0))
+    return time if info[NEXT_EVENT_DEFINED] != 0 else np.inf
 
 
 @inlined
 def enter_continuous_time_mode(c):  # type: ignore[no-untyped-def]
+    """Enter the mode in which the states are integrated."""
     return _handle_only(c.enter_continuous_time_mode, (c.handle,))
 
 
@@ -146,49 +170,57 @@ def completed_integrator_step(c, info):  # type: ignore[no-untyped-def]
     at = address_of(info)
     if is_fmi_2(c):
         return _completed(
-            c.completed_integrator_step, (c.handle, 1, at + 4 * WANTS, at + 4 * ENDED)
+            c.completed_integrator_step,
+            (c.handle, 1, at + 4 * EVENT_NEEDED, at + 4 * SIMULATION_ENDED),
         )
-    b = at + 4 * BYTES
+    b = at + 4 * BOOLEANS
     status = _completed(c.completed_integrator_step, (c.handle, 1, b, b + 1))
-    info[WANTS], info[ENDED] = peek(b, np.uint8(0)), peek(b + 1, np.uint8(0))
+    info[EVENT_NEEDED], info[SIMULATION_ENDED] = peek(b, np.uint8(0)), peek(b + 1, np.uint8(0))
     return status
 
 
 @inlined
 def do_step(c, time, step, info):  # type: ignore[no-untyped-def]
-    """One communication step; see `has_ended` for whether the FMU ends the simulation with it."""
+    """Take one communication step; see `has_terminated` for an FMU that ends the simulation."""
     if is_fmi_2(c):
         return _step(c.do_step, (c.handle, time, step, 1))
-    b = address_of(info) + 4 * BYTES
-    to = address_of(info) + 4 * NEXT
+    b = address_of(info) + 4 * BOOLEANS
+    to = address_of(info) + 4 * NEXT_EVENT_TIME
     status = _step_3(c.do_step, (c.handle, time, step, 1, b, b + 1, b + 2, to))
-    info[ENDED] = peek(b + 1, np.uint8(0))
+    info[SIMULATION_ENDED] = peek(b + 1, np.uint8(0))
     return status
 
 
 @inlined
-def has_ended(c, info):  # type: ignore[no-untyped-def]
-    """Whether the last step says that the FMU ends the simulation; FMI 2.0 says it otherwise."""
-    return False if is_fmi_2(c) else info[ENDED] != 0
+def has_terminated(c, info):  # type: ignore[no-untyped-def]
+    """Return whether the FMU of FMI 3.0 terminated with the last step."""
+    return False if is_fmi_2(c) else info[SIMULATION_ENDED] != 0
 
 
 @inlined
-def reached(info):  # type: ignore[no-untyped-def]
-    """The time that the last step of an FMU of FMI 3.0 came to."""
-    return peek(address_of(info) + 4 * NEXT, np.float64(0.0))
+def last_successful_time(info):  # type: ignore[no-untyped-def]
+    """Return the time that the last step of an FMU of FMI 3.0 came to."""
+    return peek(address_of(info) + 4 * NEXT_EVENT_TIME, np.float64(0.0))
 
 
 @inlined
-def set_real_input_derivatives(c, references, orders, slopes):  # type: ignore[no-untyped-def]
-    return _slopes(
+def set_real_input_derivatives(c, references, orders, derivatives):  # type: ignore[no-untyped-def]
+    """Set the derivatives of real inputs, for FMUs that interpolate them (FMI 2.0)."""
+    return _input_derivatives(
         c.set_real_input_derivatives,
-        (c.handle, address_of(references), len(references), address_of(orders), address_of(slopes)),
+        (
+            c.handle,
+            address_of(references),
+            len(references),
+            address_of(orders),
+            address_of(derivatives),
+        ),
     )
 
 
 @inlined
 def get_directional_derivative(c, unknowns, knowns, n_knowns, seed, result):  # type: ignore[no-untyped-def]
-    """The derivative of the unknowns along `seed`, a direction in the first knowns.
+    """Get the derivative of the unknowns along `seed`, a direction in the first knowns.
 
     Unknowns and knowns are value references of float64 scalars.
     """

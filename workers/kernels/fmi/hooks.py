@@ -1,11 +1,12 @@
 """Effects as compiled loops see them: three functions called by address, 0 where there is none.
 
-- ``begin(t, states, raw, coefficients, base)`` starts the effects' own states, which follow the
-  FMU's in the array of states;
-- ``before(t, states, raw, coefficients, base, edited, varied)`` makes of the measured inputs those
-  that the FMU sees, and of the base values of parameters those that hold at this moment;
-- ``inside(t, states, raw, coefficients, base, slopes)`` adds to the derivatives of the FMU's states
-  and fills in those of the effects' own.
+- ``start_states(t, states, inputs, coefficients, base_parameters)`` sets the effects' own states at
+  the start, which follow the FMU's in the array of states;
+- ``modify_inputs(t, states, inputs, coefficients, base_parameters, effective_inputs,
+  effective_parameters)`` makes of the measured inputs those that the FMU sees, and of the base
+  values of parameters those that hold at this time;
+- ``add_derivatives(t, states, inputs, coefficients, base_parameters, derivatives)`` adds to the
+  derivatives of the FMU's states and fills in those of the effects' own.
 """
 
 from __future__ import annotations
@@ -20,111 +21,111 @@ from workers.messages import FloatArray, IntArray
 
 
 class EffectHooks(NamedTuple):
-    """What acts on a batch of simulations.
+    """The effects on a batch of simulations.
 
     `parameters` are value references; `substeps` (steps of the effects' own states within a
-    communication step), `coefficients` and `base` have a row for each point.
+    communication step), `coefficients` and `base_parameters` have a row for each point.
     """
 
-    begin: int
-    before: int
-    inside: int
+    start_states: int
+    modify_inputs: int
+    add_derivatives: int
     parameters: IntArray
     substeps: IntArray
     coefficients: FloatArray
-    base: FloatArray
+    base_parameters: FloatArray
 
 
 def no_hooks(points: int) -> EffectHooks:
-    """What acts where there are no effects."""
+    """Return hooks of no effects."""
     nothing = np.zeros((points, 0))
     return EffectHooks(0, 0, 0, np.zeros(0, np.uint32), np.ones(points, np.int64), nothing, nothing)
 
 
-_begin = c_function(int32, float64, intp, intp, intp, intp)
-_before = c_function(int32, float64, intp, intp, intp, intp, intp, intp)
-_inside = c_function(int32, float64, intp, intp, intp, intp, intp)
+_call_start_states = c_function(int32, float64, intp, intp, intp, intp)
+_call_modify_inputs = c_function(int32, float64, intp, intp, intp, intp, intp, intp)
+_call_add_derivatives = c_function(int32, float64, intp, intp, intp, intp, intp)
 
 
 @inlined
-def take_point(hooks, p, work):  # type: ignore[no-untyped-def]
-    """Copy the coefficients and base values of one point to where the hooks find them."""
-    work.counts[0] = hooks.substeps[p]
+def select_point(hooks, p, work):  # type: ignore[no-untyped-def]
+    """Copy the coefficients and base values of one point to the workspace."""
+    work.substeps[0] = hooks.substeps[p]
     for j in range(len(work.coefficients)):
         work.coefficients[j] = hooks.coefficients[p, j]
-    for j in range(len(work.base)):
-        work.base[j] = hooks.base[p, j]
+    for j in range(len(work.base_parameters)):
+        work.base_parameters[j] = hooks.base_parameters[p, j]
 
 
 @inlined
-def begin(hooks, time, work):  # type: ignore[no-untyped-def]
-    """Start the effects' own states."""
-    if hooks.begin != 0:
-        _begin(
-            hooks.begin,
+def start_effect_states(hooks, time, work):  # type: ignore[no-untyped-def]
+    """Set the effects' own states at the start."""
+    if hooks.start_states != 0:
+        _call_start_states(
+            hooks.start_states,
             (
                 time,
                 address_of(work.states),
                 address_of(work.inputs),
                 address_of(work.coefficients),
-                address_of(work.base),
+                address_of(work.base_parameters),
             ),
         )
 
 
 @inlined
-def before(hooks, time, states, work):  # type: ignore[no-untyped-def]
-    """Edit inputs and parameters; only where there is such a hook."""
-    _before(
-        hooks.before,
+def modify_inputs(hooks, time, states, work):  # type: ignore[no-untyped-def]
+    """Compute effective inputs and parameters; only where there is such a hook."""
+    _call_modify_inputs(
+        hooks.modify_inputs,
         (
             time,
             address_of(states),
             address_of(work.inputs),
             address_of(work.coefficients),
-            address_of(work.base),
-            address_of(work.edited),
-            address_of(work.varied),
+            address_of(work.base_parameters),
+            address_of(work.effective_inputs),
+            address_of(work.effective_parameters),
         ),
     )
 
 
 @inlined
-def inside(hooks, time, states, work, slopes):  # type: ignore[no-untyped-def]
-    """Add to the derivatives."""
-    if hooks.inside != 0:
-        _inside(
-            hooks.inside,
+def add_derivatives(hooks, time, states, work, derivatives):  # type: ignore[no-untyped-def]
+    """Add the effects to the derivatives of the states."""
+    if hooks.add_derivatives != 0:
+        _call_add_derivatives(
+            hooks.add_derivatives,
             (
                 time,
                 address_of(states),
                 address_of(work.inputs),
                 address_of(work.coefficients),
-                address_of(work.base),
-                address_of(slopes),
+                address_of(work.base_parameters),
+                address_of(derivatives),
             ),
         )
 
 
 @inlined
-def take_inputs(grid, i, time, work):  # type: ignore[no-untyped-def]
-    """The inputs as measured, at a time in the interval after grid time i."""
+def interpolate_inputs(grid, i, time, work):  # type: ignore[no-untyped-def]
+    """Interpolate the measured inputs at a time in the interval after grid time i."""
     for j in range(len(work.inputs)):
         work.inputs[j] = grid.inputs[i, j] + (time - grid.times[i]) * grid.slopes[i, j]
 
 
 @inlined
-def first_inputs(hooks, grid, work):  # type: ignore[no-untyped-def]
-    """The inputs that the FMU is initialised with, into `edited`.
+def initial_inputs(hooks, grid, work):  # type: ignore[no-untyped-def]
+    """Compute the inputs that the FMU is initialised with, into `edited`.
 
     Its states are not known yet and count as 0.
     """
-    take_inputs(grid, 0, grid.times[0], work)
-    if hooks.before == 0:
+    interpolate_inputs(grid, 0, grid.times[0], work)
+    if hooks.modify_inputs == 0:
         for j in range(len(work.inputs)):
-            work.edited[j] = work.inputs[j]
+            work.effective_inputs[j] = work.inputs[j]
     else:
         for j in range(len(work.states)):
             work.states[j] = 0.0
-        begin(hooks, grid.times[0], work)
-        before(hooks, grid.times[0], work.states, work)
+        start_effect_states(hooks, grid.times[0], work)
+        modify_inputs(hooks, grid.times[0], work.states, work)

@@ -1,4 +1,4 @@
-"""From a used instance to the start of a simulation, in the order of the FMI standard."""
+"""Initialisation of an instance for a simulation, in the order of the FMI standard."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SolverSettings(NamedTuple):
 
 @inlined
 def n_steps(length, longest, limit):  # type: ignore[no-untyped-def]
-    """Into how many equal steps an interval is cut; more than `limit` is `limit` + 1."""
+    """Return the number of equal steps of an interval; more than `limit` is `limit` + 1."""
     if longest <= 0.0:
         return 1
     needed = length / longest - 1e-9
@@ -51,30 +51,30 @@ def initialise(c, references, starts, values, inputs, tolerance, start, work):  
     Everything is written after each reset, because some FMUs do not reset their parameters. After a
     failure nothing more is called: the standard forbids it.
     """
-    worst = reset(c)
-    if worst < DISCARD and len(starts.structure.elements) > 0:
-        worst = max(worst, _configure(c, starts.structure, values, work))
-    if worst < DISCARD:  # before the values, like most importers: some FMUs set defaults in it
-        worst = max(worst, setup_experiment(c, tolerance, start))
-    if worst < DISCARD:
-        worst = max(worst, set_values(c, starts.numbers, values, work.cell))
-    if worst < DISCARD and len(starts.strings) > 0:
-        worst = max(worst, set_strings(c, starts.strings, starts.texts))
-    if worst < DISCARD:
-        worst = max(worst, enter_initialization_mode(c, tolerance, start))
-    if worst < DISCARD:
-        worst = max(worst, set_values(c, references.inputs, inputs, work.cell))
-    if worst < DISCARD:
-        worst = max(worst, exit_initialization_mode(c))
-    return worst
+    status = reset(c)
+    if status < DISCARD and len(starts.structure.elements) > 0:
+        status = max(status, _configure(c, starts.structure, values, work))
+    if status < DISCARD:  # before the values, like most importers: some FMUs set defaults in it
+        status = max(status, setup_experiment(c, tolerance, start))
+    if status < DISCARD:
+        status = max(status, set_values(c, starts.numbers, values, work.buffer))
+    if status < DISCARD and len(starts.strings) > 0:
+        status = max(status, set_strings(c, starts.strings, starts.texts))
+    if status < DISCARD:
+        status = max(status, enter_initialization_mode(c, tolerance, start))
+    if status < DISCARD:
+        status = max(status, set_values(c, references.inputs, inputs, work.buffer))
+    if status < DISCARD:
+        status = max(status, exit_initialization_mode(c))
+    return status
 
 
 @inlined
 def _configure(c, structure, values, work):  # type: ignore[no-untyped-def]
     """Set structural parameters, which say how large arrays are."""
-    worst = enter_configuration_mode(c)
-    if worst < DISCARD:
-        worst = max(worst, set_values(c, structure, values, work.cell))
-    if worst < DISCARD:
-        worst = max(worst, exit_configuration_mode(c))
-    return worst
+    status = enter_configuration_mode(c)
+    if status < DISCARD:
+        status = max(status, set_values(c, structure, values, work.buffer))
+    if status < DISCARD:
+        status = max(status, exit_configuration_mode(c))
+    return status

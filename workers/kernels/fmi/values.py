@@ -26,26 +26,26 @@ TYPES = (
     "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64",
     "Boolean",
 )  # fmt: skip
-"""Types of variables that are numbers; what stands here at i is known to loops as i."""
+"""Types of variables that are numbers; loops know them by their positions here."""
 DISCARD, ERROR = 2, 3
 """From DISCARD on a call brought no result; from ERROR on the instance must be reset."""
 CODE, REFERENCE, SIZE, COLUMN, BASE = range(5)
-"""Columns of `Access.elements`."""
+"""Columns of `VariableAccess.elements`."""
 
 
 class VariableAccess(NamedTuple):
-    """Which variables of an FMU a row of numbers stands for.
+    """The variables of an FMU that the columns of a row of numbers belong to.
 
     Few arrays, because compiled functions hand all of them on at each call.
 
     Attributes
     ----------
     reals : (r,)
-        Value references of the float64 scalars that the first r columns stand for.
+        Value references of the float64 scalars of the first r columns.
     elements : (e, 5)
         A row for each element of each other variable: the variable's type, value reference and
-        number of elements; the column that this element stands in, or -1, and the bits of its
-        value then.
+        number of elements; the column of this element or, if it has none, -1 and the bits of its
+        value.
     """
 
     reals: IntArray
@@ -75,77 +75,85 @@ def get_reals(c, references, values):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def set_values(c, access, row, cell):  # type: ignore[no-untyped-def]
-    """Set all variables that a row stands for. Returns the worst status."""
+def set_values(c, access, row, buffer):  # type: ignore[no-untyped-def]
+    """Set all variables of a row. Returns the worst status."""
     status = 0
     if len(access.reals) > 0:
         status = set_reals(c, access.reals, row)
     if len(access.elements) > 0 and status < DISCARD:
         status = max(
             status,
-            _set_others(2 if is_fmi_2(c) else 3, c.handle, c.accessors, access.elements, row, cell),
+            _set_elements(
+                2 if is_fmi_2(c) else 3, c.handle, c.accessors, access.elements, row, buffer
+            ),
         )
     return status
 
 
 @inlined
-def get_values(c, access, row, cell):  # type: ignore[no-untyped-def]
-    """Get all variables that a row stands for. Returns the worst status."""
+def get_values(c, access, row, buffer):  # type: ignore[no-untyped-def]
+    """Get all variables of a row. Returns the worst status."""
     status = 0
     if len(access.reals) > 0:
         status = get_reals(c, access.reals, row)
     if len(access.elements) > 0 and status < DISCARD:
         status = max(
             status,
-            _get_others(2 if is_fmi_2(c) else 3, c.handle, c.accessors, access.elements, row, cell),
+            _get_elements(
+                2 if is_fmi_2(c) else 3, c.handle, c.accessors, access.elements, row, buffer
+            ),
         )
     return status
 
 
 @kernel
-def _set_others(version, handle, accessors, elements, row, cell):  # type: ignore[no-untyped-def]
-    worst, first = 0, 0
-    while first < len(elements) and worst < DISCARD:
+def _set_elements(version, handle, accessors, elements, row, buffer):  # type: ignore[no-untyped-def]
+    status, first = 0, 0
+    while first < len(elements) and status < DISCARD:
         code, size = elements[first, CODE], elements[first, SIZE]
         for e in range(size):
             column = elements[first + e, COLUMN]
-            value = cell[0] if column < 0 else row[column]
+            value = buffer[0] if column < 0 else row[column]
             if column < 0:
                 value = peek(address_of(elements) + 8 * (5 * (first + e) + BASE), np.float64(0.0))
-            _write(version, code, value, address_of(cell), e)
-        worst = max(worst, _call(version, handle, accessors[1, code], elements, first, size, cell))
+            _write(version, code, value, address_of(buffer), e)
+        status = max(
+            status, _call(version, handle, accessors[1, code], elements, first, size, buffer)
+        )
         first += size
-    return worst
+    return status
 
 
 @kernel
-def _get_others(version, handle, accessors, elements, row, cell):  # type: ignore[no-untyped-def]
-    worst, first = 0, 0
+def _get_elements(version, handle, accessors, elements, row, buffer):  # type: ignore[no-untyped-def]
+    status, first = 0, 0
     while first < len(elements):
         code, size = elements[first, CODE], elements[first, SIZE]
-        worst = max(worst, _call(version, handle, accessors[0, code], elements, first, size, cell))
-        if worst >= DISCARD:
+        status = max(
+            status, _call(version, handle, accessors[0, code], elements, first, size, buffer)
+        )
+        if status >= DISCARD:
             break
         for e in range(size):
             column = elements[first + e, COLUMN]
             if column >= 0:
-                row[column] = _read(version, code, address_of(cell), e)
+                row[column] = _read(version, code, address_of(buffer), e)
         first += size
-    return worst
+    return status
 
 
 @inlined
-def _call(version, handle, function, elements, first, size, cell):  # type: ignore[no-untyped-def]
-    """Get or set one variable, whose value is in `cell`."""
+def _call(version, handle, function, elements, first, size, buffer):  # type: ignore[no-untyped-def]
+    """Get or set one variable, whose value is in `buffer`."""
     at = address_of(elements) + 8 * (5 * first + REFERENCE)  # its lower half, in little-endian
     if version == 2:
-        return _values(function, (handle, at, 1, address_of(cell)))
-    return _arrays(function, (handle, at, 1, address_of(cell), size))
+        return _values(function, (handle, at, 1, address_of(buffer)))
+    return _arrays(function, (handle, at, 1, address_of(buffer), size))
 
 
 @inlined
 def _write(version, code, value, at, e):  # type: ignore[no-untyped-def]
-    """A number into element e, as a C compiler would convert it; booleans are 0 or not."""
+    """Write a number into element e, as a C compiler would convert it; booleans are 0 or not."""
     if code == 0:
         poke(at + 8 * e, value)
     elif code == 1:

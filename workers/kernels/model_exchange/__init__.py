@@ -1,1 +1,1 @@
-"""What the solvers share that integrate an FMU: moving it, its events, its sensitivities."""
+"""Functions shared by model exchange solvers: evaluation, events, forward sensitivities."""

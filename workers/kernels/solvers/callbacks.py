@@ -13,72 +13,76 @@ from numba.extending import intrinsic
 
 from workers.kernels.fmi.calling import c_function, inlined
 from workers.kernels.fmi.functions import get_directional_derivative
-from workers.kernels.fmi.hooks import take_inputs
+from workers.kernels.fmi.hooks import interpolate_inputs
 from workers.kernels.fmi.values import DISCARD, ERROR
-from workers.kernels.model_exchange.moving import go_to, slopes_here
+from workers.kernels.model_exchange.evaluation import current_derivatives, set_time_and_states
 from workers.kernels.solvers.sundials import INTERVAL, STATUS
 
 _values = c_function(intp, intp)
 
 
 @inlined
-def move(time, states, s, c, references, hooks, grid, work):  # type: ignore[no-untyped-def]
-    """Tell the FMU where it is, with the inputs of that time. Returns the worst status.
+def set_at_solver_time(time, states, s, c, references, hooks, grid, work):  # type: ignore[no-untyped-def]
+    """Set time, states, and the inputs of that time. Returns the worst status.
 
-    At the time of a jump, the inputs are those of the side that the FMU was on before.
+    At the time of a jump, the inputs are those of the side of the last call.
     """
-    i = s.notes[INTERVAL]
+    i = s.flags[INTERVAL]
     while i + 2 < len(grid.times) and time > grid.times[i + 1]:
         i += 1
     while i > 0 and time < grid.times[i]:
         i -= 1
-    s.notes[INTERVAL] = i
-    take_inputs(grid, i, time, work)
-    return go_to(c, references, hooks, time, states, work)
+    s.flags[INTERVAL] = i
+    interpolate_inputs(grid, i, time, work)
+    return set_time_and_states(c, references, hooks, time, states, work)
 
 
-def _slopes(time, y, ydot, s, c, references, hooks, grid, work):  # type: ignore[no-untyped-def]
-    """As CVODE asks for it. 0, or 1 to be asked again for another point, or -1 to give up."""
-    if s.notes[STATUS] >= ERROR:
+def _right_hand_side(time, y, ydot, s, c, references, hooks, grid, work):  # type: ignore[no-untyped-def]
+    """Evaluate dx/dt for CVODE. Returns 0, 1 for a recoverable failure, -1 for another."""
+    if s.flags[STATUS] >= ERROR:
         return -1
-    states = _at(_values(s.values, (y,)), s.y)
-    slopes = _at(_values(s.values, (ydot,)), s.y)
-    status = move(time, states, s, c, references, hooks, grid, work)
+    states = _array_at(_values(s.vector_data, (y,)), s.y)
+    derivatives = _array_at(_values(s.vector_data, (ydot,)), s.y)
+    status = set_at_solver_time(time, states, s, c, references, hooks, grid, work)
     if status < DISCARD:
-        status = max(status, slopes_here(c, hooks, time, states, work, slopes))
-    s.notes[STATUS] = status
+        status = max(status, current_derivatives(c, hooks, time, states, work, derivatives))
+    s.flags[STATUS] = status
     if status >= ERROR:
         return -1
     if status >= DISCARD:
         return 1
-    for j in range(len(slopes)):
-        if not isfinite(slopes[j]):
+    for j in range(len(derivatives)):
+        if not isfinite(derivatives[j]):
             return 1
     return 0
 
 
-def _jacobian(time, y, ydot, matrix, s, c, references, hooks, grid, work):  # type: ignore[no-untyped-def]
-    """As CVODE asks for it: a column for each state. The same answers as `_slopes` gives."""
-    n, along = len(s.y), s.jacobian
-    columns = _values(s.elements, (matrix,))
-    status = move(time, _at(_values(s.values, (y,)), s.y), s, c, references, hooks, grid, work)
+def _jacobian(time, y, _ydot, matrix, s, c, references, hooks, grid, work):  # type: ignore[no-untyped-def]
+    """Evaluate the Jacobian for CVODE, a column for each state. Returns as the right-hand side."""
+    n, directional = len(s.y), s.jacobian
+    columns = _values(s.matrix_data, (matrix,))
+    status = set_at_solver_time(
+        time, _array_at(_values(s.vector_data, (y,)), s.y), s, c, references, hooks, grid, work
+    )
     for j in range(n):
-        column = _at(columns + 8 * n * j, s.y)
-        along.known[0] = along.states[j]
+        column = _array_at(columns + 8 * n * j, s.y)
+        directional.known[0] = directional.states[j]
         if status < DISCARD:
             status = max(
                 status,
-                get_directional_derivative(c, along.slopes, along.known, 1, along.one, column),
+                get_directional_derivative(
+                    c, directional.derivatives, directional.known, 1, directional.seed, column
+                ),
             )
-    s.notes[STATUS] = status
+    s.flags[STATUS] = status
     if status >= ERROR:
         return -1
     return 1 if status >= DISCARD else 0
 
 
 @intrinsic
-def callbacks(typing_context: Any, shared: Any) -> Any:
-    """The addresses of `_slopes` and `_jacobian` as C functions, and of what the caller shares.
+def callbacks(_typing_context: Any, shared: Any) -> Any:
+    """Return the addresses of `_right_hand_side` and `_jacobian`, and of what the caller shares.
 
     `shared` is a tuple of what follows `ydot`, or `matrix`. The functions are compiled into the
     caller for the very types of it, and cached on disk with the caller. What is shared lies on the
@@ -87,10 +91,10 @@ def callbacks(typing_context: Any, shared: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
         data = cgutils.alloca_once_value(builder, operands[0])
-        slopes = _callback(context, builder, _slopes, 2, 0, data, shared)
+        derivatives = _callback(context, builder, _right_hand_side, 2, 0, data, shared)
         jacobian = _callback(context, builder, _jacobian, 3, 3, data, shared)
         word = context.get_value_type(types.intp)
-        addresses = [builder.ptrtoint(pointer, word) for pointer in (slopes, jacobian, data)]
+        addresses = [builder.ptrtoint(pointer, word) for pointer in (derivatives, jacobian, data)]
         return context.make_tuple(builder, signature.return_type, addresses)
 
     return types.containers.UniTuple(types.intp, 3)(shared), generate
@@ -99,7 +103,7 @@ def callbacks(typing_context: Any, shared: Any) -> Any:
 def _callback(
     context: Any, builder: Any, body: Any, words: int, unused: int, data: Any, shared: Any
 ) -> Any:
-    """A C function of a time, some words, the address of `data`, and words that nobody uses."""
+    """Make a C function of a time, some words, the address of `data`, and unused words."""
     word = context.get_value_type(types.intp)
     number, status = context.get_value_type(types.float64), context.get_value_type(types.int32)
     function = ir.Function(
@@ -110,25 +114,25 @@ def _callback(
     function.linkage = "internal"
     inner = ir.IRBuilder(function.append_basic_block())
     given = inner.load(inner.inttoptr(function.args[1 + words], data.type))
-    asked = types.int32(types.float64, *[types.intp] * words, *shared)
+    signature_types = types.int32(types.float64, *[types.intp] * words, *shared)
     flags = Flags()
     flags.forceinline = True  # to hand over the many fields of what is shared takes microseconds
-    compiled = context.compile_subroutine(inner, body, asked, flags=flags)
-    _, answer = context.call_internal_no_propagate(
+    compiled = context.compile_subroutine(inner, body, signature_types, flags=flags)
+    _, status_value = context.call_internal_no_propagate(
         inner,
         compiled.fndesc,
-        asked,
+        signature_types,
         [*function.args[: 1 + words], *(inner.extract_value(given, n) for n in range(len(shared)))],
     )
-    inner.ret(answer)
+    inner.ret(status_value)
     return function
 
 
 @intrinsic
-def _at(typing_context: Any, address: Any, like: Any) -> Any:
-    """An array like another one, whose first element is at an address."""
+def _array_at(_typing_context: Any, _address: Any, like: Any) -> Any:
+    """Return an array like another one, whose first element is at an address."""
 
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+    def generate(context: Any, builder: Any, _signature: Any, operands: Any) -> Any:
         layout = context.make_array(like)(context, builder, operands[1])
         layout.data = builder.inttoptr(operands[0], layout.data.type)
         return layout._getvalue()

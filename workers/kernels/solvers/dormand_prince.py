@@ -1,4 +1,4 @@
-"""Dormand-Prince 5(4), adaptive, standing on every time of the grid.
+"""Dormand-Prince 5(4), adaptive, with a step that ends at every time of the grid.
 
 The default for model exchange. Because no step crosses a kink of an input, the error estimate is
 right and the tolerance is met; because the last stage of a step is the first of the next, a step
@@ -27,13 +27,27 @@ from workers.kernels.fmi.failure import (
     TOO_MANY_STEPS,
     failed,
 )
-from workers.kernels.fmi.hooks import take_point
+from workers.kernels.fmi.hooks import select_point
 from workers.kernels.fmi.values import DISCARD, ERROR
-from workers.kernels.model_exchange.events import find_event, handle_event, polynomial, shortest
-from workers.kernels.model_exchange.forward_sensitivities import advance
-from workers.kernels.model_exchange.moving import derivative, record_outputs, slopes_here
-from workers.kernels.model_exchange.solver_steps import arrive, complete_step, start
+from workers.kernels.model_exchange.evaluation import (
+    current_derivatives,
+    derivatives_at,
+    record_outputs,
+)
+from workers.kernels.model_exchange.events import (
+    dense_output,
+    find_event,
+    handle_event,
+    time_resolution,
+)
+from workers.kernels.model_exchange.forward_sensitivities import advance_sensitivities
+from workers.kernels.model_exchange.solver_steps import (
+    complete_step,
+    handle_input_jump,
+    start_simulation,
+)
 
+# c, a and b - b^ of the Butcher tableau; the last row of a is b.
 NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
 WEIGHTS = np.array(
     [
@@ -60,8 +74,8 @@ INTERPOLANT = np.array(
         [0, 40617522 / 29380423, -110615467 / 29380423, 69997945 / 29380423],
     ]
 )
-"""Of order 4 within a step, see `polynomial` in `workers.kernels.model_exchange.events`. Source: L.
-F. Shampine, Math. Comp. 46 (1986) 135-150, doi:10.1090/S0025-5718-1986-0815836-3."""
+"""Of order 4 within a step, see `dense_output` in `workers.kernels.model_exchange.events`. Source:
+L. F. Shampine, Math. Comp. 46 (1986) 135-150, doi:10.1090/S0025-5718-1986-0815836-3."""
 SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 
 
@@ -71,8 +85,8 @@ def dormand_prince_batch(  # type: ignore[no-untyped-def]
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     for p in range(len(points)):
-        take_point(hooks, p, work)
-        codes[p], stopped_at[p] = _dormand_prince(
+        select_point(hooks, p, work)
+        codes[p], stopped_at[p] = _simulate(
             c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
         )
         if codes[p] != FINISHED:
@@ -81,16 +95,16 @@ def dormand_prince_batch(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _dormand_prince(c, references, starts, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
+def _simulate(c, references, starts, settings, hooks, grid, point, work, outputs):  # type: ignore[no-untyped-def]
     times, steps_left = grid.times, settings.max_steps
     time, proposed = times[0], 0.0
-    code = start(c, references, starts, settings, hooks, grid, point, work)
+    code = start_simulation(c, references, starts, settings, hooks, grid, point, work)
     for i in range(len(times)):
         if code == FINISHED:
-            code = arrive(c, references, settings, hooks, grid, i, time, work)
+            code = handle_input_jump(c, references, settings, hooks, grid, i, time, work)
         if code != FINISHED:
             return code, time
-        status = record_outputs(c, references, hooks, grid, i, time, work, record[i])
+        status = record_outputs(c, references, hooks, grid, i, time, work, outputs[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), time
         if i + 1 < len(times):
@@ -104,17 +118,19 @@ def _dormand_prince(c, references, starts, settings, hooks, grid, point, work, r
 def adaptive_steps(  # type: ignore[no-untyped-def]
     c, references, settings, hooks, grid, i, time, proposed, steps_left, work, forward=None
 ):
-    """From a time, where the FMU stands, to grid time i + 1, from event to event.
+    """Step from the present time, which the FMU is set to, to grid time i + 1.
 
     Returns (code, time, step to try next, steps left). A proposed step of 0 stands for none. With
-    `forward`, sensitivities are carried along, up to the first event.
+    `forward`, sensitivities are integrated too, up to the first event.
     """
-    last, still = grid.times[i + 1], 0
-    close = shortest(time, last)
+    last, repeated_events = grid.times[i + 1], 0
+    resolution = time_resolution(time, last)
     while True:
         begin = time
         end = min(last, work.next_event[0])
-        if abs(work.next_event[0] - last) <= close:  # not once before the grid time and once after
+        if (
+            abs(work.next_event[0] - last) <= resolution
+        ):  # not once before the grid time and once after
             end = work.next_event[0]
         code = FINISHED
         if end > begin:
@@ -125,10 +141,12 @@ def adaptive_steps(  # type: ignore[no-untyped-def]
         if code == EVENT or (code == FINISHED and time >= work.next_event[0]):
             if forward is not None:
                 return HAS_EVENTS, time, proposed, steps_left
-            still = still + 1 if time - begin <= close else 0
-            code = handle_event(c, references, settings, hooks, grid, i, i, time, still, work)
+            repeated_events = repeated_events + 1 if time - begin <= resolution else 0
+            code = handle_event(
+                c, references, settings, hooks, grid, i, i, time, repeated_events, work
+            )
             proposed = 0.0
-        if code != FINISHED or last - time <= close:
+        if code != FINISHED or last - time <= resolution:
             return code, time, proposed, steps_left
 
 
@@ -136,9 +154,9 @@ def adaptive_steps(  # type: ignore[no-untyped-def]
 def _to_next_event(  # type: ignore[no-untyped-def]
     c, references, settings, hooks, grid, i, time, last, proposed, steps_left, work, forward
 ):
-    """Steps up to a time or a state event. Returns (code, time, step to try next, steps left)."""
-    close = shortest(time, last)
-    status, proposed = _first_slopes(c, settings, hooks, time, proposed, close, work)
+    """Step up to a time or a state event. Returns (code, time, step to try next, steps left)."""
+    resolution = time_resolution(time, last)
+    status, proposed = _first_stage(c, settings, hooks, time, proposed, resolution, work)
     if status >= DISCARD:
         return failed(STEP, status), time, proposed, steps_left
     while steps_left > 0:
@@ -146,78 +164,84 @@ def _to_next_event(  # type: ignore[no-untyped-def]
         remaining = last - time
         final = proposed >= remaining * (1.0 - 1e-10)
         step = remaining if final else min(proposed, 0.5 * remaining)
-        status, error, part = _try_step(c, references, settings, hooks, grid, i, time, step, work)
+        status, error, fraction = _try_step(
+            c, references, settings, hooks, grid, i, time, step, work
+        )
         steps_left -= 1
         if status >= ERROR:
             return failed(STEP, status), time, proposed, steps_left
-        wanted = step * _factor(status, error)
+        next_step = step * step_factor(status, error)
         if status >= DISCARD or not error <= 1.0:
-            proposed = wanted
-            if proposed < close:
+            proposed = next_step
+            if proposed < resolution:
                 return STEP_TOO_SMALL, time, proposed, steps_left
             continue
         if forward is not None:
-            status = advance(c, references, hooks, grid, i, time, step, work, forward)
+            status = advance_sensitivities(c, references, hooks, grid, i, time, step, work, forward)
             if status >= DISCARD:
                 return failed(SENSITIVITIES, status), time, proposed, steps_left
-        code = _accept(c, part, work)
-        time = last if final and part > 1.0 else time + step * min(part, 1.0)
-        proposed = max(proposed, wanted) if final else wanted
+        code = _accept_step(c, fraction, work)
+        time = last if final and fraction > 1.0 else time + step * min(fraction, 1.0)
+        proposed = max(proposed, next_step) if final else next_step
         if code != FINISHED or final:
             return code, time, proposed, steps_left
     return TOO_MANY_STEPS, time, proposed, steps_left
 
 
 @inlined
-def _first_slopes(c, settings, hooks, time, proposed, close, work):  # type: ignore[no-untyped-def]
-    """The first stage, where the FMU stands, and a step to try. Returns (status, step)."""
-    status = slopes_here(c, hooks, time, work.states, work, work.stages[0])
+def _first_stage(c, settings, hooks, time, proposed, resolution, work):  # type: ignore[no-untyped-def]
+    """Evaluate the first stage, and propose a step. Returns (status, step)."""
+    status = current_derivatives(c, hooks, time, work.states, work, work.stages[0])
     if proposed == 0.0 and status < DISCARD:
-        proposed = _first_step(work.states, work.stages[0], settings.rtol, work.atols)
-    if not proposed >= close:  # or not a number, after an overflow: a step of 0 would never end
-        proposed = close
+        proposed = initial_step(work.states, work.stages[0], settings.rtol, work.atols)
+    if (
+        not proposed >= resolution
+    ):  # or not a number, after an overflow: a step of 0 would never end
+        proposed = resolution
     return status, proposed
 
 
 @inlined
-def _accept(c, part, work):  # type: ignore[no-untyped-def]
-    """Take over a step, or its part up to an event. Returns FINISHED, EVENT or why it must end."""
+def _accept_step(c, fraction, work):  # type: ignore[no-untyped-def]
+    """Accept a step, or its part up to an event. Returns FINISHED, EVENT or a code of failure."""
     for j in range(len(work.states)):
         work.states[j] = work.trial[j]
         work.stages[0, j] = work.stages[6, j]
     code = complete_step(c, work)
-    return EVENT if code == FINISHED and part <= 1.0 else code
+    return EVENT if code == FINISHED and fraction <= 1.0 else code
 
 
 @inlined
 def _try_step(c, references, settings, hooks, grid, i, time, step, work):  # type: ignore[no-untyped-def]
-    """A step, and a look for events in it. Returns (status, error, part up to an event or 2)."""
-    status, error = _stages(c, references, settings, hooks, grid, i, time, step, work)
-    part = 2.0
+    """Try a step and look for events in it. Returns (status, error, part up to an event or 2)."""
+    status, error = evaluate_stages(c, references, settings, hooks, grid, i, time, step, work)
+    fraction = 2.0
     if c.n_indicators > 0 and status < DISCARD and error <= 1.0:
-        status, part = find_event(
-            c, references, hooks, grid, i, time, step, polynomial, INTERPOLANT, work
+        status, fraction = find_event(
+            c, references, hooks, grid, i, time, step, dense_output, INTERPOLANT, work
         )
-    return status, error, part
+    return status, error, fraction
 
 
 @inlined
-def _stages(c, references, settings, hooks, grid, i, time, step, work):  # type: ignore[no-untyped-def]
-    """Six stages after the first. Leaves the new states in `trial`; returns (status, error).
+def evaluate_stages(c, references, settings, hooks, grid, i, time, step, work):  # type: ignore[no-untyped-def]
+    """Evaluate the six stages after the first, and the new states, into `trial`.
 
-    The error is scaled: the step meets the tolerance if it is at most 1.
+    Returns (status, error). The error is scaled: the step meets the tolerance if it is at most 1.
     """
     x, trial, k = work.states, work.trial, work.stages
     status = 0
     for stage in range(1, 7):
         for j in range(len(x)):
-            slope = 0.0
-            for before in range(stage):
-                slope += WEIGHTS[stage, before] * k[before, j]
-            trial[j] = x[j] + step * slope
+            total_slope = 0.0
+            for earlier in range(stage):
+                total_slope += WEIGHTS[stage, earlier] * k[earlier, j]
+            trial[j] = x[j] + step * total_slope
         if status < DISCARD:
-            reach = time + NODES[stage] * step
-            status = derivative(c, references, hooks, grid, i, reach, trial, work, k[stage])
+            stage_time = time + NODES[stage] * step
+            status = derivatives_at(
+                c, references, hooks, grid, i, stage_time, trial, work, k[stage]
+            )
     total = 0.0
     for j in range(len(x)):
         estimate = 0.0
@@ -229,8 +253,8 @@ def _stages(c, references, settings, hooks, grid, i, time, step, work):  # type:
 
 
 @inlined
-def _factor(status, error):  # type: ignore[no-untyped-def]
-    """By how much to change the step after a try."""
+def step_factor(status, error):  # type: ignore[no-untyped-def]
+    """Return the factor by which to change the step after a try."""
     if status >= DISCARD or not isfinite(error):
         return SHRINK
     if error == 0.0:
@@ -239,8 +263,8 @@ def _factor(status, error):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _first_step(states, derivatives, rtol, atols):  # type: ignore[no-untyped-def]
-    """A hundredth of the time in which the states would change by their own scale."""
+def initial_step(states, derivatives, rtol, atols):  # type: ignore[no-untyped-def]
+    """Return a hundredth of the time in which the states would change by their own scale."""
     size, speed = 0.0, 0.0
     for j in range(len(states)):
         scale = atols[j] + rtol * abs(states[j])

@@ -21,19 +21,33 @@ from workers.kernels.fmi.failure import (
     TOO_MANY_STEPS,
     failed,
 )
-from workers.kernels.fmi.hooks import take_point
+from workers.kernels.fmi.hooks import select_point
 from workers.kernels.fmi.initialise import n_steps
 from workers.kernels.fmi.values import DISCARD
-from workers.kernels.model_exchange.events import find_event, handle_event, polynomial, shortest
-from workers.kernels.model_exchange.forward_sensitivities import advance
-from workers.kernels.model_exchange.moving import derivative, go_to, record_outputs, slopes_here
-from workers.kernels.model_exchange.solver_steps import arrive, complete_step, start
+from workers.kernels.model_exchange.evaluation import (
+    current_derivatives,
+    derivatives_at,
+    record_outputs,
+    set_time_and_states,
+)
+from workers.kernels.model_exchange.events import (
+    dense_output,
+    find_event,
+    handle_event,
+    time_resolution,
+)
+from workers.kernels.model_exchange.forward_sensitivities import advance_sensitivities
+from workers.kernels.model_exchange.solver_steps import (
+    complete_step,
+    handle_input_jump,
+    start_simulation,
+)
 
 INTERPOLANT = np.array(
     [[1.0, -3 / 2, 2 / 3], [0.0, 1.0, -2 / 3], [0.0, 1.0, -2 / 3], [0.0, -1 / 2, 2 / 3]]
 )
-"""Of order 3 within a step, see `polynomial` in `workers.kernels.model_exchange.events`. Source: E.
-Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.6."""
+"""Of order 3 within a step, see `dense_output` in `workers.kernels.model_exchange.events`. Source:
+E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.6."""
 
 
 @kernel
@@ -42,8 +56,8 @@ def rk4_batch(  # type: ignore[no-untyped-def]
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     for p in range(len(points)):
-        take_point(hooks, p, work)
-        codes[p], stopped_at[p] = _rk4(
+        select_point(hooks, p, work)
+        codes[p], stopped_at[p] = _simulate(
             c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
         )
         if codes[p] != FINISHED:
@@ -52,16 +66,16 @@ def rk4_batch(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _rk4(c, references, starts, settings, hooks, grid, point, work, record):  # type: ignore[no-untyped-def]
+def _simulate(c, references, starts, settings, hooks, grid, point, work, outputs):  # type: ignore[no-untyped-def]
     times, steps_left = grid.times, settings.max_steps
     time = times[0]
-    code = start(c, references, starts, settings, hooks, grid, point, work)
+    code = start_simulation(c, references, starts, settings, hooks, grid, point, work)
     for i in range(len(times)):
         if code == FINISHED:
-            code = arrive(c, references, settings, hooks, grid, i, time, work)
+            code = handle_input_jump(c, references, settings, hooks, grid, i, time, work)
         if code != FINISHED:
             return code, time
-        status = record_outputs(c, references, hooks, grid, i, time, work, record[i])
+        status = record_outputs(c, references, hooks, grid, i, time, work, outputs[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), time
         if i + 1 < len(times):
@@ -75,14 +89,19 @@ def _rk4(c, references, starts, settings, hooks, grid, point, work, record):  # 
 def equal_steps(  # type: ignore[no-untyped-def]
     c, references, settings, hooks, grid, i, time, steps_left, work, forward=None
 ):
-    """From a time to grid time i + 1, equal steps from event to event. Returns (code, time, steps
-    left). With `forward`, sensitivities are carried along, up to the first event."""
-    last, at_grid, still = grid.times[i + 1], True, 0
-    close = shortest(time, last)
+    """Step to grid time i + 1, in equal steps from event to event.
+
+    Returns (code, time, steps left). With `forward`, sensitivities are integrated too, up to the
+    first event.
+    """
+    last, at_grid, repeated_events = grid.times[i + 1], True, 0
+    resolution = time_resolution(time, last)
     while True:
         begin = time
         end = min(last, work.next_event[0])
-        if abs(work.next_event[0] - last) <= close:  # not once before the grid time and once after
+        if (
+            abs(work.next_event[0] - last) <= resolution
+        ):  # not once before the grid time and once after
             end = work.next_event[0]
         steps = n_steps(end - begin, settings.step, steps_left) if end > begin else 0
         if steps > steps_left:
@@ -91,7 +110,7 @@ def equal_steps(  # type: ignore[no-untyped-def]
         step = (end - begin) / max(steps, 1)
         code = FINISHED
         for s in range(steps):
-            code, time = _go(
+            code, time = _step_to_event(
                 c, references, hooks, grid, i, begin + s * step, step, not at_grid, work, forward
             )
             at_grid = False
@@ -102,54 +121,58 @@ def equal_steps(  # type: ignore[no-untyped-def]
         if code == EVENT or (code == FINISHED and time >= work.next_event[0]):
             if forward is not None:
                 return HAS_EVENTS, time, steps_left
-            still = still + 1 if time - begin <= close else 0
-            code = handle_event(c, references, settings, hooks, grid, i, i, time, still, work)
+            repeated_events = repeated_events + 1 if time - begin <= resolution else 0
+            code = handle_event(
+                c, references, settings, hooks, grid, i, i, time, repeated_events, work
+            )
             at_grid = True
-        if code != FINISHED or last - time <= close:
+        if code != FINISHED or last - time <= resolution:
             return code, time, steps_left
 
 
 @inlined
-def _go(c, references, hooks, grid, i, time, step, moved, work, forward):  # type: ignore[no-untyped-def]
-    """One step, or its part up to an event. Returns (code, time), EVENT if there is one."""
-    status = _step(c, references, hooks, grid, i, time, step, moved, work)
-    part, found = 1.0, False
+def _step_to_event(c, references, hooks, grid, i, time, step, set_first, work, forward):  # type: ignore[no-untyped-def]
+    """Take one step, or its part up to an event. Returns (code, time), EVENT if there is one."""
+    status = _evaluate_step(c, references, hooks, grid, i, time, step, set_first, work)
+    fraction, has_event = 1.0, False
     if c.n_indicators > 0 and status < DISCARD:
-        found_status, part = find_event(
-            c, references, hooks, grid, i, time, step, polynomial, INTERPOLANT, work
+        event_status, fraction = find_event(
+            c, references, hooks, grid, i, time, step, dense_output, INTERPOLANT, work
         )
-        status, found = max(status, found_status), part <= 1.0
-        part = min(part, 1.0)
+        status, has_event = max(status, event_status), fraction <= 1.0
+        fraction = min(fraction, 1.0)
     if status >= DISCARD:
         return failed(STEP, status), time
     if forward is not None:
-        status = advance(c, references, hooks, grid, i, time, step, work, forward)
+        status = advance_sensitivities(c, references, hooks, grid, i, time, step, work, forward)
         if status >= DISCARD:
             return failed(SENSITIVITIES, status), time
     for j in range(len(work.states)):
         work.states[j] = work.trial[j]
     code = complete_step(c, work)
-    if code == FINISHED and found:
+    if code == FINISHED and has_event:
         code = EVENT
-    return code, time + part * step
+    return code, time + fraction * step
 
 
 @inlined
-def _step(c, references, hooks, grid, i, time, step, moved, work):  # type: ignore[no-untyped-def]
-    """One step from `time`, into `trial`; if not `moved`, the FMU stands at `time` already."""
+def _evaluate_step(c, references, hooks, grid, i, time, step, set_first, work):  # type: ignore[no-untyped-def]
+    """Compute a step into `trial`; if not `set_first`, the FMU is set to `time` already."""
     x, trial, k = work.states, work.trial, work.stages
-    if moved:
-        status = derivative(c, references, hooks, grid, i, time, x, work, k[0])
+    if set_first:
+        status = derivatives_at(c, references, hooks, grid, i, time, x, work, k[0])
     else:
-        status = slopes_here(c, hooks, time, x, work, k[0])
+        status = current_derivatives(c, hooks, time, x, work, k[0])
     for stage in range(1, 4):
-        reach = step if stage == 3 else 0.5 * step
+        offset = step if stage == 3 else 0.5 * step
         for j in range(len(x)):
-            trial[j] = x[j] + reach * k[stage - 1, j]
+            trial[j] = x[j] + offset * k[stage - 1, j]
         if status < DISCARD:
-            status = derivative(c, references, hooks, grid, i, time + reach, trial, work, k[stage])
+            status = derivatives_at(
+                c, references, hooks, grid, i, time + offset, trial, work, k[stage]
+            )
     for j in range(len(x)):
         trial[j] = x[j] + step / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
     if (c.completes_steps or c.n_indicators > 0) and status < DISCARD:
-        status = max(status, go_to(c, references, hooks, time + step, trial, work))
+        status = max(status, set_time_and_states(c, references, hooks, time + step, trial, work))
     return status

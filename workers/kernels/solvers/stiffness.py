@@ -1,7 +1,7 @@
-"""Whether stability, rather than accuracy, limits the steps of the Dormand-Prince method.
+"""Detection of stiffness: stability, not accuracy, limits the steps of Dormand-Prince.
 
-The two last stages of a step stand at the same time. How much their derivatives differ for how much
-their states differ estimates the largest eigenvalue; where it times the step stays at the border
+The two last stages of a step are at the same time. The distance of their derivatives over that of
+their states estimates the largest eigenvalue; where its product with the step stays at the border
 of the region of stability, a model is stiff.
 
 Reference: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II,
@@ -14,20 +14,25 @@ from math import sqrt
 
 from workers.kernels.fmi.calling import inlined, kernel
 from workers.kernels.fmi.failure import FINISHED, STEP, STEP_TOO_SMALL, failed
-from workers.kernels.fmi.hooks import take_point
+from workers.kernels.fmi.hooks import select_point
 from workers.kernels.fmi.values import DISCARD, ERROR
-from workers.kernels.model_exchange.moving import derivative
-from workers.kernels.model_exchange.solver_steps import complete_step, start
-from workers.kernels.solvers.dormand_prince import WEIGHTS, _factor, _first_step, _stages
+from workers.kernels.model_exchange.evaluation import derivatives_at
+from workers.kernels.model_exchange.solver_steps import complete_step, start_simulation
+from workers.kernels.solvers.dormand_prince import (
+    WEIGHTS,
+    evaluate_stages,
+    initial_step,
+    step_factor,
+)
 
 BORDER = 3.25
-IN_A_ROW, PARDON = 15, 6
+STIFF_STEPS, FORGIVING_STEPS = 15, 6
 """Steps at the border after which a model counts as stiff, and steps off it that forgive those."""
 
 
 @kernel
 def stiffness(c, references, starts, settings, hooks, grid, point, work):  # type: ignore[no-untyped-def]
-    """Follow a simulation for at most `settings.max_steps` steps.
+    """Simulate at most `settings.max_steps` steps, and tell whether the model is stiff.
 
     Parameters
     ----------
@@ -37,24 +42,30 @@ def stiffness(c, references, starts, settings, hooks, grid, point, work):  # typ
     Returns
     -------
     (stiff, code)
-        Whether, and what went wrong, if anything did (see `workers.kernels.fmi.failure`).
+        True if it is; 0, or the code of a failure (see `workers.kernels.fmi.failure`).
     """
-    take_point(hooks, 0, work)
-    code = start(c, references, starts, settings, hooks, grid, point, work)
+    select_point(hooks, 0, work)
+    code = start_simulation(c, references, starts, settings, hooks, grid, point, work)
     if code != FINISHED:
         return False, code
     time, i, at_border, off_border, proposed = grid.times[0], 0, 0, 0, 0.0
     for _ in range(settings.max_steps):
-        status = derivative(c, references, hooks, grid, i, time, work.states, work, work.stages[0])
+        status = derivatives_at(
+            c, references, hooks, grid, i, time, work.states, work, work.stages[0]
+        )
         if status >= DISCARD:
             return False, failed(STEP, status)
         if proposed == 0.0:
-            proposed = _first_step(work.states, work.stages[0], settings.rtol, work.atols)
-        code, step, proposed = _step(c, references, settings, hooks, grid, i, time, proposed, work)
+            proposed = initial_step(work.states, work.stages[0], settings.rtol, work.atols)
+        code, step, proposed = _accepted_step(
+            c, references, settings, hooks, grid, i, time, proposed, work
+        )
         if code != FINISHED:
             return False, code
-        at_border, off_border = _count(step * _eigenvalue(step, work), at_border, off_border)
-        if at_border == IN_A_ROW:
+        at_border, off_border = _count_steps_at_border(
+            step * _eigenvalue(step, work), at_border, off_border
+        )
+        if at_border == STIFF_STEPS:
             return True, FINISHED
         time = min(time + step, grid.times[i + 1])
         i += 1 if time == grid.times[i + 1] else 0
@@ -67,39 +78,39 @@ def stiffness(c, references, starts, settings, hooks, grid, point, work):  # typ
 
 
 @kernel
-def _step(c, references, settings, hooks, grid, i, time, proposed, work):  # type: ignore[no-untyped-def]
-    """Try until a step is accepted. Returns the code, its length, and the length to try next."""
+def _accepted_step(c, references, settings, hooks, grid, i, time, proposed, work):  # type: ignore[no-untyped-def]
+    """Try steps until one is accepted. Returns (code, its length, length to try next)."""
     while True:
         if settings.step > 0.0:
             proposed = min(proposed, settings.step)
         step = min(proposed, grid.times[i + 1] - time)
         if not time + step > time:
             return STEP_TOO_SMALL, step, proposed
-        status, error = _stages(c, references, settings, hooks, grid, i, time, step, work)
+        status, error = evaluate_stages(c, references, settings, hooks, grid, i, time, step, work)
         if status >= ERROR:
             return failed(STEP, status), step, proposed
-        wanted = step * _factor(status, error)
+        next_step = step * step_factor(status, error)
         if status < DISCARD and error <= 1.0:
-            return FINISHED, step, max(wanted, proposed) if step < proposed else wanted
-        proposed = wanted
+            return FINISHED, step, max(next_step, proposed) if step < proposed else next_step
+        proposed = next_step
 
 
 @inlined
-def _count(distance, at_border, off_border):  # type: ignore[no-untyped-def]
+def _count_steps_at_border(distance, at_border, off_border):  # type: ignore[no-untyped-def]
     if distance > BORDER:
         return at_border + 1, 0
-    return 0 if off_border + 1 == PARDON else at_border, off_border + 1
+    return 0 if off_border + 1 == FORGIVING_STEPS else at_border, off_border + 1
 
 
 @inlined
 def _eigenvalue(step, work):  # type: ignore[no-untyped-def]
-    """Its estimate from the last two stages of a step."""
-    above, below = 0.0, 0.0
+    """Estimate the largest eigenvalue from the last two stages of a step."""
+    derivative_distance, state_distance = 0.0, 0.0
     for j in range(len(work.states)):
         slope = 0.0
         for stage in range(5):
             slope += WEIGHTS[5, stage] * work.stages[stage, j]
         sixth = work.states[j] + step * slope
-        above += (work.stages[6, j] - work.stages[5, j]) ** 2
-        below += (work.trial[j] - sixth) ** 2
-    return sqrt(above / below) if below > 0.0 else 0.0
+        derivative_distance += (work.stages[6, j] - work.stages[5, j]) ** 2
+        state_distance += (work.trial[j] - sixth) ** 2
+    return sqrt(derivative_distance / state_distance) if state_distance > 0.0 else 0.0

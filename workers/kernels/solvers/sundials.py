@@ -19,44 +19,58 @@ from workers.messages import FloatArray, IntArray
 
 BDF, ONE_STEP = 2, 2
 FIRST_DERIVATIVE_FAILED, TOO_CLOSE = -9, -27
-MADE_WITH, INTERVAL, STATUS, STEPS_LEFT, STOP, TOLD, FRESH, DUE, STILL = range(9)
-"""Places in `Cvode.notes`."""
+(
+    RIGHT_HAND_SIDE,
+    INTERVAL,
+    STATUS,
+    STEPS_LEFT,
+    NEXT_STOP,
+    STEP_REPORTED,
+    JUST_STARTED,
+    EVENT_DUE,
+    REPEATED_EVENTS,
+) = range(9)
+"""Places in `Cvode.flags`."""
 
 
 class DirectionalJacobian(NamedTuple):
     """The Jacobian by the FMU's directional derivatives: (n,) references, none for differences.
 
-    `states` and `slopes` are the references of the states and of their derivatives; `known` and
-    `one` are memory for a single state and the direction along it.
+    `states` and `derivatives` have the references of the states and their derivatives; `known` and
+    `seed` are memory for a single state and the direction along it.
     """
 
     states: IntArray
-    slopes: IntArray
+    derivatives: IntArray
     known: IntArray
-    one: FloatArray
+    seed: FloatArray
 
     @classmethod
-    def of(cls, states: Sequence[int] = (), slopes: Sequence[int] = ()) -> DirectionalJacobian:
-        """That of these references."""
-        asked, given = np.array(slopes, np.uint32), np.array(states, np.uint32)
-        return cls(given, asked, np.zeros(1, np.uint32), np.ones(1))
+    def of(cls, states: Sequence[int] = (), derivatives: Sequence[int] = ()) -> DirectionalJacobian:
+        """Make one of these references."""
+        return cls(
+            np.array(states, np.uint32),
+            np.array(derivatives, np.uint32),
+            np.zeros(1, np.uint32),
+            np.ones(1),
+        )
 
 
 class CvodeHandles(NamedTuple):
     """An integrator for compiled code: its handles, the addresses of its functions, its memory.
 
-    `states` and `between` are vectors of the library around `y`, where the integrator stands, and
-    `z`, for tolerances and the states at a time that it has passed. `time` is where it stands.
-    `notes` holds the address of the right-hand side that the integrator was made with (0: of none
-    yet), the interval of the grid, the FMU's last status, the steps that are left, the grid
-    time of the next stop, whether the FMU was told of the last step, whether there is none yet
-    since the integrator was started, whether there is an event where it stands, and how many there
-    were since it last made a step. `jacobian` says how its Jacobian is had.
+    `state_vector` and `work_vector` are vectors of the library around `y`, the present states, and
+    `z`, for tolerances and the states at an earlier time. `time` is the present time.
+    `flags` holds the address of the right-hand side that the integrator was made with (0: of none
+    yet), the interval of the grid, the FMU's last status, the steps that are left, the index of
+    the grid time of the next stop, and whether the FMU was told of the last step, the integrator
+    has just been started, and an event is due; at last, the number of events since the last step.
+    `jacobian` has the references of directional derivatives.
     """
 
     memory: int
-    states: int
-    between: int
+    state_vector: int
+    work_vector: int
     solver: int
     matrix: int
     init: int
@@ -69,12 +83,12 @@ class CvodeHandles(NamedTuple):
     set_stop_time: int
     integrate: int
     interpolate: int
-    values: int
-    elements: int
+    vector_data: int
+    matrix_data: int
     y: FloatArray
     z: FloatArray
     time: FloatArray
-    notes: IntArray
+    flags: IntArray
     jacobian: DirectionalJacobian
 
 
@@ -158,35 +172,35 @@ class CvodeIntegrator:
         lib.cvode["CVodeSetMaxHnilWarns"](memory, c_int(-1))  # as does this, to stdout
         self.cvode = CvodeHandles(
             memory=memory.value or 0,
-            states=vectors[0].value or 0,
-            between=vectors[1].value or 0,
+            state_vector=vectors[0].value or 0,
+            work_vector=vectors[1].value or 0,
             solver=solver.value or 0,
             matrix=matrix.value or 0,
-            values=_address(lib.core, "N_VGetArrayPointer"),
-            elements=_address(lib.matrix, "SUNDenseMatrix_Data"),
+            vector_data=_address(lib.core, "N_VGetArrayPointer"),
+            matrix_data=_address(lib.matrix, "SUNDenseMatrix_Data"),
             **{field: _address(lib.cvode, name) for field, name in _CVODE.items()},
             y=y,
             z=z,
             time=np.zeros(1),
-            notes=np.zeros(9, np.int64),
+            flags=np.zeros(9, np.int64),
             jacobian=DirectionalJacobian.of(),
         )
         freeing = weakref.finalize(
-            self, _free, lib, memory, solver, matrix, vectors, context, (y, z)
+            self, _release, lib, memory, solver, matrix, vectors, context, (y, z)
         )
         freeing.atexit = False  # a thread may still be in there when the interpreter ends
 
 
-def _free(
+def _release(
     lib: SundialsLibraries,
     memory: c_void_p,
     solver: c_void_p,
     matrix: c_void_p,
     vectors: list[c_void_p],
     context: c_void_p,
-    kept: tuple[FloatArray, ...],
+    _kept: tuple[FloatArray, ...],
 ) -> None:
-    """Free all in the reverse order; `kept` are the arrays that the vectors stand around."""
+    """Free all in the reverse order; `_kept` holds the arrays that the vectors use."""
     lib.cvode["CVodeFree"](byref(memory))
     lib.core["SUNLinSolFree"](solver)
     lib.core["SUNMatDestroy"](matrix)
@@ -196,7 +210,7 @@ def _free(
 
 
 def _pointer(library: CDLL, name: str, *arguments: Any) -> c_void_p:
-    """What a function gives that returns a pointer."""
+    """Call a function that returns a pointer."""
     function = library[name]  # not getattr: fmpy has declared those
     function.restype = c_void_p
     return c_void_p(function(*arguments))

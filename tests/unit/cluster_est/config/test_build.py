@@ -12,7 +12,7 @@ from support.problems.springs import FMU
 from support.spoiled import MASS, REMOVED, ROWS, spoiled_fmu, write_input
 
 from cluster_est import Problem, build_problem, read_config
-from cluster_est.config.build import build_method
+from cluster_est.config.options import build_method
 from cluster_est.errors import ClusterEstError
 
 A = "experiments.0"

@@ -19,7 +19,7 @@ from cluster_est.config.reader import Config, parse_config
 from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ClusterEstError, ConfigError
 from workers.messages import Output, SignalBound
-from workers.residuals.base import SimulatedBatch
+from workers.residuals.base import SimulatedOutputs
 from workers.residuals.bounds import SignalBounds
 
 PARAMETERS = ("m", "k")
@@ -45,7 +45,7 @@ def at(bound: SignalBound, t: float) -> tuple[float, float]:
 def violations(bound: SignalBound, signal: Any) -> dict[str, float]:
     """By name, of y = signal(t), simulated at the times that are checked."""
     record = np.asarray(signal(bound.times), float)[None, :, None] * np.ones((1, 1, 1))
-    simulated = SimulatedBatch(bound.times, (bound.variable,), record, np.zeros((1, 1)))
+    simulated = SimulatedOutputs(bound.times, (bound.variable,), record, np.zeros((1, 1)))
     values = SignalBounds((bound,)).compare(simulated).values
     assert values.shape == (1, len(bound.names))
     return dict(zip(bound.names, values[0].tolist(), strict=True))

@@ -12,8 +12,8 @@ from support.problems.springs import ROOT
 
 from cluster_est import LeastSquares, LoopSettings, build_problem, read_config
 from cluster_est.config import reader as config
-from cluster_est.config.build import build_settings
 from cluster_est.config.reader import parse_config
+from cluster_est.config.settings import build_settings
 
 REFERENCE = ROOT / "configs" / "reference.toml"
 SECTIONS = {

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from support.spoiled import FMU, LIBRARY
 
-from workers.fmu.binary_dependencies import about_licence, missing_libraries, why_not_loaded
+from workers.fmu.binary_dependencies import is_about_licence, load_failure, missing_libraries
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ELF is Linux's")
 
@@ -57,7 +57,7 @@ def test_an_fmu_that_loads_lacks_nothing(tmp_path):
     with zipfile.ZipFile(FMU) as opened:
         path = Path(opened.extract(LIBRARY, tmp_path))
     assert missing_libraries(path) == ()
-    assert why_not_loaded(path) is None
+    assert load_failure(path) is None
 
 
 def test_the_interpreter_lacks_nothing_that_the_loader_finds():
@@ -74,10 +74,10 @@ def test_what_is_missing_is_named(library, wide):
 
 
 def test_a_missing_library_is_a_sentence(library):
-    assert why_not_loaded(library(elf("libno-such.so.3"))) == (
+    assert load_failure(library(elf("libno-such.so.3"))) == (
         "it needs the shared library libno-such.so.3, which this machine lacks; install it"
     )
-    assert why_not_loaded(library(elf("libnone.so.1", "libno-such.so.3"))) == (
+    assert load_failure(library(elf("libnone.so.1", "libno-such.so.3"))) == (
         "it needs the shared libraries libno-such.so.3 and libnone.so.1, which this machine "
         "lacks; install them"
     )
@@ -89,7 +89,7 @@ def test_a_library_beside_it_counts_if_it_is_looked_for_there(library):
     path = library(elf("libbeside.so"))
     assert missing_libraries(path) == ("libbeside.so",)
     assert "beside it, where the system does not look; set LD_LIBRARY_PATH to" in (
-        why_not_loaded(path) or ""
+        load_failure(path) or ""
     )
 
 
@@ -105,17 +105,17 @@ def test_libraries_that_need_each_other_end(library):
 
 
 def test_a_library_for_other_processors(library):
-    said = why_not_loaded(library(elf(machine=243))) or ""
+    said = load_failure(library(elf(machine=243))) or ""
     assert "is for riscv64 processors, but this machine is of" in said
     assert said.endswith("; export it for this machine")
-    assert "is for x86 processors" in (why_not_loaded(library(elf(machine=3, wide=False))) or "")
+    assert "is for x86 processors" in (load_failure(library(elf(machine=3, wide=False))) or "")
 
 
 def test_a_library_for_a_newer_system(library):
     said = "/lib/libc.so.6: version `GLIBC_2.99' not found (required by m.so)"
-    why = why_not_loaded(library(elf("libc.so.6")), said) or ""
+    why = load_failure(library(elf("libc.so.6")), said) or ""
     assert why.startswith("it was built for a newer system, with GLIBC_2.99, than this machine has")
-    assert why_not_loaded(library(elf("libc.so.6")), "another reason") is None
+    assert load_failure(library(elf("libc.so.6")), "another reason") is None
 
 
 def test_what_is_no_library_says_nothing(library, tmp_path):
@@ -123,7 +123,7 @@ def test_what_is_no_library_says_nothing(library, tmp_path):
     for content in (b"", b"MZ", b"\x7fELF", whole[:70], whole[:-5], b"\x7fELF\2\1" + b"\xff" * 90):
         assert missing_libraries(library(content)) == ()
     assert missing_libraries(tmp_path / "none.so") == ()
-    assert why_not_loaded(library(b"no library")) is None
+    assert load_failure(library(b"no library")) is None
 
 
 @pytest.mark.parametrize(
@@ -140,4 +140,4 @@ def test_what_is_no_library_says_nothing(library, tmp_path):
     ],
 )
 def test_refusals_of_licences(text, is_refusal):
-    assert about_licence(text) is is_refusal
+    assert is_about_licence(text) is is_refusal

@@ -31,7 +31,7 @@ from workers.messages import (
     Task,
     UserFunction,
 )
-from workers.residuals.base import SimulatedBatch
+from workers.residuals.base import SimulatedOutputs
 from workers.residuals.bounds import SignalBounds
 from workers.residuals.curve import CurveDistances, CurveTolerances
 from workers.residuals.functions import FunctionComparison, load
@@ -87,9 +87,9 @@ def ask(experiment: Experiment, points: FloatArray, want: str = "residuals") -> 
     return outcomes
 
 
-def simulated(signal: FloatArray, times: FloatArray, name: str = "y") -> SimulatedBatch:
+def simulated(signal: FloatArray, times: FloatArray, name: str = "y") -> SimulatedOutputs:
     """(points, n) of one variable."""
-    return SimulatedBatch(times, (name,), np.asarray(signal, float)[:, :, None], np.zeros((1, 1)))
+    return SimulatedOutputs(times, (name,), np.asarray(signal, float)[:, :, None], np.zeros((1, 1)))
 
 
 def bound(lower: object, upper: object, **more: object) -> SignalBound:
@@ -167,7 +167,7 @@ def test_a_curve_has_a_residual_for_each_segment_and_constraints_for_tolerances(
     curve = Curve(("a", "b"), reference, TIMES[:4], (0.5, 0.0))
     record = np.zeros((1, len(TIMES), 2))
     record[0, :, 0], record[0, :, 1] = 3.0, 0.25
-    seen = SimulatedBatch(TIMES, ("a", "b"), record, np.zeros((1, 1)))
+    seen = SimulatedOutputs(TIMES, ("a", "b"), record, np.zeros((1, 1)))
     # over the largest absolute values, (4, 1): ends of the segments at 0.5 and 1, point at 0.75
     expected = [np.hypot(0.25, 0.25), 0.25]
     np.testing.assert_allclose(CurveDistances(curve).compare(seen).values, [expected])
@@ -181,7 +181,7 @@ def test_a_curve_takes_its_columns_by_name():
     record = np.zeros((1, len(TIMES), 3))
     record[0, :, 0] = np.linspace(0.0, 10.0, len(TIMES))  # a
     record[0, :, 2] = np.linspace(0.0, 1.0, len(TIMES))  # b
-    seen = SimulatedBatch(TIMES, ("a", "c", "b"), record, np.zeros((1, 1)))
+    seen = SimulatedOutputs(TIMES, ("a", "c", "b"), record, np.zeros((1, 1)))
     np.testing.assert_allclose(CurveDistances(curve).compare(seen).values, [[0.0]], atol=1e-15)
     np.testing.assert_allclose(CurveTolerances(curve).compare(seen).values, [[-1.0, -1.0]])
 
@@ -323,7 +323,7 @@ def test_a_simulation_without_values_is_no_answer_of_the_function(first):
 def test_outputs_that_are_not_finite_are_said_to_be_even_behind_a_function():
     record = np.zeros((2, 5, 1))
     record[0, 3] = np.nan
-    seen = SimulatedBatch(np.arange(5.0), ("y",), record, np.zeros((2, 2)))
+    seen = SimulatedOutputs(np.arange(5.0), ("y",), record, np.zeros((2, 2)))
     comparison = FunctionComparison(user("return 1.0"), EXPERIMENT, ("m", "k"), single=False)
     compared = comparison.compare(seen)
     assert list(compared.failures) == [0]

@@ -11,7 +11,7 @@ from support.problems.springs import FMU
 from workers.errors import ModelError
 from workers.fmu.description import describe
 from workers.messages import Experiment, Input, Model, Output, Solver
-from workers.simulation.bind_experiment import install
+from workers.simulation.bind_experiment import bind_experiment
 from workers.simulation.fixed_step import communication_notes
 
 DESCRIPTION = replace(
@@ -31,7 +31,7 @@ def experiment(times, inputs=()):
 
 
 def communication(times, step=None, description=SILENT, inputs=()):
-    ready = install(model(step), description, experiment(times, inputs))
+    ready = bind_experiment(model(step), description, experiment(times, inputs))
     np.testing.assert_array_equal(ready.grid.times, np.array(times, np.float64))
     return ready.communication
 
@@ -48,11 +48,11 @@ def communication(times, step=None, description=SILENT, inputs=()):
 def test_multiples_of_the_step_need_no_interpolation(times, step, expected):
     made = communication(times, step)
     assert made.step == pytest.approx(expected, rel=1e-12)
-    assert not made.parts.any()
+    assert not made.fractions.any()
     np.testing.assert_array_equal(made.before, np.arange(len(times)))
     np.testing.assert_allclose(made.grid.times, times, rtol=1e-15)
     records = np.random.default_rng(1).normal(size=(2, len(times), 1))
-    assert made.read(records).tobytes() == records.tobytes()
+    assert made.interpolate(records).tobytes() == records.tobytes()
     assert communication_notes(model(step), SILENT, [experiment(times)]) == ()
 
 
@@ -61,10 +61,10 @@ def test_the_points_around_a_time_are_taken_and_one_beyond_the_last():
     np.testing.assert_allclose(made.grid.times, [2.0, 2.2, 2.3, 2.7, 2.8], rtol=1e-15)
     np.testing.assert_array_equal(made.before, [0, 1, 2, 3])
     np.testing.assert_array_equal(made.after, [0, 2, 2, 4])
-    np.testing.assert_allclose(made.parts, [0.0, 0.5, 0.0, 0.1], atol=1e-9)
+    np.testing.assert_allclose(made.fractions, [0.0, 0.5, 0.0, 0.1], atol=1e-9)
     line = 3.0 * made.grid.times[None, :, None] - 1.0
     np.testing.assert_allclose(
-        made.read(line)[0, :, 0], 3.0 * np.array([2.0, 2.25, 2.3, 2.71]) - 1.0, rtol=1e-14
+        made.interpolate(line)[0, :, 0], 3.0 * np.array([2.0, 2.25, 2.3, 2.71]) - 1.0, rtol=1e-14
     )
 
 
@@ -72,7 +72,9 @@ def test_what_moves_at_events_alone_keeps_its_value():
     discrete = replace(SILENT.variables["y"], variability="discrete")
     held = replace(SILENT, variables={**SILENT.variables, "y": discrete})
     made = communication([0.0, 0.15], 0.1, held)
-    np.testing.assert_array_equal(made.read(np.array([[[1.0], [2.0], [7.0]]]))[0, :, 0], [1, 2])
+    np.testing.assert_array_equal(
+        made.interpolate(np.array([[[1.0], [2.0], [7.0]]]))[0, :, 0], [1, 2]
+    )
 
 
 def test_the_step_is_the_configured_one_or_else_the_fmus_own():

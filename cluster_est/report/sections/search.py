@@ -1,4 +1,4 @@
-"""How the search went: convergence, starts, profiles, fronts."""
+"""The section on the search: convergence, starts, profiles, fronts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ LOG_FROM = 10.0
 """Ratio of the costs beyond which their axis is logarithmic."""
 
 
-def course(run: ReportedRun) -> ReportSection:
+def search(run: ReportedRun) -> ReportSection:
     """Everything about the search that the folder holds."""
     blocks = [*_convergence(run), *_starts(run), *_profiles(run), *_front(run)]
     return ReportSection("course", "How the search went", tuple(blocks))
@@ -83,7 +83,7 @@ def _convergence(run: ReportedRun) -> list[Block]:
 
 
 def _begins_again(rows: Sequence[Row]) -> bool:
-    """Whether several searches have one name, as in a closed loop, where many run at a time."""
+    """Return whether several searches have one name, as in a closed loop."""
     return any(later["evaluations"] < row["evaluations"] for row, later in pairwise(rows))
 
 

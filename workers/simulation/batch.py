@@ -1,0 +1,41 @@
+"""Results of a batch of simulations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from workers.messages import FloatArray, IntArray, Linearisation
+
+
+@dataclass(frozen=True)
+class SimulationBatch:
+    """Results of a batch of simulations.
+
+    Attributes
+    ----------
+    outputs : (points, times, outputs)
+    messages : (points,)
+        Empty where a simulation reached its end, else a sentence.
+    codes : (points,)
+        See `workers.kernels.fmi.failure`.
+    linearisations
+        By point, where that was asked for and the simulation reached its end.
+    sensitivities
+        (parameters, times, outputs) by point, where sensitivities were asked for and to be had;
+        NaN for parameters by which there are none.
+    """
+
+    outputs: FloatArray
+    messages: list[str]
+    codes: IntArray
+    linearisations: dict[int, Linearisation] = field(default_factory=dict)
+    sensitivities: dict[int, FloatArray] = field(default_factory=dict)
+
+    @classmethod
+    def empty(cls, points: int, times: int, outputs: int) -> SimulationBatch:
+        """Make one of which nothing is simulated yet."""
+        return cls(
+            np.full((points, times, outputs), np.nan), [""] * points, np.zeros(points, np.int64)
+        )
