@@ -8,7 +8,6 @@ from typing import Any
 
 from cluster_est.cli.printing import read_facts
 from cluster_est.config.reader import Config
-from cluster_est.config.toml import to_toml
 from cluster_est.errors import RunFolderError
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.evaluation_log import LogSettings
@@ -17,6 +16,7 @@ from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, hash_config, versions
 from cluster_est.running.reset_policy import ResetDecision
 from cluster_est.running.sensitivity_policy import SensitivityDecision
+from cluster_est.toml import to_toml
 
 FINISHED = "done"
 

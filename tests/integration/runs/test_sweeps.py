@@ -14,7 +14,7 @@ import ray
 from support.problems.springs import ROOT
 
 from cluster_est.cli import main
-from cluster_est.config.toml import to_toml
+from cluster_est.toml import to_toml
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.run_folder.folder import RunFolder

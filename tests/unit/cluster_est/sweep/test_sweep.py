@@ -14,13 +14,13 @@ import pytest
 from support.spoiled import valid_tree, write_input
 
 from cluster_est import Problem, build_problem
-from cluster_est.config.toml import to_toml
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.running.resources import Resources
 from cluster_est.sweep.lock import LOCK, locked
 from cluster_est.sweep.matrix import read_sweep
 from cluster_est.sweep.pool import SharedPools
+from cluster_est.toml import to_toml
 from workers.messages import Task
 
 METHODS = {
