@@ -1,4 +1,4 @@
-"""What a closed loop found, for a terminal."""
+"""The result of a closed loop on a terminal."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Facts = Mapping[str, Any]
 
 
 def print_any_run(console: Console, run_folder: Path) -> None:
-    """A run of either kind.
+    """Print a run of either kind.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def print_any_run(console: Console, run_folder: Path) -> None:
 
 
 def print_loop(console: Console, run_folder: Path, facts: Facts) -> None:
-    """Verdict, effects, parameters, errors before and after, and what to know."""
+    """Print verdict, effects, parameters, errors before and after, and notes."""
     say(console, f"verdict: {facts['verdict']}: {facts['summary']}")
     say(
         console,
@@ -86,7 +86,7 @@ def _range(row: Facts) -> str:
 
 
 def _alternative(other: Facts) -> str:
-    """A rival, and where the data or another experiment would tell."""
+    """An alternative, and the experiment that would tell it apart."""
     text = f"{other['form']} at {other['site']}: {other['equation']}"
     if other["criterion"] is not None:
         text += f" (criterion {other['criterion']:+.1f})"
@@ -154,7 +154,7 @@ def _print_errors(console: Console, rows: list[dict[str, Any]], facts: Facts) ->
 
 
 def _print_rest(console: Console, facts: Facts) -> None:
-    """What was not explained, and where could be looked."""
+    """Print the effects that did not pass, the noise and the open sites."""
     for effect in facts["rejected"]:
         say(
             console,

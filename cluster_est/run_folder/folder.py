@@ -16,11 +16,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluster_est.closed_loop.findings import tables
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.errors import RunFolderError
 from cluster_est.problem.problem import Problem
-from cluster_est.results.output_errors import worse_than_constants
+from cluster_est.results.facts import fit_facts
 from cluster_est.results.result import Result
 from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
@@ -140,7 +139,7 @@ class RunFolder:
         self._table("parameters", [dataclasses.asdict(e) for e in result.estimates])
         self._table("errors", [dataclasses.asdict(e) for e in result.errors])
         self._write_fit(result)
-        self._write_status(_status(result), _numbers(result))
+        self._write_status(_status(result), fit_facts(result))
 
     def write_loop(self, result: LoopResult) -> None:
         """Write all tables of a closed loop: those of its last fit, and what it found."""
@@ -148,16 +147,11 @@ class RunFolder:
         for name in ("parameters", "errors", "findings", "effects", "shapes"):
             self._write_table(name, result.table(name))
         self._write_fit(result.final)
-        given = any(o.sigma != 1.0 for e in self._problem.experiments for o in e.outputs)
-        numbers = _numbers(result.after) | {
-            "cost_before": result.before.cost,
-            "evaluations": result.evaluations,
+        counted = {
             "simulations": int(sum(w["simulations"] for w in self._workers.values())),
             "failures": int(sum(w["failures"] for w in self._workers.values())),
-            "seconds": result.seconds,
-            "errors_over": "sigma" if given else "estimated noise",
         }
-        self._write_status("done", numbers | tables.facts(result))
+        self._write_status("done", {**result.facts(), **counted})
 
     def _write_fit(self, result: Result) -> None:
         """Iterations, workers, residuals and trajectories."""
@@ -243,32 +237,6 @@ def _status(result: Result) -> str:
     if result.interrupted:
         return "interrupted"
     return "done" if result.success else "not converged"
-
-
-def _numbers(result: Result) -> dict[str, Any]:
-    return {
-        "ending": result.solution.ending.name.lower(),
-        "message": result.message,
-        "cost_before": result.cost_before,
-        "cost": result.cost,
-        "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
-        "notes": _notes(result),
-        "iterations": result.solution.iterations,
-        "evaluations": result.evaluations,
-        "simulations": result.simulated,
-        "failures": result.failures,
-        "seconds": result.seconds,
-    }
-
-
-def _notes(result: Result) -> list[str]:
-    """What to know about the simulations and the uncertainty, in sentences."""
-    notes = list(result.problem.notes())
-    if result.uncertainty is not None:
-        notes += result.uncertainty.sentences
-    for profile in result.profiles:
-        notes += profile.sentences
-    return [*notes, *worse_than_constants(result.errors)]
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -10,7 +10,7 @@ from workers.messages import Effect
 
 
 def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
-    """What an effect adds to its site, or makes of the signal there.
+    """Return what an effect adds to its site, or makes of the signal there.
 
     "der(v) += -k * tanh(v / width)", "F -> F + k * F^2", "u -> delay(u, tau)". A coefficient that
     has the name of a variable in the equation carries the effect's name before it.

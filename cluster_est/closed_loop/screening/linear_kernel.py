@@ -7,7 +7,7 @@ from workers.kernels.fmi.calling import inlined, kernel
 
 @kernel
 def run_linear(keep, from_first, from_last, forcing, now, after):  # type: ignore[no-untyped-def]
-    """x' = keep x + from_first f + from_last f', from x = 0; the states take the forcing's place.
+    """Integrate x' = keep x + from_first f + from_last f' from x = 0, in place of the forcing.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.truth.stacked_noise import stack
 
-from cluster_est.closed_loop.findings.result import Verdict
+from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import judge
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.statistics.omnibus import OmnibusTest
