@@ -219,7 +219,7 @@ def close_loop(
                 seed,
                 keeper.record,
                 keeper.shown(line.show),
-                keeper.note,
+                note=keeper.note,
             )
             if keeper.folder is not None:
                 keeper.folder.write_loop(result)

@@ -56,7 +56,7 @@ class DetectionResult:
 
     @property
     def missing(self) -> bool:
-        """Whether some candidate explains more than noise, white or coloured, would let it."""
+        """Some candidate explains more than noise, white or coloured, would let it."""
         return max(self.p, self.p_white) <= self.significance
 
     @property
@@ -142,6 +142,7 @@ def add_effect(
     equation: str = "",
     variables: Sequence[str] = (),
     name: str = "",
+    *,
     start: Mapping[str, float] | None = None,
 ) -> Problem:
     """Add an effect to a problem, with its coefficients as parameters.

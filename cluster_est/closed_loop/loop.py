@@ -18,7 +18,8 @@ from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
-from cluster_est.closed_loop.selection.forward_selection import SelectionResult, forward_selection
+from cluster_est.closed_loop.selection.forward_selection import forward_selection
+from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
@@ -40,6 +41,7 @@ def close_loop(
     seed: int = 0,
     record: Record | None = None,
     show: Show | None = None,
+    *,
     note: Note | None = None,
 ) -> LoopResult:
     """Find what a model lacks, add it, and report the error before and after.
@@ -50,7 +52,7 @@ def close_loop(
         The declared model with its parameters and experiments. Experiments with role "test" choose
         nothing; they can only take a verdict away.
     resources
-        Where simulations run, and the budget.
+        Executor of the simulations, and the budget.
     settings
         Thresholds and sizes.
     seed

@@ -41,7 +41,7 @@ class LoopRequest:
     problem
         The declared model with its parameters and experiments.
     resources
-        Where simulations run, and the budget.
+        Executor of the simulations, and the budget.
     settings, seed
         Sizes and thresholds; the start of every random generator.
     record, show, note

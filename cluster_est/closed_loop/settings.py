@@ -17,7 +17,7 @@ class LoopSettings:
     significance
         Largest family-wise p-value at which something counts as missing.
     max_effects
-        How many effects may be added.
+        Largest number of effects that are added.
     forms
         Names of the forms to try, like "coulomb"; empty for the whole library.
     sites

@@ -11,7 +11,7 @@ class LoopStage(enum.Enum):
     Attributes
     ----------
     title
-        What it does, as in "stopped while ...".
+        A text for people, as in "stopped while ...".
     """
 
     title: str

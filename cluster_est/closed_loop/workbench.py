@@ -153,7 +153,7 @@ class LoopWorkbench:
     train
         Indices of the training experiments.
     records
-        How their residuals are stacked.
+        Of their residuals, stacked.
     synthetic
         For each kind, the index of each training experiment's copy.
     everything

@@ -33,6 +33,7 @@ class GivenPoints(Method):
     purpose: str
 
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
+        del space, generator  # the points are given
         found = tuple((yield Points(self.points, self.purpose)))
         ok = [i for i, evaluation in enumerate(found) if evaluation.ok]
         if not ok:

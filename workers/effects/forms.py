@@ -68,7 +68,7 @@ def _at(unit: str, scale: GridScale, *grid: float, held: bool = False) -> FormCo
 
 
 def _centre(unit: str, scale: GridScale) -> FormCoefficient:
-    """Where a parameter has its own value: a matter of words, so nothing to be fitted."""
+    """A place where a parameter has its own value: by definition, so nothing to be fitted."""
     return _at(unit, scale, 1.0, held=True)
 
 

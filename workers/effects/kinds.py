@@ -10,7 +10,7 @@ SiteKind = Literal["derivative", "pair", "input", "output", "parameter"]
 
 
 class GridScale(enum.Enum):
-    """What the entries of a coefficient's grid are multiples of, on the data at hand.
+    """The unit of the entries of a coefficient's grid, on the data at hand.
 
     v is the form's variable, or the signal at the site where it has none; s is that signal.
     """
@@ -56,6 +56,10 @@ class Condition(enum.Enum):
     """Its variable is an input or a measured signal."""
 
 
+FREE_FAMILY = "table"
+"""The family of free curves."""
+
+
 @dataclass(frozen=True)
 class FormCoefficient:
     """A parameter of a form.
@@ -73,11 +77,11 @@ class FormCoefficient:
         That it must be positive holds only where the form's variable is the state at whose
         derivative it acts: a drag on oneself takes energy out, one by another may push.
     scale
-        What the entries of `grid` are multiples of; None for a strength, which needs no grid.
+        The unit of the entries of `grid`; None for a strength, which needs no grid.
     grid
         Multiples of that scale that a search tries.
     held
-        Whether it stays at its value of the grid when the effect is fitted.
+        It stays at its value of the grid when the effect is fitted.
     unit
         In the words that `workers.effects.units` knows, such as "site / v^2".
     """
@@ -116,7 +120,7 @@ class EffectForm:
     coefficients
         Its own parameters.
     variables
-        How many variables it is a function of: 0, 1 or 2.
+        Number of variables that it is a function of: 0, 1 or 2.
     states
         Its own states.
     reaction
@@ -141,6 +145,11 @@ class EffectForm:
     memory: str = ""
     when: tuple[Condition, ...] = ()
     order: float = 0.0
+
+    @property
+    def free(self) -> bool:
+        """It is a free curve: it fits anything, and explains nothing."""
+        return self.family == FREE_FAMILY
 
 
 def positive(coefficient: FormCoefficient, *, own: bool) -> bool:

@@ -30,7 +30,7 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
 
     if form.memory:
         return f"{site.target} -> {form.memory}({site.target}, {coefficients[0]})"
-    if form.family == "table":
+    if form.free:
         return f"{site} += table of {names['v']} from low to high: {', '.join(coefficients[:-2])}"
     text = named(form.equation)
     if site.kind == "pair":

@@ -36,7 +36,7 @@ class EffectCandidate:
     Attributes
     ----------
     effect, form, site
-        What it is; two candidates with the same effect do not occur.
+        Of the candidate; two candidates with the same effect do not occur.
     own
         Its variable is the state at whose derivative it acts.
     grid
@@ -93,13 +93,13 @@ def make_candidates(
     Parameters
     ----------
     problem, description
-        What the FMU offers, and what is known already: an effect of the problem is no candidate.
+        Sites that the FMU offers, and effects that are known: those are no candidates.
     trajectories
         Of the training experiments, at the current fit.
     frequencies
         Angular frequencies of peaks in the residuals' spectra, for periodic effects.
     settings
-        Which forms and sites to try.
+        Forms and sites to try, and thresholds.
     """
     thresholds = settings.thresholds.candidates
     scales = SignalScales(trajectories, frequencies, thresholds)

@@ -97,7 +97,7 @@ class LoopResult:
 
     @property
     def success(self) -> bool:
-        """Whether the last fit reached a solution; what was found is said by `verdict`."""
+        """The last fit reached a solution; `verdict` says what was found."""
         return self.after.success
 
     @property
@@ -212,11 +212,11 @@ class LoopResult:
         return self.final.trajectories
 
     def __str__(self) -> str:
-        """What `print` shows."""
+        """Return the text for `print`."""
         return notebook.plain(self._title, *self._display)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """Return the HTML for a notebook."""
         return notebook.section(self._title, *self._display)
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.closed_loop.selection.forward_selection import RejectionReason, SelectionResult
+from cluster_est.closed_loop.selection.rounds import RejectionReason, SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import LoopWorkbench
 
@@ -29,7 +29,7 @@ def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
         return _nothing_added(found, lack, workbench.settings)
     training, predicted = _closed(workbench, found)
     closed = min(training, predicted)
-    tables = any(c.form.family == "table" for c in found.current.added)
+    tables = any(c.form.free for c in found.current.added)
     share = f"the effects close {training:.0%} of the gap between error and noise"
     if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
         share += f", and {max(predicted, 0.0):.0%} in records that were left out to be predicted"

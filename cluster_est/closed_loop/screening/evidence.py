@@ -29,7 +29,7 @@ class CandidateEvidence:
     step
         1 for the search for the first effect, and so on.
     site, form, family, variables
-        What it is: "der(v)", "coulomb", "friction", ("v",).
+        Of the effect: "der(v)", "coulomb", "friction", ("v",).
     statistic, freedom
         Score statistic and its degrees of freedom.
     log_p
@@ -39,7 +39,7 @@ class CandidateEvidence:
     distinct
         Norm of its direction outside the declared parameters, over that before.
     stage
-        How far it came.
+        The last one that it reached.
     criterion
         Bayesian information criterion of its refit minus that of the model without it; NaN where
         it was not refitted.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -34,7 +35,7 @@ class ScreeningResult:
     columns
         The direction of each trial, (kept residuals, width).
     rows
-        Which residuals were kept.
+        Indices of the residuals that were kept.
     plain, white
         Scores against the residual as it is, and after both were whitened by an autoregression.
     omnibus, omnibus_white
@@ -73,7 +74,7 @@ class ScreeningResult:
         best: dict[str, int] = {}
         for i in np.argsort(-rank, kind="stable").tolist():
             trial = self.trials[i]
-            if scores.df[i] and (tables or trial.candidate.form.family != "table"):
+            if scores.df[i] and (tables or not trial.candidate.form.free):
                 best.setdefault(trial.candidate.effect.name, i)
         return list(best.values())[:most]
 
@@ -95,39 +96,65 @@ def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> Screenin
     trials = tuple(CandidatePoint(c, values) for c in candidates for values in c.grid)
     records, rows = thinned(workbench.records, thresholds.most_rows)
     columns = tuple(column[rows] for column in _columns(workbench, fitted, trajectories, trials))
-    matrix, residuals = fitted.jacobian[rows], fitted.residuals[rows]
-    projection = OrthogonalProjection(matrix)
-    plain = score(projection, residuals, columns, thresholds.confounded)
-    coefficients = fit_autoregression(
-        projection.remove(residuals), records, thresholds.autoregression
-    )
-    white_columns = [whiten(column, records, coefficients) for column in columns]
-    white_projection = OrthogonalProjection(whiten(matrix, records, coefficients))
-    white_residuals = whiten(residuals, records, coefficients)
-    white = score(white_projection, white_residuals, white_columns, thresholds.confounded)
+    kept = _TestedRows(fitted.jacobian[rows], fitted.residuals[rows], columns)
+    cleaned = kept.projection.remove(kept.residuals)
+    coefficients = fit_autoregression(cleaned, records, thresholds.autoregression)
+    white = kept.whitened(records, coefficients)
+    streams = [workbench.generator(10 * step + stream) for stream in (2, 3, 4, 5)]
     draws = workbench.settings.draws
-
-    def smooth(cleaned: OrthogonalProjection, left: FloatArray, stream: int) -> OmnibusTest:
-        return omnibus(
-            cleaned,
-            left,
-            records,
-            workbench.generator(10 * step + stream),
-            draws=thresholds.omnibus_draws,
-            lengths=thresholds.omnibus_lengths,
-        )
-
+    plain_scores, white_scores = (
+        score(each.projection, each.residuals, each.columns, thresholds.confounded)
+        for each in (kept, white)
+    )
     return ScreeningResult(
         trials=trials,
         columns=columns,
         rows=rows,
-        plain=plain,
-        white=white,
-        omnibus=smooth(projection, residuals, 2),
-        omnibus_white=smooth(white_projection, white_residuals, 5),
-        p=family_wise(plain, workbench.generator(10 * step + 3), draws).p,
-        p_white=family_wise(white, workbench.generator(10 * step + 4), draws).p,
+        plain=plain_scores,
+        white=white_scores,
+        omnibus=_smooth(kept, records, streams[0], thresholds),
+        omnibus_white=_smooth(white, records, streams[3], thresholds),
+        p=family_wise(plain_scores, streams[1], draws).p,
+        p_white=family_wise(white_scores, streams[2], draws).p,
         column_penalty=thresholds.column_penalty,
+    )
+
+
+@dataclass(frozen=True)
+class _TestedRows:
+    """The rows that are tested: sensitivities, residuals and the candidates' columns."""
+
+    matrix: FloatArray
+    residuals: FloatArray
+    columns: Sequence[FloatArray]
+
+    @cached_property
+    def projection(self) -> OrthogonalProjection:
+        return OrthogonalProjection(self.matrix)
+
+    def whitened(self, records: StackedRecords, coefficients: FloatArray) -> _TestedRows:
+        """Whiten all of them by the same autoregression."""
+        return _TestedRows(
+            whiten(self.matrix, records, coefficients),
+            whiten(self.residuals, records, coefficients),
+            [whiten(column, records, coefficients) for column in self.columns],
+        )
+
+
+def _smooth(
+    tested: _TestedRows,
+    records: StackedRecords,
+    generator: np.random.Generator,
+    thresholds: ScreeningThresholds,
+) -> OmnibusTest:
+    """The omnibus test of a residual."""
+    return omnibus(
+        tested.projection,
+        tested.residuals,
+        records,
+        generator,
+        thresholds.omnibus_draws,
+        thresholds.omnibus_lengths,
     )
 
 

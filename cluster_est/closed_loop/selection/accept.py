@@ -109,7 +109,7 @@ def stays_bounded(workbench: LoopWorkbench, fitted: FittedModel, trusted: Fitted
 
 
 def _reach(output: Output, residuals: FloatArray, mean: float) -> float:
-    """How far from a mean a simulated output goes."""
+    """Largest distance of a simulated output from a mean."""
     return float(np.abs(output.values - output.sigma * residuals - mean).max())
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,39 +19,17 @@ from cluster_est.closed_loop.selection.refine import (
     refit,
 )
 from cluster_est.closed_loop.selection.revise import Rivals, revise
+from cluster_est.closed_loop.selection.rounds import (
+    RejectionReason,
+    SelectionResult,
+    SelectionRound,
+)
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.statistics.noise import estimate_noise
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
 
 AGAIN = LeastSquares(trials=2, max_iterations=15, ftol=1e-6, xtol=1e-7, differences="forward")
-
-
-class RejectionReason(enum.StrEnum):
-    """The reason why a round added nothing; its text is what the summary says."""
-
-    NOT_SIGNIFICANT = "nothing significant"
-    COLOURED_NOISE = "coloured noise"
-    LIMIT_OF_EFFECTS = "limit of effects"
-    NO_IMPROVEMENT = "no candidate improves the fit and stays bounded"
-    LITTLE_GAIN = "the gain does not pay for the choice among so many candidates"
-    NOT_PREDICTED = "left-out experiments are not predicted better"
-    LITTLE_EXPLAINED = "it explains too little of what is missing"
-
-
-@dataclass(frozen=True)
-class SelectionRound:
-    """One round: what was seen at a model, and what came of it.
-
-    `why` is why nothing was added; None where something was. `gain` is that of the criterion,
-    `closed` the share of the gap to the noise that was closed.
-    """
-
-    screening: ScreeningResult = field(repr=False)
-    contenders: tuple[RefittedCandidate, ...] = field(repr=False)
-    why: RejectionReason | None
-    gain: float = np.nan
-    closed: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -67,43 +44,11 @@ class _RoundStart:
 
 @dataclass(frozen=True)
 class _RoundEnd:
-    """What came of a round; what won and its prediction are None where nothing was added."""
+    """The end of a round; the winner and its prediction are None where nothing was added."""
 
     seen: SelectionRound
     won: RefittedCandidate | None = None
     prediction: LeaveOneOutPrediction | None = None
-
-
-@dataclass(frozen=True)
-class SelectionResult:
-    """Where the search ended.
-
-    Attributes
-    ----------
-    base, current
-        The declared model, and the one with all effects that were added.
-    base_prediction, prediction
-        Leave-one-out predictions of both.
-    rivals
-        For each added effect, by name, the contenders that it won against.
-    steps, findings
-        What was seen on the way.
-    noise
-        Of each output, in units of its residual.
-    """
-
-    base: FittedModel = field(repr=False)
-    current: FittedModel = field(repr=False)
-    base_prediction: LeaveOneOutPrediction = field(repr=False)
-    prediction: LeaveOneOutPrediction = field(repr=False)
-    rivals: Rivals = field(repr=False)
-    steps: tuple[SelectionRound, ...] = field(repr=False)
-    findings: tuple[CandidateEvidence, ...] = field(repr=False)
-    noise: np.ndarray
-
-    @property
-    def last(self) -> SelectionRound:
-        return self.steps[-1]
 
 
 def forward_selection(
@@ -162,7 +107,7 @@ def _round(workbench: LoopWorkbench, begun: _RoundStart) -> _RoundEnd:
     if stop is not None:
         return _RoundEnd(SelectionRound(screening, (), stop))
     contenders = refit(workbench, begun.model, screening, begun.floor)
-    named = [c for c in contenders if c.candidate.form.family != "table"]
+    named = [c for c in contenders if not c.candidate.form.free]
     single = _best_of(workbench, begun, named)
     thresholds = workbench.thresholds.selection
     if not settings.pairs or (single.won is not None and single.seen.closed >= thresholds.hard):
@@ -171,7 +116,7 @@ def _round(workbench: LoopWorkbench, begun: _RoundStart) -> _RoundEnd:
         return single
     pair = _best_of(workbench, begun, refit_pairs(workbench, begun.model, screening))
     if single.won is None and pair.won is None:  # a free table fits anything, so it comes last
-        tables = [c for c in contenders if c.candidate.form.family == "table"]
+        tables = [c for c in contenders if c.candidate.form.free]
         return _best_of(workbench, begun, tables)
     if pair.won is None:
         return single

@@ -38,7 +38,7 @@ def best_pairs(
     scores = screening.plain
     usable = [
         i for i in np.argsort(-scores.statistics, kind="stable").tolist()
-        if scores.df[i] == 1 and screening.trials[i].candidate.form.family != "table"
+        if scores.df[i] == 1 and not screening.trials[i].candidate.form.free
     ][: thresholds.leaders]  # fmt: skip
     if len(usable) < 2:
         return []

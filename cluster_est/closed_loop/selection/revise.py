@@ -62,7 +62,7 @@ def _swap(
     screening = screen(workbench, rest, 50 + position)
     contenders = [
         c for c in refit(workbench, rest, screening, floor, wide=False)
-        if c.candidate.form.family != "table"
+        if not c.candidate.form.free
     ]  # fmt: skip
     swap = workbench.thresholds.revision.swap
     if not contenders or contenders[0].criterion >= grown.criterion(workbench.records) - swap:

@@ -96,7 +96,7 @@ def test_scales_and_order_do_not_matter() -> None:
     )
 
 
-def test_what_parameters_imitate_is_set_aside() -> None:
+def test_what_is_confounded_with_parameters_is_set_aside() -> None:
     generator = np.random.default_rng(14)
     matrix = sensitivities(generator)
     projection = OrthogonalProjection(matrix)

@@ -35,7 +35,8 @@ class Case:
         before = np.full(4, self.base * FLOOR / 4)
         after = np.full(4, (self.now if np.isnan(self.left_out) else self.left_out) * FLOOR / 4)
         added = tuple(
-            SimpleNamespace(form=SimpleNamespace(family=family)) for family in self.families
+            SimpleNamespace(form=SimpleNamespace(free=family == "table"))
+            for family in self.families
         )
         screening = SimpleNamespace(
             p=0.2, p_white=0.3, omnibus=self.omnibus, omnibus_white=self.white or self.omnibus
