@@ -35,3 +35,12 @@ class LoopStage(enum.Enum):
     SWAP = "swap", "revising the effects"
     DROP = "drop", "revising the effects"
     FINAL = "final", "the final fits"
+
+
+def stage_title(search: str) -> str:
+    """Return what a person reads of a search, by its name in the log; the name if it is no stage's.
+
+    The final fits have searches of their own beside "final", such as "before" and "after".
+    """
+    titles = {stage.value: stage.title for stage in LoopStage}
+    return titles.get(search, search)

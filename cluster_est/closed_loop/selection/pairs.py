@@ -12,8 +12,8 @@ import numpy as np
 from cluster_est.closed_loop.screening.screen import ScreeningResult
 from cluster_est.closed_loop.selection.refine import (
     RefittedCandidate,
-    contest,
     joint_step,
+    successive_halving,
     values_at,
 )
 from cluster_est.closed_loop.thresholds import PairThresholds, RefinementThresholds
@@ -27,7 +27,7 @@ def refit_pairs(
     thresholds = workbench.thresholds
     found = best_pairs(screening, thresholds.pairs)
     starts = [_start(current, screening, pair, thresholds.refinement) for pair in found]
-    return contest(workbench, starts) if starts else []
+    return successive_halving(workbench, starts) if starts else []
 
 
 def best_pairs(

@@ -69,19 +69,21 @@ def refit(
     leaders = screening.leaders(screening.plain, 2 * trials)
     white = screening.leaders(screening.white, thresholds.white_leaders)
     first = list(dict.fromkeys([*leaders[:trials], *white]))
-    starts = _try(workbench, current, screening, first)
+    starts = _first_steps(workbench, current, screening, first)
     chosen, left = _mixed(starts, count)
-    contenders = contest(workbench, chosen)
+    contenders = successive_halving(workbench, chosen)
     if not wide or _closes(current, contenders, floor, thresholds.closes):
         return contenders
     later = [i for i in leaders[trials:] if i not in first]
-    left += _try(workbench, current, screening, later)
+    left += _first_steps(workbench, current, screening, later)
     left.sort(key=lambda pair: pair[0])
-    contenders += contest(workbench, [start for _, start in left[:count]])
+    contenders += successive_halving(workbench, [start for _, start in left[:count]])
     return sorted(contenders, key=lambda c: c.criterion)
 
 
-def contest(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list[RefittedCandidate]:
+def successive_halving(
+    workbench: LoopWorkbench, starts: Sequence[FitStart]
+) -> list[RefittedCandidate]:
     """Refit all a little, the better half more, and the best to convergence; the best first."""
     lost: list[RefittedCandidate] = []
     finalists = workbench.thresholds.refinement.finalists
@@ -146,7 +148,7 @@ def _mixed(
     return [start for _, start in chosen], rest[count - ranked :]
 
 
-def _try(
+def _first_steps(
     workbench: LoopWorkbench,
     current: FittedModel,
     screening: ScreeningResult,
