@@ -222,6 +222,20 @@ class LoopWorkbench:
                     values[label.replace(f"[{ids[0]}]", f"[{ids[1]}]")] = value
         return make_space(problem, experiments, starts=values)
 
+    def measured_estimates(self, fitted: FittedModel, kind: SyntheticKind) -> dict[str, float]:
+        """Relabel estimates on synthetic experiments as those of the measured ones; see `space`."""
+        experiments = self.everything.experiments
+        names = {
+            experiments[copy].id: experiments[own].id
+            for own, copy in zip(self.train, self.synthetic[kind], strict=True)
+        }
+        values = {}
+        for label, value in fitted.estimates.items():
+            name, _, scope = label.partition("[")
+            scope = scope.removesuffix("]")
+            values[f"{name}[{names.get(scope, scope)}]" if scope else name] = value
+        return values
+
     def fit(
         self,
         stage: LoopStage,

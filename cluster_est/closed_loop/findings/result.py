@@ -169,6 +169,7 @@ class LoopResult:
     def facts(self) -> Mapping[str, Any]:
         """Return what run.json says of it, besides what the run's folder knows itself."""
         return fit_facts(self.after) | {
+            "status": "done",
             "cost_before": self.before.cost,
             "evaluations": self.evaluations,
             "simulations": self.simulated,

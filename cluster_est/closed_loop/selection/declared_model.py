@@ -14,7 +14,7 @@ from scipy.stats import qmc
 
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.statistics.noise import estimate_noise
-from cluster_est.closed_loop.synthetic_experiments import Shortened, shortened_kinds
+from cluster_est.closed_loop.synthetic_experiments import shortened_kinds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.method import LeastSquares
@@ -68,7 +68,7 @@ def _grow(workbench: LoopWorkbench, start: FitStart) -> list[FittedModel | None]
         fits = workbench.fit(LoopStage.DECLARED_MODEL, starts, BRIEF, horizon)
         alive = sorted((f for f in fits if f is not None), key=lambda f: f.sse)
         starts = [
-            FitStart(start.problem, _own_labels(workbench, f, horizon), start.added)
+            FitStart(start.problem, workbench.measured_estimates(f, horizon), start.added)
             for f in _distinct(alive, thresholds.distinct)[:survivors]
         ]
     return workbench.fit(LoopStage.DECLARED_MODEL, starts, THOROUGH)
@@ -105,20 +105,3 @@ def _distinct(fits: Sequence[FittedModel], distance: float) -> list[FittedModel]
         if all(np.abs((fit.x - other.x) / sizes).max() > distance for other in kept):
             kept.append(fit)
     return kept
-
-
-def _own_labels(
-    workbench: LoopWorkbench, fitted: FittedModel, horizon: Shortened
-) -> dict[str, float]:
-    """Estimates with the labels of the experiments themselves instead of the shortened ones'."""
-    experiments = workbench.everything.experiments
-    names = {
-        experiments[copy].id: experiments[own].id
-        for own, copy in zip(workbench.train, workbench.synthetic[horizon], strict=True)
-    }
-    values = {}
-    for label, value in fitted.estimates.items():
-        name, _, scope = label.partition("[")
-        scope = scope.removesuffix("]")
-        values[f"{name}[{names.get(scope, scope)}]" if scope else name] = value
-    return values
