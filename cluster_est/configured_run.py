@@ -82,10 +82,11 @@ class ConfiguredLoop(ConfiguredRun):
 
     def compute(self, environment: RunEnvironment) -> LoopResult:
         """Find what the model lacks."""
-        from cluster_est.closed_loop.loop import close_loop_in  # needs SymPy, which is slow
+        from cluster_est.closed_loop.loop import run_loop  # needs SymPy, which is slow
+        from cluster_est.closed_loop.prepare import LoopRequest
 
         settings, identity = build_settings(self.config), self.identity
-        return close_loop_in(environment, identity.problem, settings, identity.seed)
+        return run_loop(LoopRequest(identity.problem, environment, settings, identity.seed))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ Facts = Mapping[str, Any]
 
 
 def print_any_run(console: Console, run_folder: Path) -> None:
-    """A run of either kind.
+    """Print a run of either kind.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def _range(row: Facts) -> str:
 
 
 def _alternative(other: Facts) -> str:
-    """A rival, and where the data or another experiment would tell."""
+    """An alternative, and the experiment that would tell it apart."""
     text = f"{other['form']} at {other['site']}: {other['equation']}"
     if other["criterion"] is not None:
         text += f" (criterion {other['criterion']:+.1f})"
@@ -148,7 +148,7 @@ def _print_errors(console: Console, rows: list[dict[str, Any]], facts: Facts) ->
 
 
 def _print_rest(console: Console, facts: Facts) -> None:
-    """Print the residual that is left, and the places that could be looked at."""
+    """Print the effects that did not pass, the noise and the open sites."""
     for effect in facts["rejected"]:
         say(
             console,

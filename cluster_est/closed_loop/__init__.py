@@ -1,4 +1,4 @@
-"""What a model lacks: detect, locate, name, add, refit, and the errors before and after.
+"""Effects that a model lacks: screen, refine, add, refit, and the errors before and after.
 
 Read `loop.py` first.
 """

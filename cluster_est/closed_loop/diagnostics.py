@@ -1,4 +1,4 @@
-"""The parts of a closed loop, for those who want to look on their own."""
+"""Diagnostics of a fitted model, and effects added to a problem by hand."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.scales import SignalScales
-from cluster_est.closed_loop.prepare import open_bench
-from cluster_est.closed_loop.screening.evidence import CandidateEvidence
+from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
+from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, screen
 from cluster_est.closed_loop.selection.declared_model import fit_declared
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.statistics.noise import estimate_noise
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.config.effects import build_effects
-from cluster_est.config.reader import CoefficientSection, EffectSection
+from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.problem import Problem
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources
@@ -28,7 +27,7 @@ from workers.effects.site import EffectSite, check_site, parse_site
 
 @dataclass(frozen=True)
 class DetectionResult:
-    """Whether something is missing from a fitted model.
+    """The evidence that something is missing from a fitted model.
 
     Attributes
     ----------
@@ -40,12 +39,12 @@ class DetectionResult:
     p_structure
         The same for any smooth structure, whatever its shape: it needs no candidates.
     candidates
-        How many effects were compared that the parameters do not imitate.
+        Number of effects that were compared and that the parameters do not confound.
     noise, rms
         Estimated standard deviation of each output's noise, and root mean square of its residual,
         in the output's unit.
     significance
-        What the p-values were compared with.
+        Level that the p-values were compared with.
     """
 
     p: float
@@ -58,7 +57,7 @@ class DetectionResult:
 
     @property
     def missing(self) -> bool:
-        """Whether some candidate explains more than noise, white or coloured, would let it."""
+        """Some candidate explains more than noise, white or coloured, would let it."""
         return max(self.p, self.p_white) <= self.significance
 
     @property
@@ -95,8 +94,8 @@ def detect(
     ClusterEstError
         As `close_loop`.
     """
-    with _screened(problem, resources, settings, seed) as (bench, fitted, screening):
-        records = bench.records
+    with _screened(problem, resources, settings, seed) as (workbench, fitted, screening):
+        records = workbench.records
         parts = [fitted.residuals[records.of_output(o)] for o in range(len(records.outputs))]
         rms = np.array([np.sqrt(np.mean(part**2)) if len(part) else np.nan for part in parts])
         return DetectionResult(
@@ -104,9 +103,9 @@ def detect(
             p_white=screening.p_white,
             p_structure=screening.omnibus.p,
             candidates=screening.count,
-            noise=bench.noise_in_units(estimate_noise(fitted.residuals, records)),
-            rms=bench.noise_in_units(rms),
-            significance=bench.settings.significance,
+            noise=workbench.noise_in_units(estimate_noise(fitted.residuals, records)),
+            rms=workbench.noise_in_units(rms),
+            significance=workbench.settings.significance,
         )
 
 
@@ -119,8 +118,8 @@ def locate(
     """Fit a problem and rank what could be missing, and where, by a first small step.
 
     The ranking is a hint, not a decision: a large effect changes what its own first step looks
-    like. `close_loop` simulates and refits the leaders. Candidates that the declared parameters
-    imitate come last.
+    like. `close_loop` simulates and refits the leaders. Candidates that are confounded with the
+    declared parameters come last.
 
     Parameters
     ----------
@@ -134,7 +133,7 @@ def locate(
     """
     with _screened(problem, resources, settings, seed) as (_, fitted, screening):
         found = findings(screening, fitted, 1).values()
-        return tuple(sorted(found, key=lambda f: (f.stage == "set aside", f.log_p)))
+        return tuple(sorted(found, key=lambda f: (f.stage is CandidateStage.SET_ASIDE, f.log_p)))
 
 
 def add_effect(
@@ -144,6 +143,7 @@ def add_effect(
     equation: str = "",
     variables: Sequence[str] = (),
     name: str = "",
+    *,
     start: Mapping[str, float] | None = None,
 ) -> Problem:
     """Add an effect to a problem, with its coefficients as parameters.
@@ -155,13 +155,13 @@ def add_effect(
     Parameters
     ----------
     problem
-        What it is added to.
+        The one that it is added to.
     site
         "der(v)", "pair v,w", "input F", "output y" or "parameter k".
     form, equation
         A form of the library, or an equation in the FMU's names; one of the two.
     variables
-        What a form is a function of; empty for the state of der(STATE).
+        Arguments of a form; empty for the state of der(STATE).
     name
         Of the effect; the form if empty.
     start
@@ -179,21 +179,16 @@ def add_effect(
         held = tuple(c.name for c in missing if c.held)
         if missing:
             starts |= _sized(problem, site, form, tuple(variables), missing)
-    section = EffectSection(
-        name=name,
-        site=site,
-        form=form,
-        equation=equation,
-        variables=list(variables),
-        parameters={
-            key: CoefficientSection(start=float(value), fixed=key in held)
-            for key, value in starts.items()
-        },
+    coefficients = {
+        key: DeclaredCoefficient(start=float(value), fixed=key in held)
+        for key, value in starts.items()
+    }
+    effect, parameters = make_effect(
+        DeclaredEffect(name, site, form, equation, tuple(variables), coefficients)
     )
-    effects, parameters = build_effects((section,))
     grown = replace(
         problem,
-        effects=(*problem.effects, *effects),
+        effects=(*problem.effects, effect),
         parameters=(*problem.parameters, *parameters),
     )
     grown.describe()
@@ -205,10 +200,12 @@ def _screened(
     problem: Problem, resources: Resources | None, settings: LoopSettings | None, seed: int
 ) -> Iterator[tuple[LoopWorkbench, FittedModel, ScreeningResult]]:
     """The declared model fitted, and every candidate against its residual."""
-    given = settings or LoopSettings()
-    with open_bench(problem, RunEnvironment(resources or Resources()), given, seed) as bench:
-        fitted = fit_declared(bench, FitStart(bench.problem, {}))
-        yield bench, fitted, screen(bench, fitted, 1)
+    request = LoopRequest(
+        problem, RunEnvironment(resources or Resources()), settings or LoopSettings(), seed
+    )
+    with open_workbench(request) as workbench:
+        fitted = fit_declared(workbench, FitStart(workbench.problem, {}))
+        yield workbench, fitted, screen(workbench, fitted, 1)
 
 
 def _unstarted(
@@ -233,17 +230,17 @@ def _sized(
     place = parse_site(site, "site")
     chosen = find_form(place.kind, name, "form")
     about = variables or _own(place, chosen)
-    with open_bench(problem, RunEnvironment(), LoopSettings(), 0) as bench:
-        space = bench.space(FitStart(bench.problem, {}))
+    with open_workbench(LoopRequest(problem)) as workbench:
+        space = workbench.space(FitStart(workbench.problem, {}))
         nothing = np.zeros(0)
-        courses = bench.courses(FittedModel(space, space.start, nothing, nothing))
-        scales = SignalScales(courses, ())
+        trajectories = workbench.trajectories(FittedModel(space, space.start, nothing, nothing))
+        scales = SignalScales(trajectories, ())
         grids = {c.name: scales.grid(c, place, about) for c in missing}
     return {name: grid[len(grid) // 2] for name, grid in grids.items() if grid}
 
 
 def _own(site: EffectSite, chosen: EffectForm) -> tuple[str, ...]:
-    """What a form at a derivative is a function of by itself."""
+    """The variable of a form at a derivative where none is named."""
     return (" - ".join(site.targets),) if chosen.variables == 1 and site.at_rates else ()
 
 

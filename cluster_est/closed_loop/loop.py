@@ -1,4 +1,4 @@
-"""The recipe of the closed loop: fit, detect, locate, name, add, refit, report before and after.
+"""The recipe of the closed loop: fit, screen, refine, add, refit, report before and after.
 
 References: score tests with the declared parameters projected out follow C. R. Rao, Proc. Cambridge
 Philos. Soc. 44 (1948) 50-57, doi:10.1017/S0305004100023987; growing a model where its residual
@@ -8,17 +8,20 @@ points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.effect_curves import draw_effects
-from cluster_est.closed_loop.findings.result import LoopResult, Verdict
+from cluster_est.closed_loop.findings.effect_curves import effect_curves
+from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
-from cluster_est.closed_loop.prepare import open_bench
-from cluster_est.closed_loop.selection.forward_selection import SelectionResult, search
+from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
+from cluster_est.closed_loop.selection.forward_selection import forward_selection
+from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.fit import complete, simulate_all
 from cluster_est.methods.least_squares.method import LeastSquares
@@ -50,7 +53,7 @@ def close_loop(
         The declared model with its parameters and experiments. Experiments with role "test" choose
         nothing; they can only take a verdict away.
     resources
-        Where simulations run, and the budget.
+        Executor of the simulations, and the budget.
     settings
         Thresholds and sizes.
     seed
@@ -65,20 +68,11 @@ def close_loop(
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
     environment = RunEnvironment(resources or Resources(), Monitor(record, show, note))
-    return close_loop_in(environment, problem, settings or LoopSettings(), seed)
+    return run_loop(LoopRequest(problem, environment, settings or LoopSettings(), seed))
 
 
-def close_loop_in(
-    environment: RunEnvironment, problem: Problem, settings: LoopSettings, seed: int
-) -> LoopResult:
+def run_loop(request: LoopRequest) -> LoopResult:
     """Close the loop with workers, listeners and a budget that somebody else has chosen.
-
-    Parameters
-    ----------
-    environment
-        All that surrounds the loop.
-    problem, settings, seed
-        As of `close_loop`.
 
     Raises
     ------
@@ -86,78 +80,83 @@ def close_loop_in(
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
     begin = time.monotonic()
-    with open_bench(problem, environment, settings, seed) as bench:
-        found = search(bench, FitStart(bench.problem, {}))
-        judgement = judge(bench, found)
-        report = _report(bench, found, judgement, begin)
+    given = any(o.sigma != 1.0 for e in request.problem.experiments for o in e.outputs)
+    over = ErrorScale.SIGMA if given else ErrorScale.ESTIMATED_NOISE
+    with open_workbench(request) as workbench:
+        found = forward_selection(workbench, FitStart(workbench.problem, {}))
+        report = _report(workbench, found, over, begin)
     return replace(report, seconds=time.monotonic() - begin)
 
 
-@dataclass(frozen=True)
-class _FittedModels:
-    """The declared and the final model, fitted to convergence and simulated everywhere."""
-
-    before: Result
-    after: Result
-
-    @property
-    def worse(self) -> bool:
-        """Whether the held-out error has grown."""
-        old, new = self.before.rmse("test"), self.after.rmse("test")
-        return bool(np.isfinite(old) and not new <= old)
-
-
 def _report(
-    bench: LoopWorkbench, found: SelectionResult, judgement: ReasonedVerdict, begin: float
+    workbench: LoopWorkbench, found: SelectionResult, errors_over: ErrorScale, begin: float
 ) -> LoopResult:
-    """Final fits, the held-out veto, and everything in words."""
-    before = _final(bench, found.base, begin)
+    """Judge, fit to convergence, let the held-out experiments veto, and put it into words."""
+    judged = judge(workbench, found)
+    before = _final(workbench, found.base, begin)
+    grown = _final(workbench, found.current, begin) if found.current.added else before
+    judgement = _with_veto(judged, before, grown)
     keep = judgement.verdict in (Verdict.FOUND, Verdict.PARTIAL)
-    grown = _final(bench, found.current, begin) if found.current.added else before
-    fits = _FittedModels(before, grown)
-    if keep and fits.worse:
-        old, new = before.rmse("test"), grown.rmse("test")
-        judgement = ReasonedVerdict(
-            Verdict.UNEXPLAINED,
-            f"{judgement.reason}; but the held-out error would grow from {old:.4g} to {new:.4g} "
-            "sigma, so nothing was added",
-            judgement.closed,
-        )
-        keep = False
-    named = describe_effects(bench, found, grown)
-    notes = bench.notes
-    if judgement.verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
-        notes = (*notes, where_left(bench, found.current if keep else found.base))
+    named = describe_effects(workbench, found, grown)
     after = grown if keep else before
-    if after.uncertainty is not None:
-        notes = (*notes, *after.uncertainty.sentences)
-    drawn = draw_effects(bench, found.current, grown) if keep else ()
+    curves = effect_curves(workbench, found.current, grown) if keep else ()
     return LoopResult(
         verdict=judgement.verdict,
         summary=judgement.reason,
         effects=named if keep else (),
         before=before,
         after=after,
-        errors=error_changes(bench, found, before, after),
+        errors=error_changes(workbench, found, before, after),
         findings=found.findings,
         rejected=() if keep else named,
-        noise=bench.noise_in_units(found.noise),
-        sites=bench.sites,
-        notes=notes,
-        simulations=bench.meter.full,
-        simulated=bench.runner.simulations,
-        evaluations=bench.runner.evaluations,
-        failures=bench.runner.failures,
+        noise=workbench.noise_in_units(found.noise),
+        sites=workbench.sites,
+        notes=_notes(workbench, judgement.verdict, found.current if keep else found.base, after),
+        simulations=workbench.meter.full,
+        simulated=workbench.runner.simulations,
+        evaluations=workbench.runner.evaluations,
+        failures=workbench.runner.failures,
         seconds=0.0,
-        drawn=drawn,
+        curves=curves,
+        errors_over=errors_over,
     )
 
 
-def _final(bench: LoopWorkbench, fitted: FittedModel, begin: float) -> Result:
+def _with_veto(judged: ReasonedVerdict, before: Result, grown: Result) -> ReasonedVerdict:
+    """The verdict, unless what is to be added makes the held-out error grow."""
+    old, new = before.rmse("test"), grown.rmse("test")
+    kept = judged.verdict in (Verdict.FOUND, Verdict.PARTIAL)
+    if not kept or not np.isfinite(old) or new <= old:
+        return judged
+    return ReasonedVerdict(
+        Verdict.UNEXPLAINED,
+        f"{judged.reason}; but the held-out error would grow from {old:.4g} to {new:.4g} "
+        "sigma, so nothing was added",
+        judged.closed,
+    )
+
+
+def _notes(
+    workbench: LoopWorkbench, verdict: Verdict, fitted: FittedModel, after: Result
+) -> tuple[str, ...]:
+    """Sentences for the reader."""
+    notes = workbench.notes
+    if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
+        notes = (*notes, where_left(workbench, fitted))
+    if after.uncertainty is not None:
+        notes = (*notes, *after.uncertainty.sentences)
+    return notes
+
+
+def _final(workbench: LoopWorkbench, fitted: FittedModel, begin: float) -> Result:
     """Fit to convergence from where the search ended, and simulate every experiment."""
-    space = bench.space(fitted.start)
-    (solution,) = bench.runner.run([SearchRequest("final", FINAL, space, bench.seed)])
-    units = {n: v.unit for n, v in bench.description.variables.items()}
-    start = simulate_all(bench.runner, fitted.problem, {})
-    known = examine(bench.runner, space, solution)
-    return complete(bench.runner, space, solution, FINAL, start, units, bench.seed, begin, known)
+    space = workbench.space(fitted.start)
+    (solution,) = workbench.runner.run(
+        [SearchRequest(LoopStage.FINAL.value, FINAL, space, workbench.seed)]
+    )
+    units = {n: v.unit for n, v in workbench.description.variables.items()}
+    start = simulate_all(workbench.runner, fitted.problem, {})
+    known = examine(workbench.runner, space, solution)
+    return complete(
+        workbench.runner, space, solution, FINAL, start, units, workbench.seed, begin, known
+    )

@@ -1,25 +1,24 @@
-"""Everything that stands ready before the loop begins: workers, rehearsals, weights, notes."""
+"""Preparation of a closed loop: workers, synthetic experiments, weights, notes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cluster_est.closed_loop.selection.declared_model import BRIEF
-from cluster_est.closed_loop.selection.synthetic_experiments import enlarged, shortened
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.statistics.noise import estimate_noise
 from cluster_est.closed_loop.statistics.records import make_records
-from cluster_est.closed_loop.workbench import (
-    ENLARGED,
-    HORIZONS,
-    FitStart,
-    LoopWorkbench,
-    SimulationMeter,
+from cluster_est.closed_loop.synthetic_experiments import (
+    SyntheticKind,
+    enlarged_kind,
+    shortened_kinds,
 )
+from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench, SimulationMeter
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
@@ -33,48 +32,66 @@ from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment, Outcome
 
-LEAST_SAMPLES_PER_UNKNOWN = 4
+
+@dataclass(frozen=True)
+class LoopRequest:
+    """A closed loop, or a part of one, that is to be run.
+
+    Attributes
+    ----------
+    problem
+        The declared model with its parameters and experiments.
+    environment
+        Workers, budget, and who is told of the simulations.
+    settings, seed
+        Sizes and thresholds; the start of every random generator.
+    """
+
+    problem: Problem
+    environment: RunEnvironment = field(default_factory=RunEnvironment)
+    settings: LoopSettings = field(default_factory=LoopSettings)
+    seed: int = 0
 
 
 @contextmanager
-def open_bench(
-    problem: Problem, environment: RunEnvironment, settings: LoopSettings, seed: int
-) -> Iterator[LoopWorkbench]:
-    """Start the workers and install the experiments with their rehearsals.
+def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
+    """Start the workers and install the experiments with their synthetic copies.
 
     Where several outputs have no sigma, a first fit gives each its own from its noise, or one
     output's unit would decide what is found.
     """
+    problem = request.problem
     description = problem.describe()
-    _check(problem, settings, description)
+    _check_shape(problem, request.settings)
+    _check_choices(problem, request.settings, description)
     weights: tuple[str, ...] = ()
     if _unweighted(problem):
-        with _opened(problem, environment, settings, seed, description) as bench:
-            (fitted,) = bench.fit("weights", [FitStart(problem, {})], BRIEF)
+        with _opened(request, description) as workbench:
+            (fitted,) = workbench.fit(LoopStage.WEIGHTS, [FitStart(problem, {})], BRIEF)
             if fitted is not None:
-                noise = estimate_noise(fitted.residuals, bench.records)
-                problem = _weighted(problem, dict(zip(bench.records.outputs, noise, strict=True)))
-                weights = (_weight_note(problem),)
-    with _opened(problem, environment, settings, seed, description) as bench:
-        yield replace(bench, notes=(*bench.notes, *weights))
+                noise = estimate_noise(fitted.residuals, workbench.records)
+                sigmas = dict(zip(workbench.records.outputs, noise.tolist(), strict=True))
+                request = replace(request, problem=_weighted(problem, sigmas))
+                weights = (_weight_note(request.problem),)
+    with _opened(request, description) as workbench:
+        yield replace(workbench, notes=(*workbench.notes, *weights))
 
 
 @contextmanager
-def _opened(
-    problem: Problem,
-    environment: RunEnvironment,
-    settings: LoopSettings,
-    seed: int,
-    description: ModelDescription,
-) -> Iterator[LoopWorkbench]:
+def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[LoopWorkbench]:
+    """A workbench for a problem as it is."""
+    problem, settings = request.problem, request.settings
     train = problem.indices("train")
     runs = [problem.experiments[e] for e in train]
     installed = list(problem.experiments)
-    rehearsals: dict[str, tuple[int, ...]] = {}
-    for horizon in HORIZONS:
-        rehearsals[f"{horizon:.0%}"] = _install(installed, [shortened(r, horizon) for r in runs])
-    rehearsals["enlarged"] = _install(installed, [enlarged(r, ENLARGED) for r in runs])
+    thresholds = settings.thresholds.preparation
+    synthetic: dict[SyntheticKind, tuple[int, ...]] = {}
+    kinds: list[SyntheticKind] = [*shortened_kinds(thresholds), enlarged_kind(thresholds)]
+    for kind in kinds:
+        synthetic[kind] = tuple(range(len(installed), len(installed) + len(runs)))
+        installed += [kind.of(run) for run in runs]
     everything = replace(problem, experiments=tuple(installed))
+    environment = request.environment
     record = _named(everything.experiments, environment.monitor.record)
     meter = SimulationMeter(everything.experiments, record)
     with one_blas_thread(), environment.executor(everything) as executor:
@@ -83,10 +100,10 @@ def _opened(
             problem=problem,
             description=description,
             settings=settings,
-            seed=seed,
+            seed=request.seed,
             train=train,
             records=make_records(runs),
-            rehearsals=rehearsals,
+            synthetic=synthetic,
             everything=everything,
             meter=meter,
             sites=_sites(problem, description),
@@ -95,7 +112,7 @@ def _opened(
 
 
 def _named(experiments: Sequence[Experiment], record: Record | None) -> Record | None:
-    """A record that also hears which experiment it was: a rehearsal is none of the problem's."""
+    """A record that also hears which experiment it was: synthetic ones are not the problem's."""
     if record is None:
         return None
     names = [(e.id, e.key) for e in experiments]
@@ -106,14 +123,8 @@ def _named(experiments: Sequence[Experiment], record: Record | None) -> Record |
     return named
 
 
-def _install(installed: list[Experiment], copies: list[Experiment]) -> tuple[int, ...]:
-    first = len(installed)
-    installed += copies
-    return tuple(range(first, len(installed)))
-
-
-def _check(problem: Problem, settings: LoopSettings, description: ModelDescription) -> None:
-    """Refuse what the loop cannot work with.
+def _check_shape(problem: Problem, settings: LoopSettings) -> None:
+    """Refuse a problem that the tests are not made for, or with too few data.
 
     Raises
     ------
@@ -129,12 +140,23 @@ def _check(problem: Problem, settings: LoopSettings, description: ModelDescripti
     train = make_space(problem, problem.indices("train"))
     check_method(BRIEF, train)
     samples = train.rows[-1].stop
-    if samples < LEAST_SAMPLES_PER_UNKNOWN * (train.size + 1):
+    least = settings.thresholds.preparation.samples_per_unknown * (train.size + 1)
+    if samples < least:
         raise ProblemError(
-            f"closed loop: the training experiments must have at least "
-            f"{LEAST_SAMPLES_PER_UNKNOWN * (train.size + 1)} measured values to tell a missing "
-            f"effect from {train.size} parameters but have {samples}; add data or fix parameters"
+            f"closed loop: the training experiments must have at least {least} measured values to "
+            f"tell a missing effect from {train.size} parameters but have {samples}; add data or "
+            "fix parameters"
         )
+
+
+def _check_choices(problem: Problem, settings: LoopSettings, description: ModelDescription) -> None:
+    """Refuse forms and sites that there are not.
+
+    Raises
+    ------
+    ProblemError
+        With what to change.
+    """
     known = sorted({name for _, name in FORMS})
     for name in settings.forms:
         if name not in known:
@@ -157,7 +179,7 @@ def _check(problem: Problem, settings: LoopSettings, description: ModelDescripti
 
 
 def _unweighted(problem: Problem) -> bool:
-    """Whether there are several outputs, and nobody said how exact each is."""
+    """Return whether there are several outputs, all without a sigma."""
     outputs = [o for e in problem.experiments for o in e.outputs]
     return len({o.variable for o in outputs}) > 1 and all(o.sigma == 1.0 for o in outputs)
 

@@ -1,22 +1,23 @@
-"""The thresholds and sizes of a closed loop, each with its default."""
+"""The settings of a closed loop: what a user chooses, and the thresholds of every step."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import ProblemError
 
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """How hard to look, and what counts as evidence.
+    """The size of the search, and the level of evidence that it asks for.
 
     Attributes
     ----------
     significance
         Largest family-wise p-value at which something counts as missing.
     max_effects
-        How many effects may be added.
+        Largest number of effects that are added.
     forms
         Names of the forms to try, like "coulomb"; empty for the whole library.
     sites
@@ -32,7 +33,9 @@ class LoopSettings:
     least_gain
         Share of the gap between error and noise that an effect must close.
     pairs
-        Whether to try two effects at once where no single one explains the residual.
+        Try two effects at once where no single one explains the residual.
+    thresholds
+        Of every step; no key of a config.
     """
 
     significance: float = field(default=0.01, metadata={"least": 0.0})
@@ -45,6 +48,7 @@ class LoopSettings:
     starts: int = field(default=8, metadata={"least": 1})
     least_gain: float = field(default=0.2, metadata={"least": 0.0})
     pairs: bool = True
+    thresholds: LoopThresholds = field(default_factory=LoopThresholds, repr=False)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.significance < 1.0:

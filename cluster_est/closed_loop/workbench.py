@@ -1,4 +1,4 @@
-"""What every step of the loop works with: the queue, the experiments, and models fitted to them."""
+"""The workbench of a closed loop: the queue, the experiments, and models fitted to them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, make_course
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, make_trajectory
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.statistics.records import StackedRecords
+from cluster_est.closed_loop.synthetic_experiments import SyntheticKind
+from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation, Method
 from cluster_est.methods.given_points import GivenPoints
@@ -18,12 +21,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Record, Runner, SearchRequest, TaskOrigin
 from workers.fmu.description import ModelDescription
-from workers.messages import Experiment, FloatArray, Outcome
-
-HORIZONS = (0.15, 0.4)
-"""Shares of each record that a start grows through."""
-ENLARGED = 1.25
-"""How much further the inputs swing in the rehearsal for stability."""
+from workers.messages import Experiment, FloatArray, Outcome, Want
 
 
 @dataclass(frozen=True)
@@ -145,7 +143,7 @@ class LoopWorkbench:
     Attributes
     ----------
     runner
-        Its executor has the problem's experiments, then the rehearsals.
+        Its executor has the problem's experiments, then the synthetic ones.
     problem
         The declared model.
     description
@@ -155,9 +153,9 @@ class LoopWorkbench:
     train
         Indices of the training experiments.
     records
-        How their residuals are stacked.
-    rehearsals
-        For each kind ("15%", "enlarged", ...), the index of each training experiment's copy.
+        Of their residuals, stacked.
+    synthetic
+        For each kind, the index of each training experiment's copy.
     everything
         The problem with all experiments that are installed.
     meter
@@ -173,7 +171,7 @@ class LoopWorkbench:
     seed: int
     train: tuple[int, ...]
     records: StackedRecords
-    rehearsals: Mapping[str, tuple[int, ...]]
+    synthetic: Mapping[SyntheticKind, tuple[int, ...]]
     everything: Problem
     meter: SimulationMeter
     sites: tuple[str, ...]
@@ -182,6 +180,10 @@ class LoopWorkbench:
     @property
     def size(self) -> int:
         return self.records.size
+
+    @property
+    def thresholds(self) -> LoopThresholds:
+        return self.settings.thresholds
 
     @property
     def exchange(self) -> bool:
@@ -206,11 +208,11 @@ class LoopWorkbench:
         """A generator of its own for each use, so that no use moves another."""
         return np.random.default_rng([self.seed, stream])
 
-    def space(self, start: FitStart, rehearsal: str = "") -> SearchSpace:
-        """The unknowns of a model on the training experiments, or on their rehearsals."""
-        if not rehearsal:
+    def space(self, start: FitStart, kind: SyntheticKind | None = None) -> SearchSpace:
+        """Make the unknowns of a model on the training experiments, or on synthetic ones."""
+        if kind is None:
             return make_space(start.problem, self.train, starts=start.values)
-        experiments = self.rehearsals[rehearsal]
+        experiments = self.synthetic[kind]
         problem = replace(start.problem, experiments=self.everything.experiments)
         values = dict(start.values)
         for own, copy in zip(self.train, experiments, strict=True):
@@ -220,44 +222,56 @@ class LoopWorkbench:
                     values[label.replace(f"[{ids[0]}]", f"[{ids[1]}]")] = value
         return make_space(problem, experiments, starts=values)
 
+    def measured_estimates(self, fitted: FittedModel, kind: SyntheticKind) -> dict[str, float]:
+        """Relabel estimates on synthetic experiments as those of the measured ones; see `space`."""
+        experiments = self.everything.experiments
+        names = {
+            experiments[copy].id: experiments[own].id
+            for own, copy in zip(self.train, self.synthetic[kind], strict=True)
+        }
+        values = {}
+        for label, value in fitted.estimates.items():
+            name, _, scope = label.partition("[")
+            scope = scope.removesuffix("]")
+            values[f"{name}[{names.get(scope, scope)}]" if scope else name] = value
+        return values
+
     def fit(
-        self, name: str, starts: Sequence[FitStart], method: Method, rehearsal: str = ""
+        self,
+        stage: LoopStage,
+        starts: Sequence[FitStart],
+        method: Method,
+        kind: SyntheticKind | None = None,
     ) -> list[FittedModel | None]:
         """Fit models, all in one queue. None where one cannot be simulated."""
-        spaces = [self.space(start, rehearsal) for start in starts]
-        requests = [SearchRequest(name, method, space, self.seed) for space in spaces]
-        solutions = self.runner.run(requests)
+        spaces = [self.space(start, kind) for start in starts]
+        requests = [SearchRequest(stage.value, method, space, self.seed) for space in spaces]
         fitted: list[FittedModel | None] = []
-        for start, space, solution in zip(starts, spaces, solutions, strict=True):
-            if solution.at is None or solution.jacobian is None or not solution.at.ok:
+        for start, space, found in zip(starts, spaces, self.runner.run(requests), strict=True):
+            if found.at is None or found.jacobian is None or not found.at.ok:
                 fitted.append(None)
                 continue
-            fitted.append(
-                FittedModel(
-                    space, solution.x, solution.at.residuals, solution.jacobian, start.added
-                )
-            )
+            residuals = found.at.residuals
+            fitted.append(FittedModel(space, found.x, residuals, found.jacobian, start.added))
         return fitted
 
-    def look(
-        self, name: str, asked: Sequence[tuple[SearchSpace, FloatArray]]
-    ) -> list[list[Evaluation]]:
+    def evaluate(
+        self, stage: LoopStage, points: Sequence[tuple[SearchSpace, FloatArray]]
+    ) -> list[tuple[Evaluation, ...]]:
         """Evaluate points of several spaces, all in one queue."""
-        looks = [GivenPoints(points, name) for _, points in asked]
         requests = [
-            SearchRequest(name, look, space) for look, (space, _) in zip(looks, asked, strict=True)
+            SearchRequest(stage.value, GivenPoints(x, stage.value), space) for space, x in points
         ]
-        self.runner.run(requests)
-        return [look.seen for look in looks]
+        return [solution.evaluations for solution in self.runner.run(requests)]
 
-    def courses(self, fitted: FittedModel) -> list[LinearisedTrajectory]:
-        """What the training experiments do at a fit."""
-        want = "linearisation" if self.exchange else "trajectory"
+    def trajectories(self, fitted: FittedModel) -> list[LinearisedTrajectory]:
+        """Simulate and linearise the training experiments at a fit."""
+        want: Want = "linearisation" if self.exchange else "trajectory"
         outcomes = self.runner.simulate(
             fitted.space.physical(fitted.x),
             self.train,
-            want,  # type: ignore[arg-type]
-            "course",
+            want,
+            LoopStage.TRAJECTORIES.value,
             fitted.problem.effects,
         )
         for outcome in outcomes:
@@ -266,6 +280,8 @@ class LoopWorkbench:
                     f"closed loop: the fitted model cannot be simulated again "
                     f"({outcome.status}: {outcome.message})"
                 )
-        pairs = zip(self.train, outcomes, strict=True)
-        states = self.description.states
-        return [make_course(self.problem.experiments[e], outcome, states) for e, outcome in pairs]
+        runs = [self.problem.experiments[e] for e in self.train]
+        return [
+            make_trajectory(run, outcome, self.description.states)
+            for run, outcome in zip(runs, outcomes, strict=True)
+        ]

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
-from cluster_est.config.reader import CoefficientSection, EffectSection
-from cluster_est.errors import ConfigError
+from cluster_est.config.reader import EffectSection
+from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.problem import Parameter
-from workers.effects.kinds import FormCoefficient
-from workers.fmu.description import nearest
 from workers.messages import Effect
 
 
@@ -24,55 +20,28 @@ def build_effects(
     EffectError
         If there is no such form or site.
     """
-    pairs = [_build(section) for section in sections]
+    pairs = [make_effect(_declared(section)) for section in sections]
     effects = tuple(effect for effect, _ in pairs)
     return effects, tuple(p for _, parameters in pairs for p in parameters)
 
 
-def _build(section: EffectSection) -> tuple[Effect, list[Parameter]]:
-    from workers.effects.definition import coefficients  # SymPy takes long to import
-
-    name = section.name or section.form
-    where = f"effect {name!r}"
-    if bool(section.form) == bool(section.equation):
-        has = "both" if section.form else "neither"
-        raise ConfigError(f"{where}: must have either form or equation but has {has}")
-    if not name:
-        raise ConfigError("effects: one with an equation must have a name; add name")
-    own = tuple((n, c.neutral) for n, c in section.parameters.items()) if section.equation else ()
-    effect = Effect(
-        name, section.site, section.form, tuple(section.variables), section.equation, own
-    )
-    known = coefficients(effect, where)
-    for given in section.parameters:
-        if given not in [c.name for c in known]:
-            raise ConfigError(
-                f"{where}: parameters.{given}: {section.form} has no such coefficient"
-                f"{nearest(given, [c.name for c in known])}"
+def _declared(section: EffectSection) -> DeclaredEffect:
+    return DeclaredEffect(
+        section.name,
+        section.site,
+        section.form,
+        section.equation,
+        tuple(section.variables),
+        {
+            name: DeclaredCoefficient(
+                start=chosen.start,
+                bounds=chosen.bounds,
+                scale=chosen.scale,
+                fixed=chosen.fixed,
+                neutral=chosen.neutral,
+                per=chosen.per,
+                unit=chosen.unit,
             )
-    return effect, [_parameter(section, coefficient, name, where) for coefficient in known]
-
-
-def _parameter(
-    section: EffectSection, coefficient: FormCoefficient, name: str, where: str
-) -> Parameter:
-    """Make the parameter of a coefficient of the effect `name`."""
-    chosen = section.parameters.get(coefficient.name, CoefficientSection())
-    start = chosen.start if chosen.start is not None else coefficient.neutral
-    if start is None or not math.isfinite(start):
-        raise ConfigError(
-            f"{where}: parameters.{coefficient.name}.start is missing; {coefficient.name} of "
-            f"{section.form or 'an own equation'} has no value to start from by itself"
-        )
-    lowest = 0.0 if coefficient.positive else -math.inf
-    low, high = chosen.bounds if chosen.bounds is not None else (lowest, math.inf)
-    return Parameter(
-        f"{name}.{coefficient.name}",
-        start,
-        low,
-        high,
-        chosen.scale,
-        chosen.fixed,
-        per=chosen.per,
-        unit=chosen.unit,
+            for name, chosen in section.parameters.items()
+        },
     )

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from cluster_est.config.toml import dotted, inline
 from cluster_est.drafting.candidates import MOST_LISTED, ParameterCandidate
 from cluster_est.drafting.columns import TIMES, TableColumn, fold, split_unit
 from cluster_est.drafting.draft import ConfigDraft, DraftExperiment
 from cluster_est.drafting.matching import ColumnMatch
 from cluster_est.drafting.units import conversion, same_unit
+from cluster_est.toml import dotted, inline
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
 

@@ -221,6 +221,8 @@ class Solution:
         point could not be simulated again.
     others
         Further points worth keeping, best first: a Pareto front, or the minima of other starts.
+    evaluations
+        Of every point in its order, where the method only evaluates points that it was given.
     """
 
     x: FloatArray
@@ -233,6 +235,7 @@ class Solution:
     difference_steps: FloatArray | None = field(default=None, repr=False)
     at: Evaluation | None = field(default=None, repr=False)
     others: tuple[OtherPoint, ...] = field(default=(), repr=False)
+    evaluations: tuple[Evaluation, ...] = field(default=(), repr=False)
 
 
 class Method(ABC):

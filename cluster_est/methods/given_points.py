@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Evaluation, Method, Points, Search, Solution
+from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 
 @dataclass(frozen=True)
 class GivenPoints(Method):
-    """Evaluate points, and end at the best of them.
+    """Evaluate points, and end at the best of them; the solution carries all evaluations.
 
     Attributes
     ----------
@@ -22,8 +22,6 @@ class GivenPoints(Method):
         In search coordinates.
     purpose
         For the log.
-    seen
-        Filled with the evaluations, in the order of the points.
     """
 
     name: ClassVar[str] = "look"
@@ -33,15 +31,21 @@ class GivenPoints(Method):
 
     points: FloatArray
     purpose: str
-    seen: list[Evaluation] = field(default_factory=list)
 
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
-        self.seen.extend((yield Points(self.points, self.purpose)))
-        ok = [i for i, evaluation in enumerate(self.seen) if evaluation.ok]
+        del space, generator  # the points are given
+        found = tuple((yield Points(self.points, self.purpose)))
+        ok = [i for i, evaluation in enumerate(found) if evaluation.ok]
         if not ok:
+            first = found[0]
             return Solution(
-                self.points[0], np.nan, Ending.START_FAILED, self.seen[0].reason, at=self.seen[0]
+                self.points[0],
+                np.nan,
+                Ending.START_FAILED,
+                first.reason,
+                at=first,
+                evaluations=found,
             )
-        best = min(ok, key=lambda i: self.seen[i].rank)
-        at = self.seen[best]
-        return Solution(self.points[best], at.cost, Ending.CONVERGED, at=at)
+        best = min(ok, key=lambda i: found[i].rank)
+        at = found[best]
+        return Solution(self.points[best], at.cost, Ending.CONVERGED, at=at, evaluations=found)

@@ -349,7 +349,7 @@ TABLES = (
                 "criterion", NUMBER, "", "information criterion, less that without it"
             ),
             ColumnDescription(
-                "imitated_by", TEXT, "", "for one set aside: the parameter that imitates it"
+                "imitated_by", TEXT, "", "for one set aside: the parameter it is confounded with"
             ),
         ),
     ),

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from cluster_est.closed_loop.stages import stage_title
 from cluster_est.errors import ClusterEstError, ExecutorError
 from cluster_est.run_folder.folder import RunFolder, RunResult, check_free
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
@@ -18,21 +19,6 @@ from cluster_est.running.environment import EarlierRun, Monitor
 from cluster_est.running.reset_policy import ResetDecision, recorded
 from cluster_est.running.runner import RunSnapshot, SearchIteration, Show, TaskOrigin
 from workers.messages import Outcome
-
-STAGES = {
-    "weights": "weighting the outputs",
-    "base": "fitting the declared model",
-    "leave one out": "predicting experiments that were left out",
-    "course": "screening the candidates",
-    "trial": "trying candidates",
-    "candidate": "refitting candidates",
-    "enlarged": "simulating with larger inputs",
-    "return": "fitting the declared model again",
-    "swap": "revising the effects",
-    "drop": "revising the effects",
-    "final": "the final fits",
-}
-"""Titles of the searches of a closed loop, by their names in the log."""
 
 
 class Existing(enum.Enum):
@@ -132,7 +118,7 @@ class RunContext:
         """Say how far the run came, as part of a sentence."""
         if not self._searches:
             return "stopped before the first simulation"
-        *done, last = dict.fromkeys(STAGES.get(name, name) for name in self._searches)
+        *done, last = dict.fromkeys(stage_title(name) for name in self._searches)
         return f"stopped while {last}" + (f", after {', '.join(done)}" if done else "")
 
     def _record(self, origin: TaskOrigin, outcome: Outcome) -> None:

@@ -9,18 +9,15 @@ import re
 import shutil
 import time
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluster_est.closed_loop.findings import tables
-from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.errors import RunFolderError
-from cluster_est.results.output_errors import worse_than_constants
-from cluster_est.results.result import Result
 from cluster_est.run_folder.evaluation_log import EvaluationLog
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
@@ -32,7 +29,23 @@ from workers.messages import Outcome
 BEGUN = {"evaluations", "config.toml", ".config.toml", PROGRESS, ".run.json"}
 """All that a folder can hold if its process was killed before it wrote run.json."""
 
-RunResult = Result | LoopResult
+
+class RunResult(Protocol):
+    """A result that a folder can hold: of a fit or of a closed loop."""
+
+    @property
+    def tables(self) -> Sequence[str]:
+        """Names of its tables."""
+
+    def table(self, name: str) -> pa.Table:
+        """Return one of its tables."""
+
+    def facts(self) -> Mapping[str, Any]:
+        """Return what run.json says of it, its status among that."""
+
+    @property
+    def search_seconds(self) -> float:
+        """Seconds that its searches took."""
 
 
 class RunFolder:
@@ -125,45 +138,28 @@ class RunFolder:
 
     def write(self, result: RunResult) -> RunStatus:
         """Write all tables at the end of a run, and return how it stands."""
-        if isinstance(result, LoopResult):
-            self.write_loop(result)
-            return RunStatus.DONE
         self._log.close()
-        self._table("parameters", [dataclasses.asdict(e) for e in result.estimates])
-        self._table("errors", [dataclasses.asdict(e) for e in result.errors])
-        self._write_fit(result)
-        self._write_status(_status(result), _numbers(result))
-        return _status(result)
-
-    def write_loop(self, result: LoopResult) -> None:
-        """Write all tables of a closed loop: those of its last fit, and what it found."""
-        self._log.close()
-        for name in ("parameters", "errors", "findings", "effects", "shapes"):
+        for name in result.tables:
             self._write_table(name, result.table(name))
-        self._write_fit(result.final)
-        given = any(o.sigma != 1.0 for e in self._problem.experiments for o in e.outputs)
-        numbers = _numbers(result.after) | {
-            "cost_before": result.before.cost,
-            "evaluations": result.evaluations,
+        self._write_searches()
+        facts = {
+            **result.facts(),
             "simulations": int(sum(w["simulations"] for w in self._workers.values())),
             "failures": int(sum(w["failures"] for w in self._workers.values())),
-            "seconds": result.seconds,
-            "errors_over": "sigma" if given else "estimated noise",
         }
-        self._write_status(RunStatus.DONE, numbers | tables.facts(result))
+        searched = result.search_seconds
+        self._write_workers(searched if np.isfinite(searched) else facts["seconds"])
+        status = RunStatus(facts["status"])
+        self._write_status(status, facts)
+        return status
 
-    def _write_fit(self, result: Result) -> None:
-        """Iterations, workers, residuals and trajectories."""
-        iterations = sorted(self._iterations.values(), key=lambda row: _natural(row["search"]))
-        self._table("searches", iterations)
+    def _write_searches(self) -> None:
+        rows = sorted(self._iterations.values(), key=lambda row: _natural(row["search"]))
+        self._table("searches", rows)
+
+    def _write_workers(self, seconds: float) -> None:
         rows = [{"worker": name, **numbers} for name, numbers in sorted(self._workers.items())]
-        seconds = result.search_seconds if np.isfinite(result.search_seconds) else result.seconds
         self._table("workers", [row | {"seconds": seconds} for row in rows])
-        for name, found in result.optional_rows().items():
-            if found:
-                self._table(name, [dataclasses.asdict(row) for row in found])
-        self._write_table("residuals", result.residuals)
-        self._write_table("trajectories", result.trajectories)
 
     def abandon(self, reason: str, status: RunStatus = RunStatus.FAILED) -> None:
         """Close the log of a run that ended without a result, and say so."""
@@ -230,38 +226,6 @@ def only_begun(path: Path) -> bool:
     names = {each.name for each in path.iterdir()}
     log = path / "evaluations"
     return "evaluations" in names and names <= BEGUN and log.is_dir() and not any(log.iterdir())
-
-
-def _status(result: Result) -> RunStatus:
-    if result.interrupted:
-        return RunStatus.INTERRUPTED
-    return RunStatus.DONE if result.success else RunStatus.NOT_CONVERGED
-
-
-def _numbers(result: Result) -> dict[str, Any]:
-    return {
-        "ending": result.solution.ending.name.lower(),
-        "message": result.message,
-        "cost_before": result.cost_before,
-        "cost": result.cost,
-        "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
-        "notes": _notes(result),
-        "iterations": result.solution.iterations,
-        "evaluations": result.evaluations,
-        "simulations": result.simulated,
-        "failures": result.failures,
-        "seconds": result.seconds,
-    }
-
-
-def _notes(result: Result) -> list[str]:
-    """Notes on the simulations and the uncertainty, in sentences."""
-    notes = list(result.problem.notes())
-    if result.uncertainty is not None:
-        notes += result.uncertainty.sentences
-    for profile in result.profiles:
-        notes += profile.sentences
-    return [*notes, *worse_than_constants(result.errors)]
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from cluster_est.config.reader import Config
-from cluster_est.config.toml import to_toml
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.evaluation_log import LogSettings
+from cluster_est.toml import to_toml
 from workers.messages import content_hash
 
 DECISIVE = ("cluster-est", "cma", "numba", "numpy", "pymoo", "scipy", "sympy")

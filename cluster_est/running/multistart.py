@@ -147,11 +147,10 @@ def make_starts(runner: Runner, space: SearchSpace, multistart: Multistart) -> F
         return np.array(given)
     samples = sample(space, missing * multistart.screen, multistart)
     if multistart.screen > 1:
-        look = GivenPoints(samples, "screen")
-        runner.run([SearchRequest("screen", look, space)])
-        if not look.seen:
+        (found,) = runner.run([SearchRequest("screen", GivenPoints(samples, "screen"), space)])
+        if not found.evaluations:
             raise KeyboardInterrupt  # the only end that it can have without an answer
-        order = sorted(range(len(samples)), key=lambda i: (look.seen[i].rank, i))
+        order = sorted(range(len(samples)), key=lambda i: (found.evaluations[i].rank, i))
         samples = samples[order[:missing]]
     return np.vstack([*given, samples])
 

@@ -15,8 +15,8 @@ from pydantic import ValidationError
 from cluster_est.config.messages import error_messages
 from cluster_est.config.reader import Config, read_config
 from cluster_est.config.sections.sweep import NAME, SweepSections
-from cluster_est.config.toml import inline
 from cluster_est.errors import ConfigError
+from cluster_est.toml import inline
 from workers.fmu.description import nearest
 
 ONLY, DROP = "only_experiments", "drop_experiments"

@@ -16,7 +16,8 @@ from closed_loop_benchmark.oracle import Oracle, count_free
 from closed_loop_benchmark.problem import run_name
 from closed_loop_benchmark.refit import refit
 from cluster_est import Problem
-from cluster_est.closed_loop.findings.result import LoopResult, NamedEffect, Verdict
+from cluster_est.closed_loop.findings.effects import NamedEffect, Verdict
+from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.results.result import Result
 
 SAME_MODEL = 0.1

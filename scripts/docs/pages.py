@@ -17,8 +17,8 @@ import cluster_est as ce
 from cluster_est.cli.parser import make_parser
 from cluster_est.config.reader import Config
 from cluster_est.config.sections.sweep import SweepSections
-from cluster_est.config.toml import inline
 from cluster_est.results.table_columns import BEFORE, TABLES, ColumnDescription
+from cluster_est.toml import inline
 
 REFERENCE = Path(__file__).parents[2] / "configs" / "reference.toml"
 KINDS = {float: "number", int: "whole number", str: "text", bool: "true or false", Any: "value"}

@@ -10,7 +10,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from cluster_est.config.toml import to_toml
+from cluster_est.toml import to_toml
 from fuzzing.base import COMMANDS, CONFIGS, DATE, NUMBERS, TEXTS, VALUES, Input, damaged
 
 FULL = Path(__file__).parent / "full.toml"

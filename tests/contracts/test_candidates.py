@@ -24,6 +24,7 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate, make_candid
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from workers.effects.definition import define
 from workers.effects.forms import FORMS
@@ -69,7 +70,7 @@ class Seen:
                                for u, n in zip(own, labels, strict=True))]
             for row in rows
         ]  # fmt: skip
-        (seen,) = self.bench.look("difference", [(space, np.array(points))])
+        (seen,) = self.bench.evaluate(LoopStage.PROBE, [(space, np.array(points))])
         assert all(at.ok for at in seen), seen[0].reason
         if not candidate.strengths:
             return (seen[0].residuals - self.fitted.residuals)[:, None]
@@ -84,7 +85,7 @@ def systems():
         for name in NAMES:
             bench = stack.enter_context(opened(missing_effect_problem(name)))
             fitted = unfitted(bench)
-            courses = bench.courses(fitted)
+            courses = bench.trajectories(fitted)
             rate = 2.0 * np.pi * WAVES_IN_A_RECORD / SYSTEMS[name].stop
             candidates = make_candidates(
                 fitted.problem, bench.description, courses, [rate], LoopSettings()

@@ -13,7 +13,7 @@ from fmpy import read_model_description
 from hypothesis import strategies as st
 from support.problems.springs import FMU
 
-from cluster_est.config.toml import to_toml
+from cluster_est.toml import to_toml
 
 REMOVED = object()
 NAN, INF = float("nan"), float("inf")

@@ -11,11 +11,29 @@ A form of your own is one entry here, or an expression in a config.
 
 from __future__ import annotations
 
-from workers.effects.kinds import EffectForm, FormCoefficient, OwnState, SiteKind, positive
+from workers.effects.kinds import (
+    Condition,
+    EffectForm,
+    FormCoefficient,
+    GridScale,
+    OwnState,
+    SiteKind,
+    positive,
+)
 from workers.errors import EffectError
 from workers.fmu.description import nearest
 
-__all__ = ["FORMS", "EffectForm", "FormCoefficient", "OwnState", "SiteKind", "form", "positive"]
+__all__ = [
+    "FORMS",
+    "Condition",
+    "EffectForm",
+    "FormCoefficient",
+    "GridScale",
+    "OwnState",
+    "SiteKind",
+    "form",
+    "positive",
+]
 
 _DER: tuple[SiteKind, ...] = ("derivative",)
 _PAIR: tuple[SiteKind, ...] = ("pair",)
@@ -23,6 +41,12 @@ _IN: tuple[SiteKind, ...] = ("input",)
 _OUT: tuple[SiteKind, ...] = ("output",)
 _SIGNAL: tuple[SiteKind, ...] = ("input", "output")
 _PAR: tuple[SiteKind, ...] = ("parameter",)
+
+_OSCILLATES = (Condition.OSCILLATES,)
+_OWN = (Condition.OWN,)
+_OWN_OSCILLATES = (Condition.OWN, Condition.OSCILLATES)
+_DRIVEN = (Condition.DRIVEN,)
+_DRIVEN_OSCILLATES = (Condition.DRIVEN, Condition.OSCILLATES)
 
 
 def _k(unit: str) -> FormCoefficient:
@@ -34,39 +58,41 @@ def _drag(unit: str, *, name: str = "k", if_own: bool = False) -> FormCoefficien
     return FormCoefficient(name, positive=True, if_own=if_own, unit=unit)
 
 
-def _shape(name: str, unit: str, scale: str, *grid: float) -> FormCoefficient:
+def _shape(name: str, unit: str, scale: GridScale, *grid: float) -> FormCoefficient:
     return FormCoefficient(name, None, positive=True, scale=scale, grid=grid, unit=unit)
 
 
-def _at(unit: str, scale: str, *grid: float, held: bool = False) -> FormCoefficient:
+def _at(unit: str, scale: GridScale, *grid: float, held: bool = False) -> FormCoefficient:
     """A place, which may be negative."""
     return FormCoefficient("at", None, scale=scale, grid=grid, held=held, unit=unit)
 
 
-def _centre(unit: str, scale: str) -> FormCoefficient:
-    """Where a parameter has its own value: a matter of words, so nothing to be fitted."""
+def _centre(unit: str, scale: GridScale) -> FormCoefficient:
+    """A place where a parameter has its own value: by definition, so nothing to be fitted."""
     return _at(unit, scale, 1.0, held=True)
 
 
-def _limit(neutral: float, scale: str, *grid: float) -> FormCoefficient:
+def _limit(neutral: float, scale: GridScale, *grid: float) -> FormCoefficient:
     return FormCoefficient("limit", neutral, scale=scale, grid=grid, unit="site")
 
 
 def _tau(*steps: float) -> FormCoefficient:
-    return _shape("tau", "second", "step", *steps)
+    return _shape("tau", "second", GridScale.STEP, *steps)
 
 
 _WIDTH = FormCoefficient(
-    "width", None, positive=True, scale="rms v", grid=(0.004, 0.0005), held=True, unit="v"
+    "width", None, positive=True, scale=GridScale.RMS_V, grid=(0.004, 0.0005), held=True, unit="v"
 )
 """Of a switch: as narrow as a solver can still step across."""
 _WAVE = (
     FormCoefficient("a", unit="site"),
     FormCoefficient("b", unit="site"),
-    _shape("f", "rad / second", "spectrum", 1.0),
+    _shape("f", "rad / second", GridScale.SPECTRUM, 1.0),
 )
-_BEYOND = _shape("at", "v", "max v", 0.35, 0.55, 0.75)
-_LATE = FormCoefficient("tau", positive=True, scale="step", grid=(1.0, 4.0, 12.0), unit="second")
+_BEYOND = _shape("at", "v", GridScale.MAX_V, 0.35, 0.55, 0.75)
+_LATE = FormCoefficient(
+    "tau", positive=True, scale=GridScale.STEP, grid=(1.0, 4.0, 12.0), unit="second"
+)
 _LAG = OwnState("z", "(v - z) / tau", "v")
 _RESTING = OwnState("z", "(v - z) / tau", "0")
 """A lag of something that was at rest before, like a further branch in an electrical model."""
@@ -80,8 +106,8 @@ _TABLE = " + ".join(
 """Piecewise linear from low to high, constant outside; k1 to k7 are its values at equal steps."""
 _TABLE_COEFFICIENTS = (
     *(FormCoefficient(f"k{i + 1}", unit="site") for i in range(_HATS)),
-    FormCoefficient("low", None, scale="low v", grid=(1.0,), held=True, unit="v"),
-    FormCoefficient("high", None, scale="high v", grid=(1.0,), held=True, unit="v"),
+    FormCoefficient("low", None, scale=GridScale.LOW_V, grid=(1.0,), held=True, unit="v"),
+    FormCoefficient("high", None, scale=GridScale.HIGH_V, grid=(1.0,), held=True, unit="v"),
 )
 
 
@@ -91,7 +117,7 @@ def _between(
     equation: str,
     unit: str,
     *shapes: FormCoefficient,
-    when: str = "oscillates",
+    when: tuple[Condition, ...] = _OSCILLATES,
     order: float = 0.0,
 ) -> EffectForm:
     """A force between two states: what it takes from the first it gives to the second.
@@ -109,46 +135,49 @@ _RATES = (
     EffectForm("drift", "load", _DER, "k * t", (_k("site / second"),)),
     EffectForm("sine", "load", _DER, "a * sin(f * t) + b * cos(f * t)", _WAVE),
     # friction and drag: they take energy out where v is a velocity
-    EffectForm("viscous", "friction", _DER, "-k * v", (_drag("site / v"),), 1, when="own"),
+    EffectForm("viscous", "friction", _DER, "-k * v", (_drag("site / v"),), 1, when=_OWN),
     EffectForm("quadratic", "drag", _DER, "-k * v * abs(v)",
-         (_drag("site / v^2", if_own=True),), 1, when="oscillates"),
+         (_drag("site / v^2", if_own=True),), 1, when=_OSCILLATES),
     EffectForm("cubic", "drag", _DER, "-k * v^3", (_drag("site / v^3", if_own=True),), 1,
          order=0.5),
     EffectForm("coulomb", "friction", _DER, "-k * tanh(v / width)",
-         (_drag("site"), _WIDTH), 1, when="own oscillates"),
+         (_drag("site"), _WIDTH), 1, when=_OWN_OSCILLATES),
     EffectForm("stribeck", "friction", _DER, "-(k + peak * exp(-(v / vs)^2)) * tanh(v / width)",
-         (_drag("site"), _drag("site", name="peak"), _shape("vs", "v", "rms v", 0.1, 0.3), _WIDTH),
-         1, when="own oscillates"),
+         (_drag("site"), _drag("site", name="peak"), _shape("vs", "v", GridScale.RMS_V, 0.1, 0.3),
+          _WIDTH),
+         1, when=_OWN_OSCILLATES),
     EffectForm("dahl", "friction", _DER, "-k * z",
-         (_drag("site"), _shape("x0", "travel", "travel v", 0.02, 0.1, 0.4)), 1, (_BRISTLE,),
-         when="own oscillates"),
+         (_drag("site"), _shape("x0", "travel", GridScale.TRAVEL_V, 0.02, 0.1, 0.4)), 1,
+         (_BRISTLE,),
+         when=_OWN_OSCILLATES),
     # couplings and stiffness
     EffectForm("linear", "coupling", _DER, "k * v", (_k("site / v"),), 1, order=0.3),
     EffectForm("square", "stiffness", _DER, "k * v^2", (_k("site / v^2"),), 1, order=0.5),
     EffectForm("product", "coupling", _DER, "k * v * w", (_k("site / (v w)"),), 2, order=0.7),
     EffectForm("lagged", "coupling", _DER, "k * z", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1,
          (_LAG,),
-         when="driven", order=0.3),
+         when=_DRIVEN, order=0.3),
     EffectForm("hinge", "end stop", _DER, "k * max(v - at, 0)",
-         (_k("site / v"), _at("v", "quantile v", 0.5, 0.6, 0.7, 0.8, 0.9)), 1, order=1.0),
+         (_k("site / v"), _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9)), 1, order=1.0),
     EffectForm("hinge_below", "end stop", _DER, "k * max(at - v, 0)",
-         (_k("site / v"), _at("v", "quantile v", 0.1, 0.2, 0.3, 0.4, 0.5)), 1, order=1.0),
+         (_k("site / v"), _at("v", GridScale.QUANTILE_V, 0.1, 0.2, 0.3, 0.4, 0.5)), 1, order=1.0),
     EffectForm("gap", "end stop", _DER, "-k * (max(v - at, 0) - max(-v - at, 0))",
-         (_drag("site / v"), _BEYOND), 1, when="oscillates"),
+         (_drag("site / v"), _BEYOND), 1, when=_OSCILLATES),
     EffectForm("square_root", "leak", _DER, "-k * sqrt(max(v, 0))", (_k("site / v^0.5"),), 1,
-         when="positive"),
+         when=(Condition.POSITIVE,)),
     EffectForm("signed_root", "leak", _DER, "-k * sign(v) * sqrt(abs(v))",
-         (_drag("site / v^0.5", if_own=True),), 1, when="oscillates"),
+         (_drag("site / v^0.5", if_own=True),), 1, when=_OSCILLATES),
     EffectForm("table", "table", _DER, _TABLE, _TABLE_COEFFICIENTS, 1, order=2.0),
     # between two states
     _between("joint", "end stop", "max(min(v, at), -at)", " / v", _BEYOND),
     _between("gap", "end stop", "(max(v - at, 0) - max(-v - at, 0))", " / v", _BEYOND),
-    _between("linear", "coupling", "v", " / v", when="", order=0.3),
+    _between("linear", "coupling", "v", " / v", when=(), order=0.3),
     _between("quadratic", "drag", "v * abs(v)", " / v^2"),
-    _between("cubic", "drag", "v^3", " / v^3", when="", order=0.5),
+    _between("cubic", "drag", "v^3", " / v^3", when=(), order=0.5),
     _between("coulomb", "friction", "tanh(v / width)", "", _WIDTH),
     _between("overflow", "leak", "max(v - at, 0)", " / v",
-             _at("v", "quantile v", 0.5, 0.6, 0.7, 0.8, 0.9), when="first", order=0.2),
+             _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9),
+             when=(Condition.FIRST,), order=0.2),
     _between("leak", "leak", "sign(v) * sqrt(abs(v))", " / v^0.5"),
 )  # fmt: skip
 
@@ -160,47 +189,47 @@ _SIGNALS = (
     EffectForm("square", "nonlinearity", _SIGNAL, "s + k * s^2", (_k("1 / site"),), order=0.5),
     EffectForm("cubic", "nonlinearity", _IN, "s + k * s^3", (_k("1 / site^2"),), order=0.5),
     EffectForm("asymmetry", "nonlinearity", _IN, "s + k * max(s, 0)", (_k("1"),),
-         when="oscillates"),
+         when=_OSCILLATES),
     EffectForm("dead_zone", "nonlinearity", _IN, "where(abs(s) > k, s - k * sign(s), 0)",
-         (FormCoefficient("k", positive=True, scale="max s", grid=(0.05, 0.12, 0.25),
+         (FormCoefficient("k", positive=True, scale=GridScale.MAX_S, grid=(0.05, 0.12, 0.25),
                           unit="site"),)),
     EffectForm("backlash", "nonlinearity", _IN, "s",
-         (FormCoefficient("k", positive=True, scale="max s", grid=(0.05, 0.12, 0.25),
+         (FormCoefficient("k", positive=True, scale=GridScale.MAX_S, grid=(0.05, 0.12, 0.25),
                           unit="site"),),
          memory="backlash"),
     EffectForm("saturation", "limit", _SIGNAL, "max(min(s, limit), -limit)",
-         (FormCoefficient("limit", float("inf"), positive=True, scale="max s",
+         (FormCoefficient("limit", float("inf"), positive=True, scale=GridScale.MAX_S,
                       grid=(0.95, 0.88, 0.8, 0.7, 0.6, 0.45, 0.3),
                       unit="site"),)),
     EffectForm("clip_above", "limit", _OUT, "min(s, limit)",
-         (_limit(float("inf"), "range s", 0.95, 0.88, 0.8, 0.7, 0.55),)),
+         (_limit(float("inf"), GridScale.RANGE_S, 0.95, 0.88, 0.8, 0.7, 0.55),)),
     EffectForm("clip_below", "limit", _OUT, "max(s, limit)",
-         (_limit(float("-inf"), "range s", 0.05, 0.12, 0.2, 0.3, 0.45),)),
+         (_limit(float("-inf"), GridScale.RANGE_S, 0.05, 0.12, 0.2, 0.3, 0.45),)),
     EffectForm("product", "nonlinearity", _IN, "s + k * s * v", (_k("1 / v"),), 1, order=0.7),
     EffectForm("lag", "lag", _SIGNAL, "z", (_LATE,), 0, (OwnState("z", "(s - z) / tau", "s"),)),
     EffectForm("delay", "delay", _SIGNAL, "s", (_LATE,), memory="delay"),
-    EffectForm("absolute", "nonlinearity", _OUT, "s + k * abs(s)", (_k("1"),), when="oscillates"),
+    EffectForm("absolute", "nonlinearity", _OUT, "s + k * abs(s)", (_k("1"),), when=_OSCILLATES),
     EffectForm("feed_through", "coupling", _OUT, "s + k * v", (_k("site / v"),), 1, order=0.3),
     EffectForm("lagged_feed_through", "coupling", _OUT, "s + k * z",
-         (_k("site / v"), _tau(4.0, 15.0, 60.0)), 1, (_RESTING,), when="driven", order=0.3),
+         (_k("site / v"), _tau(4.0, 15.0, 60.0)), 1, (_RESTING,), when=_DRIVEN, order=0.3),
     EffectForm("hysteresis", "memory", _OUT, "s + k * z",
-         (_k("site"), _shape("x0", "travel", "travel v", 0.1, 0.4, 1.5)), 1, (_BRISTLE,),
-         when="driven oscillates"),
+         (_k("site"), _shape("x0", "travel", GridScale.TRAVEL_V, 0.1, 0.4, 1.5)), 1, (_BRISTLE,),
+         when=_DRIVEN_OSCILLATES),
     EffectForm("hum", "disturbance", _OUT, "s + a * sin(f * t) + b * cos(f * t)", _WAVE),
 )  # fmt: skip
 
 _VARIATIONS = (
     # a parameter that varies; centred, or it would hide behind the parameter itself
     EffectForm("drift", "variation", _PAR, "s * (1 + k * (t - at))",
-         (_k("1 / second"), _centre("second", "middle t")), order=1.0),
+         (_k("1 / second"), _centre("second", GridScale.MIDDLE_T)), order=1.0),
     EffectForm("linear", "variation", _PAR, "s * (1 + k * (v - at))",
-         (_k("1 / v"), _centre("v", "mean v")), 1, order=1.0),
+         (_k("1 / v"), _centre("v", GridScale.MEAN_V)), 1, order=1.0),
     EffectForm("magnitude", "variation", _PAR, "s * (1 + k * (abs(v) - at))",
-         (_k("1 / v"), _centre("v", "mean |v|")), 1, when="oscillates", order=1.0),
+         (_k("1 / v"), _centre("v", GridScale.MEAN_ABSOLUTE_V)), 1, when=_OSCILLATES, order=1.0),
     EffectForm("square", "variation", _PAR, "s * (1 + k * (v^2 - at))",
-         (_k("1 / v^2"), _centre("v^2", "mean v^2")), 1, order=1.0),
+         (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V)), 1, order=1.0),
     EffectForm("heating", "variation", _PAR, "s * (1 + k * (z - at))",
-         (_k("1 / v^2"), _centre("v^2", "mean v^2"), _tau(20.0, 80.0)), 1,
+         (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V), _tau(20.0, 80.0)), 1,
          (OwnState("z", "(v^2 - z) / tau", "0"),), order=1.0),
 )  # fmt: skip
 

@@ -1,11 +1,63 @@
-"""What a form is made of: its equation, its coefficients, and what a search must know of them."""
+"""The parts of a form: its equation, its coefficients, and what a search must know of them."""
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 from typing import Literal
 
 SiteKind = Literal["derivative", "pair", "input", "output", "parameter"]
+
+
+class GridScale(enum.Enum):
+    """The unit of the entries of a coefficient's grid, on the data at hand.
+
+    v is the form's variable, or the signal at the site where it has none; s is that signal.
+    """
+
+    RMS_V = "rms v"
+    MAX_V = "max v"
+    """Largest absolute value."""
+    MEAN_V = "mean v"
+    MEAN_ABSOLUTE_V = "mean |v|"
+    MEAN_SQUARE_V = "mean v^2"
+    TRAVEL_V = "travel v"
+    """Root mean square of the integral of v about its mean."""
+    QUANTILE_V = "quantile v"
+    """Entries are quantiles of v."""
+    LOW_V = "low v"
+    """1 % quantile."""
+    HIGH_V = "high v"
+    """99 % quantile."""
+    MAX_S = "max s"
+    """Largest absolute value."""
+    RANGE_S = "range s"
+    """Entries are parts of the way from min s to max s."""
+    STEP = "step"
+    """The sampling interval."""
+    MIDDLE_T = "middle t"
+    """The middle of the experiment."""
+    SPECTRUM = "spectrum"
+    """Angular frequency of a peak in the residual's spectrum."""
+
+
+class Condition(enum.Enum):
+    """A condition on the data, or on a form's variable, under which a search tries the form."""
+
+    OSCILLATES = "oscillates"
+    """Its variable, or the signal where it has none, clearly takes both signs."""
+    POSITIVE = "positive"
+    """Its variable, or the signal where it has none, is never negative."""
+    OWN = "own"
+    """Its variable is the state at whose derivative it acts."""
+    FIRST = "first"
+    """Its variable is the first state of the pair."""
+    DRIVEN = "driven"
+    """Its variable is an input or a measured signal."""
+
+
+FREE_FAMILY = "table"
+"""The family of free curves."""
 
 
 @dataclass(frozen=True)
@@ -20,22 +72,16 @@ class FormCoefficient:
         The value at which the effect does nothing, whatever the shape parameters are. None for a
         shape parameter: a threshold, a width, a frequency.
     positive
-        Whether physics wants it positive.
+        Physics wants it positive.
     if_own
         That it must be positive holds only where the form's variable is the state at whose
         derivative it acts: a drag on oneself takes energy out, one by another may push.
     scale
-        What the entries of `grid` are multiples of, on the data at hand. "" for a strength, which
-        needs no grid. "rms v", "max v" (of the absolute value), "mean v", "mean |v|", "mean v^2",
-        "travel v" (rms of the integral of v about its mean), "quantile v" (entries are
-        quantiles), "low v" and "high v" (its 1 % and 99 % quantiles) of the form's variable;
-        "rms s", "max s", "range s" (entries are parts of the way from min s to max s) of the
-        signal; "step" (the sampling interval), "middle t" (of the experiment), "spectrum" (angular
-        frequency of a peak in the residual's spectrum).
+        The unit of the entries of `grid`; None for a strength, which needs no grid.
     grid
         Multiples of that scale that a search tries.
     held
-        Whether it stays at its value of the grid when the effect is fitted.
+        It stays at its value of the grid when the effect is fitted.
     unit
         In the words that `workers.effects.units` knows, such as "site / v^2".
     """
@@ -44,7 +90,7 @@ class FormCoefficient:
     neutral: float | None = 0.0
     positive: bool = False
     if_own: bool = False
-    scale: str = ""
+    scale: GridScale | None = None
     grid: tuple[float, ...] = ()
     held: bool = False
     unit: str = ""
@@ -74,7 +120,7 @@ class EffectForm:
     coefficients
         Its own parameters.
     variables
-        How many variables it is a function of: 0, 1 or 2.
+        Number of variables that it is a function of: 0, 1 or 2.
     states
         Its own states.
     reaction
@@ -83,13 +129,9 @@ class EffectForm:
         Name of what it does to the signal as a whole, see `workers.effects.memory`, with its first
         coefficient; the equation then is "s".
     when
-        Words that say on which data a search should try it: "oscillates" (its variable, or the
-        signal where it has none, clearly takes both signs), "positive" (never negative), "own"
-        (its variable is the state at whose derivative it acts), "first" (its variable is the first
-        state of the pair), "driven" (its variable is an input or a measured signal).
-        All must hold; "" always does.
+        Conditions under which a search should try it; all must hold.
     order
-        Which name wins where data do not tell two apart: the lower.
+        The form of lower order is taken where the data do not tell two apart.
     """
 
     name: str
@@ -101,18 +143,23 @@ class EffectForm:
     states: tuple[OwnState, ...] = ()
     reaction: str = ""
     memory: str = ""
-    when: str = ""
+    when: tuple[Condition, ...] = ()
     order: float = 0.0
+
+    @property
+    def free(self) -> bool:
+        """It is a free curve: it fits anything, and explains nothing."""
+        return self.family == FREE_FAMILY
 
 
 def positive(coefficient: FormCoefficient, *, own: bool) -> bool:
-    """Whether physics wants a coefficient positive.
+    """Return whether physics wants a coefficient positive.
 
     Parameters
     ----------
     coefficient
         Of a form.
     own
-        Whether the form's variable is the state at whose derivative the effect acts.
+        The form's variable is the state at whose derivative the effect acts.
     """
     return coefficient.positive and (own or not coefficient.if_own)

@@ -10,7 +10,7 @@ from workers.messages import Effect
 
 
 def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
-    """What an effect adds to its site, or makes of the signal there.
+    """Return what an effect adds to its site, or makes of the signal there.
 
     "der(v) += -k * tanh(v / width)", "F -> F + k * F^2", "u -> delay(u, tau)". A coefficient that
     has the name of a variable in the equation carries the effect's name before it.
@@ -30,7 +30,7 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
 
     if form.memory:
         return f"{site.target} -> {form.memory}({site.target}, {coefficients[0]})"
-    if form.family == "table":
+    if form.free:
         return f"{site} += table of {names['v']} from low to high: {', '.join(coefficients[:-2])}"
     text = named(form.equation)
     if site.kind == "pair":

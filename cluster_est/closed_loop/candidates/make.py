@@ -14,16 +14,19 @@ from cluster_est.closed_loop.candidates.scales import SignalScales
 from cluster_est.closed_loop.candidates.shapes import shape_of
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.thresholds import CandidateThresholds
 from cluster_est.problem.problem import Parameter, Problem
-from workers.effects.forms import FORMS, EffectForm, FormCoefficient, positive
+from workers.effects.forms import (
+    FORMS,
+    Condition,
+    EffectForm,
+    FormCoefficient,
+    GridScale,
+    positive,
+)
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect
-
-NARROWEST, WIDEST = 20.0, 50.0
-"""How far a refit may go beyond the grid of a coefficient that is positive."""
-KINEMATIC = 1e-6
-"""How closely der(x) must equal another state, relative to its size, to be kinematics."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +36,9 @@ class EffectCandidate:
     Attributes
     ----------
     effect, form, site
-        What it is; two candidates with the same effect do not occur.
+        Of the candidate; two candidates with the same effect do not occur.
     own
-        Whether its variable is the state at whose derivative it acts.
+        Its variable is the state at whose derivative it acts.
     grid
         Values of its coefficients to look at, each a row; strengths that it is linear in are 0.
     lowest, highest
@@ -81,7 +84,7 @@ class EffectCandidate:
 def make_candidates(
     problem: Problem,
     description: ModelDescription,
-    courses: Sequence[LinearisedTrajectory],
+    trajectories: Sequence[LinearisedTrajectory],
     frequencies: Sequence[float],
     settings: LoopSettings,
 ) -> list[EffectCandidate]:
@@ -90,20 +93,21 @@ def make_candidates(
     Parameters
     ----------
     problem, description
-        What the FMU offers, and what is known already: an effect of the problem is no candidate.
-    courses
+        Sites that the FMU offers, and effects that are known: those are no candidates.
+    trajectories
         Of the training experiments, at the current fit.
     frequencies
         Angular frequencies of peaks in the residuals' spectra, for periodic effects.
     settings
-        Which forms and sites to try.
+        Forms and sites to try, and thresholds.
     """
-    scales = SignalScales(courses, frequencies)
+    thresholds = settings.thresholds.candidates
+    scales = SignalScales(trajectories, frequencies, thresholds)
     exchange = problem.model.interface == "model_exchange"
     known = {_identity(effect) for effect in problem.effects if effect.form}
     taken = {effect.name for effect in problem.effects}
     found = []
-    for site in _sites(problem, description, courses):
+    for site in _sites(problem, description, trajectories, thresholds):
         if settings.sites and str(site) not in settings.sites:
             continue
         for form in (f for (kind, _), f in FORMS.items() if kind == site.kind):
@@ -111,7 +115,7 @@ def make_candidates(
                 continue
             if form.memory and not exchange and not description.variable_steps:
                 continue  # it has kinks between the samples, where such an FMU cannot stop
-            for variables in _variables(form, site, problem, description, courses):
+            for variables in _variables(form, site, problem, description, trajectories):
                 candidate = _candidate(form, site, variables, scales, taken)
                 if candidate and _identity(candidate.effect) not in known:
                     taken.add(candidate.effect.name)
@@ -129,16 +133,19 @@ def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:
 
 
 def _sites(
-    problem: Problem, description: ModelDescription, courses: Sequence[LinearisedTrajectory]
+    problem: Problem,
+    description: ModelDescription,
+    trajectories: Sequence[LinearisedTrajectory],
+    thresholds: CandidateThresholds,
 ) -> Iterator[EffectSite]:
-    """Where something could be missing and would be seen."""
+    """Sites where something could be missing and would be seen."""
     interface = problem.model.interface
     train = [problem.experiments[e] for e in problem.indices("train")]
     driven = {given.variable for e in train for given in e.inputs}
-    driven = {name for name in driven if all(course.has(name) for course in courses)}
+    driven = {name for name in driven if all(trajectory.has(name) for trajectory in trajectories)}
     measured = {output.variable for e in train for output in e.outputs}
     estimated = {p.target for p in problem.parameters if not p.fixed}
-    moving = set(description.states) - kinematic_states(courses)
+    moving = set(description.states) - kinematic_states(trajectories, thresholds.kinematic)
     for site in open_sites(description, interface):
         wanted = {
             "derivative": moving,
@@ -156,11 +163,14 @@ def _sites(
             yield EffectSite("pair", *reversed(site.targets))
 
 
-def kinematic_states(courses: Sequence[LinearisedTrajectory]) -> set[str]:
+def kinematic_states(
+    trajectories: Sequence[LinearisedTrajectory],
+    tolerance: float = CandidateThresholds.kinematic,
+) -> set[str]:
     """States whose derivative is another state: nothing can be missing there."""
     found: set[str] = set()
-    for course in courses[:1]:
-        linear = course.linear
+    for trajectory in trajectories[:1]:
+        linear = trajectory.linear
         if linear is None:
             continue
         for i, name in enumerate(linear.state_names):
@@ -169,7 +179,7 @@ def kinematic_states(courses: Sequence[LinearisedTrajectory]) -> set[str]:
             driven = np.abs(linear.B[:, i]).max(initial=0.0)
             size = np.abs(linear.derivatives[:, i]).max()
             gap = np.abs(linear.derivatives[:, i] - linear.states[:, j]).max()
-            if i != j and gap <= KINEMATIC * size and max(row, driven) < 1e-4:
+            if i != j and gap <= tolerance * size and max(row, driven) < 1e-4:
                 found.add(name)
     return found
 
@@ -179,26 +189,28 @@ def _variables(
     site: EffectSite,
     problem: Problem,
     description: ModelDescription,
-    courses: Sequence[LinearisedTrajectory],
+    trajectories: Sequence[LinearisedTrajectory],
 ) -> Iterator[tuple[str, ...]]:
-    """What a form at a site may be a function of."""
+    """Variables that a form at a site may be a function of."""
     if form.variables == 0:
         yield ()
         return
     exchange = problem.model.interface == "model_exchange"
     states = [s for s in description.states if exchange]
-    common = [n for n in courses[0].signals if all(course.has(n) for course in courses)]
+    common = [
+        n for n in trajectories[0].signals if all(trajectory.has(n) for trajectory in trajectories)
+    ]
     signals = [{s.variable for s in e.signals} for e in problem.experiments]
     lacking = {n for own in signals for n in own if not all(n in others for others in signals)}
-    driven = [n for n in common if n not in (*states, *courses[0].names, *lacking)]
+    driven = [n for n in common if n not in (*states, *trajectories[0].names, *lacking)]
     if site.kind == "pair":
         yield from _of_pair(form, site, states, description)
         return
-    outputs = [n for n in courses[0].names if n in common and n not in states]
+    outputs = [n for n in trajectories[0].names if n in common and n not in states]
     names = [*states, *driven, *(outputs if site.kind == "output" else [])]
-    if "driven" in form.when.split():
+    if Condition.DRIVEN in form.when:
         names = driven
-    if "own" in form.when.split():
+    if Condition.OWN in form.when:
         names = [site.target]
     if site.kind in ("input", "output"):
         names = [n for n in names if n != site.target]
@@ -215,7 +227,7 @@ def _of_pair(
 
     A difference points from the second state to the first, so one order of the pair is enough.
     """
-    if "first" in form.when.split():
+    if Condition.FIRST in form.when:
         yield (site.targets[0],)
         return
     if states.index(site.targets[0]) < states.index(site.targets[1]):
@@ -268,13 +280,14 @@ def _bounds(
     scales: SignalScales,
     variables: tuple[str, ...],
 ) -> tuple[float, float]:
-    """What a refit may make of a coefficient."""
+    """Bounds of a coefficient in a refit."""
     if coefficient.name in strengths:
         return (0.0 if positive(coefficient, own=own) else -np.inf), np.inf
-    if coefficient.scale.startswith("quantile"):
-        v = pooled(scales.courses, variables[0])  # moves, once the effect is there
+    if coefficient.scale is GridScale.QUANTILE_V:
+        v = pooled(scales.trajectories, variables[0])  # moves, once the effect is there
         return float(2.0 * v.min() - v.max()), float(2.0 * v.max() - v.min())
+    thresholds = scales.thresholds
     if coefficient.positive:
-        return min(values) / NARROWEST, max(values) * WIDEST
+        return min(values) / thresholds.narrowest, max(values) * thresholds.widest
     width = 10.0 * max(abs(v) for v in values) + 1e-12
     return -width, width

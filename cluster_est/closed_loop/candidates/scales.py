@@ -1,111 +1,95 @@
-"""What the data say about where the coefficients of a form could lie."""
+"""Ranges in which the data let the coefficients of a form lie."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
-from workers.effects.forms import EffectForm, FormCoefficient
+from cluster_est.closed_loop.thresholds import CandidateThresholds
+from workers.effects.forms import Condition, EffectForm, FormCoefficient, GridScale
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray
-
-BOTH_SIGNS = 0.15
-"""Share of its rms that a signal must reach on both sides of zero to count as oscillating."""
 
 
 @dataclass(frozen=True)
 class SignalScales:
     """Sizes of all signals over all training experiments."""
 
-    courses: Sequence[LinearisedTrajectory]
+    trajectories: Sequence[LinearisedTrajectory]
     frequencies: Sequence[float]
+    thresholds: CandidateThresholds = field(default_factory=CandidateThresholds)
 
     def allow(self, form: EffectForm, site: EffectSite, variables: tuple[str, ...]) -> bool:
-        """Whether a form makes sense for these signals."""
+        """Return whether a form makes sense for these signals."""
         about = self._about(site, variables)
-        signals = [pooled(self.courses, name) for name in variables]
+        signals = [pooled(self.trajectories, name) for name in variables]
         if about is not None and not all(_moves(signal) for signal in (about, *signals)):
             return False
-        words = form.when.split()
-        if "oscillates" in words and not (about is not None and oscillates(about)):
+        share = self.thresholds.both_signs
+        if Condition.OSCILLATES in form.when and (about is None or not oscillates(about, share)):
             return False
-        if "positive" in words and not (about is not None and _positive(about)):
+        if Condition.POSITIVE in form.when and (about is None or not _positive(about)):
             return False
-        spread = [c.scale for c in form.coefficients if c.scale in ("low v", "high v")]
+        spread = [c.scale for c in form.coefficients if c.scale in _ENDS]
         ends = {self.grid(FormCoefficient("", scale=scale), site, variables) for scale in spread}
         return len(ends) == len(spread)
 
     def grid(
         self, coefficient: FormCoefficient, site: EffectSite, variables: tuple[str, ...]
     ) -> tuple[float, ...]:
-        """Values of a coefficient to look at."""
-        if coefficient.scale == "spectrum":
+        """Return the values of a coefficient to look at."""
+        scale = coefficient.scale
+        if scale is GridScale.SPECTRUM:
             return tuple(self.frequencies)
-        kind, _, name = coefficient.scale.partition(" ")
         grid = coefficient.grid or (1.0,)
-        if kind == "step":
+        if scale is GridScale.STEP:
             return tuple(g * self._step() for g in grid)
-        if kind == "middle":
+        if scale is GridScale.MIDDLE_T:
             return tuple(g * self._middle() for g in grid)
-        signal = self._signal(site) if name == "s" else self._about(site, variables)
+        signal = self._signal(site) if scale in _OF_SIGNAL else self._about(site, variables)
         if signal is None:
             return ()
-        return tuple(float(x) for x in self._sized(kind, name, signal, grid, variables))
-
-    def _sized(
-        self,
-        kind: str,
-        name: str,
-        signal: FloatArray,
-        grid: Sequence[float],
-        variables: tuple[str, ...],
-    ) -> list[float]:
         rates = np.array(grid)
-        if kind == "quantile":
-            return list(np.quantile(signal, rates))
-        if kind == "range":
-            return list(signal.min() + rates * (signal.max() - signal.min()))
-        if kind == "mean":
-            value = {"v": signal, "|v|": np.abs(signal), "v^2": signal**2}[name].mean()
-        elif kind == "travel":
-            value = self._travel(variables[0])
-        elif kind == "low":
-            value = np.quantile(signal, 0.01)
-        elif kind == "high":
-            value = np.quantile(signal, 0.99)
+        if scale is GridScale.QUANTILE_V:
+            values = np.quantile(signal, rates)
+        elif scale is GridScale.RANGE_S:
+            values = signal.min() + rates * (signal.max() - signal.min())
+        elif scale is GridScale.TRAVEL_V:
+            values = rates * self._travel(variables[0])
         else:
-            value = np.abs(signal).max() if kind == "max" else np.sqrt(np.mean(signal**2))
-        return list(rates * value)
+            values = rates * _SIZES[scale or GridScale.RMS_V](signal)
+        return tuple(float(x) for x in values)
 
     def _about(self, site: EffectSite, variables: tuple[str, ...]) -> FloatArray | None:
-        """The signal that a form bends: its variable, else what passes the site."""
-        return pooled(self.courses, variables[0]) if variables else self._signal(site)
+        """The signal that a form bends: its variable, else that at the site."""
+        return pooled(self.trajectories, variables[0]) if variables else self._signal(site)
 
     def _signal(self, site: EffectSite) -> FloatArray | None:
         if site.kind in ("input", "output"):
-            return pooled(self.courses, site.target)
+            return pooled(self.trajectories, site.target)
         return None
 
     def _step(self) -> float:
         """The usual interval between measurements; the grid has other times too."""
-        measured = [c.times[np.unique(c.rows)] for c in self.courses]
+        measured = [c.times[np.unique(c.rows)] for c in self.trajectories]
         steps = np.concatenate([np.diff(times) for times in measured])
         if not steps.size:
-            steps = np.concatenate([np.diff(c.times) for c in self.courses])
+            steps = np.concatenate([np.diff(c.times) for c in self.trajectories])
         return float(np.median(steps))
 
     def _middle(self) -> float:
-        return float(np.mean([0.5 * (c.times[0] + c.times[-1]) for c in self.courses]))
+        return float(np.mean([0.5 * (c.times[0] + c.times[-1]) for c in self.trajectories]))
 
     def _travel(self, name: str) -> float:
         """Root mean square of the integral of a signal about its mean."""
         total, count = 0.0, 0
-        for course in self.courses:
-            signal = course.signal(name)
-            steps = 0.5 * (signal[1:] + signal[:-1]) * np.diff(course.times)
+        for trajectory in self.trajectories:
+            signal = trajectory.signal(name)
+            steps = 0.5 * (signal[1:] + signal[:-1]) * np.diff(trajectory.times)
             way = np.cumsum(steps)
             total += float(((way - way.mean()) ** 2).sum())
             count += len(way)
@@ -117,11 +101,26 @@ def _moves(signal: FloatArray) -> bool:
 
 
 def _positive(signal: FloatArray) -> bool:
-    """Whether a signal is never negative, but for the error of a solver."""
+    """Return whether a signal is never negative, but for the error of a solver."""
     return bool(signal.min() >= -1e-6 * np.abs(signal).max())
 
 
-def oscillates(signal: FloatArray) -> bool:
-    """Whether a signal takes both signs clearly."""
-    reach = BOTH_SIGNS * float(np.sqrt(np.mean(signal**2)))
+def oscillates(signal: FloatArray, share: float = CandidateThresholds.both_signs) -> bool:
+    """Return whether a signal takes both signs clearly, by this share of its rms."""
+    reach = share * float(np.sqrt(np.mean(signal**2)))
     return bool(signal.min() < -reach and signal.max() > reach)
+
+
+_OF_SIGNAL = (GridScale.MAX_S, GridScale.RANGE_S)
+_ENDS = (GridScale.LOW_V, GridScale.HIGH_V)
+_SIZES: Mapping[GridScale, Callable[[FloatArray], Any]] = {
+    GridScale.MEAN_V: lambda v: v.mean(),
+    GridScale.MEAN_ABSOLUTE_V: lambda v: np.abs(v).mean(),
+    GridScale.MEAN_SQUARE_V: lambda v: (v**2).mean(),
+    GridScale.LOW_V: lambda v: np.quantile(v, 0.01),
+    GridScale.HIGH_V: lambda v: np.quantile(v, 0.99),
+    GridScale.MAX_V: lambda v: np.abs(v).max(),
+    GridScale.MAX_S: lambda s: np.abs(s).max(),
+    GridScale.RMS_V: lambda v: np.sqrt(np.mean(v**2)),
+}
+"""Sizes of a signal that a grid is a multiple of."""

@@ -25,7 +25,7 @@ Function = Callable[..., Any]
 
 @dataclass(frozen=True)
 class FormArguments:
-    """What a form is evaluated on: time, the signal at the site, and its variables; all (n,)."""
+    """Arguments of a form: time, the signal at the site, and its variables; all (n,)."""
 
     t: FloatArray
     s: FloatArray
@@ -53,7 +53,7 @@ class ArrayForm:
     Attributes
     ----------
     form
-        What it is.
+        Of the library.
     strengths
         Coefficients that the equation is linear in and that switch the effect off at 0; empty
         where the effect can only be switched on by a finite amount, like a dead zone.
@@ -99,7 +99,7 @@ def shape_of(form: EffectForm) -> ArrayForm:
 
 
 def _linear_in(equation: sp.Expr, strength: sp.Symbol, others: list[sp.Symbol]) -> bool:
-    """Whether the derivative by a strength has none of the strengths left in it."""
+    """Return whether the derivative by a strength has none of the strengths left in it."""
     if equation.has(sp.Piecewise, sp.Min, sp.Max, sp.Abs):
         inside = equation.atoms(sp.Piecewise, sp.Min, sp.Max, sp.Abs)
         if any(a.free_symbols & set(others) for a in inside):

@@ -1,4 +1,4 @@
-"""What a simulated experiment did: its signals and, in model exchange, its linearisation."""
+"""Linearised trajectories: signals of simulated experiments, and their linear systems."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class LinearisedTrajectory:
     linear
         The linear time-varying system along it; None in co-simulation.
     rows, columns : (k,)
-        Where each residual stands in `outputs`.
+        Place of each residual in `outputs`.
     sigmas : (k,)
-        What each residual was divided by.
+        Divisor of each residual.
     """
 
     times: FloatArray = field(repr=False)
@@ -47,7 +47,7 @@ class LinearisedTrajectory:
         return np.asarray(-change[self.rows, self.columns] / self.sigmas[:, None])
 
     def has(self, name: str) -> bool:
-        """Whether there is such a signal, or both of a difference."""
+        """Return whether there is such a signal, or both of a difference."""
         return all(one in self.signals for one in self._parts(name))
 
     def signal(self, name: str) -> FloatArray:
@@ -62,7 +62,7 @@ class LinearisedTrajectory:
         return first, second
 
 
-def make_course(
+def make_trajectory(
     experiment: Experiment, outcome: Outcome, states: Sequence[str]
 ) -> LinearisedTrajectory:
     """From the answer to "linearisation", or to "trajectory" in co-simulation.
@@ -100,9 +100,11 @@ def make_course(
     )
 
 
-def pooled(courses: Sequence[LinearisedTrajectory], name: str) -> FloatArray:
+def pooled(trajectories: Sequence[LinearisedTrajectory], name: str) -> FloatArray:
     """A signal of all experiments that have it, one behind the other."""
-    return np.concatenate([course.signal(name) for course in courses if course.has(name)])
+    return np.concatenate(
+        [trajectory.signal(name) for trajectory in trajectories if trajectory.has(name)]
+    )
 
 
 def _sampled(given: Input, at: FloatArray) -> FloatArray:

@@ -1,1 +1,1 @@
-"""What a closed loop says in the end: verdict, effects, curves, tables, a block for a config."""
+"""The findings of a closed loop: verdict, effects, curves, tables, a block for a config."""

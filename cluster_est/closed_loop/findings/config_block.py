@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from cluster_est.closed_loop.findings.result import NamedEffect
-from cluster_est.config.toml import inline
+from cluster_est.closed_loop.findings.effects import NamedEffect
 from cluster_est.results.result import Estimate
+from cluster_est.toml import dotted, inline
 
 
 def config_block(effect: NamedEffect) -> str:
-    """An entry of `[[effects]]` that starts from what was found.
+    """Return an entry of `[[effects]]` that starts from the values found.
 
     Bounds are those of the search, so that a fit that names the effect finds the same.
     """
@@ -28,13 +28,8 @@ def config_block(effect: NamedEffect) -> str:
     neutral = dict(known.coefficients)
     for estimate in effect.coefficients:
         name = estimate.parameter.removeprefix(f"{effect.name}.")
-        lines.append(f"{inline_key(name)} = {inline(_section(estimate, neutral.get(name)))}")
+        lines.append(f"{dotted(name)} = {inline(_section(estimate, neutral.get(name)))}")
     return "\n".join(lines) + "\n"
-
-
-def inline_key(name: str) -> str:
-    """A bare key where TOML allows it."""
-    return name if name.isidentifier() and name.isascii() else inline(name)
 
 
 def _section(estimate: Estimate, neutral: float | None) -> dict[str, Any]:

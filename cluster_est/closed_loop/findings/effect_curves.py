@@ -1,15 +1,16 @@
-"""The shapes of the effects that were found, over the range that the data visited."""
+"""Curves of the effects that were found, over the range that the data visited."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import sympy as sp
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
+from cluster_est.closed_loop.findings.effects import EffectCurve
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.results.result import Estimate, Result
@@ -18,78 +19,44 @@ from workers.messages import FloatArray
 
 POINTS, BINS = 201, 48
 Shape = Callable[[FloatArray, FloatArray], FloatArray]
-"""What an effect adds, over its variable and its coefficients."""
+"""The term that an effect adds, as a function of its variable and its coefficients."""
 NORMAL95 = 1.959963984540054
 
 
-@dataclass(frozen=True)
-class DrawnEffect:
-    """What an effect adds, as a function of the one thing that it depends on.
-
-    Attributes
-    ----------
-    effect, part
-        Its name, and where it acts: "der(v)". A pair has two of them.
-    variable, variable_unit, unit
-        What it is a function of, and both units; "" where the FMU names none.
-    x, y, lower, upper : (n,)
-        The shape and its 95 % band, to first order in the coefficients; NaN where the data do not
-        determine one of them.
-    edges : (bins + 1,)
-    counts : (bins,)
-        How many samples of the training experiments lie where.
-    why_not
-        Why it has no shape, in a sentence; the arrays are empty then.
-    """
-
-    effect: str
-    part: str
-    variable: str = ""
-    variable_unit: str = ""
-    unit: str = ""
-    x: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    y: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    lower: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    upper: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    edges: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    counts: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    why_not: str = ""
-
-
-def draw_effects(
-    bench: LoopWorkbench, fitted: FittedModel, result: Result
-) -> tuple[DrawnEffect, ...]:
-    """The shapes of all effects that the loop has added.
+def effect_curves(
+    workbench: LoopWorkbench, fitted: FittedModel, result: Result
+) -> tuple[EffectCurve, ...]:
+    """Compute the curves of all effects that the loop has added.
 
     Parameters
     ----------
-    bench, fitted
+    workbench, fitted
         The model with the effects, where the search ended: its experiments are simulated once more,
-        to see where they went.
+        for the range of their signals.
     result
         Of its last fit: values of the coefficients, and their covariance.
     """
     if not fitted.added:
         return ()
     try:
-        courses = bench.courses(fitted)
+        trajectories = workbench.trajectories(fitted)
     except ClusterEstError as error:
         return tuple(
             _none(c, f"its experiments cannot be simulated ({error})") for c in fitted.added
         )
-    return tuple(each for c in fitted.added for each in _draw(bench, c, courses, result))
+    return tuple(each for c in fitted.added for each in _curves(workbench, c, trajectories, result))
 
 
-def _none(candidate: EffectCandidate, why: str) -> DrawnEffect:
-    return DrawnEffect(candidate.effect.name, str(candidate.site), why_not=why)
+def _none(candidate: EffectCandidate, why: str) -> EffectCurve:
+    return EffectCurve(candidate.effect.name, str(candidate.site), why_not=why)
 
 
-def _draw(
-    bench: LoopWorkbench,
+def _curves(
+    workbench: LoopWorkbench,
     candidate: EffectCandidate,
-    courses: Sequence[LinearisedTrajectory],
+    trajectories: Sequence[LinearisedTrajectory],
     result: Result,
-) -> list[DrawnEffect]:
+) -> list[EffectCurve]:
     form, site = candidate.form, candidate.site
     if form.memory or form.states:
         return [_none(candidate, "it depends on the past, so no curve over one variable shows it")]
@@ -98,17 +65,17 @@ def _draw(
     if over is None:
         return [_none(candidate, "it is no function of one variable alone")]
     symbol, name = over
-    seen = _visited(candidate, courses, symbol, name)
+    seen = _visited(candidate, trajectories, symbol, name)
     seen = seen[np.isfinite(seen)]
     if not len(seen):
         return [_none(candidate, f"nothing is known of {name}")]
-    units = {n: v.unit for n, v in bench.description.variables.items()}
+    units = {n: v.unit for n, v in workbench.description.variables.items()}
     own = units.get(name.partition(" - ")[0], "")
     counts, edges = np.histogram(seen, BINS)
     rows = {e.label: e for e in result.estimates}
     fixed = rows.get(site.target)
     signal = fixed.value if fixed is not None and site.kind == "parameter" else 1.0
-    known = DrawnEffect(
+    known = EffectCurve(
         effect=candidate.effect.name,
         part=str(site),
         variable=name,
@@ -124,13 +91,13 @@ def _draw(
 
 
 def _curve(
-    known: DrawnEffect,
+    known: EffectCurve,
     candidate: EffectCandidate,
     shape: Shape,
     target: str,
     units: Mapping[str, str],
     result: Result,
-) -> DrawnEffect:
+) -> EffectCurve:
     """One part of an effect with its band."""
     rows = {e.label: e for e in result.estimates}
     own = [rows[f"{known.effect}.{c.name}"] for c in candidate.form.coefficients]
@@ -151,19 +118,19 @@ def _curve(
 
 
 def _visited(
-    candidate: EffectCandidate, courses: Sequence[LinearisedTrajectory], symbol: str, name: str
+    candidate: EffectCandidate, trajectories: Sequence[LinearisedTrajectory], symbol: str, name: str
 ) -> FloatArray:
-    """Where the training experiments were; of an output, before effects act on it."""
+    """Values in the training experiments; of an output, before effects act on it."""
     if symbol == "t":
-        return np.concatenate([course.times for course in courses])
+        return np.concatenate([trajectory.times for trajectory in trajectories])
     if symbol == "s" and candidate.site.kind == "output":
-        having = [c for c in courses if name in c.names]
+        having = [c for c in trajectories if name in c.names]
         return np.concatenate([c.outputs[:, c.names.index(name)] for c in having])
-    return pooled(courses, name)
+    return pooled(trajectories, name)
 
 
 def _variable(candidate: EffectCandidate, text: str) -> tuple[str, str] | None:
-    """The only thing that an equation depends on: its symbol there, and its name."""
+    """The only variable that an equation depends on: its symbol there, and its name."""
     site = candidate.site
     equation = _parsed(candidate, text)
     used = _used(equation) - ({"s"} if site.kind == "parameter" else set())
@@ -189,7 +156,7 @@ def _parsed(candidate: EffectCandidate, text: str) -> sp.Expr:
 
 
 def _function(candidate: EffectCandidate, text: str, over: str, signal: float) -> Shape:
-    """What the effect adds, or makes of its signal, over x and the coefficients."""
+    """The term that the effect adds, or the signal it makes, over x and the coefficients."""
     equation = _parsed(candidate, text)
     s = sp.Symbol("s", real=True)
     if candidate.site.kind == "parameter":

@@ -1,120 +1,36 @@
-"""What a closed loop gives back."""
+"""The result of a closed loop."""
 
 from __future__ import annotations
 
 import enum
+import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
+from cluster_est.closed_loop.findings import tables
+from cluster_est.closed_loop.findings.effects import (
+    EffectCurve,
+    ErrorChange,
+    NamedEffect,
+    Verdict,
+)
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.results import notebook
-from cluster_est.results.result import Estimate, Result, fit_tables
-from workers.messages import Effect, FloatArray, Role
-
-if TYPE_CHECKING:  # it needs SymPy, which is slow
-    from cluster_est.closed_loop.findings.effect_curves import DrawnEffect
-
-
-class Verdict(enum.StrEnum):
-    """What is said in the end. A member's text is what run.json carries."""
-
-    NONE = "none"
-    COLOURED = "none (coloured noise)"
-    FOUND = "found"
-    PARTIAL = "partial"
-    UNEXPLAINED = "unexplained"
+from cluster_est.results.facts import fit_facts
+from cluster_est.results.result import Result, fit_tables
+from cluster_est.results.table_names import TableNames
+from workers.messages import FloatArray, Role
 
 
-@dataclass(frozen=True)
-class AlternativeEffect:
-    """An effect that cannot be told apart from the one chosen on this data.
+class ErrorScale(enum.StrEnum):
+    """The divisor of normalised errors. A member's text is what run.json carries."""
 
-    Attributes
-    ----------
-    site, form, family, variables, equation
-        What it is.
-    criterion
-        By how much its information criterion is worse (negative: better).
-    experiment, output, time
-        Where its predictions differ most from those of the chosen effect.
-    difference
-        By how much there, in standard deviations of the noise.
-    """
-
-    site: str
-    form: str
-    family: str
-    variables: tuple[str, ...]
-    equation: str
-    criterion: float
-    experiment: str = ""
-    output: str = ""
-    time: float = np.nan
-    difference: float = np.nan
-
-
-@dataclass(frozen=True)
-class NamedEffect:
-    """An effect that was added to the model.
-
-    Attributes
-    ----------
-    effect
-        As it can be written into a config.
-    family, equation
-        "friction", "der(v) += -k * tanh(v / width)".
-    coefficients
-        Its estimated numbers, with intervals and units.
-    alternatives
-        What it cannot be told apart from.
-    evidence
-        Sentences.
-    """
-
-    effect: Effect
-    family: str
-    equation: str
-    coefficients: tuple[Estimate, ...]
-    alternatives: tuple[AlternativeEffect, ...] = ()
-    evidence: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        return self.effect.name
-
-    @property
-    def site(self) -> str:
-        return self.effect.site
-
-    @property
-    def form(self) -> str:
-        return self.effect.form
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        return self.effect.variables
-
-
-@dataclass(frozen=True)
-class ErrorChange:
-    """How well an output of an experiment is followed, before and after.
-
-    `rmse` is in the output's unit, `normalised` over sigma (the given one, else the estimated
-    noise).
-    """
-
-    experiment: str
-    role: Role
-    output: str
-    unit: str
-    samples: int
-    rmse_before: float
-    rmse_after: float
-    normalised_before: float
-    normalised_after: float
+    SIGMA = "sigma"
+    ESTIMATED_NOISE = "estimated noise"
 
 
 @dataclass(frozen=True)
@@ -124,9 +40,9 @@ class LoopResult:
     Attributes
     ----------
     verdict, summary
-        What was found, in a word and in a paragraph.
+        In a word and in a paragraph.
     effects
-        What was added; empty unless the verdict is "found" or "partial".
+        Those that were added; empty unless the verdict is "found" or "partial".
     before, after
         Fits of the declared model, and with the effects; the same where nothing was added.
     errors
@@ -134,19 +50,21 @@ class LoopResult:
     findings
         Every candidate of every step.
     rejected
-        Effects that the search ended with but that did not pass; a picture of where to look.
+        Effects that the search ended with but that did not pass: a hint at the place to look.
     noise
         Estimated standard deviation of each output's noise, in the output's unit.
     sites
         Every site that was open.
     notes
-        What a reader should know: closed sites, no held-out experiment, sigma at odds with noise.
-    drawn
-        The shapes of the effects that were added.
+        For the reader: closed sites, no held-out experiment, sigma at odds with noise.
     simulations
         In units of one experiment's full length.
     simulated, evaluations, failures, seconds
-        What it took.
+        Its cost.
+    curves
+        Of the effects that were added.
+    errors_over
+        The divisor of the normalised errors.
     """
 
     verdict: Verdict
@@ -165,7 +83,8 @@ class LoopResult:
     evaluations: int
     failures: int
     seconds: float
-    drawn: tuple[DrawnEffect, ...] = field(default=(), repr=False)
+    curves: tuple[EffectCurve, ...] = field(default=(), repr=False)
+    errors_over: ErrorScale = ErrorScale.SIGMA
 
     def rms(self, role: Role, when: str) -> float:
         """Root mean square of the normalised errors "before" or "after"; NaN without any."""
@@ -178,7 +97,7 @@ class LoopResult:
 
     @property
     def success(self) -> bool:
-        """Whether the last fit reached a solution; what was found is said by `verdict`."""
+        """The last fit reached a solution; `verdict` says what was found."""
         return self.after.success
 
     @property
@@ -222,28 +141,66 @@ class LoopResult:
         return replace(self.after, before=self.before.simulations)
 
     @property
-    def tables(self) -> tuple[str, ...]:
-        """What `table` can give: a run folder's files have the same names."""
-        return tuple(dict.fromkeys(("effects", "findings", "shapes", *self.after.tables)))
+    def search_seconds(self) -> float:
+        """Seconds until the last fit had ended."""
+        return self.after.seconds
+
+    @property
+    def tables(self) -> TableNames:
+        """Names of its tables, those of a run folder's files; `tables()` gives all of them."""
+        names = ("effects", "findings", "shapes", *self.after.tables)
+        return TableNames(dict.fromkeys(names), self.table)
 
     def table(self, name: str) -> pa.Table:
-        """One of `tables`, with the columns that it has in a run folder.
+        """Return one of `tables`, with the columns that it has in a run folder.
 
         Raises
         ------
         RunFolderError
             If there is no such table.
         """
-        from cluster_est.closed_loop.findings import tables  # it knows this class
+        if name == "effects":
+            return tables.effect_table(self.effects)
+        if name == "findings":
+            return tables.finding_table(self.findings)
+        if name == "shapes":
+            return tables.curve_table(self.curves)
+        if name == "parameters":
+            return tables.parameter_table(self.before.estimates, self.after.estimates)
+        if name == "errors":
+            return tables.error_table(self.errors, self.before.errors, self.after.errors)
+        return self.final.table(name)
 
-        made = {
-            "effects": tables.effect_table,
-            "findings": tables.finding_table,
-            "shapes": tables.shape_table,
-            "parameters": tables.parameter_table,
-            "errors": tables.error_table,
+    def facts(self) -> Mapping[str, Any]:
+        """Return what run.json says of it, besides what the run's folder knows itself."""
+        return fit_facts(self.after) | {
+            "status": "done",
+            "cost_before": self.before.cost,
+            "evaluations": self.evaluations,
+            "simulations": self.simulated,
+            "failures": self.failures,
+            "seconds": self.seconds,
+            "errors_over": self.errors_over.value,
+            "verdict": self.verdict.value,
+            "summary": self.summary,
+            "effects": [tables.effect_facts(effect) for effect in self.effects],
+            "rejected": [tables.effect_facts(effect) for effect in self.rejected],
+            "errors": {
+                role: {when: self.rms(role, when) for when in ("before", "after")}
+                for role in ("train", "test")
+            },
+            "errors_by_output": tables.errors_by_output(self.errors),
+            "noise": self.noise,
+            "notes": list(self.notes),
+            "sites": list(self.sites),
+            "experiments_simulated": self.simulations,
         }
-        return made[name](self) if name in made else self.final.table(name)
+
+    @property
+    def drawn(self) -> tuple[EffectCurve, ...]:
+        """The name of `curves` until the next version."""
+        warnings.warn("drawn is curves now; use that", DeprecationWarning, stacklevel=2)
+        return self.curves
 
     @property
     def parameters(self) -> pa.Table:
@@ -261,19 +218,19 @@ class LoopResult:
         return self.final.trajectories
 
     def __str__(self) -> str:
-        """What `print` shows."""
-        return notebook.plain(self._title, *self._tables)
+        """Return the text for `print`."""
+        return notebook.plain(self._title, *self._display)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        return notebook.section(self._title, *self._tables)
+        """Return the HTML for a notebook."""
+        return notebook.section(self._title, *self._display)
 
     @property
     def _title(self) -> str:
         return f"Closed loop: {self.verdict}. {self.summary}"
 
     @property
-    def _tables(self) -> tuple[notebook.DisplayTable, ...]:
+    def _display(self) -> tuple[notebook.DisplayTable, ...]:
         effects = [(e.name, e.family, e.equation) for e in self.effects]
         return (
             notebook.DisplayTable("Effects", ("name", "family", "equation"), effects),

@@ -1,15 +1,18 @@
-"""The result of a closed loop as rows of tables and as the facts of run.json."""
+"""The findings of a closed loop as rows of tables and as facts of run.json."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from cluster_est.closed_loop.findings.config_block import config_block
-from cluster_est.closed_loop.findings.result import ErrorChange, LoopResult, NamedEffect
+from cluster_est.closed_loop.findings.effects import EffectCurve, ErrorChange, NamedEffect
+from cluster_est.closed_loop.screening.evidence import CandidateEvidence
+from cluster_est.results.output_errors import OutputError
 from cluster_est.results.result import Estimate
 
 Row = dict[str, Any]
@@ -48,44 +51,36 @@ SHAPES = pa.schema(
         ("why_not", pa.string()),
     ]
 )
+RENAMED = {"imitated_by": "confounded_with"}
+"""Columns whose names differ from those of the attributes."""
 BEFORE = ("value", "std_error", "lower95", "upper95")
 
 
-def parameter_rows(result: LoopResult) -> list[Row]:
-    """Every estimate of the final model, and what it was without the effects (NaN if new)."""
-    old = {e.label: e for e in result.before.estimates}
+def parameter_table(before: Sequence[Estimate], after: Sequence[Estimate]) -> pa.Table:
+    """Make a row for each estimate of the final model, with that before (NaN if it is new)."""
+    old = {e.label: e for e in before}
     rows = []
-    for estimate in result.after.estimates:
+    for estimate in after:
         then = old.get(estimate.label)
         added = {f"{k}_before": getattr(then, k) if then else np.nan for k in BEFORE}
         rows.append(dataclasses.asdict(estimate) | added)
-    return rows
+    return pa.Table.from_pylist(rows)
 
 
-def error_rows(result: LoopResult) -> list[Row]:
-    """The errors of the declared model fitted, and with the effects."""
+def error_table(
+    changes: Sequence[ErrorChange], before: Sequence[OutputError], after: Sequence[OutputError]
+) -> pa.Table:
+    """Make a row for each output of each experiment: declared model fitted, and with effects."""
     rows = []
-    for change, old, new in zip(
-        result.errors, result.before.errors, result.after.errors, strict=True
-    ):
+    for change, old, new in zip(changes, before, after, strict=True):
         row = dataclasses.asdict(change)
         row |= {"relative_before": old.relative_after, "relative_after": new.relative_after}
         rows.append(row)
-    return rows
+    return pa.Table.from_pylist(rows)
 
 
-def parameter_table(result: LoopResult) -> pa.Table:
-    """`parameter_rows` as a table."""
-    return pa.Table.from_pylist(parameter_rows(result))
-
-
-def error_table(result: LoopResult) -> pa.Table:
-    """`error_rows` as a table."""
-    return pa.Table.from_pylist(error_rows(result))
-
-
-def effect_table(result: LoopResult) -> pa.Table:
-    """A row for each coefficient of each effect that was added."""
+def effect_table(effects: Sequence[NamedEffect]) -> pa.Table:
+    """Make a row for each coefficient of each effect that was added."""
     rows = [
         {
             "effect": effect.name,
@@ -97,44 +92,30 @@ def effect_table(result: LoopResult) -> pa.Table:
             "coefficient": _coefficient(effect, estimate),
             **_numbers(estimate),
         }
-        for effect in result.effects
+        for effect in effects
         for estimate in effect.coefficients
     ]
     return pa.Table.from_pylist(rows, schema=EFFECTS)
 
 
-def shape_table(result: LoopResult) -> pa.Table:
-    """A row for each shape of each effect that was added; its points are lists."""
-    return pa.Table.from_pylist([dataclasses.asdict(each) for each in result.drawn], schema=SHAPES)
+def curve_table(curves: Sequence[EffectCurve]) -> pa.Table:
+    """Make a row for each curve of each effect that was added; its points are lists."""
+    return pa.Table.from_pylist([dataclasses.asdict(each) for each in curves], schema=SHAPES)
 
 
-def finding_table(result: LoopResult) -> pa.Table:
-    """Every candidate of every step with its score."""
-    rows = [dataclasses.asdict(f) | {"variables": list(f.variables)} for f in result.findings]
+def finding_table(findings: Sequence[CandidateEvidence]) -> pa.Table:
+    """Make a row for every candidate of every step."""
+    rows = [
+        {name: getattr(finding, name) for name in FINDINGS.names if name not in RENAMED}
+        | {column: getattr(finding, name) for column, name in RENAMED.items()}
+        | {"variables": list(finding.variables), "stage": finding.stage.value}
+        for finding in findings
+    ]
     return pa.Table.from_pylist(rows, schema=FINDINGS)
 
 
-def facts(result: LoopResult) -> Row:
-    """What run.json says of a closed loop, besides what it says of any run."""
-    return {
-        "verdict": str(result.verdict),
-        "summary": result.summary,
-        "effects": [effect_facts(effect) for effect in result.effects],
-        "rejected": [effect_facts(effect) for effect in result.rejected],
-        "errors": {
-            role: {when: result.rms(role, when) for when in ("before", "after")}
-            for role in ("train", "test")
-        },
-        "errors_by_output": _errors_by_output(result.errors),
-        "noise": result.noise,
-        "notes": list(result.notes),
-        "sites": list(result.sites),
-        "experiments_simulated": result.simulations,
-    }
-
-
 def effect_facts(effect: NamedEffect) -> Row:
-    """One effect, with what it cannot be told apart from and a block for a config."""
+    """Return one effect with its alternatives and a block for a config."""
     return {
         "name": effect.name,
         "family": effect.family,
@@ -158,8 +139,8 @@ def _coefficient(effect: NamedEffect, estimate: Estimate) -> str:
     return estimate.parameter.removeprefix(f"{effect.name}.")
 
 
-def _errors_by_output(errors: tuple[ErrorChange, ...]) -> Row:
-    """Root mean square error of each output over all experiments with a role, in its unit."""
+def errors_by_output(errors: Sequence[ErrorChange]) -> Row:
+    """Return the root mean square error of each output of each role, in its unit."""
     found: Row = {}
     for output in dict.fromkeys(e.output for e in errors):
         rows = [e for e in errors if e.output == output]

@@ -1,34 +1,37 @@
-"""What was found, in the words and numbers of a report."""
+"""The findings of a closed loop in the words and numbers of a report."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.findings.result import AlternativeEffect, ErrorChange, NamedEffect
-from cluster_est.closed_loop.selection.forward_selection import SelectionResult
+from cluster_est.closed_loop.findings.effects import AlternativeEffect, ErrorChange, NamedEffect
+from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.closed_loop.selection.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.results.result import Estimate, Result
 from workers.messages import FloatArray
 
 WINDOWS = 20
-"""Into how many parts a record is cut to say when most of its residual lives."""
+"""Parts into which a record is cut to say when most of its residual lives."""
 
 
 def describe_effects(
-    bench: LoopWorkbench, found: SelectionResult, result: Result
+    workbench: LoopWorkbench, found: SelectionResult, result: Result
 ) -> tuple[NamedEffect, ...]:
-    """The effects of the final model, with what each cannot be told apart from."""
-    return tuple(_describe(bench, found, candidate, result) for candidate in found.current.added)
+    """Describe the effects of the final model, with what each cannot be told apart from."""
+    return tuple(
+        _describe(workbench, found, candidate, result) for candidate in found.current.added
+    )
 
 
 def error_changes(
-    bench: LoopWorkbench, found: SelectionResult, before: Result, after: Result
+    workbench: LoopWorkbench, found: SelectionResult, before: Result, after: Result
 ) -> tuple[ErrorChange, ...]:
-    """The errors of the declared and of the final model, side by side."""
-    noise = bench.noise_in_units(found.noise)
-    given = any(output.sigma != 1.0 for e in bench.problem.experiments for output in e.outputs)
+    """Put the errors of the declared and of the final model side by side."""
+    noise = workbench.noise_in_units(found.noise)
+    given = any(output.sigma != 1.0 for e in workbench.problem.experiments for output in e.outputs)
     rows = []
     for old, new in zip(before.errors, after.errors, strict=True):
         sigma = old.rmse_after / old.normalised_after if old.normalised_after else np.nan
@@ -55,28 +58,28 @@ def _over(error: float, sigma: float) -> float:
     return error / sigma if sigma > 0.0 else np.nan
 
 
-def where_left(bench: LoopWorkbench, fitted: FittedModel) -> str:
-    """Where and when most of a residual lives, in a sentence."""
+def where_left(workbench: LoopWorkbench, fitted: FittedModel) -> str:
+    """Say in a sentence in which part of the data most of a residual lives."""
     total = max(fitted.sse, 1e-300)
     best: tuple[float, str] = (0.0, "")
-    for record in bench.records.items:
+    for record in workbench.records.items:
         squares = fitted.residuals[record.rows] ** 2
         edges = np.linspace(record.times[0], record.times[-1], WINDOWS + 1)
         window = np.clip(np.searchsorted(edges, record.times, side="right") - 1, 0, WINDOWS - 1)
         sums = np.bincount(window, weights=squares, minlength=WINDOWS)
         k = int(np.argmax(sums))
         if sums[k] > best[0]:
-            run = bench.problem.experiments[bench.train[record.experiment]]
+            run = workbench.problem.experiments[workbench.train[record.experiment]]
             best = (
                 float(sums[k]),
-                f"output {bench.records.outputs[record.output]} of experiment {run.id!r} between "
-                f"t = {edges[k]:.4g} and {edges[k + 1]:.4g} s",
+                f"output {workbench.records.outputs[record.output]} of experiment {run.id!r} "
+                f"between t = {edges[k]:.4g} and {edges[k + 1]:.4g} s",
             )
     return f"of what is left, the largest part ({best[0] / total:.0%}) is in {best[1]}"
 
 
 def _describe(
-    bench: LoopWorkbench, found: SelectionResult, candidate: EffectCandidate, result: Result
+    workbench: LoopWorkbench, found: SelectionResult, candidate: EffectCandidate, result: Result
 ) -> NamedEffect:
     name = candidate.effect.name
     won, rivals = found.rivals.get(name, (None, []))
@@ -86,7 +89,7 @@ def _describe(
         equation=candidate.equation,
         coefficients=_coefficients(name, result),
         alternatives=tuple(
-            _alternative(bench, won, rival, found.noise) for rival in rivals if won is not None
+            _alternative(workbench, won, rival, found.noise) for rival in rivals if won is not None
         ),
         evidence=_evidence(found, candidate),
     )
@@ -97,11 +100,11 @@ def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
 
 
 def _alternative(
-    bench: LoopWorkbench, won: RefittedCandidate, rival: RefittedCandidate, noise: FloatArray
+    workbench: LoopWorkbench, won: RefittedCandidate, rival: RefittedCandidate, noise: FloatArray
 ) -> AlternativeEffect:
     """A rival, and where an experiment would tell it from the winner best."""
     candidate = rival.candidate
-    where, when, output, size = _largest_difference(bench, won.fitted, rival.fitted, noise)
+    where, when, output, size = _largest_difference(workbench, won.fitted, rival.fitted, noise)
     return AlternativeEffect(
         site=str(candidate.site),
         form=candidate.form.name,
@@ -117,32 +120,32 @@ def _alternative(
 
 
 def _largest_difference(
-    bench: LoopWorkbench, one: FittedModel, other: FittedModel, noise: FloatArray
+    workbench: LoopWorkbench, one: FittedModel, other: FittedModel, noise: FloatArray
 ) -> tuple[str, float, str, float]:
     """Experiment, time, output and size of the largest difference of two models' predictions.
 
     The size is over the noise of that output.
     """
     gap = np.abs(one.residuals - other.residuals)
-    for record in bench.records.items:
+    for record in workbench.records.items:
         gap[record.rows] /= max(float(noise[record.output]), 1e-300)
     row = int(np.argmax(gap))
-    for record in bench.records.items:
+    for record in workbench.records.items:
         if record.rows.start <= row < record.rows.stop:
-            experiment = bench.problem.experiments[bench.train[record.experiment]]
+            experiment = workbench.problem.experiments[workbench.train[record.experiment]]
             time = float(record.times[row - record.rows.start])
-            return experiment.id, time, bench.records.outputs[record.output], float(gap[row])
+            return experiment.id, time, workbench.records.outputs[record.output], float(gap[row])
     return "", np.nan, "", float(gap[row])
 
 
 def _evidence(found: SelectionResult, candidate: EffectCandidate) -> tuple[str, ...]:
-    """Why it was added, in sentences."""
+    """Sentences on why it was added."""
     sentences = []
     for finding in found.findings:
         own = (finding.site, finding.form, finding.variables)
         if own != (str(candidate.site), candidate.form.name, candidate.effect.variables):
             continue
-        if finding.stage == "accepted":
+        if finding.stage is CandidateStage.ACCEPTED:
             sentences.append(
                 f"step {finding.step}: carries {finding.explained:.0%} of the residual, criterion "
                 f"falls by {-finding.criterion:.0f}"

@@ -1,4 +1,4 @@
-"""In which direction each candidate would move the residuals, were it switched on a little.
+"""Directions in which candidates would move the residuals, were they switched on a little.
 
 In model exchange one linear time-varying system along each experiment answers for all candidates:
 
@@ -38,113 +38,116 @@ class CandidatePoint:
 
     @property
     def width(self) -> int:
-        """How many columns its direction has: one for each strength, or one finite change."""
+        """Number of columns of its direction: one for each strength, or one finite change."""
         return max(1, len(self.candidate.strengths))
 
 
 def directions(
-    courses: Sequence[LinearisedTrajectory],
+    trajectories: Sequence[LinearisedTrajectory],
     trials: Sequence[CandidatePoint],
     known: Sequence[FloatArray],
 ) -> list[FloatArray]:
-    """The directions of trials, each (residuals, width), from the courses alone.
+    """The directions of trials, each (residuals, width), from the linearised trajectories alone.
 
     Parameters
     ----------
-    courses
+    trajectories
         Of the training experiments, in their order.
     trials
         At any sites in model exchange, at outputs in co-simulation.
-    known : (parameters,) for each course
+    known : (parameters,) for each trajectory
         Values of the model's parameters there.
     """
     if not trials:
         return []
     parts = [
-        _of_course(course, trials, values) for course, values in zip(courses, known, strict=True)
+        _of_trajectory(trajectory, trials, values)
+        for trajectory, values in zip(trajectories, known, strict=True)
     ]
     joined = np.concatenate(parts)
     ends = np.cumsum([0, *(trial.width for trial in trials)])
     return [joined[:, a:b] for a, b in pairwise(ends)]
 
 
-def _of_course(
-    course: LinearisedTrajectory, trials: Sequence[CandidatePoint], known: FloatArray
+def _of_trajectory(
+    trajectory: LinearisedTrajectory, trials: Sequence[CandidatePoint], known: FloatArray
 ) -> FloatArray:
     """(residuals of one experiment, columns of all trials)."""
-    steps = discretise(course.linear) if course.linear is not None else None
-    width = len(course.times) * max(course.outputs.shape[1], _order(course))
+    steps = discretise(trajectory.linear) if trajectory.linear is not None else None
+    width = len(trajectory.times) * max(trajectory.outputs.shape[1], _order(trajectory))
     most = max(1, BLOCK_VALUES // max(1, width))
     found: list[FloatArray] = []
     block: list[CandidatePoint] = []
     columns = 0
     for trial in trials:
         if block and columns + trial.width > most:
-            found.append(_of_block(course, steps, block, known))
+            found.append(_of_block(trajectory, steps, block, known))
             block, columns = [], 0
         block.append(trial)
         columns += trial.width
     if block:
-        found.append(_of_block(course, steps, block, known))
+        found.append(_of_block(trajectory, steps, block, known))
     return np.hstack(found)
 
 
-def _order(course: LinearisedTrajectory) -> int:
-    return course.linear.A.shape[1] if course.linear is not None else 0
+def _order(trajectory: LinearisedTrajectory) -> int:
+    return trajectory.linear.A.shape[1] if trajectory.linear is not None else 0
 
 
 def _of_block(
-    course: LinearisedTrajectory,
+    trajectory: LinearisedTrajectory,
     steps: DiscreteSystem | None,
     trials: Sequence[CandidatePoint],
     known: FloatArray,
 ) -> FloatArray:
     count = sum(trial.width for trial in trials)
-    n, outputs = course.outputs.shape
-    forcing = np.zeros((n, _order(course), count))
+    n, outputs = trajectory.outputs.shape
+    forcing = np.zeros((n, _order(trajectory), count))
     change = np.zeros((n, outputs, count))
     first = 0
     for trial in trials:
         part = slice(first, first + trial.width)
         first = part.stop
         site = trial.candidate.site
-        if site.kind == "output" and site.target not in course.names:
+        if site.kind == "output" and site.target not in trajectory.names:
             continue  # not measured in this experiment
-        added = added_at(course, trial, known)
-        _place(course, trial, added, forcing[:, :, part], change[:, :, part])
-    if course.linear is not None and steps is not None and forcing.any():
-        change += np.matmul(course.linear.C, propagate(steps, forcing))
-    return course.residual_change(change)
+        added = added_at(trajectory, trial, known)
+        _place(trajectory, trial, added, forcing[:, :, part], change[:, :, part])
+    if trajectory.linear is not None and steps is not None and forcing.any():
+        change += np.matmul(trajectory.linear.C, propagate(steps, forcing))
+    return trajectory.residual_change(change)
 
 
-def added_at(course: LinearisedTrajectory, trial: CandidatePoint, known: FloatArray) -> FloatArray:
+def added_at(
+    trajectory: LinearisedTrajectory, trial: CandidatePoint, known: FloatArray
+) -> FloatArray:
     """(n, width): what the effect adds at its site; relative at a parameter in co-simulation."""
     candidate = trial.candidate
-    site, zero = candidate.site, np.zeros(len(course.times))
-    v, w = [*(course.signal(name) for name in candidate.effect.variables), zero, zero][:2]
+    site, zero = candidate.site, np.zeros(len(trajectory.times))
+    v, w = [*(trajectory.signal(name) for name in candidate.effect.variables), zero, zero][:2]
     s = zero
     if site.kind in ("input", "output"):
-        s = course.signal(site.target)
+        s = trajectory.signal(site.target)
     elif site.kind == "parameter":
-        names = course.linear.parameter_names if course.linear is not None else ()
+        names = trajectory.linear.parameter_names if trajectory.linear is not None else ()
         s = zero + (known[names.index(site.target)] if site.target in names else 1.0)
     values = {
         c.name: value for c, value in zip(candidate.form.coefficients, trial.values, strict=True)
     }
-    return shape_of(candidate.form).directions(FormArguments(course.times, s, v, w), values)
+    return shape_of(candidate.form).directions(FormArguments(trajectory.times, s, v, w), values)
 
 
 def _place(
-    course: LinearisedTrajectory,
+    trajectory: LinearisedTrajectory,
     trial: CandidatePoint,
     added: FloatArray,
     forcing: FloatArray,
     change: FloatArray,
 ) -> None:
     """Let what is added act on the linear system: on its states, its outputs, or both."""
-    site, linear = trial.candidate.site, course.linear
+    site, linear = trial.candidate.site, trajectory.linear
     if site.kind == "output":
-        change[:, course.names.index(site.target)] += added
+        change[:, trajectory.names.index(site.target)] += added
         return
     if linear is None:
         raise ValueError(f"{site} has no direction without a linearisation")

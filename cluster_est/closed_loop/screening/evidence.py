@@ -2,9 +2,22 @@
 
 from __future__ import annotations
 
+import enum
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
+
+
+class CandidateStage(enum.StrEnum):
+    """The stage that a candidate reached; a member's text is what findings.parquet carries."""
+
+    SET_ASIDE = "set aside"
+    """The declared parameters confound it."""
+    SCREENED = "screened"
+    TRIED = "tried"
+    REFITTED = "refitted"
+    ACCEPTED = "accepted"
 
 
 @dataclass(frozen=True)
@@ -16,7 +29,7 @@ class CandidateEvidence:
     step
         1 for the search for the first effect, and so on.
     site, form, family, variables
-        What it is: "der(v)", "coulomb", "friction", ("v",).
+        Of the effect: "der(v)", "coulomb", "friction", ("v",).
     statistic, freedom
         Score statistic and its degrees of freedom.
     log_p
@@ -24,14 +37,14 @@ class CandidateEvidence:
     explained
         Share of the residual sum of squares that its direction carries.
     distinct
-        Norm of its direction after removing what the declared parameters imitate, over that before.
+        Norm of its direction outside the declared parameters, over that before.
     stage
-        "screened", "tried", "refitted", "accepted" or "set aside" (parameters imitate it).
+        The last one that it reached.
     criterion
         Bayesian information criterion of its refit minus that of the model without it; NaN where
         it was not refitted.
-    imitated_by
-        For one set aside: the declared parameter that imitates it best.
+    confounded_with
+        For one set aside: the declared parameter whose sensitivity is most like its direction.
     """
 
     step: int
@@ -44,6 +57,14 @@ class CandidateEvidence:
     log_p: float
     explained: float
     distinct: float
-    stage: str
+    stage: CandidateStage
     criterion: float = np.nan
-    imitated_by: str = ""
+    confounded_with: str = ""
+
+    @property
+    def imitated_by(self) -> str:
+        """The name of `confounded_with` until the next version."""
+        warnings.warn(
+            "imitated_by is confounded_with now; use that", DeprecationWarning, stacklevel=2
+        )
+        return self.confounded_with

@@ -7,7 +7,7 @@ from workers.kernels.fmi.calling import inlined, kernel
 
 @kernel
 def run_linear(keep, from_first, from_last, forcing, now, after):  # type: ignore[no-untyped-def]
-    """x' = keep x + from_first f + from_last f', from x = 0; the states take the forcing's place.
+    """Integrate x' = keep x + from_first f + from_last f' from x = 0, in place of the forcing.
 
     Parameters
     ----------
@@ -21,7 +21,11 @@ def run_linear(keep, from_first, from_last, forcing, now, after):  # type: ignor
     _fill(now)
     for k in range(len(keep)):
         _fill(after)
-        _add_step(keep[k], from_first[k], from_last[k], forcing[k], forcing[k + 1], now, after)
+        for i in range(len(now)):
+            for j in range(len(now)):
+                a, b, c = keep[k, i, j], from_first[k, i, j], from_last[k, i, j]
+                for m in range(now.shape[1]):
+                    after[i, m] += a * now[j, m] + b * forcing[k, j, m] + c * forcing[k + 1, j, m]
         _copy(now, forcing[k])
         _copy(after, now)
     _copy(now, forcing[len(keep)])
@@ -39,12 +43,3 @@ def _copy(source, target):  # type: ignore[no-untyped-def]
     for i in range(source.shape[0]):
         for m in range(source.shape[1]):
             target[i, m] = source[i, m]
-
-
-@inlined
-def _add_step(keep, from_first, from_last, first, last, now, after):  # type: ignore[no-untyped-def]
-    for i in range(len(now)):
-        for j in range(len(now)):
-            a, b, c = keep[i, j], from_first[i, j], from_last[i, j]
-            for m in range(now.shape[1]):
-                after[i, m] += a * now[j, m] + b * first[j, m] + c * last[j, m]

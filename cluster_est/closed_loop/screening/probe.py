@@ -1,4 +1,4 @@
-"""Directions of candidates in co-simulation, where nobody sees the states: by simulating each."""
+"""Directions of candidates in co-simulation, where the states are hidden: by simulating each."""
 
 from __future__ import annotations
 
@@ -8,18 +8,16 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.screening.directions import CandidatePoint, added_at
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.problem.space import Unknown
 from workers.messages import FloatArray
 
-AMOUNT = 0.01
-"""How far a candidate is switched on, as a share of the signal that it changes."""
-
 
 def probe(
-    bench: LoopWorkbench,
+    workbench: LoopWorkbench,
     fitted: FittedModel,
-    courses: Sequence[LinearisedTrajectory],
+    trajectories: Sequence[LinearisedTrajectory],
     trials: Sequence[CandidatePoint],
 ) -> list[FloatArray]:
     """The direction of each trial, (residuals, width), all in one queue.
@@ -28,25 +26,27 @@ def probe(
     effect that can only be switched on by a finite amount is, by its whole amount.
     """
     asked, amounts = [], []
+    amount = workbench.thresholds.screening.probe_amount
     for trial in trials:
-        rows, steps = _switched(trial, courses)
+        rows, steps = _switched(trial, trajectories, amount)
         start = fitted.start.plus(trial.candidate, trial.values)
-        space = bench.space(start)
+        space = workbench.space(start)
         points = np.array([_point(fitted, space.unknowns, trial, row) for row in rows])
         asked.append((space, points))
         amounts.append(steps)
     found = []
-    for trial, steps, seen in zip(trials, amounts, bench.look("probe", asked), strict=True):
+    answers = workbench.evaluate(LoopStage.PROBE, asked)
+    for trial, steps, seen in zip(trials, amounts, answers, strict=True):
         columns = [
-            (at.residuals - fitted.residuals) / step if at.ok else np.zeros(bench.size)
+            (at.residuals - fitted.residuals) / step if at.ok else np.zeros(workbench.size)
             for at, step in zip(seen, steps, strict=True)
         ]
-        found.append(np.column_stack(columns).reshape(bench.size, trial.width))
+        found.append(np.column_stack(columns).reshape(workbench.size, trial.width))
     return found
 
 
 def _switched(
-    trial: CandidatePoint, courses: Sequence[LinearisedTrajectory]
+    trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory], amount: float
 ) -> tuple[list[FloatArray], list[float]]:
     """Coefficients for each column, and what its change is to be divided by."""
     candidate = trial.candidate
@@ -56,7 +56,7 @@ def _switched(
     rows, steps = [], []
     for i, coefficient in enumerate(candidate.form.coefficients):
         if coefficient.name in candidate.strengths:
-            step = AMOUNT * _size(trial, courses)
+            step = amount * _size(trial, trajectories)
             row = values.copy()
             row[i] = step
             rows.append(row)
@@ -64,14 +64,16 @@ def _switched(
     return rows, steps
 
 
-def _size(trial: CandidatePoint, courses: Sequence[LinearisedTrajectory]) -> float:
-    """How large a strength is that changes its signal by as much as the signal itself."""
+def _size(trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory]) -> float:
+    """The strength that changes its signal by as much as the signal itself."""
     candidate = trial.candidate
-    added = np.concatenate([added_at(course, trial, np.zeros(0)) for course in courses])
+    added = np.concatenate(
+        [added_at(trajectory, trial, np.zeros(0)) for trajectory in trajectories]
+    )
     swing = float(np.sqrt(np.mean(added**2))) or 1.0
     if candidate.site.kind == "parameter":
         return 1.0 / swing
-    signal = pooled(courses, candidate.site.target)
+    signal = pooled(trajectories, candidate.site.target)
     return float(np.sqrt(np.mean(signal**2)) or 1.0) / swing
 
 

@@ -1,4 +1,4 @@
-"""Whether an effect may be added: does it predict what it was not fitted to, and stay bounded?"""
+"""Acceptance of an effect: prediction of what it was not fitted to, and bounded outputs."""
 
 from __future__ import annotations
 
@@ -6,20 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.synthetic_experiments import enlarged_kind
+from cluster_est.closed_loop.thresholds import AcceptanceThresholds
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from workers.messages import FloatArray, IntArray, Output
 
-CV_STEPS = (1.0, 0.4)
-CV_LARGEST = 0.5
-"""Largest step of a parameter: in logarithms, or as a share of its value."""
-BOUND = 6.0
-"""Times its measured half range that an output may reach when the inputs are enlarged."""
 GUARD = 1.0001
-FEW = 2
-"""Up to so many experiments, parts of their records are left out instead."""
-QUARTERS = 4
-UNPREDICTED = 4.0
-"""What its own squares count where no prediction can be simulated."""
+"""Of a comparison of sums of squares: above rounding."""
 
 
 @dataclass(frozen=True)
@@ -33,21 +27,23 @@ class LeaveOneOutPrediction:
         return float(self.squares.sum())
 
 
-def predict(bench: LoopWorkbench, fitted: FittedModel) -> LeaveOneOutPrediction:
+def predict(workbench: LoopWorkbench, fitted: FittedModel) -> LeaveOneOutPrediction:
     """Predict each training experiment from the others.
 
     The fit to the others is one Gauss-Newton step away, since all but one experiment were in it
     already; its length is chosen so that the others do not get worse, and the prediction is a real
     simulation. With one or two experiments, quarters of their records take the experiments' place.
     """
-    parts = _parts(bench)
-    points = [_left_out(fitted, part) for part in parts]
-    (seen,) = bench.look("leave one out", [(fitted.space, np.vstack(points))])
+    parts = _parts(workbench)
+    thresholds = workbench.thresholds.acceptance
+    lengths = len(thresholds.step_lengths)
+    points = [_left_out(fitted, part, thresholds) for part in parts]
+    (seen,) = workbench.evaluate(LoopStage.LEAVE_ONE_OUT, [(fitted.space, np.vstack(points))])
     squares = np.empty(len(parts))
     for number, part in enumerate(parts):
         own = float(np.sum(fitted.residuals[part] ** 2))
-        squares[number] = UNPREDICTED * own
-        for at in seen[len(CV_STEPS) * number : len(CV_STEPS) * (number + 1)]:
+        squares[number] = thresholds.unpredicted * own
+        for at in seen[lengths * number : lengths * (number + 1)]:
             if not at.ok:
                 continue
             squares[number] = min(squares[number], own)
@@ -58,38 +54,45 @@ def predict(bench: LoopWorkbench, fitted: FittedModel) -> LeaveOneOutPrediction:
     return LeaveOneOutPrediction(squares)
 
 
-def _parts(bench: LoopWorkbench) -> list[IntArray]:
+def _parts(workbench: LoopWorkbench) -> list[IntArray]:
     """The residuals that are left out together."""
-    records = bench.records
-    count = len(bench.train)
-    if count > FEW:
+    records = workbench.records
+    count = len(workbench.train)
+    thresholds = workbench.thresholds.acceptance
+    if count > thresholds.few:
         return [records.of_experiment(e) for e in range(count)]
     parts: list[IntArray] = []
     for e in range(count):
         own = [r for r in records.items if r.experiment == e]
         first = min(float(r.times[0]) for r in own if len(r.times))
         last = max(float(r.times[-1]) for r in own if len(r.times))
-        edges = np.linspace(first, last, QUARTERS + 1)[1:-1]
-        quarter = np.concatenate([np.searchsorted(edges, r.times, side="right") for r in own])
+        edges = np.linspace(first, last, thresholds.parts + 1)[1:-1]
+        owner = np.concatenate([np.searchsorted(edges, r.times, side="right") for r in own])
         rows = np.concatenate([np.arange(r.rows.start, r.rows.stop) for r in own])
-        parts += [rows[quarter == q] for q in range(QUARTERS) if np.any(quarter == q)]
+        parts += [rows[owner == q] for q in range(thresholds.parts) if np.any(owner == q)]
     return parts
 
 
-def stays_bounded(bench: LoopWorkbench, fitted: FittedModel, trusted: FittedModel) -> bool:
-    """Whether no output runs away when the training inputs swing a quarter further.
+def stays_bounded(workbench: LoopWorkbench, fitted: FittedModel, trusted: FittedModel) -> bool:
+    """Return whether no output runs away when the training inputs swing further.
 
     It may go as far as several times what was measured, or what the trusted model makes of the
     same inputs: a loop that starts at rest answers a displaced reference with a large transient.
     """
-    spaces = [bench.space(f.start, "enlarged") for f in (fitted, trusted)]
-    (at,), (usual,) = bench.look("enlarged", [(s, s.start[None, :]) for s in spaces])
+    kind = enlarged_kind(workbench.thresholds.preparation)
+    spaces = [workbench.space(f.start, kind) for f in (fitted, trusted)]
+    (at,), (usual,) = workbench.evaluate(
+        LoopStage.ENLARGED_INPUTS, [(s, s.start[None, :]) for s in spaces]
+    )
     if not usual.ok:
         return True  # such inputs are beyond the model itself
     if not at.ok:
         return False
-    for experiment, outcome, known in zip(bench.train, at.outcomes, usual.outcomes, strict=True):
-        run = bench.problem.experiments[experiment]
+    most = workbench.thresholds.acceptance.reach
+    for experiment, outcome, known in zip(
+        workbench.train, at.outcomes, usual.outcomes, strict=True
+    ):
+        run = workbench.problem.experiments[experiment]
         first = 0
         for output in run.outputs:
             part = slice(first, first + len(output.times))
@@ -100,17 +103,17 @@ def stays_bounded(bench: LoopWorkbench, fitted: FittedModel, trusted: FittedMode
             reach = np.abs(output.values - mean).max()
             if known.residuals is not None:
                 reach = max(reach, _reach(output, known.residuals[part], mean))
-            if _reach(output, outcome.residuals[part], mean) > BOUND * reach + 1e-9 * abs(mean):
+            if _reach(output, outcome.residuals[part], mean) > most * reach + 1e-9 * abs(mean):
                 return False
     return True
 
 
 def _reach(output: Output, residuals: FloatArray, mean: float) -> float:
-    """How far from a mean a simulated output goes."""
+    """Largest distance of a simulated output from a mean."""
     return float(np.abs(output.values - output.sigma * residuals - mean).max())
 
 
-def _left_out(fitted: FittedModel, part: IntArray) -> FloatArray:
+def _left_out(fitted: FittedModel, part: IntArray, thresholds: AcceptanceThresholds) -> FloatArray:
     """Points towards the fit without some residuals, longest step first."""
     others = np.ones(len(fitted.residuals), bool)
     others[part] = False
@@ -123,6 +126,7 @@ def _left_out(fitted: FittedModel, part: IntArray) -> FloatArray:
         step[usable] = np.linalg.lstsq(scaled, -residuals, rcond=1e-6)[0] / sizes[usable]
     log = np.array([u.log for u in fitted.space.unknowns], bool)
     size = np.where(log, 1.0, np.maximum(np.abs(fitted.x), fitted.space.typical))
-    step = np.clip(step, -CV_LARGEST * size, CV_LARGEST * size)
-    points = [fitted.x + length * step for length in CV_STEPS]
+    most = thresholds.largest_step * size
+    step = np.clip(step, -most, most)
+    points = [fitted.x + length * step for length in thresholds.step_lengths]
     return np.clip(np.array(points), fitted.space.lower, fitted.space.upper)

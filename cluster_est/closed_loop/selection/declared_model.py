@@ -12,25 +12,20 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import qmc
 
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.statistics.noise import estimate_noise
-from cluster_est.closed_loop.workbench import HORIZONS, FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.synthetic_experiments import shortened_kinds
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
-AT_NOISE = 1.05
-"""Residual over noise below which nothing better is looked for."""
-SPREAD = 0.35
-"""Of the starts: in logarithms, or as a share of a value."""
-SURVIVORS = (4, 2)
-"""How many starts go on after each horizon."""
-
 THOROUGH = LeastSquares(trials=2, max_iterations=25, ftol=1e-7, xtol=1e-8, differences="forward")
 BRIEF = LeastSquares(trials=2, max_iterations=8, ftol=1e-4, xtol=1e-5, differences="forward")
 
 
-def fit_declared(bench: LoopWorkbench, start: FitStart) -> FittedModel:
+def fit_declared(workbench: LoopWorkbench, start: FitStart) -> FittedModel:
     """Fit from the user's start, and from others unless that reaches the noise.
 
     Raises
@@ -38,10 +33,10 @@ def fit_declared(bench: LoopWorkbench, start: FitStart) -> FittedModel:
     ProblemError
         If the model cannot be simulated at its start.
     """
-    (first,) = bench.fit("base", [start], THOROUGH)
-    if first is not None and at_noise(bench, first):
+    (first,) = workbench.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
+    if first is not None and at_noise(workbench, first):
         return first
-    grown = _grow(bench, start)
+    grown = _grow(workbench, start)
     best = [f for f in (first, *grown) if f is not None]
     if not best:
         raise ProblemError(
@@ -51,71 +46,62 @@ def fit_declared(bench: LoopWorkbench, start: FitStart) -> FittedModel:
     return min(best, key=lambda fitted: fitted.sse)
 
 
-def at_noise(bench: LoopWorkbench, fitted: FittedModel) -> bool:
-    """Whether the residual is as small as its own roughness says it can be."""
-    noise = estimate_noise(fitted.residuals, bench.records)
+def at_noise(workbench: LoopWorkbench, fitted: FittedModel) -> bool:
+    """Return whether the residual is as small as its own roughness says it can be."""
+    noise = estimate_noise(fitted.residuals, workbench.records)
     for output, sigma in enumerate(noise.tolist()):
-        part = fitted.residuals[bench.records.of_output(output)]
-        if len(part) and np.sqrt(np.mean(part**2)) > AT_NOISE * sigma:
+        part = fitted.residuals[workbench.records.of_output(output)]
+        if (
+            len(part)
+            and np.sqrt(np.mean(part**2)) > workbench.thresholds.declared_model.at_noise * sigma
+        ):
             return False
     return True
 
 
-def _grow(bench: LoopWorkbench, start: FitStart) -> list[FittedModel | None]:
+def _grow(workbench: LoopWorkbench, start: FitStart) -> list[FittedModel | None]:
     """Several starts through the horizons to the full records."""
-    starts = _spread(bench, start)
-    for horizon, survivors in zip(HORIZONS, SURVIVORS, strict=True):
-        fits = bench.fit("base", starts, BRIEF, rehearsal=f"{horizon:.0%}")
+    starts = _spread(workbench, start)
+    thresholds = workbench.thresholds.declared_model
+    horizons = shortened_kinds(workbench.thresholds.preparation)
+    for horizon, survivors in zip(horizons, thresholds.survivors, strict=True):
+        fits = workbench.fit(LoopStage.DECLARED_MODEL, starts, BRIEF, horizon)
         alive = sorted((f for f in fits if f is not None), key=lambda f: f.sse)
         starts = [
-            FitStart(start.problem, _own_labels(bench, f, f"{horizon:.0%}"), start.added)
-            for f in _distinct(alive)[:survivors]
+            FitStart(start.problem, workbench.measured_estimates(f, horizon), start.added)
+            for f in _distinct(alive, thresholds.distinct)[:survivors]
         ]
-    return bench.fit("base", starts, THOROUGH)
+    return workbench.fit(LoopStage.DECLARED_MODEL, starts, THOROUGH)
 
 
-def _spread(bench: LoopWorkbench, start: FitStart) -> list[FitStart]:
+def _spread(workbench: LoopWorkbench, start: FitStart) -> list[FitStart]:
     """The user's start, and points of a Sobol sequence around it for the shared values."""
-    space = bench.space(start)
+    space = workbench.space(start)
     shared = [i for i, unknown in enumerate(space.unknowns) if "[" not in unknown.label]
-    sampler = qmc.Sobol(max(1, len(shared)), rng=bench.generator(1))
-    count = bench.settings.starts
+    sampler = qmc.Sobol(max(1, len(shared)), rng=workbench.generator(1))
+    count = workbench.settings.starts
     cube = 2.0 * sampler.random(1 << (count - 1).bit_length())[:count] - 1.0
     cube[0] = 0.0
+    spread = workbench.thresholds.declared_model.spread
     return [
-        FitStart(start.problem, space.estimates(_moved(space, shared, row)), start.added)
+        FitStart(start.problem, space.estimates(_moved(space, shared, row, spread)), start.added)
         for row in cube
     ]
 
 
-def _moved(space: SearchSpace, shared: Sequence[int], row: FloatArray) -> FloatArray:
+def _moved(space: SearchSpace, shared: Sequence[int], row: FloatArray, spread: float) -> FloatArray:
     x = space.start.copy()
     for i, way in zip(shared, row.tolist(), strict=False):
-        x[i] += SPREAD * way * (1.0 if space.unknowns[i].log else space.typical[i])
+        x[i] += spread * way * (1.0 if space.unknowns[i].log else space.typical[i])
     return np.asarray(np.clip(x, space.lower, space.upper))
 
 
-def _distinct(fits: Sequence[FittedModel]) -> list[FittedModel]:
+def _distinct(fits: Sequence[FittedModel], distance: float) -> list[FittedModel]:
     """Fits at different points, the best of each."""
     kept: list[FittedModel] = []
     for fit in fits:
         log = np.array([unknown.log for unknown in fit.space.unknowns], bool)
         sizes = np.where(log, 1.0, np.maximum(np.abs(fit.x), fit.space.typical))
-        if all(np.abs((fit.x - other.x) / sizes).max() > 1e-2 for other in kept):
+        if all(np.abs((fit.x - other.x) / sizes).max() > distance for other in kept):
             kept.append(fit)
     return kept
-
-
-def _own_labels(bench: LoopWorkbench, fitted: FittedModel, rehearsal: str) -> dict[str, float]:
-    """Estimates with the labels of the experiments themselves instead of their rehearsals'."""
-    experiments = bench.everything.experiments
-    names = {
-        experiments[copy].id: experiments[own].id
-        for own, copy in zip(bench.train, bench.rehearsals[rehearsal], strict=True)
-    }
-    values = {}
-    for label, value in fitted.estimates.items():
-        name, _, scope = label.partition("[")
-        scope = scope.removesuffix("]")
-        values[f"{name}[{names.get(scope, scope)}]" if scope else name] = value
-    return values

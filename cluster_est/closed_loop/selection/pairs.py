@@ -12,33 +12,34 @@ import numpy as np
 from cluster_est.closed_loop.screening.screen import ScreeningResult
 from cluster_est.closed_loop.selection.refine import (
     RefittedCandidate,
-    contest,
     joint_step,
+    successive_halving,
     values_at,
 )
+from cluster_est.closed_loop.thresholds import PairThresholds, RefinementThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-
-LEADERS = 90
-ALIKE = 0.98
-"""Cosine above which two directions are no pair."""
-FITTED = 8
 
 
 def refit_pairs(
-    bench: LoopWorkbench, current: FittedModel, screening: ScreeningResult
+    workbench: LoopWorkbench, current: FittedModel, screening: ScreeningResult
 ) -> list[RefittedCandidate]:
     """Refit the best pairs; the best first. A contender's last two effects are the pair."""
-    starts = [_start(current, screening, i, j) for i, j in best_pairs(screening)[:FITTED]]
-    return contest(bench, starts) if starts else []
+    thresholds = workbench.thresholds
+    found = best_pairs(screening, thresholds.pairs)
+    starts = [_start(current, screening, pair, thresholds.refinement) for pair in found]
+    return successive_halving(workbench, starts) if starts else []
 
 
-def best_pairs(screening: ScreeningResult) -> list[tuple[int, int]]:
+def best_pairs(
+    screening: ScreeningResult, thresholds: PairThresholds | None = None
+) -> list[tuple[int, int]]:
     """Pairs of trials of different candidates by the share of the residual that they carry."""
+    thresholds = thresholds or PairThresholds()
     scores = screening.plain
     usable = [
         i for i in np.argsort(-scores.statistics, kind="stable").tolist()
-        if scores.df[i] == 1 and screening.trials[i].candidate.form.family != "table"
-    ][:LEADERS]  # fmt: skip
+        if scores.df[i] == 1 and not screening.trials[i].candidate.form.free
+    ][: thresholds.leaders]  # fmt: skip
     if len(usable) < 2:
         return []
     first = scores.offsets[usable]
@@ -48,7 +49,7 @@ def best_pairs(screening: ScreeningResult) -> list[tuple[int, int]]:
     g = gram[a, b]
     with np.errstate(divide="ignore", invalid="ignore"):
         carried = (shares[a] ** 2 + shares[b] ** 2 - 2.0 * g * shares[a] * shares[b]) / (1 - g**2)
-    carried[np.abs(g) > ALIKE] = 0.0
+    carried[np.abs(g) > thresholds.alike] = 0.0
     found: list[tuple[int, int]] = []
     seen: set[frozenset[str]] = set()
     for k in np.argsort(-carried, kind="stable").tolist():
@@ -58,16 +59,21 @@ def best_pairs(screening: ScreeningResult) -> list[tuple[int, int]]:
             continue
         seen.add(names)
         found.append((i, j))
-        if len(found) >= FITTED:
+        if len(found) >= thresholds.fitted:
             break
     return found
 
 
-def _start(current: FittedModel, screening: ScreeningResult, i: int, j: int) -> FitStart:
+def _start(
+    current: FittedModel,
+    screening: ScreeningResult,
+    pair: tuple[int, int],
+    thresholds: RefinementThresholds,
+) -> FitStart:
     """Both effects, with the strengths of the joint linear step."""
-    _, strengths = joint_step(current, screening, (i, j))
+    _, strengths = joint_step(current, screening, pair)
     start = current.start
-    for m, own in zip((i, j), strengths, strict=True):
+    for m, own in zip(pair, strengths, strict=True):
         trial = screening.trials[m]
-        start = start.plus(trial.candidate, values_at(trial, own))
+        start = start.plus(trial.candidate, values_at(trial, own, thresholds))
     return start

@@ -1,4 +1,4 @@
-"""Which of the leading candidates it is: by real simulations and joint refits of all parameters.
+"""Refinement of the leading candidates by real simulations and joint refits of all parameters.
 
 A score sees only a first small step. Each leading candidate is therefore switched on together with
 the step of all parameters that the linear model asks for, simulated, and the best are refitted.
@@ -15,28 +15,12 @@ import numpy as np
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.screen import ScreeningResult
+from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.thresholds import RefinementThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
-
-STEPS = (1.0, 0.3)
-"""Parts of the linear model's step that are tried."""
-LARGEST_STEP = 0.8
-"""Of a parameter: in logarithms, or as a share of its value."""
-WEAKEST, STRONGEST = 0.06, 3.0
-"""By how much a finite amount of the grid is scaled at most."""
-POINTS_OF_GRID = 2
-"""Points of a candidate's grid that are tried, the best by score."""
-WHITE_LEADERS = 8
-CLOSES = 0.9
-"""Share of the gap to the noise that a single effect must close, or more are tried."""
-FINALISTS = 3
-"""How many candidates are refitted to convergence."""
-EQUAL = 2.0
-"""Criteria that differ by less do not tell two candidates apart; the plainer name wins."""
-ALTERNATIVE = 10.0
-"""Criteria that differ by less leave a candidate possible."""
 
 FIRST = LeastSquares(trials=2, max_iterations=2, ftol=1e-4, xtol=1e-5, differences="forward")
 SHORT = LeastSquares(trials=2, max_iterations=2, ftol=1e-4, xtol=1e-5, differences="forward")
@@ -57,7 +41,7 @@ class RefittedCandidate:
 
 
 def refit(
-    bench: LoopWorkbench,
+    workbench: LoopWorkbench,
     current: FittedModel,
     screening: ScreeningResult,
     floor: float,
@@ -75,69 +59,80 @@ def refit(
     floor
         Sum of squares that the noise alone would leave.
     wide
-        Whether to go on to candidates further back where the first do not close the gap to it: the
-        larger an effect, the less the score of a small one says. Without, only half as many are
-        refitted.
+        Go on to candidates further back where the first do not close the gap to it: the larger an
+        effect, the less the score of a small one says. Without, only half as many are refitted.
     """
-    count, trials = bench.settings.refits, bench.settings.trials
+    thresholds = workbench.thresholds.refinement
+    count, trials = workbench.settings.refits, workbench.settings.trials
     if not wide:
         count = (count + 1) // 2
     leaders = screening.leaders(screening.plain, 2 * trials)
-    white = screening.leaders(screening.white, WHITE_LEADERS)
+    white = screening.leaders(screening.white, thresholds.white_leaders)
     first = list(dict.fromkeys([*leaders[:trials], *white]))
-    starts = _try(bench, current, screening, first)
+    starts = _first_steps(workbench, current, screening, first)
     chosen, left = _mixed(starts, count)
-    contenders = contest(bench, chosen)
-    if not wide or _closes(current, contenders, floor):
+    contenders = successive_halving(workbench, chosen)
+    if not wide or _closes(current, contenders, floor, thresholds.closes):
         return contenders
     later = [i for i in leaders[trials:] if i not in first]
-    left += _try(bench, current, screening, later)
+    left += _first_steps(workbench, current, screening, later)
     left.sort(key=lambda pair: pair[0])
-    contenders += contest(bench, [start for _, start in left[:count]])
+    contenders += successive_halving(workbench, [start for _, start in left[:count]])
     return sorted(contenders, key=lambda c: c.criterion)
 
 
-def contest(bench: LoopWorkbench, starts: Sequence[FitStart]) -> list[RefittedCandidate]:
+def successive_halving(
+    workbench: LoopWorkbench, starts: Sequence[FitStart]
+) -> list[RefittedCandidate]:
     """Refit all a little, the better half more, and the best to convergence; the best first."""
     lost: list[RefittedCandidate] = []
+    finalists = workbench.thresholds.refinement.finalists
     for method in (FIRST, SHORT):
-        fits = [f for f in bench.fit("candidate", starts, method) if f is not None]
-        fits.sort(key=lambda f: f.criterion(bench.records))
-        kept = max(FINALISTS, len(fits) // 2)
-        lost += [RefittedCandidate(f, f.criterion(bench.records), False) for f in fits[kept:]]
+        fits = [f for f in workbench.fit(LoopStage.REFITS, starts, method) if f is not None]
+        fits.sort(key=lambda f: f.criterion(workbench.records))
+        kept = max(finalists, len(fits) // 2)
+        lost += [RefittedCandidate(f, f.criterion(workbench.records), False) for f in fits[kept:]]
         starts = [f.start for f in fits[:kept]]
     best = fits[:kept]
-    lost += [RefittedCandidate(f, f.criterion(bench.records), False) for f in best[FINALISTS:]]
-    finished = bench.fit("candidate", [f.start for f in best[:FINALISTS]], FULL)
+    lost += [RefittedCandidate(f, f.criterion(workbench.records), False) for f in best[finalists:]]
+    finished = workbench.fit(LoopStage.REFITS, [f.start for f in best[:finalists]], FULL)
     final = [new or old for new, old in zip(finished, best, strict=False)]
-    lost += [RefittedCandidate(f, f.criterion(bench.records), True) for f in final]
+    lost += [RefittedCandidate(f, f.criterion(workbench.records), True) for f in final]
     return sorted(lost, key=lambda c: c.criterion)
 
 
-def _closes(current: FittedModel, contenders: Sequence[RefittedCandidate], floor: float) -> bool:
-    """Whether the best contender closes nearly all of the gap to the noise."""
+def _closes(
+    current: FittedModel, contenders: Sequence[RefittedCandidate], floor: float, share: float
+) -> bool:
+    """Return whether the best contender closes this share of the gap to the noise."""
     if not contenders:
         return False
     best = min(c.fitted.sse for c in contenders)
-    return current.sse - best >= CLOSES * (current.sse - floor)
+    return current.sse - best >= share * (current.sse - floor)
 
 
-def plainest(contenders: Sequence[RefittedCandidate]) -> RefittedCandidate:
+def plainest(
+    contenders: Sequence[RefittedCandidate], thresholds: RefinementThresholds
+) -> RefittedCandidate:
     """The best contender; among equals the plainest name."""
     best = contenders[0].criterion
-    equal = [c for c in contenders if c.full and c.criterion - best < EQUAL] or contenders[:1]
+    equal = [c for c in contenders if c.full and c.criterion - best < thresholds.equal]
+    equal = equal or list(contenders[:1])
     return min(equal, key=lambda c: (c.candidate.form.order, c.criterion))
 
 
 def alternatives(
-    contenders: Sequence[RefittedCandidate], chosen: RefittedCandidate
+    contenders: Sequence[RefittedCandidate],
+    chosen: RefittedCandidate,
+    thresholds: RefinementThresholds,
 ) -> list[RefittedCandidate]:
     """The contenders that the data leave possible beside the chosen one, each effect once."""
     seen = {chosen.candidate.effect.name}
     found = []
     for contender in contenders:
         name = contender.candidate.effect.name
-        if contender.criterion - contenders[0].criterion <= ALTERNATIVE and name not in seen:
+        worse = contender.criterion - contenders[0].criterion
+        if worse <= thresholds.alternative and name not in seen:
             seen.add(name)
             found.append(contender)
     return found
@@ -153,26 +148,29 @@ def _mixed(
     return [start for _, start in chosen], rest[count - ranked :]
 
 
-def _try(
-    bench: LoopWorkbench, current: FittedModel, screening: ScreeningResult, leaders: Sequence[int]
+def _first_steps(
+    workbench: LoopWorkbench,
+    current: FittedModel,
+    screening: ScreeningResult,
+    leaders: Sequence[int],
 ) -> list[tuple[float, FitStart]]:
     """Simulate the first step of each leader: its cost, and a start from the best point."""
+    thresholds = workbench.thresholds.refinement
     asked: list[tuple[SearchSpace, FloatArray]] = []
     begun: list[FitStart] = []
     owners: list[int] = []
     for owner, leader in enumerate(leaders):
-        for i in _grid_points(screening, leader):
+        for i in _grid_points(screening, leader)[: thresholds.points_of_grid]:
             trial = screening.trials[i]
             step, (strengths,) = joint_step(current, screening, [i])
-            start = current.start.plus(trial.candidate, values_at(trial, strengths))
-            space = bench.space(start)
-            asked.append((space, _points(current, space, trial, step, strengths)))
+            start = current.start.plus(trial.candidate, values_at(trial, strengths, thresholds))
+            space = workbench.space(start)
+            asked.append((space, _points(current, space, trial, step, thresholds)))
             begun.append(start)
             owners.append(owner)
     best: dict[int, tuple[float, FitStart]] = {}
-    for owner, (space, points), start, seen in zip(
-        owners, asked, begun, bench.look("trial", asked), strict=True
-    ):
+    answers = workbench.evaluate(LoopStage.TRIALS, asked)
+    for owner, (space, points), start, seen in zip(owners, asked, begun, answers, strict=True):
         for point, at in zip(points, seen, strict=True):
             if at.ok and (owner not in best or at.cost < best[owner][0]):
                 values = space.estimates(point)
@@ -181,11 +179,11 @@ def _try(
 
 
 def _grid_points(screening: ScreeningResult, leader: int) -> list[int]:
-    """The points of a leader's grid with the best scores."""
+    """The points of a leader's grid, the best score first."""
     name = screening.trials[leader].candidate.effect.name
     own = [i for i, t in enumerate(screening.trials) if t.candidate.effect.name == name]
     own.sort(key=lambda i: -screening.plain.statistics[i])
-    return own[:POINTS_OF_GRID]
+    return own
 
 
 def joint_step(
@@ -213,11 +211,13 @@ def joint_step(
 
 
 def _proportional(trial: CandidatePoint) -> bool:
-    """Whether its effect grows with a coefficient from nothing."""
+    """Return whether its effect grows with a coefficient from nothing."""
     return any(c.neutral == 0.0 for c in trial.candidate.form.coefficients)
 
 
-def values_at(trial: CandidatePoint, strengths: FloatArray) -> list[float]:
+def values_at(
+    trial: CandidatePoint, strengths: FloatArray, thresholds: RefinementThresholds
+) -> list[float]:
     """The trial's coefficients, as strong as the linear model asks for.
 
     Where an effect is switched on by a finite amount, that amount is scaled, within limits.
@@ -228,7 +228,8 @@ def values_at(trial: CandidatePoint, strengths: FloatArray) -> list[float]:
         if c.name in trial.candidate.strengths:
             values.append(next(asked))
         elif c.neutral == 0.0 and strengths.size:
-            values.append(value * min(max(next(asked), WEAKEST), STRONGEST))
+            factor = min(max(next(asked), thresholds.weakest), thresholds.strongest)
+            values.append(value * factor)
         else:
             values.append(value)
     return values
@@ -239,15 +240,15 @@ def _points(
     space: SearchSpace,
     trial: CandidatePoint,
     step: FloatArray,
-    strengths: FloatArray,
+    thresholds: RefinementThresholds,
 ) -> FloatArray:
     """The first step in several lengths, in the extended space."""
     known = len(current.x)
     log = np.array([u.log for u in current.space.unknowns], bool)
     sizes = np.where(log, 1.0, np.maximum(np.abs(current.x), current.space.typical))
-    most = LARGEST_STEP * sizes
+    most = thresholds.largest_step * sizes
     points = []
-    for part in STEPS:
+    for part in thresholds.step_lengths:
         moved = current.x + np.clip(part * step, -most, most)
         point = np.concatenate([moved, space.start[known:]])
         for i, unknown in enumerate(space.unknowns[known:], known):

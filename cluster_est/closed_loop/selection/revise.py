@@ -1,4 +1,4 @@
-"""Whether what was added before is still the best, and needed, now that more is known."""
+"""Revision of effects that were added before, now that more is known."""
 
 from __future__ import annotations
 
@@ -13,65 +13,66 @@ from cluster_est.closed_loop.selection.refine import (
     plainest,
     refit,
 )
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-
-SWEEPS = 2
-"""How often all effects are asked at most whether another is better."""
-SWAP = 4.0
-"""By how much a criterion must fall for an earlier effect to be replaced."""
 
 Rivals = dict[str, tuple[RefittedCandidate, list[RefittedCandidate]]]
 """For each added effect, by name, the model that brought it in and those that it won against."""
 
 
 def revise(
-    bench: LoopWorkbench,
+    workbench: LoopWorkbench,
     grown: FittedModel,
     count: int,
     floor: float,
     rivals: Rivals,
 ) -> FittedModel:
-    """Ask of each earlier effect whether another is better now, and whether it is needed."""
-    for sweep in range(SWEEPS):
+    """Replace earlier effects that others are better than now, and drop those not needed."""
+    thresholds = workbench.thresholds.revision
+    for sweep in range(thresholds.sweeps):
         before = grown
         for position in range(len(grown.added) - (sweep == 0)):
-            grown = _swap(bench, grown, position, floor, rivals)
+            grown = _swap(workbench, grown, position, floor, rivals)
         if grown is before:
             break
     for position in reversed(range(len(grown.added))):
         if len(grown.added) < 2:
             break
-        (rest,) = bench.fit("drop", [grown.start.minus(position)], FULL)
-        price = 2.0 * np.log(count)
+        (rest,) = workbench.fit(LoopStage.DROP, [grown.start.minus(position)], FULL)
+        price = thresholds.drop_price * np.log(count)
         if (
             rest is not None
-            and rest.criterion(bench.records) < grown.criterion(bench.records) + price
+            and rest.criterion(workbench.records) < grown.criterion(workbench.records) + price
         ):
             grown = rest
     return grown
 
 
 def _swap(
-    bench: LoopWorkbench,
+    workbench: LoopWorkbench,
     grown: FittedModel,
     position: int,
     floor: float,
     rivals: Rivals,
 ) -> FittedModel:
     """The model with a better effect in the place of one, if there is a better one."""
-    (rest,) = bench.fit("swap", [grown.start.minus(position)], FULL)
+    (rest,) = workbench.fit(LoopStage.SWAP, [grown.start.minus(position)], FULL)
     if rest is None:
         return grown
-    screening = screen(bench, rest, 50 + position)
+    screening = screen(workbench, rest, 50 + position)
     contenders = [
-        c for c in refit(bench, rest, screening, floor, wide=False)
-        if c.candidate.form.family != "table"
+        c for c in refit(workbench, rest, screening, floor, wide=False)
+        if not c.candidate.form.free
     ]  # fmt: skip
-    if not contenders or contenders[0].criterion >= grown.criterion(bench.records) - SWAP:
+    swap = workbench.thresholds.revision.swap
+    if not contenders or contenders[0].criterion >= grown.criterion(workbench.records) - swap:
         return grown
-    won = plainest(contenders)
-    if not stays_bounded(bench, won.fitted, rest):
+    won = plainest(contenders, workbench.thresholds.refinement)
+    if not stays_bounded(workbench, won.fitted, rest):
         return grown
-    rivals[won.candidate.effect.name] = (won, alternatives(contenders, won))
+    rivals[won.candidate.effect.name] = (
+        won,
+        alternatives(contenders, won, workbench.thresholds.refinement),
+    )
     # in its old place, so that the other positions still mean the same effects
     return won.fitted.moved(position)

@@ -1,4 +1,7 @@
-"""Is any smooth structure left in the residual, whatever its shape?"""
+"""Omnibus test for smooth structure in the residual, whatever its shape.
+
+Symbols are those of a locally best test: Q the quadratic form, K the covariance, r the residual.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from scipy.fft import next_fast_len, rfft
 
 from cluster_est.closed_loop.statistics.projection import NOTHING_LEFT, OrthogonalProjection
 from cluster_est.closed_loop.statistics.records import StackedRecords
+from cluster_est.closed_loop.thresholds import ScreeningThresholds
 from workers.messages import FloatArray
 
 REACH = 4
@@ -21,7 +25,7 @@ NUMBERS_AT_ONCE = 2_500_000
 
 @dataclass(frozen=True)
 class OmnibusTest:
-    """How smooth the residual is beside white noise.
+    """The smoothness of a residual beside that of white noise.
 
     Attributes
     ----------
@@ -40,8 +44,8 @@ def omnibus(
     residuals: FloatArray,
     records: StackedRecords,
     generator: np.random.Generator,
-    draws: int = 400,
-    lengths: Sequence[float] = (2, 6, 20),
+    draws: int = ScreeningThresholds.omnibus_draws,
+    lengths: Sequence[float] = ScreeningThresholds.omnibus_lengths,
 ) -> OmnibusTest:
     """Test the residual against white noise for every smooth alternative at once.
 

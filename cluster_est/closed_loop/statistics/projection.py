@@ -1,4 +1,7 @@
-"""What the declared parameters could explain, taken out."""
+"""Projection that takes out what the declared parameters could explain.
+
+Symbols: P the projection, Q the orthonormal basis of what it takes out.
+"""
 
 from __future__ import annotations
 

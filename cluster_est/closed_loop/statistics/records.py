@@ -1,4 +1,4 @@
-"""Which rows of the stacked residual vector are which measured signal.
+"""Records: the rows of the stacked residual vector that are one measured signal.
 
 A residual vector is stacked: experiment after experiment, in it output after output, in that the
 samples in the order of time. A *record* is one such run of samples; neighbours in it are neighbours
@@ -27,7 +27,7 @@ class OutputRecord:
     output
         Index into `Records.outputs`.
     rows
-        Where its samples stand in a stacked vector.
+        Of its samples in a stacked vector.
     times
         Seconds, one for each row.
     """

@@ -1,4 +1,8 @@
-"""Which candidate directions the residual points along: score tests, and what chance would give."""
+"""Score tests of candidate directions, and the distribution of the best of them by chance.
+
+Symbols are those of the references: r the residual, D the columns of a candidate, P the projection,
+B an orthonormal basis of P D, T the statistic.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +13,15 @@ import numpy as np
 from scipy.special import gammaincc, gammaln, log_ndtr
 
 from cluster_est.closed_loop.statistics.projection import NOTHING_LEFT, OrthogonalProjection
+from cluster_est.closed_loop.thresholds import ScreeningThresholds
 from workers.messages import FloatArray, IntArray
-
-IMITATED = 5e-3
-"""Share of a direction outside the declared parameters below which it cannot be told from them."""
 
 DEPENDENT = 1e-3
 """Smallest singular value of a candidate's scaled columns, over the largest, that counts; a
 direction below it is made of the simulations' own errors."""
 
 LEVEL = 0.01
-"""Where the effective number of candidates is read off."""
+"""Quantile at which the effective number of candidates is read off."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +34,9 @@ class ScoreTests:
         T = |B' P r|^2 / s^2, chi-squared with `df` degrees of freedom where nothing is missing.
     df : (candidates,)
         Independent directions of each; 0 for a candidate that was set aside because the declared
-        parameters imitate it.
+        parameters confound it.
     ratio : (candidates,)
-        |P D| / |D|: the share of the candidate that the parameters cannot imitate.
+        |P D| / |D|: the share of the candidate that the parameters cannot confound.
     log_p : (candidates,)
         Natural logarithm of the p-value; use it to rank, since p itself underflows.
     explained : (candidates,)
@@ -70,7 +72,7 @@ class ScoreTests:
 
 @dataclass(frozen=True)
 class FamilyWise:
-    """How surprising the best of all candidates is.
+    """The significance of the best of all candidates.
 
     Attributes
     ----------
@@ -86,7 +88,10 @@ class FamilyWise:
 
 
 def score(
-    projection: OrthogonalProjection, residuals: FloatArray, columns: Sequence[FloatArray]
+    projection: OrthogonalProjection,
+    residuals: FloatArray,
+    columns: Sequence[FloatArray],
+    confounded: float = ScreeningThresholds.confounded,
 ) -> ScoreTests:
     """Test for each candidate whether adding it would reduce the residual more than noise allows.
 
@@ -95,8 +100,8 @@ def score(
     C. R. Rao, Proc. Cambridge Philos. Soc. 44 (1948) 50-57, doi:10.1017/S0305004100023987. It
     needs no refit: the candidate's direction at zero strength is enough.
 
-    A direction counts if at least 0.5 % of it lies outside the declared parameters. Of a candidate
-    with several columns, dependent ones are dropped. The scales of residual and columns do not
+    A direction counts if enough of it lies outside the declared parameters. Of a candidate with
+    several columns, dependent ones are dropped. The scales of residual and columns do not
     matter, nor does the order of candidates.
 
     Parameters
@@ -107,6 +112,8 @@ def score(
         Stacked.
     columns : each (n, d)
         Change of the residuals with each of a candidate's coefficients, d is 1 for most.
+    confounded
+        Share of a direction that must lie outside the declared parameters.
     """
     sizes = [column.shape[1] for column in columns]
     # concatenated by rows of the transposes, so that each column is contiguous
@@ -115,11 +122,11 @@ def score(
     lengths = _normalise(units)
     bases = projection.remove(units.T).T
     shares = _normalise(bases)
-    usable = _usable(lengths, shares, owners, len(columns))
+    usable = _usable(lengths, shares, owners, len(columns), confounded)
     for start, stop in _blocks(sizes):
         if stop - start > 1 and usable[start:stop].any():
             rows = start + np.flatnonzero(usable[start:stop])
-            basis = _orthonormal(units[rows], bases[rows] * shares[rows, None])
+            basis = _orthonormal(units[rows], bases[rows] * shares[rows, None], confounded)
             usable[rows[len(basis) :]] = False
             bases[rows[: len(basis)]] = basis
     ratio = np.sqrt(_summed((lengths * shares) ** 2, owners, len(columns)))
@@ -182,7 +189,7 @@ def log_survival(statistics: FloatArray, df: IntArray) -> FloatArray:
 
 
 def _far_tail(a: FloatArray, x: FloatArray) -> FloatArray:
-    """log of gammaincc(a, x) for x far above a."""
+    """Logarithm of gammaincc(a, x) for x far above a."""
     fraction = np.zeros_like(x)
     for k in range(30, 0, -1):
         fraction = -k * (k - a) / (x + 2 * k + 1 - a + fraction)
@@ -227,18 +234,20 @@ def _normalise(rows: FloatArray) -> FloatArray:
     return lengths
 
 
-def _usable(lengths: FloatArray, shares: FloatArray, owners: IntArray, count: int) -> IntArray:
-    """Which columns are neither imitated by the parameters nor nothing beside their siblings."""
+def _usable(
+    lengths: FloatArray, shares: FloatArray, owners: IntArray, count: int, confounded: float
+) -> IntArray:
+    """Columns that are neither confounded with the parameters nor nothing beside their siblings."""
     longest = np.zeros(count)
     np.maximum.at(longest, owners, lengths)
-    return (shares >= IMITATED) & (lengths > 1e-9 * longest[owners])
+    return (shares >= confounded) & (lengths > 1e-9 * longest[owners])
 
 
-def _orthonormal(units: FloatArray, outside: FloatArray) -> FloatArray:
+def _orthonormal(units: FloatArray, outside: FloatArray, confounded: float) -> FloatArray:
     """Rows that span the directions of one candidate that count, outside the parameters.
 
     First dependent directions of the candidate itself are dropped, then those of the rest that the
-    parameters imitate: the singular values of the projected orthonormal basis are the sines of its
+    parameters confound: the singular values of the projected orthonormal basis are the sines of its
     angles to them.
     """
     values, vectors = np.linalg.eigh(units @ units.T)
@@ -246,7 +255,7 @@ def _orthonormal(units: FloatArray, outside: FloatArray) -> FloatArray:
     mixing = vectors[:, kept] / np.sqrt(values[kept])
     directions = mixing.T @ outside
     squares, turn = np.linalg.eigh(directions @ directions.T)
-    clear = turn[:, squares >= IMITATED**2]
+    clear = turn[:, squares >= confounded**2]
     return np.ascontiguousarray(np.linalg.qr((clear.T @ directions).T)[0].T)
 
 

@@ -1,4 +1,8 @@
-"""Coloured noise made white, by an autoregression for each output."""
+"""Coloured noise made white, by an autoregression for each output.
+
+Symbols are those of P. J. Brockwell and R. A. Davis: a the coefficients, c the autocovariances, e
+the innovations.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the model lacked: equations, coefficients, shapes over the range that the data visited."""
+"""Effects that the model lacked: equations, coefficients, curves over the range of the data."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.report.blocks import (
     Block,
     FigureBlock,
@@ -24,12 +25,12 @@ from cluster_est.report.encode import short
 from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import beside, digits, interval
 
-ROOM = 1.5
-"""How far beyond a shape, in its own heights, its band is drawn: a wide one would hide it."""
+MARGIN = 1.5
+"""Heights of a curve by which its band may be drawn beyond it: a wide one would hide it."""
 
 
 def effects(run: ReportedRun) -> ReportSection:
-    """The effects that were added, or those that did not pass."""
+    """Make the section of the effects that were added, or of those that did not pass."""
     blocks: list[Block] = []
     for effect in run.facts.get("effects") or []:
         blocks += _effect(run, effect)
@@ -72,7 +73,7 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
     evidence = tuple(effect.get("evidence") or ())
     blocks += [ItemsBlock(evidence)] if evidence else []
     shapes = [row for row in run.tables["shapes"] if row["effect"] == effect["name"]]
-    blocks += [_shape(row, i) for i, row in enumerate(shapes) if not row["why_not"]]
+    blocks += [_curve(row, i) for i, row in enumerate(shapes) if not row["why_not"]]
     blocks += [TextBlock(f"No shape is drawn: {row['why_not']}.", "faint")
                for row in shapes if row["why_not"]]  # fmt: skip
     if not shapes:
@@ -81,11 +82,11 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
     return blocks
 
 
-def _shape(row: Row, number: int) -> FigureBlock:
+def _curve(row: Row, number: int) -> FigureBlock:
     x, y, low, high = (np.array(row[name], float) for name in ("x", "y", "lower", "upper"))
     traces: list[dict[str, Any]] = []
     height = float(np.nanmax(y) - np.nanmin(y)) or abs(float(y[0])) or 1.0
-    floor, ceiling = float(np.nanmin(y)) - ROOM * height, float(np.nanmax(y)) + ROOM * height
+    floor, ceiling = float(np.nanmin(y)) - MARGIN * height, float(np.nanmax(y)) + MARGIN * height
     known = bool(np.isfinite(low).all() and np.isfinite(high).all())
     wide = known and bool((low < floor).any() or (high > ceiling).any())
     if known:
@@ -115,7 +116,7 @@ def _shape(row: Row, number: int) -> FigureBlock:
 
 
 def candidates(run: ReportedRun) -> ReportSection:
-    """Candidates ranked, and what cannot be told apart."""
+    """Make the section of the candidates, ranked, and of those that cannot be told apart."""
     rows = run.tables["findings"]
     blocks: list[Block] = [_rivals(effect) for effect in run.facts.get("effects") or []]
     if rows:
@@ -134,7 +135,8 @@ def candidates(run: ReportedRun) -> ReportSection:
     return ReportSection("candidates", "Candidates", tuple(blocks))
 
 
-STAGES = ("accepted", "refitted", "tried", "screened", "set aside")
+STAGES = tuple(reversed(CandidateStage))
+"""The furthest first."""
 
 
 def _rank(row: Row) -> tuple[int, float, float]:
@@ -151,15 +153,19 @@ def _ranked(step: int, rows: list[Row]) -> TableBlock:
             TableCell(row["site"], code=True),
             row["form"],
             TableCell(", ".join(row["variables"] or ()), code=True),
-            TableCell(row["stage"], "good" if row["stage"] == "accepted" else ""),
+            TableCell(row["stage"], "good" if row["stage"] == CandidateStage.ACCEPTED else ""),
             f"{100.0 * row['explained']:.1f}\u2009%",
             digits(row["log_p"] / np.log(10.0), 4),
             digits(row["criterion"], 4),
-            TableCell(f"imitated by {row['imitated_by']}" if row["imitated_by"] else "", "faint"),
+            TableCell(_confounded(row["imitated_by"]), "faint"),
         )
         for row in rows
     ]
     return TableBlock(names, tuple(lines), f"Step {step}: {len(rows)} candidates", folded=True)
+
+
+def _confounded(parameter: str) -> str:
+    return f"confounded with {parameter}" if parameter else ""
 
 
 def _rivals(effect: Row) -> Block:

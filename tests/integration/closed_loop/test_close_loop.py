@@ -96,7 +96,7 @@ def test_every_candidate_and_every_coefficient_has_a_row(closed):
     assert (closed[1] / "trajectories.parquet").is_file()
 
 
-def test_the_log_names_rehearsals_and_effects(closed):
+def test_the_log_names_synthetic_experiments_and_effects(closed):
     log = read_log(closed[1] / "evaluations").to_pylist()
     assert len(log) == facts(closed[1])["simulations"]
     assert "run0 (inputs x 1.25)" in {row["experiment"] for row in log}

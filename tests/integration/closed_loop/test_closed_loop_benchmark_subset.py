@@ -11,7 +11,8 @@ from closed_loop_benchmark.problem import make_problem
 from closed_loop_benchmark.scenarios import subset
 
 import cluster_est as ce
-from cluster_est.closed_loop.findings.result import LoopResult, Verdict
+from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.findings.result import LoopResult
 
 CASES = {case.name: case for case in subset()}
 COMPLETE = [name for name, case in CASES.items() if not case.effects]

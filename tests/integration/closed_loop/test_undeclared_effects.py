@@ -19,8 +19,9 @@ from support.problems.springs import FMU
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.closed_loop.findings.result import LoopResult, Verdict
-from cluster_est.config.toml import to_toml
+from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.findings.result import LoopResult
+from cluster_est.toml import to_toml
 
 TIMES = np.arange(450) * 0.02
 TRUE = {"m": 1.2, "k": 30.0, "c": 0.6}

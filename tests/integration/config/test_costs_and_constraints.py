@@ -20,10 +20,10 @@ from support.problems.springs import FMU
 from cluster_est import LeastSquares, Problem, Result, build_problem, fit, simulate
 from cluster_est.cli import main
 from cluster_est.config.reader import parse_config
-from cluster_est.config.toml import to_toml
 from cluster_est.methods.pattern_search.method import PatternSearch
 from cluster_est.methods.simplex.nelder_mead import NelderMead
 from cluster_est.methods.sqp.method import Sqp
+from cluster_est.toml import to_toml
 
 TRUE = {"m": 1.2, "k": 30.0, "c": 0.6}
 TIMES = np.round(np.arange(301) * 0.01, 2)

@@ -15,9 +15,9 @@ from support.problems.springs import ROOT
 from cluster_est.cli import main
 from cluster_est.config.reader import Config
 from cluster_est.config.sections.sweep import SweepSections
-from cluster_est.config.toml import to_toml
 from cluster_est.results.table_columns import BEFORE, TABLES
 from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.toml import to_toml
 
 FETCHED = re.compile(r"""(?:<(?:script|img|iframe)[^>]*\ssrc|<link[^>]*\shref)=["']?(https?:)?//""")
 SPRING = ROOT / "configs" / "models" / "mass_spring_damper.fmu"

@@ -16,7 +16,8 @@ from support.problems.springs import ROOT
 from cluster_est.cli import main
 from cluster_est.configured_run import ConfiguredFit, ConfiguredRun, Destination, RunEnd
 from cluster_est.running.environment import RunEnvironment
-from cluster_est.config.toml import to_toml
+from cluster_est.toml import to_toml
+from cluster_est.toml import to_toml
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.run_folder.folder import RunFolder

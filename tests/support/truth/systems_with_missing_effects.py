@@ -10,10 +10,10 @@ import numpy as np
 from support.problems.springs import ROOT
 
 from cluster_est import Experiment, Input, Model, Output, Parameter, Problem, Solver
-from cluster_est.closed_loop.prepare import open_bench
+from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.running.environment import RunEnvironment
 from workers.messages import FloatArray
 
 
@@ -102,14 +102,15 @@ def missing_effect_problem(
 @contextmanager
 def opened(problem: Problem, settings: LoopSettings | None = None) -> Iterator[LoopWorkbench]:
     """A workbench with one local worker."""
-    with open_bench(problem, RunEnvironment(), settings or LoopSettings(), 0) as bench:
+    request = LoopRequest(problem, settings=settings or LoopSettings())
+    with open_workbench(request) as bench:
         yield bench
 
 
 def unfitted(bench: LoopWorkbench, start: FitStart | None = None) -> FittedModel:
     """The model where it starts, as if it had been fitted; its Jacobian is zero."""
     space = bench.space(start or FitStart(bench.problem, {}))
-    ((at,),) = bench.look("start", [(space, space.start[None, :])])
+    ((at,),) = bench.evaluate(LoopStage.TRIALS, [(space, space.start[None, :])])
     assert at.ok, at.reason
     return FittedModel(space, space.start, at.residuals, np.zeros((bench.size, space.size)))
 

@@ -22,7 +22,8 @@ from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.table import one_line, page
 
 import cluster_est as ce
-from cluster_est.closed_loop.findings.result import ErrorChange, LoopResult, NamedEffect, Verdict
+from cluster_est.closed_loop.findings.effects import ErrorChange, NamedEffect, Verdict
+from cluster_est.closed_loop.findings.result import LoopResult
 from workers.errors import EffectError
 from workers.messages import Effect
 

@@ -18,6 +18,8 @@ from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.selection.accept import _left_out, predict, stays_bounded
 from cluster_est.closed_loop.selection.declared_model import THOROUGH
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.thresholds import AcceptanceThresholds
 from cluster_est.closed_loop.workbench import FitStart
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.methods.least_squares.method import LeastSquares
@@ -28,7 +30,7 @@ NAME = "mass_spring_damper"
 
 
 def fitted_to(problem, bench):
-    (fitted,) = bench.fit("fit", [FitStart(problem, {})], THOROUGH)
+    (fitted,) = bench.fit(LoopStage.DECLARED_MODEL, [FitStart(problem, {})], THOROUGH)
     return fitted
 
 
@@ -41,8 +43,8 @@ def by_refits(problem, bench):
         (solution,) = bench.runner.run([SearchRequest("refit", LeastSquares(), space)])
         left_out = make_space(problem, (e,), starts=space.estimates(solution.x))
         look = GivenPoints(left_out.start[None, :], "left out")
-        bench.runner.run([SearchRequest("left out", look, left_out)])
-        squares.append(float(np.sum(look.seen[0].residuals ** 2)))
+        (seen,) = bench.runner.run([SearchRequest("left out", look, left_out)])
+        squares.append(float(np.sum(seen.evaluations[0].residuals ** 2)))
     return np.array(squares)
 
 
@@ -100,7 +102,7 @@ def test_what_belongs_to_the_left_out_experiment_stays():
     with opened(problem) as bench:
         fitted = fitted_to(problem, bench)
     labels = [u.label for u in fitted.space.unknowns]
-    points = _left_out(fitted, bench.records.of_experiment(1))
+    points = _left_out(fitted, bench.records.of_experiment(1), AcceptanceThresholds())
     moved = points[0] != fitted.x
     assert not moved[labels.index("c[e1]")]
     assert moved[[labels.index(name) for name in ("m", "k")]].all()
@@ -120,7 +122,7 @@ def test_a_step_of_a_logarithm_is_bounded_by_itself_not_by_the_value():
             unfitted(bench), space=space, x=space.start, jacobian=matrix,
             residuals=matrix @ [100.0, -100.0, 100.0],
         )  # fmt: skip
-    step = _left_out(far, np.arange(size // 2))[0] - far.x
+    step = _left_out(far, np.arange(size // 2), AcceptanceThresholds())[0] - far.x
     np.testing.assert_allclose(step, [-0.5, 0.5, -0.5])
 
 
@@ -133,7 +135,7 @@ def test_a_negative_damping_that_runs_away_is_refused(strength, bounded):
         (linear,) = [
             c
             for c in make_candidates(
-                problem, bench.description, bench.courses(trusted), [],
+                problem, bench.description, bench.trajectories(trusted), [],
                 LoopSettings(forms=("linear",), sites=("der(v)",)),
             )
             if c.own

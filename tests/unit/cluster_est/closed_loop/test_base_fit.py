@@ -13,6 +13,7 @@ from support.truth.systems_with_missing_effects import (
 )
 
 from cluster_est.closed_loop.selection.declared_model import THOROUGH, at_noise, fit_declared
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart
 from cluster_est.errors import ProblemError
 
@@ -28,7 +29,7 @@ def pendulum():
 def test_a_pendulum_that_starts_at_a_wrong_frequency(pendulum, starts):
     with opened(started(pendulum, **starts)) as bench:
         start = FitStart(bench.problem, {})
-        (stuck,) = bench.fit("stuck", [start], THOROUGH)
+        (stuck,) = bench.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
         assert not at_noise(bench, stuck)
         found = fit_declared(bench, start)
         assert at_noise(bench, found)
@@ -37,7 +38,7 @@ def test_a_pendulum_that_starts_at_a_wrong_frequency(pendulum, starts):
 
 
 def test_values_of_each_experiment_grow_along(pendulum):
-    """Starting angles of their own, which the rehearsals know under other names."""
+    """Starting angles of their own, which the shortened ones know under other names."""
     angle = replace(
         pendulum.parameters[0], name="angle0", variable="angle", per="experiment",
         start=0.3, lower=-2.0, upper=2.0,

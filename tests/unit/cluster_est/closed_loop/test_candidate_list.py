@@ -19,7 +19,7 @@ from workers.messages import Effect, Input, Output
 
 def listed(problem, frequencies=(3.0,), **settings):
     with opened(problem) as bench:
-        courses = bench.courses(unfitted(bench))
+        courses = bench.trajectories(unfitted(bench))
         return make_candidates(
             problem, bench.description, courses, frequencies, LoopSettings(**settings)
         )
@@ -43,7 +43,7 @@ def changed(problem, **changes):
 )
 def test_kinematic_states(name, kinematic):
     with opened(missing_effect_problem(name)) as bench:
-        assert kinematic_states(bench.courses(unfitted(bench))) == kinematic
+        assert kinematic_states(bench.trajectories(unfitted(bench))) == kinematic
 
 
 def test_a_kinematic_state_is_one_at_rest_too():
@@ -51,7 +51,7 @@ def test_a_kinematic_state_is_one_at_rest_too():
     still = Input("F", np.array([0.0, 6.0]), np.zeros(2))
     run = replace(problem.experiments[0], inputs=(still,), values=())
     with opened(replace(problem, experiments=(run,))) as bench:
-        assert kinematic_states(bench.courses(unfitted(bench))) == {"x"}
+        assert kinematic_states(bench.trajectories(unfitted(bench))) == {"x"}
 
 
 def test_sites_are_what_moves_is_driven_measured_or_estimated():

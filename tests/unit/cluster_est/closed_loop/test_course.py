@@ -15,7 +15,7 @@ from workers.messages import Effect, Input, Output
 
 def courses_of(problem):
     with opened(problem) as bench:
-        return bench.courses(unfitted(bench))
+        return bench.trajectories(unfitted(bench))
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_states_that_effects_bring_are_nothing_to_depend_on():
         lagged = Effect("lag", "input F", "lag")
         tau = Parameter("lag.tau", 0.1, 0.01, 1.0)
         grown = replace(problem, effects=(lagged,), parameters=(*problem.parameters, tau))
-        courses = bench.courses(unfitted(bench, replace(start, problem=grown)))
+        courses = bench.trajectories(unfitted(bench, replace(start, problem=grown)))
     assert set(courses[0].signals) == {"x", "v", "F", "extra", "y"}
     assert np.abs(courses[0].signal("F") - problem.experiments[0].inputs[0].values).max() > 0.1
 

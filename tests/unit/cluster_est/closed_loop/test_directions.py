@@ -68,7 +68,7 @@ def test_a_singular_constant_system_is_exact_for_forcing_that_is_linear_in_time(
 def drive():
     with opened(missing_effect_problem("two_mass_drive")) as bench:
         fitted = unfitted(bench)
-        courses = bench.courses(fitted)
+        courses = bench.trajectories(fitted)
         candidates = make_candidates(
             fitted.problem, bench.description, courses, [], LoopSettings(sites=("der(w_load)",))
         )
@@ -93,7 +93,7 @@ def test_an_output_that_one_experiment_did_not_measure_moves_only_in_the_others(
     second = replace(second, outputs=second.outputs[:1])
     with opened(replace(problem, experiments=(first, second))) as bench:
         fitted = unfitted(bench)
-        courses = bench.courses(fitted)
+        courses = bench.trajectories(fitted)
         candidates = make_candidates(
             fitted.problem, bench.description, courses, [],
             LoopSettings(sites=("output load_speed",)),

@@ -18,7 +18,7 @@ COLUMNS = [GENERATOR.standard_normal((N, 1)) for _ in range(COUNT)]
 
 
 def named(name, family="friction"):
-    form = SimpleNamespace(family=family)
+    form = SimpleNamespace(family=family, free=family == "table")
     return SimpleNamespace(candidate=SimpleNamespace(effect=SimpleNamespace(name=name), form=form))
 
 

@@ -53,7 +53,7 @@ def probed():
     settings = LoopSettings(forms=FORMS, sites=("input current", "parameter R0"))
     with opened(problem, settings) as bench:
         fitted = unfitted(bench)
-        courses = bench.courses(fitted)
+        courses = bench.trajectories(fitted)
         candidates = make_candidates(problem, bench.description, courses, [], settings)
         trials = [CandidatePoint(c, c.grid[0]) for c in candidates]
         columns = probe(bench, fitted, courses, trials)

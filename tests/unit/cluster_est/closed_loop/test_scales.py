@@ -7,7 +7,7 @@ import pytest
 
 from cluster_est.closed_loop.candidates.scales import SignalScales, oscillates
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
-from workers.effects.forms import FORMS, FormCoefficient
+from workers.effects.forms import FORMS, FormCoefficient, GridScale
 from workers.effects.site import EffectSite
 
 T = np.linspace(0.0, 10.0, 2001)
@@ -27,7 +27,9 @@ SCALES = SignalScales([course(v=SWING, y=SWING + 1.0), course(v=SWING, y=SWING +
 
 
 def grid(scale, *entries, site=DER):
-    return SCALES.grid(FormCoefficient("c", None, scale=scale, grid=entries), site, ("v",))
+    return SCALES.grid(
+        FormCoefficient("c", None, scale=GridScale(scale), grid=entries), site, ("v",)
+    )
 
 
 @pytest.mark.parametrize(
@@ -93,5 +95,5 @@ def test_a_product_needs_two_signals_that_move(variables):
 
 def test_an_experiment_without_a_signal_does_not_count():
     scales = SignalScales([course(v=SWING, y=SWING), course(v=SWING)], ())
-    coefficient = FormCoefficient("c", None, scale="max s", grid=(1.0,))
+    coefficient = FormCoefficient("c", None, scale=GridScale.MAX_S, grid=(1.0,))
     assert scales.grid(coefficient, OUT, ()) == pytest.approx((3.0,), rel=1e-3)

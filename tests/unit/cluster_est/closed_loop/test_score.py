@@ -96,26 +96,26 @@ def test_scales_and_order_do_not_matter() -> None:
     )
 
 
-def test_what_parameters_imitate_is_set_aside() -> None:
+def test_what_is_confounded_with_parameters_is_set_aside() -> None:
     generator = np.random.default_rng(14)
     matrix = sensitivities(generator)
     projection = OrthogonalProjection(matrix)
-    imitated = matrix @ np.ones((PARAMETERS, 1))
+    confounded = matrix @ np.ones((PARAMETERS, 1))
     other = projection.remove(generator.standard_normal((N, 1)))
-    other *= np.linalg.norm(imitated) / np.linalg.norm(other)
+    other *= np.linalg.norm(confounded) / np.linalg.norm(other)
     # hardly outside the parameters, and orthogonal to `other`
     third = OrthogonalProjection(np.hstack([matrix, other])).remove(
         generator.standard_normal((N, 1))
     )
-    hidden = imitated + 0.001 * np.linalg.norm(imitated) / np.linalg.norm(third) * third
+    hidden = confounded + 0.001 * np.linalg.norm(confounded) / np.linalg.norm(third) * third
     columns = [
-        imitated,
-        imitated + 0.003 * other,
-        imitated + 0.01 * other,
+        confounded,
+        confounded + 0.003 * other,
+        confounded + 0.01 * other,
         np.zeros((N, 1)),
-        np.hstack([imitated, other]),
+        np.hstack([confounded, other]),
         np.hstack([other, 2.0 * other, np.zeros((N, 1))]),
-        np.hstack([imitated, imitated]),
+        np.hstack([confounded, confounded]),
         np.hstack([hidden + other, hidden - other]),
     ]
     scores = score(projection, generator.standard_normal(N), columns)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.truth.stacked_noise import stack
 
-from cluster_est.closed_loop.findings.result import Verdict
+from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import judge
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.statistics.omnibus import OmnibusTest
@@ -35,7 +35,8 @@ class Case:
         before = np.full(4, self.base * FLOOR / 4)
         after = np.full(4, (self.now if np.isnan(self.left_out) else self.left_out) * FLOOR / 4)
         added = tuple(
-            SimpleNamespace(form=SimpleNamespace(family=family)) for family in self.families
+            SimpleNamespace(form=SimpleNamespace(free=family == "table"))
+            for family in self.families
         )
         screening = SimpleNamespace(
             p=0.2, p_white=0.3, omnibus=self.omnibus, omnibus_white=self.white or self.omnibus

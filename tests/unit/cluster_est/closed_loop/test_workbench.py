@@ -16,6 +16,8 @@ from support.truth.systems_with_missing_effects import (
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.selection.declared_model import BRIEF
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.synthetic_experiments import Shortened
 from cluster_est.closed_loop.workbench import FitStart, SimulationMeter
 from cluster_est.running.runner import TaskOrigin
 from workers.messages import Outcome, Status
@@ -34,7 +36,7 @@ def bench():
 def candidates(bench):
     fitted = unfitted(bench)
     found = make_candidates(
-        fitted.problem, bench.description, bench.courses(fitted), [], bench.settings
+        fitted.problem, bench.description, bench.trajectories(fitted), [], bench.settings
     )
     return fitted, {c.form.name: c for c in found}
 
@@ -72,9 +74,9 @@ def test_each_output_has_a_variance_of_its_own():
     assert units == pytest.approx({"motor_speed": 2.0 * 0.5, "load_speed": 3.0 * 0.7})
 
 
-def test_rehearsals_start_from_the_values_of_their_experiments(bench):
+def test_synthetic_experiments_start_from_the_values_of_their_experiments(bench):
     start = FitStart(bench.problem, {"m": 1.3, "c[e0]": 0.7, "c[e1]": 0.9})
-    space = bench.space(start, "15%")
+    space = bench.space(start, Shortened(0.15))
     labels = [u.label for u in space.unknowns]
     assert labels == ["m", "k", "c[e0 (first 15%)]", "c[e1 (first 15%)]"]
     np.testing.assert_allclose(space.start, [1.3, 30.0, 0.7, 0.9])
@@ -86,7 +88,7 @@ def test_a_fit_that_cannot_be_simulated_is_none(bench):
     light = replace(heavy, start=-1.0, lower=-2.0, upper=-0.5)
     broken = replace(bench.problem, parameters=(light, *others))
     good = FitStart(bench.problem, {})
-    fits = bench.fit("some", [good, FitStart(broken, {}), good], BRIEF)
+    fits = bench.fit(LoopStage.REFITS, [good, FitStart(broken, {}), good], BRIEF)
     assert [fit is None for fit in fits] == [False, True, False]
     assert fits[0].x.tobytes() == fits[2].x.tobytes()
 

@@ -14,8 +14,8 @@ from support.spoiled import INF, NAN, REMOVED, mutate, spoiled_tree, valid_tree,
 from cluster_est import read_config
 from cluster_est.cli.terminal_text import readable
 from cluster_est.config.reader import parse_config
-from cluster_est.config.toml import to_toml
 from cluster_est.errors import ClusterEstError, ConfigError
+from cluster_est.toml import to_toml
 
 A = "experiments.0"
 HUGE = 16**5000  # Python refuses to write this one in decimals

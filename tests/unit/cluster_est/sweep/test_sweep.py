@@ -15,7 +15,6 @@ import pytest
 from support.spoiled import valid_tree, write_input
 
 from cluster_est import Problem, Solver, build_problem
-from cluster_est.config.toml import to_toml
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.executors import WorkerPool
 from cluster_est.executors.local import LocalExecutor
@@ -23,6 +22,7 @@ from cluster_est.running.resources import Resources
 from cluster_est.sweep.lock import LOCK, locked
 from cluster_est.sweep.matrix import read_sweep
 from cluster_est.sweep.pool import SharedPools
+from cluster_est.toml import to_toml
 from workers.messages import Limits, Task
 
 METHODS = {

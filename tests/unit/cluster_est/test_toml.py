@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cluster_est.config.toml import to_toml
+from cluster_est.toml import to_toml
 
 NAMES = st.text(st.characters(exclude_categories=["Cs"]), max_size=6)
 PLAIN = st.one_of(st.booleans(), st.integers(), st.floats(allow_nan=False), NAMES)

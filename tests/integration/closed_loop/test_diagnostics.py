@@ -9,8 +9,7 @@ import pytest
 from support.truth.springs_with_friction import FRICTION, write_config
 
 import cluster_est as ce
-from cluster_est.closed_loop.prepare import open_bench
-from cluster_est.running.environment import RunEnvironment
+from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 
 SETTINGS = ce.LoopSettings(
     forms=("coulomb", "cubic", "constant"), sites=("der(v)",), draws=400, max_effects=1, pairs=False
@@ -96,7 +95,7 @@ def test_outputs_without_sigma_are_weighted_and_the_reader_is_told(problem):
         speed = ce.Output("v", y.times, 1e3 * np.gradient(y.values, y.times), 1.0)
         runs.append(replace(run, outputs=(y, speed)))
     both = replace(problem, experiments=tuple(runs))
-    with open_bench(both, RunEnvironment(), SETTINGS, 0) as bench:
+    with open_workbench(LoopRequest(both, settings=SETTINGS)) as bench:
         (note,) = bench.notes
         sigmas = {o.variable: o.sigma for o in bench.problem.experiments[0].outputs}
     assert sigmas["y"] < 0.01 < sigmas["v"]

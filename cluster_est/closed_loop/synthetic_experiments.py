@@ -1,0 +1,78 @@
+"""Synthetic experiments: those that were measured, shortened or with enlarged inputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluster_est.closed_loop.thresholds import PreparationThresholds
+from workers.messages import Experiment, FloatArray
+
+
+@dataclass(frozen=True)
+class Shortened:
+    """The first part of an experiment.
+
+    Attributes
+    ----------
+    share
+        Of its record.
+    samples
+        Of each output that it keeps at least.
+    """
+
+    share: float
+    samples: int = 12
+
+    def of(self, experiment: Experiment) -> Experiment:
+        """Shorten an experiment."""
+        stop = experiment.start + self.share * (experiment.stop - experiment.start)
+        for output in experiment.outputs:
+            if len(output.times):
+                stop = max(stop, float(output.times[min(self.samples, len(output.times)) - 1]))
+        outputs = []
+        for output in experiment.outputs:
+            kept = output.times <= stop
+            outputs.append(replace(output, times=output.times[kept], values=output.values[kept]))
+        name = f"{experiment.id} (first {self.share:.0%})"
+        return replace(experiment, id=name, stop=stop, outputs=tuple(outputs))
+
+
+@dataclass(frozen=True)
+class Enlarged:
+    """An experiment whose inputs swing further about their means.
+
+    Attributes
+    ----------
+    factor
+        By how much.
+    """
+
+    factor: float
+
+    def of(self, experiment: Experiment) -> Experiment:
+        """Enlarge the inputs of an experiment."""
+        inputs = tuple(
+            replace(given, values=_swung(given.values, self.factor)) for given in experiment.inputs
+        )
+        name = f"{experiment.id} (inputs x {self.factor:g})"
+        return replace(experiment, id=name, inputs=inputs)
+
+
+SyntheticKind = Shortened | Enlarged
+
+
+def shortened_kinds(thresholds: PreparationThresholds) -> tuple[Shortened, ...]:
+    """Return the shortened experiments that a start grows through, the shortest first."""
+    return tuple(Shortened(share, thresholds.shortest) for share in thresholds.horizons)
+
+
+def enlarged_kind(thresholds: PreparationThresholds) -> Enlarged:
+    """Return the enlarged experiments in which a model must stay bounded."""
+    return Enlarged(thresholds.enlargement)
+
+
+def _swung(values: FloatArray, factor: float) -> FloatArray:
+    mean = values.mean()
+    return np.asarray(mean + factor * (values - mean))

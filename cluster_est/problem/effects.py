@@ -1,0 +1,114 @@
+"""Effects of a problem: what is added to the model, and the parameters that come with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from cluster_est.errors import ConfigError
+from cluster_est.problem.problem import Parameter
+from workers.fmu.description import nearest
+from workers.messages import Effect
+
+
+@dataclass(frozen=True)
+class DeclaredCoefficient:
+    """A coefficient of an effect as it is declared.
+
+    Attributes
+    ----------
+    start
+        Of the estimation; None for the value that does nothing.
+    bounds
+        None for those that physics gives.
+    scale, fixed, per, unit
+        See `Parameter`.
+    neutral
+        Of an equation of one's own: the value at which it does nothing.
+    """
+
+    start: float | None = None
+    bounds: tuple[float, float] | None = None
+    scale: Literal["linear", "log"] = "linear"
+    fixed: bool = False
+    neutral: float | None = None
+    per: str | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class DeclaredEffect:
+    """An effect as it is declared, by a form of the library or an equation of one's own.
+
+    Attributes
+    ----------
+    name
+        The form if empty.
+    site
+        "der(v)", "pair v,w", "input F", "output y" or "parameter k".
+    form, equation
+        One of the two.
+    variables
+        Arguments of the form; empty for the state of der(STATE).
+    coefficients
+        Those of which something is declared, by name.
+    """
+
+    name: str
+    site: str
+    form: str = ""
+    equation: str = ""
+    variables: tuple[str, ...] = ()
+    coefficients: Mapping[str, DeclaredCoefficient] = field(default_factory=dict)
+
+
+def make_effect(declared: DeclaredEffect) -> tuple[Effect, tuple[Parameter, ...]]:
+    """Make an effect and its coefficients as parameters.
+
+    Raises
+    ------
+    ConfigError
+        If it names both a form and an equation, or neither, or a coefficient that it lacks.
+    EffectError
+        If there is no such form or site.
+    """
+    from workers.effects.definition import coefficients  # SymPy takes long to import
+
+    name = declared.name or declared.form
+    where = f"effect {name!r}"
+    if bool(declared.form) == bool(declared.equation):
+        has = "both" if declared.form else "neither"
+        raise ConfigError(f"{where}: must have either form or equation but has {has}")
+    if not name:
+        raise ConfigError("effects: one with an equation must have a name; add name")
+    given = declared.coefficients
+    own = tuple((n, c.neutral) for n, c in given.items()) if declared.equation else ()
+    effect = Effect(name, declared.site, declared.form, declared.variables, declared.equation, own)
+    known = coefficients(effect, where)
+    names = [c.name for c in known]
+    for unknown in (n for n in given if n not in names):
+        raise ConfigError(
+            f"{where}: parameters.{unknown}: {declared.form} has no such coefficient"
+            f"{nearest(unknown, names)}"
+        )
+    parameters = []
+    for coefficient in known:
+        chosen = given.get(coefficient.name, DeclaredCoefficient())
+        start = chosen.start if chosen.start is not None else coefficient.neutral
+        if start is None or not math.isfinite(start):
+            raise ConfigError(
+                f"{where}: parameters.{coefficient.name}.start is missing; {coefficient.name} of "
+                f"{declared.form or 'an own equation'} has no value to start from by itself"
+            )
+        lowest = 0.0 if coefficient.positive else -math.inf
+        parameters.append(_parameter(f"{name}.{coefficient.name}", start, lowest, chosen))
+    return effect, tuple(parameters)
+
+
+def _parameter(label: str, start: float, lowest: float, chosen: DeclaredCoefficient) -> Parameter:
+    low, high = chosen.bounds if chosen.bounds is not None else (lowest, math.inf)
+    return Parameter(
+        label, start, low, high, chosen.scale, chosen.fixed, per=chosen.per, unit=chosen.unit
+    )
