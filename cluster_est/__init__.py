@@ -15,7 +15,9 @@ from cluster_est.errors import ClusterEstError
 from cluster_est.fit import fit, simulate
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.data import read_table
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.from_table import experiment_from_table
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from cluster_est.residual_function import residuals
 from cluster_est.results.result import Estimate, Result
 from cluster_est.running.multistart import Multistart
@@ -61,6 +63,9 @@ __all__ = [
     "residuals",
     "simulate",
 ]
+
+Experiment.from_table = staticmethod(experiment_from_table)
+"""Here because `workers`, where the class stands, reads no tables."""
 
 _LATE = {
     "LoopResult": "findings.result",

@@ -6,7 +6,7 @@ import math
 
 from cluster_est.config.reader import CoefficientSection, EffectSection
 from cluster_est.errors import ConfigError
-from cluster_est.problem.problem import Parameter
+from cluster_est.problem.parameter import Parameter
 from workers.fmu.description import nearest
 from workers.messages import Effect
 

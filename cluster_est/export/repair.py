@@ -16,8 +16,9 @@ from cluster_est.cli.printing import read_facts, read_run_table
 from cluster_est.config.build import build_problem
 from cluster_est.config.reader import EffectSection, parse_config
 from cluster_est.errors import RunFolderError
+from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.parameter_constraints import label_of
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.replay import config_base
 from workers.effects.definition import EffectDefinition, define
 from workers.effects.units import UNKNOWN, coefficient_units

@@ -6,10 +6,10 @@ import csv
 import io
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import pyarrow as pa
@@ -39,7 +39,7 @@ class MeasuredTable:
     Attributes
     ----------
     path
-        Where it came from, for messages.
+        The file that it came from, or a name for it, for messages.
     columns
         Arrow arrays or NumPy arrays by name.
     unusable
@@ -48,7 +48,7 @@ class MeasuredTable:
         What stands between the cells of a text file; empty for other files.
     """
 
-    path: Path
+    path: Path | str
     columns: dict[str, pa.ChunkedArray | FloatArray] = field(repr=False)
     unusable: dict[str, str] = field(default_factory=dict)
     delimiter: str = ""
@@ -89,7 +89,7 @@ class MeasuredTable:
         """The row of the file, as an editor shows it, that the values at an index are from."""
         if not self.delimiter:
             return index + 1
-        for i, (line, _) in enumerate(_lines(self.path, self.delimiter)):
+        for i, (line, _) in enumerate(_lines(Path(self.path), self.delimiter)):
             if i == index + 1:
                 return line
         return index + 2
@@ -103,14 +103,22 @@ class MeasuredTable:
         )
 
 
-def read_table(path: Path, where: str) -> MeasuredTable:
+def read_table(path: str | Path, where: str = "table") -> MeasuredTable:
     """Read a measured file; its ending says what it is.
+
+    Parameters
+    ----------
+    path
+        Of a csv, parquet, feather or MAT file.
+    where
+        Opens each message.
 
     Raises
     ------
     DataError
         If there is no such file, or it is not what its ending says.
     """
+    path = Path(path)
     kind = READERS.get(path.suffix.lower())
     if kind is None:
         raise DataError(
@@ -130,6 +138,59 @@ def read_table(path: Path, where: str) -> MeasuredTable:
             f"{where}: {path} must be a {kind} file that can be read but is not ({reason}); "
             "check that it is complete, or save it again"
         ) from error
+
+
+def table_of(given: Any, where: str) -> MeasuredTable:
+    """A table in memory as a measured table.
+
+    Parameters
+    ----------
+    given
+        A DataFrame of pandas or polars, a table of pyarrow, a dict of columns, or a path.
+    where
+        Opens each message.
+
+    Raises
+    ------
+    DataError
+        If it is none of these.
+    """
+    if isinstance(given, MeasuredTable):
+        return given
+    if isinstance(given, Path):
+        return read_table(given, where)
+    if hasattr(given, "items"):
+        pairs = [(str(name), column) for name, column in given.items()]
+        index: Any = getattr(given, "index", None)
+        if getattr(index, "name", None) is not None:  # of pandas
+            pairs.insert(0, (str(index.name), index.to_series()))
+        return _from_columns(pairs)
+    if hasattr(given, "__arrow_c_stream__") or isinstance(given, pa.RecordBatch):
+        return _named("the table", pa.table(given))
+    raise DataError(
+        f"{where}: the table must be of pandas, polars or pyarrow, a dict of columns or a path but "
+        f"is {type(given).__name__!r}; convert it"
+    )
+
+
+def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
+    """Columns of pandas or of a dict; one that Arrow cannot read is unusable, not an error yet."""
+    counts = Counter(name for name, _ in pairs)
+    columns: dict[str, pa.ChunkedArray | FloatArray] = {}
+    unusable = {name: _repeated(count) for name, count in counts.items() if count > 1}
+    for name, column in pairs:
+        if name in unusable:
+            continue
+        try:
+            columns[name] = pa.chunked_array([pa.array(column, from_pandas=True)])
+        except (pa.ArrowException, TypeError, ValueError) as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            unusable[name] = f"must hold numbers but cannot be read ({reason})"
+    return MeasuredTable("the table", columns, unusable)
+
+
+def _repeated(count: int) -> str:
+    return f"must be there once but {count} columns have that name; rename them"
 
 
 def _read_csv(path: Path) -> MeasuredTable:
@@ -239,14 +300,10 @@ def _read_mat(path: Path) -> MeasuredTable:
     return MeasuredTable(path, columns, unusable)
 
 
-def _named(path: Path, table: pa.Table, delimiter: str = "") -> MeasuredTable:
+def _named(path: Path | str, table: pa.Table, delimiter: str = "") -> MeasuredTable:
     """Columns by name, without the blanks that some programs put around names."""
     names = [name.strip() for name in table.column_names]
-    unusable = {
-        name: f"must be there once but {count} columns have that name; rename them"
-        for name, count in Counter(names).items()
-        if count > 1
-    }
+    unusable = {name: _repeated(count) for name, count in Counter(names).items() if count > 1}
     columns = {name: table.column(i) for i, name in enumerate(names) if name not in unusable}
     return MeasuredTable(path, columns, unusable, delimiter)
 
@@ -275,7 +332,7 @@ def _floats(column: pa.ChunkedArray) -> FloatArray:
 
 
 def _first_text(cells: pa.ChunkedArray) -> int:
-    """Where the first cell is that is no number, by halving."""
+    """Position of the first cell that is no number, by halving."""
     good, bad = 0, len(cells)
     while bad - good > 1:
         middle = (good + bad) // 2

@@ -14,7 +14,8 @@ import numpy as np
 
 from cluster_est.errors import ProblemError
 from cluster_est.problem.formulas import ParameterConstraint, parse_constraint
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from workers.fmu.description import nearest
 from workers.messages import Experiment, FloatArray
 

@@ -8,7 +8,6 @@ J. K. Reid, IMA J. Appl. Math. 13 (1974) 117-119, doi:10.1093/imamat/13.1.117).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,51 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.problem.parameter_constraints import ConstraintSpec, evaluate, expand, label_of
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.problem import Problem
 from cluster_est.problem.reduction import want_of
+from cluster_est.problem.unknown import Unknown
 from workers.messages import FloatArray, IntArray, Want
 
 _NONE = np.zeros(0)
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """One number that a method moves.
-
-    Attributes
-    ----------
-    label
-        "k", or "x0[exp5]" where the parameter has a value of its own there.
-    parameter
-        Whose value it is.
-    column
-        Its place in `Model.parameters`.
-    experiments
-        Positions, in the space, of the experiments that it acts on.
-    start
-        Physical value that the search starts from.
-    """
-
-    label: str
-    parameter: Parameter
-    column: int
-    experiments: tuple[int, ...]
-    start: float
-
-    @property
-    def log(self) -> bool:
-        return self.parameter.scale == "log"
-
-    def to_search(self, physical: float) -> float:
-        if not self.log:
-            return physical
-        return math.log(physical) if physical > 0.0 else -math.inf
-
-    def to_physical(self, searched: float) -> float:
-        if not self.log:
-            return searched
-        # the exponential of a bound's logarithm may lie just outside the bound
-        return min(max(math.exp(min(searched, 709.0)), self.parameter.lower), self.parameter.upper)
 
 
 @dataclass(frozen=True)
@@ -121,7 +81,7 @@ class SearchSpace:
     @cached_property
     def typical(self) -> FloatArray:
         """The size of a noticeable change of each unknown, where nothing better is known."""
-        return np.array([_typical(u) for u in self.unknowns], np.float64)
+        return np.array([u.typical for u in self.unknowns], np.float64)
 
     @cached_property
     def wants(self) -> tuple[Want, ...]:
@@ -349,13 +309,3 @@ def make_space(
 def _slices(sizes: list[int]) -> tuple[slice, ...]:
     ends = np.cumsum([0, *sizes]).tolist()
     return tuple(slice(a, b) for a, b in pairwise(ends))
-
-
-def _typical(unknown: Unknown) -> float:
-    """A logarithm changes noticeably by 1; a value by itself, else by a tenth of its range."""
-    if unknown.log:
-        return 1.0
-    width = unknown.parameter.upper - unknown.parameter.lower
-    if unknown.start != 0.0:
-        return abs(unknown.start)
-    return 0.1 * width if math.isfinite(width) else 1.0

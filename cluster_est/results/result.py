@@ -12,8 +12,8 @@ import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.base import Solution
+from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
-from cluster_est.results import notebook
 from cluster_est.results.curves import residual_table, trajectory_table
 from cluster_est.results.output_errors import OutputError, Simulation
 from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
@@ -291,11 +291,11 @@ class Result:
 
     def __str__(self) -> str:
         """What `print` shows."""
-        return notebook.plain(self._title, *fit_tables(self.estimates, self.errors))
+        return display.plain(self._title, *fit_tables(self.estimates, self.errors))
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        return notebook.section(self._title, *fit_tables(self.estimates, self.errors))
+        return display.section(self._title, *fit_tables(self.estimates, self.errors))
 
     @property
     def _title(self) -> str:
@@ -304,19 +304,19 @@ class Result:
 
 def fit_tables(
     estimates: Sequence[Estimate], errors: Sequence[Any]
-) -> tuple[notebook.DisplayTable, notebook.DisplayTable]:
+) -> tuple[display.DisplayTable, display.DisplayTable]:
     """Estimates and errors, of a fit or of a closed loop, as a notebook shows them."""
     values = [
         (e.label, e.value, e.unit, e.std_error, e.lower95, e.upper95, e.at_bound) for e in estimates
     ]
     fits = [(e.experiment, e.role, e.output, e.rmse_before, e.rmse_after, e.unit) for e in errors]
     return (
-        notebook.DisplayTable(
+        display.DisplayTable(
             "Parameters",
             ("parameter", "value", "unit", "standard error", "95 % from", "to", "at bound"),
             values,
         ),
-        notebook.DisplayTable(
+        display.DisplayTable(
             "Root mean square errors",
             ("experiment", "role", "output", "before", "after", "unit"),
             fits,

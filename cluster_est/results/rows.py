@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.methods.base import TOLERANCE, OtherPoint, Solution
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.result import ConstraintValue, Estimate, PointValue, StartResult

@@ -13,7 +13,8 @@ from cluster_est.cli.printing import read_facts
 from cluster_est.config.build import build_problem, build_resources
 from cluster_est.config.reader import read_config
 from cluster_est.errors import ConfigError, RunFolderError
-from cluster_est.problem.problem import Problem, coefficient_names
+from cluster_est.problem.names import coefficient_names
+from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.evaluation_log import read_log
 from cluster_est.run_folder.log_format import logged_cost, simulation_key
 from cluster_est.running.reset_policy import recorded

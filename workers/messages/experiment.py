@@ -1,13 +1,27 @@
-"""What a simulation is fed with and compared with: one measured experiment."""
+"""One measured experiment: the signals that a simulation is fed with and compared with."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, ClassVar, get_args
 
 import numpy as np
 
+from workers.errors import DataError
+from workers.messages.checks import (
+    as_pairs,
+    as_tuple,
+    check_choice,
+    check_kind,
+    check_name,
+    check_number,
+    is_number,
+    shown,
+)
 from workers.messages.hashing import content_hash
+from workers.messages.signals import as_floats, check_finite, check_length, check_times
 from workers.messages.types import REDUCTIONS, FloatArray, Interpolation, Role, Value, Want
 
 
@@ -15,7 +29,13 @@ from workers.messages.types import REDUCTIONS, FloatArray, Interpolation, Role, 
 class Input:
     """A measured signal that drives an input variable of the FMU.
 
-    Before its first and after its last sample the signal keeps that sample's value.
+    Before its first and after its last sample the signal keeps that sample's value. Times and
+    values may be given as arrays, lists or columns of a table.
+
+    Raises
+    ------
+    DataError
+        If times are not finite and increasing, or values not finite, or there are none.
     """
 
     variable: str
@@ -23,15 +43,59 @@ class Input:
     values: FloatArray = field(repr=False)
     interpolation: Interpolation = "linear"
 
+    def __post_init__(self) -> None:
+        where = _check_samples(self, "input")
+        check_choice(
+            self.interpolation, get_args(Interpolation), f"{where}.interpolation", DataError
+        )
+        if not len(self.times):
+            raise DataError(
+                f"{where}: must have at least one sample but has none; leave the input out if "
+                "nothing was measured"
+            )
+
 
 @dataclass(frozen=True)
 class Output:
-    """A measured signal that an output variable of the FMU should follow; no NaN in it."""
+    """A measured signal that an output variable of the FMU should follow.
+
+    Times and values may be given as arrays, lists or columns of a table; `sigma` is the standard
+    deviation of the noise, in the signal's unit.
+
+    Raises
+    ------
+    DataError
+        If times are not finite and increasing, values not finite, or sigma not positive.
+    """
 
     variable: str
     times: FloatArray = field(repr=False)
     values: FloatArray = field(repr=False)
     sigma: float = 1.0
+
+    def __post_init__(self) -> None:
+        where = _check_samples(self, "output")
+        check_number(self.sigma, f"{where}.sigma", DataError, above=0.0)
+
+
+def _check_samples(signal: Any, kind: str) -> str:
+    """Make times and values arrays, and refuse what is no measurement.
+
+    Returns
+    -------
+    str
+        The opening of messages about this signal.
+    """
+    check_name(signal.variable, f"{kind}.variable", DataError)
+    where = f"{kind} {signal.variable!r}"
+    times = as_floats(signal.times, f"{where}.times")
+    values = as_floats(signal.values, f"{where}.values")
+    object.__setattr__(signal, "times", times)  # a frozen class is changed while it is made alone
+    object.__setattr__(signal, "values", values)
+    check_length(values, times, f"{where}.values:")
+    check_times(times, f"{where}.times", "index {}".format)
+    check_finite(values, f"{where}.values")
+    return where
 
 
 @dataclass(frozen=True)
@@ -135,7 +199,8 @@ class Experiment:
     inputs, outputs
         The measured signals.
     values
-        Known start values of this run by variable name, written before initialisation.
+        Known start values of this run by variable name, written before initialisation; may be
+        given as a dict, as may `groups`.
     role, groups
         Labels for the coordinator: whether the parameters are estimated from this run ("train") or
         only tested on it ("test"), and which group it belongs to under each key. No result depends
@@ -150,6 +215,11 @@ class Experiment:
         Returns what takes the place of all residuals of this experiment.
     constraint_functions
         Each returns a number that must be at most 0, or 0.
+
+    Raises
+    ------
+    DataError
+        If its signals contradict it or each other.
     """
 
     id: str
@@ -165,6 +235,25 @@ class Experiment:
     bounds: tuple[SignalBound, ...] = ()
     cost_function: UserFunction | None = None
     constraint_functions: tuple[UserFunction, ...] = ()
+
+    from_table: ClassVar[Callable[..., Experiment]]
+    """An experiment from a table of pandas, polars or pyarrow, or a dict of columns. The
+    coordinator puts it here: a worker reads no tables."""
+
+    def __post_init__(self) -> None:
+        check_name(self.id, "experiment.id", DataError)
+        where = f"experiment {self.id!r}"
+        for key, kind in _LISTS.items():
+            given = getattr(self, key)
+            object.__setattr__(self, key, as_tuple(given, kind, f"{where}.{key}", DataError))
+        for key in ("values", "groups"):
+            given = getattr(self, key)
+            object.__setattr__(self, key, as_pairs(given, f"{where}.{key}", DataError))
+        check_choice(self.role, get_args(Role), f"{where}.role", DataError)
+        _check_values(self.values, f"{where}.values")
+        _check_interval(self, where)
+        if self.curve is not None:
+            check_kind(self.curve, Curve, f"{where}.curve", DataError)
 
     @property
     def size(self) -> int:
@@ -225,3 +314,42 @@ class Experiment:
                 signals += ["function", function.module, function.name, function.source]
                 signals += [repr((function.equality, function is self.cost_function))]
         return content_hash(signals)
+
+
+_LISTS: dict[str, type] = {
+    "inputs": Input,
+    "outputs": Output,
+    "signals": Input,
+    "bounds": SignalBound,
+    "constraint_functions": UserFunction,
+}
+"""The lists of an experiment, and what each holds."""
+
+
+def _check_values(values: tuple[tuple[str, Value], ...], where: str) -> None:
+    """Refuse known values that no variable can have."""
+    for name, value in values:
+        fits = isinstance(value, bool | str | np.bool_) or is_number(value)
+        if not fits or (is_number(value) and not np.isfinite(float(value))):
+            raise DataError(
+                f"{where}.{name}: must be a finite number, true, false or a text but is "
+                f"{shown(value)}"
+            )
+
+
+def _check_interval(experiment: Experiment, where: str) -> None:
+    """Refuse an interval that is none, or that measured times lie outside of."""
+    start, stop = experiment.start, experiment.stop
+    for key, time in (("start", start), ("stop", stop)):
+        check_number(time, f"{where}.{key}", DataError)
+    if not start < stop:
+        raise DataError(
+            f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one"
+        )
+    for output in experiment.outputs:
+        if len(output.times) and not start <= output.times[0] <= output.times[-1] <= stop:
+            raise DataError(
+                f"{where}.outputs.{output.variable}: its times must lie between start, {start:g} "
+                f"s, and stop, {stop:g} s, but go from {output.times[0]:g} to "
+                f"{output.times[-1]:g} s; change start or stop, or leave those samples out"
+            )

@@ -14,7 +14,8 @@ from cluster_est.closed_loop.candidates.scales import SignalScales
 from cluster_est.closed_loop.candidates.shapes import shape_of
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from workers.effects.forms import FORMS, EffectForm, FormCoefficient, positive
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
-from cluster_est.results import notebook
+from cluster_est.problem import display
 from cluster_est.results.result import Estimate, Result, fit_tables
 from workers.messages import Effect, FloatArray, Role
 
@@ -262,20 +262,20 @@ class LoopResult:
 
     def __str__(self) -> str:
         """What `print` shows."""
-        return notebook.plain(self._title, *self._tables)
+        return display.plain(self._title, *self._tables)
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        return notebook.section(self._title, *self._tables)
+        return display.section(self._title, *self._tables)
 
     @property
     def _title(self) -> str:
         return f"Closed loop: {self.verdict}. {self.summary}"
 
     @property
-    def _tables(self) -> tuple[notebook.DisplayTable, ...]:
+    def _tables(self) -> tuple[display.DisplayTable, ...]:
         effects = [(e.name, e.family, e.equation) for e in self.effects]
         return (
-            notebook.DisplayTable("Effects", ("name", "family", "equation"), effects),
+            display.DisplayTable("Effects", ("name", "family", "equation"), effects),
             *fit_tables(self.after.estimates, self.errors),
         )

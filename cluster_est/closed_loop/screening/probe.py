@@ -9,7 +9,7 @@ import numpy as np
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.screening.directions import CandidatePoint, added_at
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.problem.space import Unknown
+from cluster_est.problem.unknown import Unknown
 from workers.messages import FloatArray
 
 AMOUNT = 0.01
