@@ -15,11 +15,13 @@ from cluster_est.errors import ClusterEstError
 from cluster_est.fit import fit, simulate
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.data import read_table
+from cluster_est.problem.fmu_file import read_model
 from cluster_est.problem.from_table import experiment_from_table
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.residual_function import residuals
-from cluster_est.results.result import Estimate, Result
+from cluster_est.results.result import Result
+from cluster_est.results.row_types import Estimate
 from cluster_est.running.multistart import Multistart
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Budget
@@ -58,6 +60,7 @@ __all__ = [
     "fit",
     "locate",
     "read_config",
+    "read_model",
     "read_problem",
     "read_table",
     "residuals",

@@ -161,11 +161,11 @@ def fit(
             method,
             resources,
             config.method.seed,
-            keeper.record,
-            keeper.shown(line.show),
-            keeper.note,
-            multistart,
-            uncertainty,
+            record=keeper.record,
+            show=keeper.shown(line.show),
+            note=keeper.note,
+            multistart=multistart,
+            uncertainty=uncertainty,
         )
         if keeper.folder is not None:
             keeper.folder.write(result)

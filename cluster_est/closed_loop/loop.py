@@ -20,13 +20,17 @@ from cluster_est.closed_loop.prepare import open_bench
 from cluster_est.closed_loop.selection.forward_selection import SelectionResult, search
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.fit import complete, simulate_all
+from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.options import check_options
 from cluster_est.problem.problem import Problem
+from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.result import Result
+from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Note, Record, SearchRequest, Show
 from cluster_est.uncertainty import examine
+from workers.messages.checks import as_tuple, check_kind
 
 FINAL = LeastSquares(trials=4, max_iterations=50)
 
@@ -63,8 +67,15 @@ def close_loop(
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
     begin = time.monotonic()
-    settings = settings or LoopSettings()
-    with open_bench(problem, resources or Resources(), settings, seed, record, show, note) as bench:
+    resources = Resources() if resources is None else resources
+    settings = LoopSettings() if settings is None else settings
+    check_problem(problem)
+    check_resources(resources)
+    check_kind(settings, LoopSettings, "closed_loop", ProblemError)
+    check_options(settings, "closed_loop", ProblemError)
+    for key in ("forms", "sites"):
+        as_tuple(getattr(settings, key), str, f"closed_loop.{key}", ProblemError)
+    with open_bench(problem, resources, settings, seed, record, show, note) as bench:
         found = search(bench, FitStart(bench.problem, {}))
         judgement = judge(bench, found)
         report = _report(bench, found, judgement, begin)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.config.constraints import check_signals, parameter_constraints
@@ -19,6 +19,8 @@ from cluster_est.costs import COSTS, Cost
 from cluster_est.costs.total import TotalCost
 from cluster_est.errors import ConfigError, EffectError, ModelError
 from cluster_est.methods import ALIASES, METHODS, Method
+from cluster_est.problem.fmu_file import choose_interface
+from cluster_est.problem.options import check_option
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.variables import check_value
@@ -27,7 +29,7 @@ from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Budget
 from cluster_est.uncertainty import UncertaintySettings
 from workers.effects.site import parse_site
-from workers.fmu.description import ModelDescription, describe, nearest
+from workers.fmu.description import describe, nearest
 from workers.messages import (
     Interface,
     Limits,
@@ -35,15 +37,7 @@ from workers.messages import (
     Solver,
     SolverName,
 )
-from workers.messages.checks import shown
 from workers.messages.model import check_solver
-
-_OPTION_TYPES: dict[Any, tuple[Any, str]] = {
-    float: ((int, float), "a number"),
-    int: (int, "a whole number"),
-    bool: (bool, "true or false"),
-    str: (str, "text in quotes"),
-}
 
 
 def read_problem(
@@ -139,7 +133,8 @@ def _with_options(kind: type[Kind], options: dict[str, Any], where: str) -> Kind
             raise ConfigError(
                 f"{where}.{key}: {kind.name} has no such option{nearest(key, fields)}"
             )
-        _check_option(f"{where}.{key}", value, hints[key], fields[key].metadata.get("least"))
+        least = fields[key].metadata.get("least")
+        check_option(f"{where}.{key}", value, hints[key], least, ConfigError)
     return kind(**options)
 
 
@@ -219,21 +214,6 @@ def _limits(config: Config) -> Limits:
     return Limits(section.timeout, section.patience, memory, section.growth * 2.0**20)
 
 
-def _check_option(where: str, value: Any, hint: Any, least: float | None) -> None:
-    if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            choices = ", ".join(repr(choice) for choice in get_args(hint))
-            raise ConfigError(f"{where}: must be one of {choices} but is {shown(value)}")
-        return
-    allowed, called = _OPTION_TYPES.get(hint, (hint, hint.__name__))
-    if not isinstance(value, allowed) or isinstance(value, bool) is not (hint is bool):
-        raise ConfigError(f"{where}: must be {called} but is {shown(value)}")
-    if hint is not str and not abs(value) < (1e100 if hint is float else 2**63):
-        raise ConfigError(f"{where}: must be finite and of a usual size but is {shown(value)}")
-    if least is not None and not value >= least:
-        raise ConfigError(f"{where}: must be at least {least:g} but is {shown(value)}")
-
-
 def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     path = find_file(config.model.fmu, base, config.data_folders, "model.fmu")
     try:
@@ -248,7 +228,7 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
             structure[name] = int(value)
     description = describe(path.name, archive, structure)
     check_signals(config, description)
-    interface = _interface(config, description)
+    interface = choose_interface(config.model.interface, description.interfaces)
     solver = _solver(config, interface)
     return Model(
         path.name,
@@ -259,14 +239,6 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
         tuple(structure.items()),
         renew=config.model.reset,
     )
-
-
-def _interface(config: Config, description: ModelDescription) -> Interface:
-    wanted = config.model.interface
-    offered = description.interfaces
-    if wanted == "auto":
-        return "model_exchange" if "model_exchange" in offered else offered[-1]
-    return wanted
 
 
 def _solver(config: Config, interface: Interface) -> Solver:

@@ -76,7 +76,7 @@ __all__ = [
 ]
 
 
-def read_config(path: Path, overrides: list[str] | None = None) -> Config:
+def read_config(path: str | Path, overrides: list[str] | None = None) -> Config:
     """Read and check a config file.
 
     Parameters
@@ -91,6 +91,7 @@ def read_config(path: Path, overrides: list[str] | None = None) -> Config:
     ConfigError
         If there is no such file, it is not TOML, or a key is unknown or has a wrong value.
     """
+    path = Path(path)
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:

@@ -11,6 +11,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.problem import display
 from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.names import coefficient_names, refuse_repeated
+from cluster_est.problem.options import check_options
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.variables import (
     check_effects,
@@ -89,6 +90,7 @@ class Problem:
         check_kind(self.model, Model, "problem.model", ProblemError, advice)
         advice = "; import one from cluster_est.costs"
         check_kind(self.cost, Cost, "problem.cost", ProblemError, advice)
+        check_options(self.cost, "cost.options", ProblemError)
         for key, kind in _LISTS.items():
             found: tuple[object, ...] = as_tuple(
                 getattr(self, key), kind, f"problem.{key}", ProblemError

@@ -12,7 +12,7 @@ from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace
 from cluster_est.results.output_errors import Simulation
-from cluster_est.results.result import ConstraintValue, Estimate, PointValue, StartResult
+from cluster_est.results.row_types import ConstraintValue, Estimate, PointValue, StartResult
 from cluster_est.running.evaluation import judge
 from cluster_est.running.multistart import MultistartResult
 from cluster_est.uncertainty import ConfidenceInterval, Uncertainty

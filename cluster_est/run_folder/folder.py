@@ -20,7 +20,7 @@ from cluster_est.closed_loop.findings import tables
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.errors import RunFolderError
 from cluster_est.problem.problem import Problem
-from cluster_est.results.output_errors import worse_than_constants
+from cluster_est.results.facts import fit_facts
 from cluster_est.results.result import Result
 from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
@@ -140,7 +140,7 @@ class RunFolder:
         self._table("parameters", [dataclasses.asdict(e) for e in result.estimates])
         self._table("errors", [dataclasses.asdict(e) for e in result.errors])
         self._write_fit(result)
-        self._write_status(_status(result), _numbers(result))
+        self._write_status(result.status, fit_facts(result))
 
     def write_loop(self, result: LoopResult) -> None:
         """Write all tables of a closed loop: those of its last fit, and what it found."""
@@ -149,7 +149,7 @@ class RunFolder:
             self._write_table(name, result.table(name))
         self._write_fit(result.final)
         given = any(o.sigma != 1.0 for e in self._problem.experiments for o in e.outputs)
-        numbers = _numbers(result.after) | {
+        numbers = fit_facts(result.after) | {
             "cost_before": result.before.cost,
             "evaluations": result.evaluations,
             "simulations": int(sum(w["simulations"] for w in self._workers.values())),
@@ -237,38 +237,6 @@ def only_begun(path: Path) -> bool:
     names = {each.name for each in path.iterdir()}
     log = path / "evaluations"
     return "evaluations" in names and names <= BEGUN and log.is_dir() and not any(log.iterdir())
-
-
-def _status(result: Result) -> str:
-    if result.interrupted:
-        return "interrupted"
-    return "done" if result.success else "not converged"
-
-
-def _numbers(result: Result) -> dict[str, Any]:
-    return {
-        "ending": result.solution.ending.name.lower(),
-        "message": result.message,
-        "cost_before": result.cost_before,
-        "cost": result.cost,
-        "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
-        "notes": _notes(result),
-        "iterations": result.solution.iterations,
-        "evaluations": result.evaluations,
-        "simulations": result.simulated,
-        "failures": result.failures,
-        "seconds": result.seconds,
-    }
-
-
-def _notes(result: Result) -> list[str]:
-    """What to know about the simulations and the uncertainty, in sentences."""
-    notes = list(result.problem.notes())
-    if result.uncertainty is not None:
-        notes += result.uncertainty.sentences
-    for profile in result.profiles:
-        notes += profile.sentences
-    return [*notes, *worse_than_constants(result.errors)]
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

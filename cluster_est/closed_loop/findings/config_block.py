@@ -7,7 +7,7 @@ from typing import Any
 
 from cluster_est.closed_loop.findings.result import NamedEffect
 from cluster_est.config.toml import inline
-from cluster_est.results.result import Estimate
+from cluster_est.results.row_types import Estimate
 
 
 def config_block(effect: NamedEffect) -> str:

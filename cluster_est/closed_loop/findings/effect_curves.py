@@ -12,7 +12,8 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.errors import ClusterEstError
-from cluster_est.results.result import Estimate, Result
+from cluster_est.results.result import Result
+from cluster_est.results.row_types import Estimate
 from workers.effects.expression import parse
 from workers.messages import FloatArray
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,11 +12,15 @@ import pyarrow as pa
 
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.problem import display
-from cluster_est.results.result import Estimate, Result, fit_tables
+from cluster_est.results import actions
+from cluster_est.results.display_tables import fit_tables
+from cluster_est.results.result import Result
+from cluster_est.results.row_types import Estimate
 from workers.messages import Effect, FloatArray, Role
 
 if TYPE_CHECKING:  # it needs SymPy, which is slow
     from cluster_est.closed_loop.findings.effect_curves import DrawnEffect
+    from cluster_est.export.write import ExportResult
 
 
 class Verdict(enum.StrEnum):
@@ -259,6 +264,26 @@ class LoopResult:
     def trajectories(self) -> pa.Table:
         """The table of that name, with the effects."""
         return self.final.trajectories
+
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
+        """Write a run folder; see `Result.save`."""
+        return actions.save(self, folder, overwrite=overwrite)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report: one HTML file; see `Result.report`."""
+        return actions.report(self, path)
+
+    def export(
+        self,
+        fmu: str | Path | None = None,
+        ssv: str | Path | None = None,
+        *,
+        modelica: bool = False,
+        text: bool = False,
+        experiment: str | None = None,
+    ) -> ExportResult:
+        """Write the model with its effects; see `Result.export`."""
+        return actions.export(self, fmu, ssv, modelica=modelica, text=text, experiment=experiment)
 
     def __str__(self) -> str:
         """What `print` shows."""

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from cluster_est.closed_loop.findings.config_block import config_block
 from cluster_est.closed_loop.findings.result import ErrorChange, LoopResult, NamedEffect
-from cluster_est.results.result import Estimate
+from cluster_est.results.row_types import Estimate
 
 Row = dict[str, Any]
 

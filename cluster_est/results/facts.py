@@ -1,0 +1,37 @@
+"""The facts of a fit for run.json."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from cluster_est.results.output_errors import worse_than_constants
+
+if TYPE_CHECKING:  # a result offers its facts, so it knows this file
+    from cluster_est.results.result import Result
+
+
+def fit_facts(result: Result) -> dict[str, Any]:
+    """Return what run.json says of a fit, besides what the run's folder knows itself."""
+    return {
+        "ending": result.solution.ending.name.lower(),
+        "message": result.message,
+        "cost_before": result.cost_before,
+        "cost": result.cost,
+        "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
+        "notes": list(result.notes),
+        "iterations": result.solution.iterations,
+        "evaluations": result.evaluations,
+        "simulations": result.simulated,
+        "failures": result.failures,
+        "seconds": result.seconds,
+    }
+
+
+def fit_notes(result: Result) -> tuple[str, ...]:
+    """Sentences about the simulations and the uncertainty."""
+    notes = list(result.problem.notes())
+    if result.uncertainty is not None:
+        notes += result.uncertainty.sentences
+    for profile in result.profiles:
+        notes += profile.sentences
+    return (*notes, *worse_than_constants(result.errors))
