@@ -78,7 +78,7 @@ _LATE = {
     "detect": "diagnostics",
     "locate": "diagnostics",
 }
-"""What is imported when it is first used: a fit has no need of SymPy."""
+"""Names that are imported when they are first used: a fit has no need of SymPy."""
 
 
 def __getattr__(name: str) -> Any:

@@ -125,7 +125,17 @@ def fit_on(
     solution, known = found.best, None
     if not runner.interrupted:
         known = examine(runner, train, solution)
-    result = complete(runner, train, solution, method, before, units, seed, begin, known)
+    result = complete(
+        runner,
+        train,
+        solution,
+        method,
+        before,
+        units=units,
+        seed=seed,
+        begin=begin,
+        uncertainty=known,
+    )
     starts, minima = rows.starts_and_minima(train, found)
     result = replace(result, starts=starts, minima=minima)
     if solution.ending.success and not runner.interrupted:

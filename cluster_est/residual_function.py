@@ -146,13 +146,13 @@ class ResidualFunction:
     ) -> None:
         self.close()
 
-    def _run(self, question: _PointEvaluation) -> Solution:
+    def _run(self, point: _PointEvaluation) -> Solution:
         if not self._open:
             raise ProblemError(
                 "residuals: must be open to be called but is closed; make it again with "
                 "residuals(problem)"
             )
-        (solution,) = self._runner.run([SearchRequest("residuals", question, self._space)])
+        (solution,) = self._runner.run([SearchRequest("residuals", point, self._space)])
         return solution
 
     def _checked(self, x: FloatArray) -> FloatArray:

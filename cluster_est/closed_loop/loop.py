@@ -149,4 +149,14 @@ def _final(bench: LoopWorkbench, fitted: FittedModel, begin: float) -> Result:
     units = {n: v.unit for n, v in bench.description.variables.items()}
     start = simulate_all(bench.runner, fitted.problem, {})
     known = examine(bench.runner, space, solution)
-    return complete(bench.runner, space, solution, FINAL, start, units, bench.seed, begin, known)
+    return complete(
+        bench.runner,
+        space,
+        solution,
+        FINAL,
+        start,
+        units=units,
+        seed=bench.seed,
+        begin=begin,
+        uncertainty=known,
+    )

@@ -6,10 +6,10 @@ import csv
 import io
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
 import pyarrow as pa
@@ -140,59 +140,6 @@ def read_table(path: str | Path, where: str = "table") -> MeasuredTable:
         ) from error
 
 
-def table_of(given: Any, where: str) -> MeasuredTable:
-    """A table in memory as a measured table.
-
-    Parameters
-    ----------
-    given
-        A DataFrame of pandas or polars, a table of pyarrow, a dict of columns, or a path.
-    where
-        Opens each message.
-
-    Raises
-    ------
-    DataError
-        If it is none of these.
-    """
-    if isinstance(given, MeasuredTable):
-        return given
-    if isinstance(given, Path):
-        return read_table(given, where)
-    if hasattr(given, "items"):
-        pairs = [(str(name), column) for name, column in given.items()]
-        index: Any = getattr(given, "index", None)
-        if getattr(index, "name", None) is not None:  # of pandas
-            pairs.insert(0, (str(index.name), index.to_series()))
-        return _from_columns(pairs)
-    if hasattr(given, "__arrow_c_stream__") or isinstance(given, pa.RecordBatch):
-        return _named("the table", pa.table(given))
-    raise DataError(
-        f"{where}: the table must be of pandas, polars or pyarrow, a dict of columns or a path but "
-        f"is {type(given).__name__!r}; convert it"
-    )
-
-
-def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
-    """Columns of pandas or of a dict; one that Arrow cannot read is unusable, not an error yet."""
-    counts = Counter(name for name, _ in pairs)
-    columns: dict[str, pa.ChunkedArray | FloatArray] = {}
-    unusable = {name: _repeated(count) for name, count in counts.items() if count > 1}
-    for name, column in pairs:
-        if name in unusable:
-            continue
-        try:
-            columns[name] = pa.chunked_array([pa.array(column, from_pandas=True)])
-        except (pa.ArrowException, TypeError, ValueError) as error:
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
-            unusable[name] = f"must hold numbers but cannot be read ({reason})"
-    return MeasuredTable("the table", columns, unusable)
-
-
-def _repeated(count: int) -> str:
-    return f"must be there once but {count} columns have that name; rename them"
-
-
 def _read_csv(path: Path) -> MeasuredTable:
     """Read every column as text: whether it is a number matters only for those that are used."""
     with path.open(encoding="utf-8-sig", errors="replace") as opened:
@@ -207,7 +154,7 @@ def _read_csv(path: Path) -> MeasuredTable:
     except (pa.ArrowInvalid, UnicodeDecodeError):
         _explain_csv(path, delimiter)
         raise
-    return _named(path, table, delimiter)
+    return named_columns(path, table, delimiter)
 
 
 def _explain_csv(path: Path, delimiter: str) -> None:
@@ -253,13 +200,13 @@ def _read_parquet(path: Path) -> MeasuredTable:
     with pa.parquet.ParquetFile(path) as opened:
         table = opened.read()
     table.validate(full=True)
-    return _named(path, table)
+    return named_columns(path, table)
 
 
 def _read_feather(path: Path) -> MeasuredTable:
     table = pa.feather.read_table(path, memory_map=False)
     table.validate(full=True)
-    return _named(path, table)
+    return named_columns(path, table)
 
 
 def _read_mat(path: Path) -> MeasuredTable:
@@ -300,10 +247,15 @@ def _read_mat(path: Path) -> MeasuredTable:
     return MeasuredTable(path, columns, unusable)
 
 
-def _named(path: Path | str, table: pa.Table, delimiter: str = "") -> MeasuredTable:
+def repeated(count: int) -> str:
+    """The reason why a column that is there several times cannot be used."""
+    return f"must be there once but {count} columns have that name; rename them"
+
+
+def named_columns(path: Path | str, table: pa.Table, delimiter: str = "") -> MeasuredTable:
     """Columns by name, without the blanks that some programs put around names."""
     names = [name.strip() for name in table.column_names]
-    unusable = {name: _repeated(count) for name, count in Counter(names).items() if count > 1}
+    unusable = {name: repeated(count) for name, count in Counter(names).items() if count > 1}
     columns = {name: table.column(i) for i, name in enumerate(names) if name not in unusable}
     return MeasuredTable(path, columns, unusable, delimiter)
 

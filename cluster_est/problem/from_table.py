@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from cluster_est.errors import DataError
-from cluster_est.problem.data import MeasuredTable, table_of
+from cluster_est.problem.data import MeasuredTable
 from cluster_est.problem.measured import (
     ColumnChange,
     MeasuredColumns,
@@ -16,6 +16,7 @@ from cluster_est.problem.measured import (
     missing_time,
     sigma_without_output,
 )
+from cluster_est.problem.memory_table import table_of
 from workers.fmu.description import nearest
 from workers.messages import Experiment, FloatArray, Input, Interpolation, Output, Role, Value
 from workers.messages.checks import (

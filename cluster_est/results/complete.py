@@ -28,6 +28,7 @@ def complete(
     solution: Solution,
     method: Method,
     before: list[Simulation],
+    *,
     units: dict[str, str],
     seed: int,
     begin: float,

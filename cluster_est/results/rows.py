@@ -30,7 +30,15 @@ def estimates(
     """The values that were searched for, with their intervals."""
     steps = solution.difference_steps
     return [
-        _estimate(space, solution, i, found[i], role, units, np.nan if steps is None else steps[i])
+        _estimate(
+            space,
+            solution,
+            i,
+            found[i],
+            role=role,
+            units=units,
+            difference_step=np.nan if steps is None else steps[i],
+        )
         for i in range(space.size)
     ]
 
@@ -40,6 +48,7 @@ def _estimate(
     solution: Solution,
     i: int,
     interval: ConfidenceInterval,
+    *,
     role: str,
     units: dict[str, str],
     difference_step: float,
@@ -70,7 +79,7 @@ def _estimate(
 def derived(
     space: SearchSpace, solution: Solution, units: dict[str, str], uncertainty: Uncertainty
 ) -> list[Estimate]:
-    """What follows from the estimates, with intervals to first order."""
+    """Parameters that follow from the estimates, with intervals to first order."""
     rows = []
     spread = {each.label: each for each in uncertainty.derived}
     parameters = {p.name: p for p in space.problem.parameters}
@@ -88,7 +97,7 @@ def derived(
 
 
 def fixed(problem: Problem, units: dict[str, str]) -> list[Estimate]:
-    """What was kept at its start."""
+    """Parameters that were kept at their starts."""
     return [_known(p, units, p.start, "known") for p in problem.parameters if p.fixed]
 
 
@@ -148,7 +157,7 @@ def _judged(space: SearchSpace, x: FloatArray, simulations: list[Simulation]) ->
 def starts_and_minima(
     space: SearchSpace, found: MultistartResult
 ) -> tuple[tuple[StartResult, ...], tuple[PointValue, ...]]:
-    """What several starts found, as rows; nothing where there was one."""
+    """Rows of several starts and their minima; none where there was one start."""
     if len(found.solutions) < 2:
         return (), ()
     numbered = enumerate(zip(found.solutions, found.minimum, strict=True))

@@ -28,7 +28,7 @@ def shown(value: object) -> str:
 
 
 def is_number(value: object) -> bool:
-    """Whether it is a real number; true and false are none."""
+    """True for a real number; true and false are none."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 

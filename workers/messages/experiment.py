@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, get_args
+from typing import ClassVar, get_args
 
 import numpy as np
 
@@ -20,170 +20,10 @@ from workers.messages.checks import (
     is_number,
     shown,
 )
+from workers.messages.comparison import Curve, SignalBound, UserFunction
 from workers.messages.hashing import content_hash
-from workers.messages.signals import as_floats, check_finite, check_length, check_times
-from workers.messages.types import REDUCTIONS, FloatArray, Interpolation, Role, Value, Want
-
-
-@dataclass(frozen=True)
-class Input:
-    """A measured signal that drives an input variable of the FMU.
-
-    Before its first and after its last sample the signal keeps that sample's value. Times and
-    values may be given as arrays, lists or columns of a table.
-
-    Raises
-    ------
-    DataError
-        If times are not finite and increasing, or values not finite, or there are none.
-    """
-
-    variable: str
-    times: FloatArray = field(repr=False)
-    values: FloatArray = field(repr=False)
-    interpolation: Interpolation = "linear"
-
-    def __post_init__(self) -> None:
-        where = _check_samples(self, "input")
-        check_choice(
-            self.interpolation, get_args(Interpolation), f"{where}.interpolation", DataError
-        )
-        if not len(self.times):
-            raise DataError(
-                f"{where}: must have at least one sample but has none; leave the input out if "
-                "nothing was measured"
-            )
-
-
-@dataclass(frozen=True)
-class Output:
-    """A measured signal that an output variable of the FMU should follow.
-
-    Times and values may be given as arrays, lists or columns of a table; `sigma` is the standard
-    deviation of the noise, in the signal's unit.
-
-    Raises
-    ------
-    DataError
-        If times are not finite and increasing, values not finite, or sigma not positive.
-    """
-
-    variable: str
-    times: FloatArray = field(repr=False)
-    values: FloatArray = field(repr=False)
-    sigma: float = 1.0
-
-    def __post_init__(self) -> None:
-        where = _check_samples(self, "output")
-        check_number(self.sigma, f"{where}.sigma", DataError, above=0.0)
-
-
-def _check_samples(signal: Any, kind: str) -> str:
-    """Make times and values arrays, and refuse what is no measurement.
-
-    Returns
-    -------
-    str
-        The opening of messages about this signal.
-    """
-    check_name(signal.variable, f"{kind}.variable", DataError)
-    where = f"{kind} {signal.variable!r}"
-    times = as_floats(signal.times, f"{where}.times")
-    values = as_floats(signal.values, f"{where}.values")
-    object.__setattr__(signal, "times", times)  # a frozen class is changed while it is made alone
-    object.__setattr__(signal, "values", values)
-    check_length(values, times, f"{where}.values:")
-    check_times(times, f"{where}.times", "index {}".format)
-    check_finite(values, f"{where}.values")
-    return where
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Measured points of a curve without times, such as force over displacement.
-
-    Attributes
-    ----------
-    variables
-        The FMU's variable for each column.
-    points : (n, d)
-        Measured, in their order along the curve.
-    times : (m,)
-        When the simulated curve is sampled.
-    tolerances : (d,)
-        How far a simulated point may lie from the curve in each column; 0 for as far as it likes.
-    """
-
-    variables: tuple[str, ...]
-    points: FloatArray = field(repr=False)
-    times: FloatArray = field(repr=False)
-    tolerances: tuple[float, ...] = ()
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of its constraints."""
-        pairs = zip(self.variables, self.tolerances, strict=False)
-        return tuple(f"tolerance of {name}" for name, tolerance in pairs if tolerance != 0.0)
-
-
-@dataclass(frozen=True)
-class SignalBound:
-    """A constraint on a simulated signal y: lower(t) <= y(t) <= upper(t), or y(t) = lower(t).
-
-    Attributes
-    ----------
-    name
-        What tables call it.
-    variable
-        Of the FMU.
-    times : (m,)
-        When it must hold.
-    lower, upper : (m,)
-        Infinite where there is no bound.
-    scale
-        What a violation is counted in.
-    equality
-        Whether the signal must be equal to `lower`; `upper` is the same then.
-    """
-
-    name: str
-    variable: str
-    times: FloatArray = field(repr=False)
-    lower: FloatArray = field(repr=False)
-    upper: FloatArray = field(repr=False)
-    scale: float = 1.0
-    equality: bool = False
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of its constraints: one, or one for each side that it has."""
-        if self.equality:
-            return (self.name,)
-        sides = {"lower": self.lower, "upper": self.upper}
-        return tuple(f"{self.name} {s}" for s, values in sides.items() if np.isfinite(values).any())
-
-
-@dataclass(frozen=True)
-class UserFunction:
-    """A Python function of the user's, which runs on the workers.
-
-    Attributes
-    ----------
-    module, name
-        Where it stands.
-    source
-        The module's text, where it is a file of the user's; empty if the module is installed.
-    equality
-        For a constraint: whether what it returns must be 0, else at most 0.
-    label
-        What tables call it; `name` if empty.
-    """
-
-    module: str
-    name: str
-    source: str = field(default="", repr=False)
-    equality: bool = False
-    label: str = ""
+from workers.messages.samples import Input, Output
+from workers.messages.types import REDUCTIONS, Role, Value, Want
 
 
 @dataclass(frozen=True)
@@ -287,7 +127,7 @@ class Experiment:
 
     @cached_property
     def equality(self) -> tuple[bool, ...]:
-        """Whether each of those must be 0, else at most 0."""
+        """True for each of those that must be 0; the others must be at most 0."""
         kinds = [False] * (0 if self.curve is None else len(self.curve.names))
         for bound in self.bounds:
             kinds += [bound.equality] * len(bound.names)

@@ -66,7 +66,7 @@ def _from_objects(values: Any, where: str) -> Any:
 
 
 def _absent(value: object) -> bool:
-    """Whether it stands for what was not measured: None, or NA of pandas."""
+    """True for what stands for no measurement: None, or NA of pandas."""
     return value is None or type(value).__name__ in ("NAType", "NaTType")
 
 
