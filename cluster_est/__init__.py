@@ -15,9 +15,13 @@ from cluster_est.errors import ClusterEstError
 from cluster_est.fit import fit, simulate
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.data import read_table
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.fmu_file import read_model
+from cluster_est.problem.from_table import experiment_from_table
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from cluster_est.residual_function import residuals
-from cluster_est.results.result import Estimate, Result
+from cluster_est.results.result import Result
+from cluster_est.results.row_types import Estimate
 from cluster_est.running.multistart import Multistart
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Budget
@@ -56,11 +60,15 @@ __all__ = [
     "fit",
     "locate",
     "read_config",
+    "read_model",
     "read_problem",
     "read_table",
     "residuals",
     "simulate",
 ]
+
+Experiment.from_table = staticmethod(experiment_from_table)
+"""Here because `workers`, where the class stands, reads no tables."""
 
 _LATE = {
     "LoopResult": "findings.result",
@@ -70,7 +78,7 @@ _LATE = {
     "detect": "diagnostics",
     "locate": "diagnostics",
 }
-"""What is imported when it is first used: a fit has no need of SymPy."""
+"""Names that are imported when they are first used: a fit has no need of SymPy."""
 
 
 def __getattr__(name: str) -> Any:

@@ -4,7 +4,7 @@ All derive from one, and each text says where, what it must be, what it is and w
 
     ClusterEstError
     |-- ConfigError       a config file or a key=value argument
-    |-- DataError         a measured table
+    |-- DataError         a measured table or signal
     |-- ProblemError      parameters, experiments and methods that do not fit together
     |-- EffectError       an effect: unknown form, closed site, no equation
     |-- ModelError        the FMU: unreadable, not for this platform, lacks a variable
@@ -17,7 +17,7 @@ A simulation that fails is none of these: it is an `Outcome` with a status and a
 
 from __future__ import annotations
 
-from workers.errors import ClusterEstError, EffectError, ModelError
+from workers.errors import ClusterEstError, DataError, EffectError, ModelError
 
 __all__ = [
     "BudgetError",
@@ -34,10 +34,6 @@ __all__ = [
 
 class ConfigError(ClusterEstError):
     """A config file or a key=value argument says something that it cannot say."""
-
-
-class DataError(ClusterEstError):
-    """A measured table cannot be read or holds something that is no measurement."""
 
 
 class ProblemError(ClusterEstError):

@@ -3,38 +3,40 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Method, Solution
+from cluster_est.methods.base import Method
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.results import rows
-from cluster_est.results.output_errors import Simulation, output_errors
+from cluster_est.results.complete import complete, simulate_all
+from cluster_est.results.output_errors import Simulation
 from cluster_est.results.result import Result
+from cluster_est.running.arguments import (
+    check_multistart,
+    check_problem,
+    check_resources,
+    check_values,
+    method_of,
+)
 from cluster_est.running.environment import Monitor, RunEnvironment, open_executor
-from cluster_est.running.evaluation import judge
 from cluster_est.running.multistart import Multistart, check_starts, search_from_starts
 from cluster_est.running.resources import Resources, one_blas_thread
-from cluster_est.running.runner import Note, Record, Runner, SearchRequest, Show
-from cluster_est.running.search_state import suited
+from cluster_est.running.runner import Note, Record, Runner, Show
 from cluster_est.uncertainty import (
-    Uncertainty,
     UncertaintySettings,
-    assess,
     bootstrap,
     check_bootstrap,
     check_profiles,
     examine,
-    intervals,
     profiles,
 )
-
-BEFORE_BYTES = 2**28
-"""Of all trajectories at the start values together: more are not kept until the end of a fit."""
+from workers.messages.checks import as_tuple, check_kind, check_number
 
 
 @dataclass(frozen=True)
@@ -58,10 +60,23 @@ class FitPlan:
     multistart: Multistart = field(default_factory=Multistart)
     uncertainty: UncertaintySettings = field(default_factory=UncertaintySettings)
 
+    def check(self) -> None:
+        """Refuse what no config would be allowed to ask for.
+
+        Raises
+        ------
+        ProblemError
+            If a value is of the wrong kind or out of its range.
+        """
+        check_multistart(self.multistart)
+        check_kind(self.uncertainty, UncertaintySettings, "uncertainty", ProblemError)
+        as_tuple(self.uncertainty.profiles, str, "uncertainty.profiles", ProblemError)
+        check_number(self.seed, "method.seed", ProblemError, least=0, whole=True)
+
 
 def fit(
     problem: Problem,
-    method: Method | None = None,
+    method: Method | str | None = None,
     resources: Resources | None = None,
     seed: int = 0,
     *,
@@ -81,7 +96,7 @@ def fit(
     problem
         Model, parameters and experiments.
     method
-        What picks the points; least squares if None.
+        What picks the points, or its name as in a config ("sqp"); least squares if None.
     resources
         Where simulations run, and the budget.
     seed
@@ -100,13 +115,16 @@ def fit(
         If model, experiments, method and machine do not fit together.
     """
     plan = FitPlan(
-        method or LeastSquares(),
+        LeastSquares() if method is None else method_of(method),
         seed,
-        multistart or Multistart(),
-        uncertainty or UncertaintySettings(),
+        Multistart() if multistart is None else multistart,
+        UncertaintySettings() if uncertainty is None else uncertainty,
     )
-    environment = RunEnvironment(resources or Resources(), Monitor(record, show, note))
-    return fit_in(environment, problem, plan)
+    resources = Resources() if resources is None else resources
+    check_problem(problem)
+    check_resources(resources)
+    plan.check()
+    return fit_in(RunEnvironment(resources, Monitor(record, show, note)), problem, plan)
 
 
 def fit_in(environment: RunEnvironment, problem: Problem, plan: FitPlan) -> Result:
@@ -152,87 +170,22 @@ def fit_on(runner: Runner, train: SearchSpace, plan: FitPlan) -> Result:
     solution, known = found.best, None
     if not runner.interrupted:
         known = examine(runner, train, solution)
-    result = complete(runner, train, solution, method, before, units, seed, begin, known)
+    result = complete(
+        runner,
+        train,
+        solution,
+        method,
+        before,
+        units=units,
+        seed=seed,
+        begin=begin,
+        uncertainty=known,
+    )
     starts, minima = rows.starts_and_minima(train, found)
     result = replace(result, starts=starts, minima=minima)
     if solution.ending.success and not runner.interrupted:
         result = refine(runner, train, result, plan)
     return replace(result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin)
-
-
-def complete(
-    runner: Runner,
-    train: SearchSpace,
-    solution: Solution,
-    method: Method,
-    before: list[Simulation],
-    units: dict[str, str],
-    seed: int,
-    begin: float,
-    uncertainty: Uncertainty | None = None,
-) -> Result:
-    """What a search on the training experiments means: test records, errors, intervals.
-
-    Parameters
-    ----------
-    runner
-        Where the simulations run that this still needs.
-    train, solution
-        The search's space and what it found there.
-    method
-        For what belongs to test records alone.
-    before
-        Every experiment at the start values.
-    units
-        Of the FMU's variables.
-    seed, begin
-        Of the run; `begin` is a reading of the monotonic clock.
-    uncertainty
-        The solution's; from its Jacobian alone if None.
-    """
-    problem = train.problem
-    units = units | rows.coefficient_units(problem)
-    test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
-    test_solution = _fit_test_records(runner, method, test, seed)
-    known = train.estimates(solution.x)
-    if test_solution is not None:
-        known |= test.estimates(test_solution.x)
-    after = simulate_all(runner, problem, known)
-    solution = _whole(train, solution, method, after)
-    if test_solution is not None:
-        test_solution = _whole(test, test_solution, method, after)
-    uncertainty = uncertainty or assess(train, solution)
-    estimates = rows.estimates(train, solution, "train", units, uncertainty.intervals)
-    estimates += rows.fixed(problem, units) + rows.derived(train, solution, units, uncertainty)
-    if test_solution is not None:
-        found = intervals(test, test_solution)
-        estimates += rows.estimates(test, test_solution, "test", units, found)
-    return Result(
-        problem=problem,
-        estimates=tuple(estimates),
-        solution=solution,
-        test_solution=test_solution,
-        cost_before=_cost(problem, before),
-        cost=_cost(problem, after),
-        errors=output_errors(problem, before, after, units),
-        simulations=tuple(after),
-        evaluations=runner.evaluations,
-        simulated=runner.simulations,
-        failures=runner.failures,
-        seconds=time.monotonic() - begin,
-        constraints=rows.constraints(train, solution, before, after),
-        front=rows.points(train, solution.others),
-        uncertainty=uncertainty,
-        before=_kept(before),
-    )
-
-
-def _kept(simulations: list[Simulation]) -> tuple[Simulation, ...]:
-    """What is drawn of them later, if that is no burden."""
-    paths = [s.outcome.trajectory for s in simulations]
-    if sum(path.values.nbytes for path in paths if path is not None) > BEFORE_BYTES:
-        return ()
-    return tuple(replace(s, outcome=replace(s.outcome, residuals=None)) for s in simulations)
 
 
 def refine(runner: Runner, train: SearchSpace, result: Result, plan: FitPlan) -> Result:
@@ -250,12 +203,22 @@ def refine(runner: Runner, train: SearchSpace, result: Result, plan: FitPlan) ->
 
 
 def simulate(
-    problem: Problem, resources: Resources | None = None, values: dict[str, float] | None = None
+    problem: Problem, resources: Resources | None = None, values: Mapping[str, float] | None = None
 ) -> list[Simulation]:
-    """Simulate every experiment once, at the start values or at values given by label."""
+    """Simulate every experiment once, at the start values or at values given by label.
+
+    Raises
+    ------
+    ModelError, ProblemError, ExecutorError
+        If the FMU cannot be run in this way, or a label is unknown.
+    """
+    check_problem(problem)
+    resources = Resources() if resources is None else resources
+    check_resources(resources)
+    check_values(problem, values or {})
     problem.describe()
-    with open_executor(problem, resources or Resources()) as executor:
-        return simulate_all(Runner(executor), problem, values or {})
+    with open_executor(problem, resources) as executor:
+        return simulate_all(Runner(executor), problem, dict(values or {}))
 
 
 def check_search(problem: Problem, plan: FitPlan) -> SearchSpace:
@@ -311,45 +274,3 @@ def check_method(method: Method, space: SearchSpace) -> None:
             "remove them"
         )
     method.check(space)
-
-
-def _fit_test_records(
-    runner: Runner, method: Method, space: SearchSpace, seed: int
-) -> Solution | None:
-    """Estimate what belongs to test records alone. None if there is nothing to estimate."""
-    if space.size == 0 or runner.interrupted:
-        return None
-    (solution,) = runner.run([SearchRequest("test", method, space, seed)])
-    return solution
-
-
-def simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> list[Simulation]:
-    """Every experiment once, at values given by label, else at the start values."""
-    everything = tuple(range(len(problem.experiments)))
-    space = make_space(problem, everything, known)
-    name = "after" if known else "before"
-    values = space.physical(space.start)
-    outcomes = runner.simulate(values, everything, "trajectory", name, problem.effects)
-    return [Simulation(e, outcome) for e, outcome in zip(everything, outcomes, strict=True)]
-
-
-def _whole(
-    space: SearchSpace, solution: Solution, method: Method, after: list[Simulation]
-) -> Solution:
-    """The solution with every residual at its point, where its search was sent reduced ones."""
-    if solution.at is None or suited(space, method).wants == space.wants:
-        return solution
-    outcomes = tuple(replace(after[e].outcome, trajectory=None) for e in space.experiments)
-    at = judge(space, solution.x, outcomes, solution.at.index)
-    return replace(solution, cost=at.cost, at=at) if at.ok else solution
-
-
-def _cost(problem: Problem, simulations: list[Simulation]) -> float:
-    """The cost of the training experiments; NaN if one of them failed."""
-    chosen = {s.experiment: s.outcome.residuals for s in simulations}
-    space = make_space(problem, problem.indices("train"))
-    residuals = [chosen[e] for e in space.experiments]
-    known = [r for r in residuals if r is not None]
-    if len(known) < len(residuals):
-        return np.nan
-    return problem.cost.value(np.concatenate(known), space.outputs)

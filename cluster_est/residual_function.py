@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import TracebackType
-from typing import ClassVar, Self
+from typing import ClassVar, Self, get_args
 
 import numpy as np
 
@@ -14,10 +14,12 @@ from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.methods.derivatives.differences import Scheme, jacobian
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import open_executor
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import FloatArray
+from workers.messages.checks import check_choice, shown
 
 
 def residuals(
@@ -48,10 +50,14 @@ def residuals(
     ModelError, ProblemError, ExecutorError
         If the problem cannot be said in residuals, or the FMU cannot be run.
     """
+    check_problem(problem)
+    resources = Resources() if resources is None else resources
+    check_resources(resources)
+    check_choice(differences, get_args(Scheme), "residuals: differences", ProblemError)
     problem.describe()
     space = make_space(problem, problem.indices("train"))
     _check(space)
-    return ResidualFunction(space, resources or Resources(), differences)
+    return ResidualFunction(space, resources, differences)
 
 
 class ResidualFunction:
@@ -141,17 +147,22 @@ class ResidualFunction:
     ) -> None:
         self.close()
 
-    def _run(self, question: _PointEvaluation) -> Solution:
+    def _run(self, point: _PointEvaluation) -> Solution:
         if not self._open:
             raise ProblemError(
                 "residuals: must be open to be called but is closed; make it again with "
                 "residuals(problem)"
             )
-        (solution,) = self._runner.run([SearchRequest("residuals", question, self._space)])
+        (solution,) = self._runner.run([SearchRequest("residuals", point, self._space)])
         return solution
 
     def _checked(self, x: FloatArray) -> FloatArray:
-        point = np.array(x, np.float64)
+        try:
+            point = np.array(x, np.float64)
+        except (TypeError, ValueError):
+            raise ProblemError(
+                f"residuals: x must be a list of numbers but is {shown(x)}; begin with x0"
+            ) from None
         if point.shape != (self._space.size,):
             raise ProblemError(
                 f"residuals: x must have {self._space.size} numbers ({', '.join(self.names)}) but "

@@ -7,6 +7,10 @@ class ClusterEstError(Exception):
     """Something a user can mend. Its text says where, what it must be, what it is, what to do."""
 
 
+class DataError(ClusterEstError):
+    """A measured table or signal cannot be read or holds something that is no measurement."""
+
+
 class ModelError(ClusterEstError):
     """The FMU cannot be read, unpacked, loaded or run, or does not have what was asked of it."""
 

@@ -21,16 +21,19 @@ from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.selection.forward_selection import forward_selection
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.fit import complete, simulate_all
+from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.options import check_options
 from cluster_est.problem.problem import Problem
+from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.result import Result
+from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Note, Record, SearchRequest, Show
 from cluster_est.uncertainty import examine
+from workers.messages.checks import as_tuple, check_kind
 
 FINAL = LeastSquares(trials=4, max_iterations=50)
 
@@ -67,8 +70,16 @@ def close_loop(
     ClusterEstError
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
-    environment = RunEnvironment(resources or Resources(), Monitor(record, show, note))
-    return run_loop(LoopRequest(problem, environment, settings or LoopSettings(), seed))
+    resources = Resources() if resources is None else resources
+    settings = LoopSettings() if settings is None else settings
+    check_problem(problem)
+    check_resources(resources)
+    check_kind(settings, LoopSettings, "closed_loop", ProblemError)
+    check_options(settings, "closed_loop", ProblemError)
+    for key in ("forms", "sites"):
+        as_tuple(getattr(settings, key), str, f"closed_loop.{key}", ProblemError)
+    environment = RunEnvironment(resources, Monitor(record, show, note))
+    return run_loop(LoopRequest(problem, environment, settings, seed))
 
 
 def run_loop(request: LoopRequest) -> LoopResult:
@@ -151,12 +162,18 @@ def _notes(
 def _final(workbench: LoopWorkbench, fitted: FittedModel, begin: float) -> Result:
     """Fit to convergence from where the search ended, and simulate every experiment."""
     space = workbench.space(fitted.start)
-    (solution,) = workbench.runner.run(
-        [SearchRequest(LoopStage.FINAL.value, FINAL, space, workbench.seed)]
-    )
+    (solution,) = workbench.runner.run([SearchRequest("final", FINAL, space, workbench.seed)])
     units = {n: v.unit for n, v in workbench.description.variables.items()}
     start = simulate_all(workbench.runner, fitted.problem, {})
     known = examine(workbench.runner, space, solution)
     return complete(
-        workbench.runner, space, solution, FINAL, start, units, workbench.seed, begin, known
+        workbench.runner,
+        space,
+        solution,
+        FINAL,
+        start,
+        units=units,
+        seed=workbench.seed,
+        begin=begin,
+        uncertainty=known,
     )

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from cluster_est.config.constraints import check_signals, parameter_constraints
 from cluster_est.config.effects import build_effects
 from cluster_est.config.experiments import build_experiments
-from cluster_est.config.messages import shown
 from cluster_est.config.options import build_cost
 from cluster_est.config.reader import Config, ParameterSection, read_config
 from cluster_est.config.reading import find_file
 from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ConfigError, ModelError
-from cluster_est.problem.problem import Parameter, Problem
-from workers.fmu.description import ModelDescription, describe
-from workers.fmu.variable import ModelVariable
+from cluster_est.problem.fmu_file import choose_interface
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.variables import check_value
+from workers.fmu.description import describe
 from workers.messages import (
     Interface,
     Model,
     Solver,
     SolverName,
-    Value,
 )
+from workers.messages.model import check_solver
 
 
 def read_problem(
@@ -82,7 +82,7 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     every = (*parameters, *coefficients)
     constraints = parameter_constraints(config, tuple(p.name for p in every))
     problem = Problem(model, every, experiments, build_cost(config), effects, constraints)
-    _check_roles(problem, problem.describe())
+    problem.describe()
     return problem
 
 
@@ -112,11 +112,11 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     structure: dict[str, int] = {}
     for name, value in config.values.items():
         if description.variable(name, "values").causality == "structuralParameter":
-            _check_value(f"values.{name}", description.variables[name], value)
+            check_value(f"values.{name}", description.variables[name], value)
             structure[name] = int(value)
     description = describe(path.name, archive, structure)
     check_signals(config, description)
-    interface = _interface(config, description)
+    interface = choose_interface(config.model.interface, description.interfaces)
     solver = _solver(config, interface)
     return Model(
         path.name,
@@ -129,85 +129,11 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     )
 
 
-def _interface(config: Config, description: ModelDescription) -> Interface:
-    wanted = config.model.interface
-    offered = description.interfaces
-    if wanted == "auto":
-        return "model_exchange" if "model_exchange" in offered else offered[-1]
-    if wanted not in offered:
-        unusable = [w for w in description.warnings if w.endswith("and is left out")]
-        raise ModelError(
-            f"model.interface: {description.file} must offer {wanted} but offers "
-            f"{' and '.join(offered)}{''.join(f' ({w})' for w in unusable)}; choose that"
-        )
-    return wanted
-
-
 def _solver(config: Config, interface: Interface) -> Solver:
     section = config.model
     exchange = interface == "model_exchange"
     name: SolverName = "dormand_prince" if exchange else "fmu"
     if section.solver != "auto":
         name = section.solver
-    if exchange is (name == "fmu"):
-        usable = "dormand_prince, rk4 or cvode" if exchange else "fmu"
-        raise ConfigError(
-            f"model.solver: must be {usable} for {interface} but is {name}; change one of the two"
-        )
+    check_solver(interface, name)
     return Solver(name, section.step, section.rtol, section.atol, section.max_steps)
-
-
-def _check_roles(problem: Problem, description: ModelDescription) -> None:
-    """Refuse variables that are given twice, and values that their type cannot hold."""
-    targets = {p.target: p.name for p in problem.parameters}
-    for experiment in problem.experiments:
-        where = f"experiment {experiment.id!r}"
-        driven = [given.variable for given in experiment.inputs]
-        for name in driven:
-            if name in targets:
-                raise ConfigError(
-                    f"{where}.inputs.{name}: must not be estimated too but is "
-                    f"parameters.{targets[name]}; remove one of the two"
-                )
-        for name, value in experiment.values:
-            if name in driven:
-                raise ConfigError(
-                    f"{where}.values.{name}: must not be an input of the same experiment but is; "
-                    "remove one of the two"
-                )
-            _check_value(f"{where}.values.{name}", description.variables[name], value)
-        for name in experiment.recorded:
-            causality = description.variables[name].causality
-            if causality in ("parameter", "input", "independent"):
-                raise ConfigError(
-                    f"{where}.outputs.{name}: must be a variable that "
-                    f"{description.file} computes but is of causality {causality!r}; choose an "
-                    "output or a local variable"
-                )
-
-
-def _check_value(where: str, variable: ModelVariable, value: Value) -> None:
-    truth, text, kind = isinstance(value, bool), isinstance(value, str), variable.kind
-    number = not truth and not text
-    low, high, called = _whole_numbers(variable.type)
-    fits = {
-        "real": number,
-        "integer": number and float(value).is_integer() and low <= float(value) <= high,
-        "boolean": truth or (number and value in (0, 1)),
-        "string": text,
-    }
-    if not fits.get(kind, False):
-        must = {"integer": called, "boolean": "true or false", "string": "a text"}
-        raise ConfigError(
-            f"{where}: must be {must.get(kind, 'a number')}, because the variable is of type "
-            f"{kind}, but is {shown(value)}"
-        )
-
-
-def _whole_numbers(type_: str) -> tuple[float, float, str]:
-    """The least and the greatest of an FMI type, and what they are called."""
-    bits = int(re.sub(r"\D", "", type_) or 64)
-    most = min(bits, 53)  # beyond that, not every one is a float64
-    if type_.startswith("U"):
-        return 0.0, 2.0**most - 1, f"a whole number of {bits} bits that is not negative"
-    return -(2.0 ** (most - 1)), 2.0 ** (most - 1) - 1, f"a whole number of {bits} bits"

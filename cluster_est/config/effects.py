@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cluster_est.config.reader import EffectSection
 from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
-from cluster_est.problem.problem import Parameter
+from cluster_est.problem.parameter import Parameter
 from workers.messages import Effect
 
 

@@ -15,6 +15,7 @@ from cluster_est.config.time_base import compared_at, counted, snapped, weighted
 from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ConfigError
 from cluster_est.problem.data import MeasuredTable, read_table
+from cluster_est.problem.measured import interval
 from workers.fmu.description import nearest
 from workers.messages import Curve, Experiment, FloatArray, Input, Output
 
@@ -57,7 +58,7 @@ def _experiment(
         measured = tuple(reader.output(times, variable) for variable in section.outputs)
         inputs = tuple(reader.input(times, name) for name in section.inputs)
         signals = tuple(reader.signal(times, name) for name in section.signals)
-    start, stop = _interval(section, times, measured, where)
+    start, stop = interval(section.start, section.stop, times, measured, where)
     function = config.cost.function
     return Experiment(
         id=section.id,
@@ -95,23 +96,6 @@ def _read(
     reader = ExperimentReader(tables[path], section, where)
     timed = section.outputs or section.inputs or section.signals
     return reader, reader.times() if timed else np.zeros(0)
-
-
-def _interval(
-    section: ExperimentSection, times: FloatArray, measured: tuple[Output, ...], where: str
-) -> tuple[float, float]:
-    """What is simulated: as the config says, else as far as the data goes."""
-    start, stop = section.start, section.stop
-    if start is None:
-        start = float(times[0])
-    if stop is None:
-        stop = float(max((o.times[-1] for o in measured if len(o.times)), default=times[-1]))
-    if not start < stop:
-        raise ConfigError(
-            f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one, or "
-            "leave both to the data"
-        )
-    return start, stop
 
 
 def _within(times: FloatArray, start: float, stop: float) -> FloatArray:

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from workers.fmu.description import nearest
+from workers.messages.checks import shown
 
 _MUST = {
     "string_type": "must be text in quotes",
@@ -49,17 +50,6 @@ def error_messages(
     """
     found = [f"{where}: {_message(problem, raw, root)}" for problem in error.errors()]
     return list(dict.fromkeys(found))
-
-
-def shown(value: Any) -> str:
-    """A value as a message shows it: on one line and not too long."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    try:
-        text = repr(value)
-    except ValueError:  # Python refuses to write integers of thousands of digits
-        return "a number of thousands of digits"
-    return text if len(text) < 60 else text[:57] + "..."
 
 
 def _message(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel]) -> str:

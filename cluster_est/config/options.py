@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
-from cluster_est.config.messages import shown
 from cluster_est.config.reader import Config
 from cluster_est.costs import ALIASES as COST_ALIASES
 from cluster_est.costs import COSTS, Cost
 from cluster_est.costs.total import TotalCost
 from cluster_est.errors import ConfigError
 from cluster_est.methods import ALIASES, METHODS, Method
+from cluster_est.problem.options import check_option
 from workers.fmu.description import nearest
-
-_OPTION_TYPES: dict[Any, tuple[Any, str]] = {
-    float: ((int, float), "a number"),
-    int: (int, "a whole number"),
-    bool: (bool, "true or false"),
-    str: (str, "text in quotes"),
-}
 
 
 def build_method(config: Config) -> Method:
@@ -56,20 +49,6 @@ def _with_options(kind: type[Kind], options: dict[str, Any], where: str) -> Kind
             raise ConfigError(
                 f"{where}.{key}: {kind.name} has no such option{nearest(key, fields)}"
             )
-        _check_option(f"{where}.{key}", value, hints[key], fields[key].metadata.get("least"))
+        least = fields[key].metadata.get("least")
+        check_option(f"{where}.{key}", value, hints[key], least, ConfigError)
     return kind(**options)
-
-
-def _check_option(where: str, value: Any, hint: Any, least: float | None) -> None:
-    if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            choices = ", ".join(repr(choice) for choice in get_args(hint))
-            raise ConfigError(f"{where}: must be one of {choices} but is {shown(value)}")
-        return
-    allowed, called = _OPTION_TYPES.get(hint, (hint, hint.__name__))
-    if not isinstance(value, allowed) or isinstance(value, bool) is not (hint is bool):
-        raise ConfigError(f"{where}: must be {called} but is {shown(value)}")
-    if hint is not str and not abs(value) < (1e100 if hint is float else 2**63):
-        raise ConfigError(f"{where}: must be finite and of a usual size but is {shown(value)}")
-    if least is not None and not value >= least:
-        raise ConfigError(f"{where}: must be at least {least:g} but is {shown(value)}")

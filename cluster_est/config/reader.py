@@ -46,6 +46,7 @@ from cluster_est.costs import COSTS
 from cluster_est.errors import ConfigError
 from cluster_est.executors import EXECUTORS
 from cluster_est.methods import ALIASES, METHODS
+from cluster_est.problem.measured import missing_time, sigma_without_output
 from workers.fmu.description import nearest
 
 __all__ = [
@@ -75,7 +76,7 @@ __all__ = [
 ]
 
 
-def read_config(path: Path, overrides: list[str] | None = None) -> Config:
+def read_config(path: str | Path, overrides: list[str] | None = None) -> Config:
     """Read and check a config file.
 
     Parameters
@@ -90,6 +91,7 @@ def read_config(path: Path, overrides: list[str] | None = None) -> Config:
     ConfigError
         If there is no such file, it is not TOML, or a key is unknown or has a wrong value.
     """
+    path = Path(path)
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
@@ -170,8 +172,7 @@ def _wrong_source(where: str, experiment: ExperimentSection, *, constrained: boo
         if timed or experiment.curve is not None or given:
             yield f"{where}.data is missing; add it (path of the table: csv, parquet, feather, mat)"
     elif timed and len(given) != 1:
-        has = "both; remove one" if given else "neither; add one"
-        yield f"{where}: must have either time (a column) or sample_time (seconds) but has {has}"
+        yield missing_time(where, experiment.time, experiment.sample_time)
     if not timed and (experiment.start is None or experiment.stop is None):
         yield (
             f"{where}: must have start and stop in seconds, because no times are measured, but "
@@ -185,10 +186,7 @@ def _contradictions(experiment: ExperimentSection, *, constrained: bool) -> Iter
     yield from _wrong_source(where, experiment, constrained=constrained)
     for name in experiment.sigma:
         if name not in experiment.outputs:
-            yield (
-                f"{where}.sigma.{name}: must be named as one of its outputs but is not"
-                f"{nearest(name, experiment.outputs)}"
-            )
+            yield sigma_without_output(where, name, experiment.outputs)
     for name in experiment.outputs:
         if name in experiment.inputs:
             yield (

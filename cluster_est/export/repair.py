@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,8 +16,10 @@ import numpy as np
 from cluster_est.config.build import build_problem
 from cluster_est.config.reader import EffectSection, parse_config
 from cluster_est.errors import RunFolderError
+from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.parameter_constraints import label_of
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.problem import Problem
+from cluster_est.results.row_types import Estimate
 from cluster_est.run_folder.reading import read_facts, read_run_table
 from cluster_est.run_folder.replay import config_base
 from workers.effects.definition import EffectDefinition, define
@@ -120,6 +123,11 @@ def gather(
             f"{run_folder}: must be the folder of a finished run but is {facts.get('status')!r}; "
             "finish it with --resume"
         )
+    if not facts.get("config_hash"):
+        raise RunFolderError(
+            f"{run_folder}: was saved from Python and has no config to be exported from; use "
+            "result.export(...) there"
+        )
     problem = _problem(run_folder, facts, config, allow_code=allow_code)
     _check_same(run_folder, facts, problem)
     chosen = _experiment(problem, experiment)
@@ -127,6 +135,27 @@ def gather(
     description = problem.describe()
     reader = _ParameterReader(problem, description, rows, chosen)
     return reader.repair(run_folder.resolve().name)
+
+
+def repaired(
+    problem: Problem, estimates: Sequence[Estimate], experiment: str | None, run: str = "result"
+) -> RepairedModel:
+    """The same from a result in memory.
+
+    Parameters
+    ----------
+    problem
+        With all effects.
+    estimates
+        What was found for it.
+    experiment
+        As of `gather`.
+    run
+        The name that takes the place of the folder's.
+    """
+    rows = {each.label: dataclasses.asdict(each) for each in estimates}
+    chosen = _experiment(problem, experiment)
+    return _ParameterReader(problem, problem.describe(), rows, chosen).repair(run)
 
 
 def _problem(run_folder: Path, facts: Row, config: Path | None, *, allow_code: bool) -> Problem:

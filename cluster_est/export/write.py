@@ -55,13 +55,34 @@ def export(
     ClusterEstError
         If nothing is asked for, the run cannot be read, or a file cannot be written.
     """
+    check_request(wanted)
+    return write_forms(gather(run_folder, config, experiment, allow_code=allow_code), wanted)
+
+
+def check_request(wanted: ExportRequest) -> None:
+    """Refuse a request for nothing, or for files of another ending.
+
+    Raises
+    ------
+    ConfigError
+        Saying what can be asked for.
+    """
     if wanted == ExportRequest():
         raise ConfigError(
             "export: must be told what to write; add --fmu, --ssv, --modelica or --text"
         )
     _check_name(wanted.fmu, "--fmu", ".fmu")
     _check_name(wanted.ssv, "--ssv", ".ssv")
-    repair = gather(run_folder, config, experiment, allow_code=allow_code)
+
+
+def write_forms(repair: RepairedModel, wanted: ExportRequest) -> ExportResult:
+    """Write every form that is wanted.
+
+    Raises
+    ------
+    ClusterEstError
+        If a file cannot be written.
+    """
     _check_not_original(wanted.fmu, repair.problem.model.archive_hash)
     notes, files, printed = list(repair.notes), [], []
     if wanted.fmu is not None:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from cluster_est.errors import ModelError
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from workers.fmu.description import ModelDescription, describe
 from workers.fmu.variable import ModelVariable
 from workers.messages import Experiment, Interface, Model, Output, Solver

@@ -10,8 +10,8 @@ import numpy as np
 from cluster_est.methods.derivatives.differences import relative_noise
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
-from cluster_est.problem.problem import Parameter
-from cluster_est.problem.space import Unknown
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.unknown import Unknown
 from workers.messages import FloatArray
 from workers.probes.probes import MovementProbe
 from workers.process.trial import NoAnswer

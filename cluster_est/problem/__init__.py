@@ -1,1 +1,1 @@
-"""What is to be estimated, from what: model, parameters, constraints, measured data."""
+"""The problem that is posed: model, parameters, constraints, measured data."""

@@ -39,7 +39,7 @@ class MeasuredTable:
     Attributes
     ----------
     path
-        Where it came from, for messages.
+        The file that it came from, or a name for it, for messages.
     columns
         Arrow arrays or NumPy arrays by name.
     unusable
@@ -48,7 +48,7 @@ class MeasuredTable:
         What stands between the cells of a text file; empty for other files.
     """
 
-    path: Path
+    path: Path | str
     columns: dict[str, pa.ChunkedArray | FloatArray] = field(repr=False)
     unusable: dict[str, str] = field(default_factory=dict)
     delimiter: str = ""
@@ -89,7 +89,7 @@ class MeasuredTable:
         """The row of the file, as an editor shows it, that the values at an index are from."""
         if not self.delimiter:
             return index + 1
-        for i, (line, _) in enumerate(_lines(self.path, self.delimiter)):
+        for i, (line, _) in enumerate(_lines(Path(self.path), self.delimiter)):
             if i == index + 1:
                 return line
         return index + 2
@@ -103,14 +103,22 @@ class MeasuredTable:
         )
 
 
-def read_table(path: Path, where: str) -> MeasuredTable:
+def read_table(path: str | Path, where: str = "table") -> MeasuredTable:
     """Read a measured file; its ending says what it is.
+
+    Parameters
+    ----------
+    path
+        Of a csv, parquet, feather or MAT file.
+    where
+        Opens each message.
 
     Raises
     ------
     DataError
         If there is no such file, or it is not what its ending says.
     """
+    path = Path(path)
     kind = READERS.get(path.suffix.lower())
     if kind is None:
         raise DataError(
@@ -146,7 +154,7 @@ def _read_csv(path: Path) -> MeasuredTable:
     except (pa.ArrowInvalid, UnicodeDecodeError):
         _explain_csv(path, delimiter)
         raise
-    return _named(path, table, delimiter)
+    return named_columns(path, table, delimiter)
 
 
 def _explain_csv(path: Path, delimiter: str) -> None:
@@ -192,13 +200,13 @@ def _read_parquet(path: Path) -> MeasuredTable:
     with pa.parquet.ParquetFile(path) as opened:
         table = opened.read()
     table.validate(full=True)
-    return _named(path, table)
+    return named_columns(path, table)
 
 
 def _read_feather(path: Path) -> MeasuredTable:
     table = pa.feather.read_table(path, memory_map=False)
     table.validate(full=True)
-    return _named(path, table)
+    return named_columns(path, table)
 
 
 def _read_mat(path: Path) -> MeasuredTable:
@@ -239,14 +247,15 @@ def _read_mat(path: Path) -> MeasuredTable:
     return MeasuredTable(path, columns, unusable)
 
 
-def _named(path: Path, table: pa.Table, delimiter: str = "") -> MeasuredTable:
+def repeated(count: int) -> str:
+    """The reason why a column that is there several times cannot be used."""
+    return f"must be there once but {count} columns have that name; rename them"
+
+
+def named_columns(path: Path | str, table: pa.Table, delimiter: str = "") -> MeasuredTable:
     """Columns by name, without the blanks that some programs put around names."""
     names = [name.strip() for name in table.column_names]
-    unusable = {
-        name: f"must be there once but {count} columns have that name; rename them"
-        for name, count in Counter(names).items()
-        if count > 1
-    }
+    unusable = {name: repeated(count) for name, count in Counter(names).items() if count > 1}
     columns = {name: table.column(i) for i, name in enumerate(names) if name not in unusable}
     return MeasuredTable(path, columns, unusable, delimiter)
 
@@ -275,7 +284,7 @@ def _floats(column: pa.ChunkedArray) -> FloatArray:
 
 
 def _first_text(cells: pa.ChunkedArray) -> int:
-    """Where the first cell is that is no number, by halving."""
+    """Position of the first cell that is no number, by halving."""
     good, bad = 0, len(cells)
     while bad - good > 1:
         middle = (good + bad) // 2

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from cluster_est.errors import ConfigError
-from cluster_est.problem.problem import Parameter
+from cluster_est.problem.parameter import Parameter
 from workers.fmu.description import nearest
 from workers.messages import Effect
 

@@ -1,4 +1,4 @@
-"""What is in a MAT file of version 5, seen without SciPy.
+"""The contents of a MAT file of version 5, seen without SciPy.
 
 SciPy trusts the tags in such a file: where one is damaged, its compiled reader can take the process
 with it. So every tag of what it is to read is looked at before, and it is not asked for the rest.
@@ -90,7 +90,7 @@ def _variable(body: bytes, order: str) -> tuple[str, str]:
 def _element(
     body: bytes, at: int, order: str, kinds: tuple[int, ...], count: int | None = None
 ) -> tuple[int, bytes]:
-    """What follows an element, and its data; it must be of one of some kinds, and have a size."""
+    """Return the position after an element, and its data, if its kind and size are right."""
     (kind,) = _unpack(f"{order}I", body, at)
     if kind >> 16:  # a small one: kind, size and data in eight bytes
         kind, size, begin, end = kind & 0xFFFF, kind >> 16, at + 4, at + 8

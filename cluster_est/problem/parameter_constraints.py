@@ -14,7 +14,8 @@ import numpy as np
 
 from cluster_est.errors import ProblemError
 from cluster_est.problem.formulas import ParameterConstraint, parse_constraint
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from workers.fmu.description import nearest
 from workers.messages import Experiment, FloatArray
 
@@ -44,14 +45,14 @@ def expand(problem: Problem, experiments: Sequence[Experiment]) -> tuple[Constra
     return tuple(found)
 
 
-def evaluate(demands: Sequence[ConstraintSpec], problem: Problem, table: FloatArray) -> FloatArray:
+def evaluate(specs: Sequence[ConstraintSpec], problem: Problem, table: FloatArray) -> FloatArray:
     """The constraints from an (experiments, parameters) table of values, over their scales."""
     columns = {p.name: table[:, i] for i, p in enumerate(problem.parameters)}
     with np.errstate(over="ignore"):  # a scale may be tiny
         found = [
-            demand.constraint.formula.values(columns, len(table))[demand.position]
-            / demand.constraint.scale
-            for demand in demands
+            spec.constraint.formula.values(columns, len(table))[spec.position]
+            / spec.constraint.scale
+            for spec in specs
         ]
     return np.array(found, np.float64)
 
@@ -86,7 +87,7 @@ def _bounds_of_derived(problem: Problem) -> list[ParameterConstraint]:
 
 
 def label_of(parameter: Parameter, experiment: Experiment) -> str:
-    """What the unknown of a parameter in an experiment is called."""
+    """Return the label of a parameter's unknown in an experiment."""
     if parameter.per is None:
         return parameter.name
     if parameter.per == "experiment":

@@ -1,4 +1,4 @@
-"""Which residuals are reduced to one number for each output before a worker sends them."""
+"""Reduction of residuals to one number for each output before a worker sends them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ takes about as many bytes besides, and whole residuals may spare another search 
 
 
 def want_of(experiment: Experiment, cost: Cost | None) -> Want:
-    """What to ask for where nothing but this cost is looked at; None for single residuals too.
+    """Return what is asked for where nothing but this cost is looked at.
+
+    A cost of None stands for a look at single residuals too.
 
     It follows from the problem alone, never from what workers do, so that results cannot depend on
     these. What a cost function of the user's returns is never reduced: it says nothing of outputs.

@@ -8,7 +8,6 @@ J. K. Reid, IMA J. Appl. Math. 13 (1974) 117-119, doi:10.1093/imamat/13.1.117).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,51 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.problem.parameter_constraints import ConstraintSpec, evaluate, expand, label_of
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.problem import Problem
 from cluster_est.problem.reduction import want_of
+from cluster_est.problem.unknown import Unknown
 from workers.messages import FloatArray, IntArray, Want
 
 _NONE = np.zeros(0)
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """One number that a method moves.
-
-    Attributes
-    ----------
-    label
-        "k", or "x0[exp5]" where the parameter has a value of its own there.
-    parameter
-        Whose value it is.
-    column
-        Its place in `Model.parameters`.
-    experiments
-        Positions, in the space, of the experiments that it acts on.
-    start
-        Physical value that the search starts from.
-    """
-
-    label: str
-    parameter: Parameter
-    column: int
-    experiments: tuple[int, ...]
-    start: float
-
-    @property
-    def log(self) -> bool:
-        return self.parameter.scale == "log"
-
-    def to_search(self, physical: float) -> float:
-        if not self.log:
-            return physical
-        return math.log(physical) if physical > 0.0 else -math.inf
-
-    def to_physical(self, searched: float) -> float:
-        if not self.log:
-            return searched
-        # the exponential of a bound's logarithm may lie just outside the bound
-        return min(max(math.exp(min(searched, 709.0)), self.parameter.lower), self.parameter.upper)
 
 
 @dataclass(frozen=True)
@@ -121,11 +81,11 @@ class SearchSpace:
     @cached_property
     def typical(self) -> FloatArray:
         """The size of a noticeable change of each unknown, where nothing better is known."""
-        return np.array([_typical(u) for u in self.unknowns], np.float64)
+        return np.array([u.typical for u in self.unknowns], np.float64)
 
     @cached_property
     def wants(self) -> tuple[Want, ...]:
-        """What is asked of each experiment."""
+        """Requests to each experiment: all residuals, or less."""
         cost = self.problem.cost if self.reduced else None
         return tuple(want_of(self.problem.experiments[e], cost) for e in self.experiments)
 
@@ -137,7 +97,7 @@ class SearchSpace:
 
     @cached_property
     def rows(self) -> tuple[slice, ...]:
-        """Where each experiment's residuals stand in the residuals of a point.
+        """Slices of each experiment's residuals in the residuals of a point.
 
         Not those of cost functions, which are known only from an evaluation.
         """
@@ -164,7 +124,7 @@ class SearchSpace:
     @cached_property
     def constraint_names(self) -> tuple[str, ...]:
         """Of all constraints: those on parameters, then each experiment's."""
-        names = [demand.name for demand in self._demands]
+        names = [spec.name for spec in self._specs]
         for e in self.experiments:
             experiment = self.problem.experiments[e]
             names += [f"{name} [{experiment.id}]" for name in experiment.constraint_names]
@@ -173,42 +133,43 @@ class SearchSpace:
     @cached_property
     def equality(self) -> npt.NDArray[np.bool_]:
         """(constraints,): whether each must be 0, else at most 0."""
-        kinds = [demand.constraint.equality for demand in self._demands]
+        kinds = [spec.constraint.equality for spec in self._specs]
         for e in self.experiments:
             kinds += self.problem.experiments[e].equality
         return np.array(kinds, dtype=bool)
 
     @cached_property
     def constraint_rows(self) -> tuple[slice, ...]:
-        """Where each experiment's constraints stand among all."""
-        first = len(self._demands)
+        """Slices of each experiment's constraints among all."""
+        first = len(self._specs)
         sizes = [len(self.problem.experiments[e].constraint_names) for e in self.experiments]
         return tuple(slice(s.start + first, s.stop + first) for s in _slices(sizes))
 
     @cached_property
-    def _demands(self) -> tuple[ConstraintSpec, ...]:
+    def _specs(self) -> tuple[ConstraintSpec, ...]:
         chosen = [self.problem.experiments[e] for e in self.experiments]
         return expand(self.problem, chosen)
 
     def parameter_constraints(self, x: FloatArray) -> FloatArray:
         """The constraints on parameters at x: the first of `constraint_names`."""
-        return evaluate(self._demands, self.problem, self._table(x)) if self._demands else _NONE
+        return evaluate(self._specs, self.problem, self._table(x)) if self._specs else _NONE
 
     def parameter_constraint_slopes(self, x: FloatArray) -> FloatArray:
-        """(constraints on parameters, unknowns): their derivatives, by central differences,
-        one-sided at a bound. They cost no simulation.
+        """(constraints on parameters, unknowns): their derivatives.
+
+        By central differences, one-sided at a bound. They cost no simulation.
         """
-        slopes = np.zeros((len(self._demands), self.size))
-        if not len(slopes):
-            return slopes
+        derivatives = np.zeros((len(self._specs), self.size))
+        if not len(derivatives):
+            return derivatives
         for i in range(self.size):
             step = np.cbrt(np.finfo(float).eps) * max(abs(float(x[i])), float(self.typical[i]))
             high, low = x.copy(), x.copy()
             high[i] = min(x[i] + step, self.upper[i])
             low[i] = max(x[i] - step, self.lower[i])
             ahead, behind = self.parameter_constraints(high), self.parameter_constraints(low)
-            slopes[:, i] = (ahead - behind) / (high[i] - low[i])
-        return np.where(np.isfinite(slopes), slopes, 0.0)
+            derivatives[:, i] = (ahead - behind) / (high[i] - low[i])
+        return np.where(np.isfinite(derivatives), derivatives, 0.0)
 
     @cached_property
     def acting(self) -> tuple[IntArray, ...]:
@@ -264,7 +225,7 @@ class SearchSpace:
 
     @cached_property
     def _places(self) -> tuple[IntArray, IntArray, IntArray]:
-        """Where the unknowns stand in the table, one after the other, and how often each does."""
+        """Places of the unknowns in the table, one after the other, and the number of each."""
         counts = np.array([len(u.experiments) for u in self.unknowns], np.intp)
         rows = np.fromiter((e for u in self.unknowns for e in u.experiments), np.intp)
         columns = np.array([u.column for u in self.unknowns], np.intp)
@@ -349,13 +310,3 @@ def make_space(
 def _slices(sizes: list[int]) -> tuple[slice, ...]:
     ends = np.cumsum([0, *sizes]).tolist()
     return tuple(slice(a, b) for a, b in pairwise(ends))
-
-
-def _typical(unknown: Unknown) -> float:
-    """A logarithm changes noticeably by 1; a value by itself, else by a tenth of its range."""
-    if unknown.log:
-        return 1.0
-    width = unknown.parameter.upper - unknown.parameter.lower
-    if unknown.start != 0.0:
-        return abs(unknown.start)
-    return 0.1 * width if math.isfinite(width) else 1.0

@@ -1,1 +1,1 @@
-"""What was found: estimates, errors and curves, as rows and tables."""
+"""Results: estimates, errors and curves, as rows and tables."""

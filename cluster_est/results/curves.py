@@ -1,4 +1,4 @@
-"""What was measured and what was simulated, as tables."""
+"""Tables of what was measured and what was simulated."""
 
 from __future__ import annotations
 

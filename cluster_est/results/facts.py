@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cluster_est.results.output_errors import worse_than_constants
-from cluster_est.results.result import Result
+
+if TYPE_CHECKING:  # a result offers its facts, so it knows this file
+    from cluster_est.results.result import Result
 
 
 def fit_facts(result: Result) -> dict[str, Any]:
@@ -16,7 +18,7 @@ def fit_facts(result: Result) -> dict[str, Any]:
         "cost_before": result.cost_before,
         "cost": result.cost,
         "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
-        "notes": _notes(result),
+        "notes": list(result.notes),
         "iterations": result.solution.iterations,
         "evaluations": result.evaluations,
         "simulations": result.simulated,
@@ -25,11 +27,11 @@ def fit_facts(result: Result) -> dict[str, Any]:
     }
 
 
-def _notes(result: Result) -> list[str]:
+def fit_notes(result: Result) -> tuple[str, ...]:
     """Sentences about the simulations and the uncertainty."""
     notes = list(result.problem.notes())
     if result.uncertainty is not None:
         notes += result.uncertainty.sentences
     for profile in result.profiles:
         notes += profile.sentences
-    return [*notes, *worse_than_constants(result.errors)]
+    return (*notes, *worse_than_constants(result.errors))

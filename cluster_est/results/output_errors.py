@@ -1,4 +1,4 @@
-"""How well the outputs are followed: residuals from trajectories, and the table of errors."""
+"""Errors of the outputs: residuals from trajectories, and the table of errors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Simulation:
 
 @dataclass(frozen=True)
 class OutputError:
-    """How well one output of one experiment is followed, a row of errors.parquet.
+    """The error of one output of one experiment, a row of errors.parquet.
 
     `before` is at the start values, `after` at the estimates. `rmse` is in the output's unit,
     `relative` is over the standard deviation of the measured signal, `normalised` over sigma. NaN

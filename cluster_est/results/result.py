@@ -1,21 +1,26 @@
-"""What a fit gives back."""
+"""The result of a fit."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.base import Solution
+from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
-from cluster_est.results import notebook
+from cluster_est.results import actions
 from cluster_est.results.curves import residual_table, trajectory_table
+from cluster_est.results.display_tables import fit_tables
+from cluster_est.results.facts import fit_facts, fit_notes
 from cluster_est.results.output_errors import OutputError, Simulation
+from cluster_est.results.row_types import ConstraintValue, Estimate, PointValue, StartResult
 from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
 from cluster_est.uncertainty.rows import (
     bootstrap_rows,
@@ -27,98 +32,8 @@ from cluster_est.uncertainty.rows import (
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Role
 
-
-@dataclass(frozen=True)
-class Estimate:
-    """One estimated number, a row of parameters.parquet.
-
-    Attributes
-    ----------
-    label
-        "k", or "x0[exp5]" where the parameter has a value of its own there.
-    parameter, variable, unit
-        The parameter that it belongs to, the FMU's name and unit for it.
-    scope
-        "shared", or the experiment or group that the value is for.
-    value, start, lower, upper
-        Physical values.
-    std_error, lower95, upper95
-        NaN where the data do not determine the value, or hold it at a bound.
-    at_bound
-        "lower", "upper" or "".
-    difference_step
-        Step of the last finite difference, in search coordinates; NaN if there was none.
-    estimated_on
-        "train", or "test" for a value that belongs to a test record alone; "known" if fixed,
-        "derived" if it follows from others.
-    """
-
-    label: str
-    parameter: str
-    variable: str
-    unit: str
-    scope: str
-    value: float
-    start: float
-    lower: float
-    upper: float
-    scale: str
-    at_bound: str
-    std_error: float
-    lower95: float
-    upper95: float
-    difference_step: float
-    estimated_on: str
-
-
-@dataclass(frozen=True)
-class ConstraintValue:
-    """One constraint, a row of constraints.parquet.
-
-    `before` and `after` are at the start and at the estimates, in units of the constraint's scale:
-    at most 0 where `kind` is "<= 0", 0 where it is "= 0". NaN where a simulation failed.
-    """
-
-    constraint: str
-    kind: str
-    before: float
-    after: float
-    satisfied: bool
-
-
-@dataclass(frozen=True)
-class StartResult:
-    """One start of several, a row of starts.parquet.
-
-    Attributes
-    ----------
-    start
-        Its number; 0 is the parameters' own.
-    cost, ending, iterations
-        Of its search.
-    minimum
-        Number of the minimum that it reached, 0 being the best; -1 if it reached none.
-    """
-
-    start: int
-    cost: float
-    ending: str
-    iterations: int
-    minimum: int
-
-
-@dataclass(frozen=True)
-class PointValue:
-    """A value at one of several points worth keeping, a row of minima.parquet or front.parquet.
-
-    `point` numbers them, the best first; `objectives` are costs kept apart.
-    """
-
-    point: int
-    label: str
-    value: float
-    cost: float
-    objectives: tuple[float, ...] = ()
+if TYPE_CHECKING:
+    from cluster_est.export.write import ExportResult
 
 
 @dataclass(frozen=True)
@@ -158,6 +73,10 @@ class Result:
         Correlations and directions that the data do not determine, besides the intervals.
     profiles, bootstrap
         Intervals that took refits, where they were asked for.
+    interrupted
+        Whether the user or the budget ended it.
+    seed
+        Of the method.
     """
 
     problem: Problem = field(repr=False)
@@ -181,16 +100,17 @@ class Result:
     profiles: tuple[ProfileResult, ...] = field(default=(), repr=False)
     bootstrap: BootstrapResult | None = field(default=None, repr=False)
     interrupted: bool = False
+    seed: int = 0
     before: tuple[Simulation, ...] = field(default=(), repr=False)
 
     @property
     def success(self) -> bool:
-        """Whether the search reached a solution."""
+        """True if the search reached a solution."""
         return self.solution.ending.success
 
     @property
     def message(self) -> str:
-        """Why the search ended."""
+        """The reason why the search ended."""
         return self.solution.message or str(self.solution.ending)
 
     @property
@@ -210,8 +130,10 @@ class Result:
 
     @property
     def jac(self) -> FloatArray | None:
-        """(residuals, unknowns): d `fun` / d the solution's x, which is logarithmic where a
-        parameter's scale is; None where the method has none, or it is too large for one array.
+        """(residuals, unknowns): d `fun` / d the solution's x.
+
+        x is logarithmic where a parameter's scale is. None where the method has none, or it is too
+        large for one array.
         """
         return self.solution.jacobian
 
@@ -242,9 +164,79 @@ class Result:
 
     @property
     def tables(self) -> tuple[str, ...]:
-        """What `table` can give: a run folder's files have the same names."""
+        """Names of its tables, those of a run folder's files."""
         optional = (name for name, rows in self.optional_rows().items() if rows)
         return ("parameters", "errors", "residuals", "trajectories", *optional)
+
+    @property
+    def status(self) -> str:
+        """The word for how it ended, as in run.json."""
+        if self.interrupted:
+            return "interrupted"
+        return "done" if self.success else "not converged"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on the simulations, the uncertainty and outputs that are not followed."""
+        return fit_notes(self)
+
+    def facts(self) -> Mapping[str, Any]:
+        """Return what run.json says of it, besides what the run's folder knows itself."""
+        return {"status": self.status} | fit_facts(self)
+
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
+        """Write a run folder that `cluster-est show` and `report` read; it has no log.
+
+        Parameters
+        ----------
+        folder
+            Must be new or empty, unless `overwrite`.
+        overwrite
+            Whether to replace the run that is there.
+
+        Raises
+        ------
+        RunFolderError
+            If it holds something already or cannot be written.
+        """
+        return actions.save(self, folder, overwrite=overwrite)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report: one HTML file.
+
+        Raises
+        ------
+        RunFolderError
+            If it cannot be written.
+        """
+        return actions.report(self, path)
+
+    def export(
+        self,
+        fmu: str | Path | None = None,
+        ssv: str | Path | None = None,
+        *,
+        modelica: bool = False,
+        text: bool = False,
+        experiment: str | None = None,
+    ) -> ExportResult:
+        """Write the model with its estimates and effects, as `cluster-est export` does.
+
+        Parameters
+        ----------
+        fmu, ssv
+            Files to write: an FMU that holds the original and the effects, a set of parameters.
+        modelica, text
+            Whether a Modelica class and a description are wanted, in `printed` of what comes back.
+        experiment
+            Whose values are taken, where parameters have one for each; None for shared ones alone.
+
+        Raises
+        ------
+        ClusterEstError
+            If nothing is asked for, or a file cannot be written.
+        """
+        return actions.export(self, fmu, ssv, modelica=modelica, text=text, experiment=experiment)
 
     def table(self, name: str) -> pa.Table:
         """One of `tables`, with the columns that it has in a run folder.
@@ -260,12 +252,13 @@ class Result:
             return trajectory_table(self.problem, self.simulations, self.before)
         rows: dict[str, Sequence[Any]] = {"parameters": self.estimates, "errors": self.errors}
         rows |= self.optional_rows()
-        if not rows.get(name):
+        if not rows.get(name) and name not in self.tables:
             raise RunFolderError(
                 f"table: must be one of the tables that this fit has but is {name!r}"
                 f"{nearest(name, self.tables)}"
             )
-        return pa.Table.from_pylist([dataclasses.asdict(row) for row in rows[name]])
+        found = [dataclasses.asdict(row) for row in rows[name]]
+        return pa.Table.from_pylist(found) if found else pa.table({})
 
     def optional_rows(self) -> dict[str, Sequence[Any]]:
         """Rows of the tables that not every fit has, by name; empty where it has none."""
@@ -290,35 +283,13 @@ class Result:
         return float(np.sqrt(squares.sum() / samples.sum())) if rows else np.nan
 
     def __str__(self) -> str:
-        """What `print` shows."""
-        return notebook.plain(self._title, *fit_tables(self.estimates, self.errors))
+        """Show estimates and errors as text."""
+        return display.plain(self._title, *fit_tables(self.estimates, self.errors))
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        return notebook.section(self._title, *fit_tables(self.estimates, self.errors))
+        """Show estimates and errors in a notebook."""
+        return display.section(self._title, *fit_tables(self.estimates, self.errors))
 
     @property
     def _title(self) -> str:
         return f"Result: {self.message}; cost {self.cost_before:.6g} before, {self.cost:.6g} after"
-
-
-def fit_tables(
-    estimates: Sequence[Estimate], errors: Sequence[Any]
-) -> tuple[notebook.DisplayTable, notebook.DisplayTable]:
-    """Estimates and errors, of a fit or of a closed loop, as a notebook shows them."""
-    values = [
-        (e.label, e.value, e.unit, e.std_error, e.lower95, e.upper95, e.at_bound) for e in estimates
-    ]
-    fits = [(e.experiment, e.role, e.output, e.rmse_before, e.rmse_after, e.unit) for e in errors]
-    return (
-        notebook.DisplayTable(
-            "Parameters",
-            ("parameter", "value", "unit", "standard error", "95 % from", "to", "at bound"),
-            values,
-        ),
-        notebook.DisplayTable(
-            "Root mean square errors",
-            ("experiment", "role", "output", "before", "after", "unit"),
-            fits,
-        ),
-    )

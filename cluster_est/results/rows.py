@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.methods.base import TOLERANCE, OtherPoint, Solution
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace
 from cluster_est.results.output_errors import Simulation
-from cluster_est.results.result import ConstraintValue, Estimate, PointValue, StartResult
+from cluster_est.results.row_types import ConstraintValue, Estimate, PointValue, StartResult
 from cluster_est.running.evaluation import judge
 from cluster_est.running.multistart import MultistartResult
 from cluster_est.uncertainty import ConfidenceInterval, Uncertainty
@@ -29,7 +30,15 @@ def estimates(
     """The values that were searched for, with their intervals."""
     steps = solution.difference_steps
     return [
-        _estimate(space, solution, i, found[i], role, units, np.nan if steps is None else steps[i])
+        _estimate(
+            space,
+            solution,
+            i,
+            found[i],
+            role=role,
+            units=units,
+            difference_step=np.nan if steps is None else steps[i],
+        )
         for i in range(space.size)
     ]
 
@@ -39,6 +48,7 @@ def _estimate(
     solution: Solution,
     i: int,
     interval: ConfidenceInterval,
+    *,
     role: str,
     units: dict[str, str],
     difference_step: float,
@@ -69,7 +79,7 @@ def _estimate(
 def derived(
     space: SearchSpace, solution: Solution, units: dict[str, str], uncertainty: Uncertainty
 ) -> list[Estimate]:
-    """What follows from the estimates, with intervals to first order."""
+    """Parameters that follow from the estimates, with intervals to first order."""
     rows = []
     spread = {each.label: each for each in uncertainty.derived}
     parameters = {p.name: p for p in space.problem.parameters}
@@ -87,7 +97,7 @@ def derived(
 
 
 def fixed(problem: Problem, units: dict[str, str]) -> list[Estimate]:
-    """What was kept at its start."""
+    """Parameters that were kept at their starts."""
     return [_known(p, units, p.start, "known") for p in problem.parameters if p.fixed]
 
 
@@ -147,7 +157,7 @@ def _judged(space: SearchSpace, x: FloatArray, simulations: list[Simulation]) ->
 def starts_and_minima(
     space: SearchSpace, found: MultistartResult
 ) -> tuple[tuple[StartResult, ...], tuple[PointValue, ...]]:
-    """What several starts found, as rows; nothing where there was one."""
+    """Rows of several starts and their minima; none where there was one start."""
     if len(found.solutions) < 2:
         return (), ()
     numbered = enumerate(zip(found.solutions, found.minimum, strict=True))

@@ -1,4 +1,4 @@
-"""What every column of every table of a run means; the documentation is made from this.
+"""The meaning of every column of every table of a run; the documentation is made from this.
 
 A test compares it with the tables that runs write.
 """
@@ -87,7 +87,7 @@ BEFORE = (
     ColumnDescription("lower95_before", NUMBER, OWN, "lower end of its interval"),
     ColumnDescription("upper95_before", NUMBER, OWN, "upper end of its interval"),
 )
-"""What parameters.parquet has besides in runs of close-loop."""
+"""The further columns of parameters.parquet in runs of close-loop."""
 
 TABLES = (
     PARAMETERS,

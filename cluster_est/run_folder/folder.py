@@ -142,11 +142,9 @@ class RunFolder:
         for name in result.tables:
             self._write_table(name, result.table(name))
         self._write_searches()
-        facts = {
-            **result.facts(),
-            "simulations": int(sum(w["simulations"] for w in self._workers.values())),
-            "failures": int(sum(w["failures"] for w in self._workers.values())),
-        }
+        facts = dict(result.facts())
+        for name in ("simulations", "failures") if self._workers else ():
+            facts[name] = int(sum(worker[name] for worker in self._workers.values()))
         searched = result.search_seconds
         self._write_workers(searched if np.isfinite(searched) else facts["seconds"])
         status = RunStatus(facts["status"])

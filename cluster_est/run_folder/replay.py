@@ -14,7 +14,8 @@ from cluster_est.config.reader import read_config
 from cluster_est.config.settings import build_resources
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.executors.simulation_key import simulation_key
-from cluster_est.problem.problem import Problem, coefficient_names
+from cluster_est.problem.names import coefficient_names
+from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.evaluation_log import read_log
 from cluster_est.run_folder.log_format import logged_cost
 from cluster_est.run_folder.reading import read_facts

@@ -4,10 +4,12 @@ The coordinator sends a `Model` and its `Experiment`s once to every worker, and 
 (one point, one experiment). The worker answers each with an `Outcome`, failures included.
 """
 
-from workers.messages.experiment import Curve, Experiment, Input, Output, SignalBound, UserFunction
+from workers.messages.comparison import Curve, SignalBound, UserFunction
+from workers.messages.experiment import Experiment
 from workers.messages.hashing import content_hash
 from workers.messages.model import Effect, Model, Solver
 from workers.messages.outcome import Linearisation, Outcome, Status, Trajectory
+from workers.messages.samples import Input, Output
 from workers.messages.task import Limits, Task
 from workers.messages.types import (
     REDUCTIONS,

@@ -1,125 +1,29 @@
-"""One measured experiment: its inputs, known values, measured outputs and constraints."""
+"""One measured experiment: the signals that a simulation is fed with and compared with."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar, get_args
 
 import numpy as np
 
+from workers.errors import DataError
+from workers.messages.checks import (
+    as_pairs,
+    as_tuple,
+    check_choice,
+    check_kind,
+    check_name,
+    check_number,
+    is_number,
+    shown,
+)
+from workers.messages.comparison import Curve, SignalBound, UserFunction
 from workers.messages.hashing import content_hash
-from workers.messages.types import REDUCTIONS, FloatArray, Interpolation, Role, Value, Want
-
-
-@dataclass(frozen=True)
-class Input:
-    """A measured signal that drives an input variable of the FMU.
-
-    Before its first and after its last sample the signal keeps that sample's value.
-    """
-
-    variable: str
-    times: FloatArray = field(repr=False)
-    values: FloatArray = field(repr=False)
-    interpolation: Interpolation = "linear"
-
-
-@dataclass(frozen=True)
-class Output:
-    """A measured signal that an output variable of the FMU should follow; no NaN in it."""
-
-    variable: str
-    times: FloatArray = field(repr=False)
-    values: FloatArray = field(repr=False)
-    sigma: float = 1.0
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Measured points of a curve without times, such as force over displacement.
-
-    Attributes
-    ----------
-    variables
-        The FMU's variable for each column.
-    points : (n, d)
-        Measured, in their order along the curve.
-    times : (m,)
-        When the simulated curve is sampled.
-    tolerances : (d,)
-        How far a simulated point may lie from the curve in each column; 0 for as far as it likes.
-    """
-
-    variables: tuple[str, ...]
-    points: FloatArray = field(repr=False)
-    times: FloatArray = field(repr=False)
-    tolerances: tuple[float, ...] = ()
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of its constraints."""
-        pairs = zip(self.variables, self.tolerances, strict=False)
-        return tuple(f"tolerance of {name}" for name, tolerance in pairs if tolerance != 0.0)
-
-
-@dataclass(frozen=True)
-class SignalBound:
-    """A constraint on a simulated signal y: lower(t) <= y(t) <= upper(t), or y(t) = lower(t).
-
-    Attributes
-    ----------
-    name
-        What tables call it.
-    variable
-        Of the FMU.
-    times : (m,)
-        When it must hold.
-    lower, upper : (m,)
-        Infinite where there is no bound.
-    scale
-        What a violation is counted in.
-    equality
-        Whether the signal must be equal to `lower`; `upper` is the same then.
-    """
-
-    name: str
-    variable: str
-    times: FloatArray = field(repr=False)
-    lower: FloatArray = field(repr=False)
-    upper: FloatArray = field(repr=False)
-    scale: float = 1.0
-    equality: bool = False
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of its constraints: one, or one for each side that it has."""
-        if self.equality:
-            return (self.name,)
-        sides = {"lower": self.lower, "upper": self.upper}
-        return tuple(f"{self.name} {s}" for s, values in sides.items() if np.isfinite(values).any())
-
-
-@dataclass(frozen=True)
-class UserFunction:
-    """A Python function of the user's, which runs on the workers.
-
-    Attributes
-    ----------
-    module, name
-        Where it is defined.
-    source
-        The module's text, where it is a file of the user's; empty if the module is installed.
-    equality
-        For a constraint: whether what it returns must be 0, else at most 0.
-    label
-        What tables call it; `name` if empty.
-    """
-
-    module: str
-    name: str
-    source: str = field(default="", repr=False)
-    equality: bool = False
-    label: str = ""
+from workers.messages.samples import Input, Output
+from workers.messages.types import REDUCTIONS, Role, Value, Want
 
 
 @dataclass(frozen=True)
@@ -135,7 +39,8 @@ class Experiment:
     inputs, outputs
         The measured signals.
     values
-        Known start values of this run by variable name, written before initialisation.
+        Known start values of this run by variable name, written before initialisation; may be
+        given as a dict, as may `groups`.
     role, groups
         Labels for the coordinator: whether the parameters are estimated from this run ("train") or
         only tested on it ("test"), and which group it belongs to under each key. No result depends
@@ -150,6 +55,11 @@ class Experiment:
         Returns what takes the place of all residuals of this experiment.
     constraint_functions
         Each returns a number that must be at most 0, or 0.
+
+    Raises
+    ------
+    DataError
+        If its signals contradict it or each other.
     """
 
     id: str
@@ -165,6 +75,25 @@ class Experiment:
     bounds: tuple[SignalBound, ...] = ()
     cost_function: UserFunction | None = None
     constraint_functions: tuple[UserFunction, ...] = ()
+
+    from_table: ClassVar[Callable[..., Experiment]]
+    """An experiment from a table of pandas, polars or pyarrow, or a dict of columns. The
+    coordinator puts it here: a worker reads no tables."""
+
+    def __post_init__(self) -> None:
+        check_name(self.id, "experiment.id", DataError)
+        where = f"experiment {self.id!r}"
+        for key, kind in _LISTS.items():
+            given = getattr(self, key)
+            object.__setattr__(self, key, as_tuple(given, kind, f"{where}.{key}", DataError))
+        for key in ("values", "groups"):
+            given = getattr(self, key)
+            object.__setattr__(self, key, as_pairs(given, f"{where}.{key}", DataError))
+        check_choice(self.role, get_args(Role), f"{where}.role", DataError)
+        _check_values(self.values, f"{where}.values")
+        _check_interval(self, where)
+        if self.curve is not None:
+            check_kind(self.curve, Curve, f"{where}.curve", DataError)
 
     @property
     def size(self) -> int:
@@ -198,7 +127,7 @@ class Experiment:
 
     @cached_property
     def equality(self) -> tuple[bool, ...]:
-        """True for each of those constraints that must be 0, False for one that is at most 0."""
+        """True for each of those that must be 0; the others must be at most 0."""
         kinds = [False] * (0 if self.curve is None else len(self.curve.names))
         for bound in self.bounds:
             kinds += [bound.equality] * len(bound.names)
@@ -225,3 +154,42 @@ class Experiment:
                 signals += ["function", function.module, function.name, function.source]
                 signals += [repr((function.equality, function is self.cost_function))]
         return content_hash(signals)
+
+
+_LISTS: dict[str, type] = {
+    "inputs": Input,
+    "outputs": Output,
+    "signals": Input,
+    "bounds": SignalBound,
+    "constraint_functions": UserFunction,
+}
+"""The lists of an experiment, and what each holds."""
+
+
+def _check_values(values: tuple[tuple[str, Value], ...], where: str) -> None:
+    """Refuse known values that no variable can have."""
+    for name, value in values:
+        fits = isinstance(value, bool | str | np.bool_) or is_number(value)
+        if not fits or (is_number(value) and not np.isfinite(float(value))):
+            raise DataError(
+                f"{where}.{name}: must be a finite number, true, false or a text but is "
+                f"{shown(value)}"
+            )
+
+
+def _check_interval(experiment: Experiment, where: str) -> None:
+    """Refuse an interval that is none, or that measured times lie outside of."""
+    start, stop = experiment.start, experiment.stop
+    for key, time in (("start", start), ("stop", stop)):
+        check_number(time, f"{where}.{key}", DataError)
+    if not start < stop:
+        raise DataError(
+            f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one"
+        )
+    for output in experiment.outputs:
+        if len(output.times) and not start <= output.times[0] <= output.times[-1] <= stop:
+            raise DataError(
+                f"{where}.outputs.{output.variable}: its times must lie between start, {start:g} "
+                f"s, and stop, {stop:g} s, but go from {output.times[0]:g} to "
+                f"{output.times[-1]:g} s; change start or stop, or leave those samples out"
+            )

@@ -5,7 +5,19 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 from functools import cached_property
+from os import PathLike
+from typing import get_args
 
+from workers.errors import EffectError, ModelError
+from workers.messages.checks import (
+    as_pairs,
+    as_tuple,
+    check_choice,
+    check_kind,
+    check_name,
+    check_number,
+    shown,
+)
 from workers.messages.hashing import content_hash
 from workers.messages.types import Interface, ResetPolicy, SolverName
 
@@ -28,6 +40,11 @@ class Solver:
         For "fmu", `rtol` is handed to the FMU, None leaves the choice to it.
     max_steps
         Steps after which a simulation counts as failed.
+
+    Raises
+    ------
+    ModelError
+        If the name is unknown, or a number out of its range.
     """
 
     name: SolverName
@@ -35,6 +52,14 @@ class Solver:
     rtol: float | None = None
     atol: float | None = None
     max_steps: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        check_choice(self.name, get_args(SolverName), "model.solver", ModelError)
+        for key, below in (("step", float("inf")), ("rtol", 1.0), ("atol", float("inf"))):
+            value = getattr(self, key)
+            if value is not None:
+                check_number(value, f"model.{key}", ModelError, above=0.0, below=below)
+        check_number(self.max_steps, "model.max_steps", ModelError, above=0, whole=True)
 
 
 @dataclass(frozen=True)
@@ -66,6 +91,15 @@ class Effect:
     equation: str = ""
     coefficients: tuple[tuple[str, float | None], ...] = ()
 
+    def __post_init__(self) -> None:
+        check_name(self.name, "effect.name", EffectError)
+        where = f"effect {self.name!r}"
+        check_name(self.site, f"{where}.site", EffectError)
+        named = as_tuple(self.variables, str, f"{where}.variables", EffectError)
+        pairs = as_pairs(self.coefficients, f"{where}.coefficients", EffectError)
+        object.__setattr__(self, "variables", named)
+        object.__setattr__(self, "coefficients", pairs)
+
 
 @dataclass(frozen=True)
 class Model:
@@ -90,6 +124,11 @@ class Model:
         The reset policy: every simulation begins with a "reset" of the instance that there is; a
         new "instance", for FMUs whose reset leaves something behind; or a new "process", for those
         whose library does. "auto" leaves the choice to the coordinator; a worker resets.
+
+    Raises
+    ------
+    ModelError
+        If it is no archive, or interface and solver are unknown or do not fit together.
     """
 
     name: str
@@ -100,6 +139,23 @@ class Model:
     structure: tuple[tuple[str, int], ...] = ()
     logging_on: bool = False
     reset: ResetPolicy = "auto"
+
+    def __post_init__(self) -> None:
+        if isinstance(self.archive, str | PathLike):
+            raise ModelError(
+                f"model.archive: must be the bytes of an FMU but is the path {shown(self.archive)};"
+                " use cluster_est.read_model(path, parameters)"
+            )
+        check_kind(self.archive, bytes, "model.archive", ModelError)
+        check_choice(self.interface, get_args(Interface), "model.interface", ModelError)
+        advice = f"; write Solver({self.solver!r})" if isinstance(self.solver, str) else ""
+        check_kind(self.solver, Solver, "model.solver", ModelError, advice)
+        check_choice(self.reset, get_args(ResetPolicy), "model.reset", ModelError)
+        check_solver(self.interface, self.solver.name)
+        named = as_tuple(self.parameters, str, "model.parameters", ModelError)
+        object.__setattr__(self, "parameters", named)
+        pairs = as_pairs(self.structure, "model.structure", ModelError)
+        object.__setattr__(self, "structure", pairs)
 
     @cached_property
     def archive_hash(self) -> str:
@@ -113,4 +169,20 @@ class Model:
         more += [f"renew {self.reset}"] if self.reset != "auto" else []
         return content_hash(
             [self.archive_hash, self.interface, repr(self.solver), *self.parameters, *more]
+        )
+
+
+def check_solver(interface: Interface, name: SolverName) -> None:
+    """Refuse a solver that is not for this interface.
+
+    Raises
+    ------
+    ModelError
+        With those that are.
+    """
+    exchange = interface == "model_exchange"
+    if exchange is (name == "fmu"):
+        usable = "dormand_prince, rk4 or cvode" if exchange else "fmu"
+        raise ModelError(
+            f"model.solver: must be {usable} for {interface} but is {name}; change one of the two"
         )

@@ -15,7 +15,8 @@ from cluster_est.closed_loop.candidates.shapes import shape_of
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.thresholds import CandidateThresholds
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from workers.effects.forms import (
     FORMS,
     Condition,

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from cluster_est.closed_loop.findings.effects import NamedEffect
-from cluster_est.results.result import Estimate
+from cluster_est.results.row_types import Estimate
 from cluster_est.toml import dotted, inline
 
 

@@ -13,7 +13,8 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, 
 from cluster_est.closed_loop.findings.effects import EffectCurve
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.errors import ClusterEstError
-from cluster_est.results.result import Estimate, Result
+from cluster_est.results.result import Result
+from cluster_est.results.row_types import Estimate
 from workers.effects.expression import parse
 from workers.messages import FloatArray
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cluster_est.results.result import Estimate
+from cluster_est.results.row_types import Estimate
 from workers.messages import Effect, FloatArray, Role
 
 

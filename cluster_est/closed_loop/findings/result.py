@@ -6,7 +6,8 @@ import enum
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,11 +20,15 @@ from cluster_est.closed_loop.findings.effects import (
     Verdict,
 )
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
-from cluster_est.results import notebook
+from cluster_est.problem import display
+from cluster_est.results import actions
+from cluster_est.results.display_tables import fit_tables
 from cluster_est.results.facts import fit_facts
-from cluster_est.results.result import Result, fit_tables
-from cluster_est.results.table_names import TableNames
+from cluster_est.results.result import Result
 from workers.messages import FloatArray, Role
+
+if TYPE_CHECKING:  # it needs SymPy, which is slow
+    from cluster_est.export.write import ExportResult
 
 
 class ErrorScale(enum.StrEnum):
@@ -146,10 +151,9 @@ class LoopResult:
         return self.after.seconds
 
     @property
-    def tables(self) -> TableNames:
-        """Names of its tables, those of a run folder's files; `tables()` gives all of them."""
-        names = ("effects", "findings", "shapes", *self.after.tables)
-        return TableNames(dict.fromkeys(names), self.table)
+    def tables(self) -> tuple[str, ...]:
+        """Names of its tables, those of a run folder's files."""
+        return ("effects", "findings", "shapes", *self.after.tables)
 
     def table(self, name: str) -> pa.Table:
         """Return one of `tables`, with the columns that it has in a run folder.
@@ -217,22 +221,42 @@ class LoopResult:
         """The table of that name, with the effects."""
         return self.final.trajectories
 
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
+        """Write a run folder; see `Result.save`."""
+        return actions.save(self, folder, overwrite=overwrite)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report: one HTML file; see `Result.report`."""
+        return actions.report(self, path)
+
+    def export(
+        self,
+        fmu: str | Path | None = None,
+        ssv: str | Path | None = None,
+        *,
+        modelica: bool = False,
+        text: bool = False,
+        experiment: str | None = None,
+    ) -> ExportResult:
+        """Write the model with its effects; see `Result.export`."""
+        return actions.export(self, fmu, ssv, modelica=modelica, text=text, experiment=experiment)
+
     def __str__(self) -> str:
         """Return the text for `print`."""
-        return notebook.plain(self._title, *self._display)
+        return display.plain(self._title, *self._display)
 
     def _repr_html_(self) -> str:
         """Return the HTML for a notebook."""
-        return notebook.section(self._title, *self._display)
+        return display.section(self._title, *self._display)
 
     @property
     def _title(self) -> str:
         return f"Closed loop: {self.verdict}. {self.summary}"
 
     @property
-    def _display(self) -> tuple[notebook.DisplayTable, ...]:
+    def _display(self) -> tuple[display.DisplayTable, ...]:
         effects = [(e.name, e.family, e.equation) for e in self.effects]
         return (
-            notebook.DisplayTable("Effects", ("name", "family", "equation"), effects),
+            display.DisplayTable("Effects", ("name", "family", "equation"), effects),
             *fit_tables(self.after.estimates, self.errors),
         )

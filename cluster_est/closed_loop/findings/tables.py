@@ -13,7 +13,7 @@ from cluster_est.closed_loop.findings.config_block import config_block
 from cluster_est.closed_loop.findings.effects import EffectCurve, ErrorChange, NamedEffect
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.results.output_errors import OutputError
-from cluster_est.results.result import Estimate
+from cluster_est.results.row_types import Estimate
 
 Row = dict[str, Any]
 

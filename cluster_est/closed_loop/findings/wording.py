@@ -10,7 +10,8 @@ from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.closed_loop.selection.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.results.result import Estimate, Result
+from cluster_est.results.result import Result
+from cluster_est.results.row_types import Estimate
 from workers.messages import FloatArray
 
 WINDOWS = 20

@@ -12,7 +12,7 @@ import pytest
 from cluster_est import Problem
 from cluster_est.cli import main
 from cluster_est.preflight import CheckFinding, CheckPage, bare_problem, run_checks
-from cluster_est.problem.problem import Parameter
+from cluster_est.problem.parameter import Parameter
 from cluster_est.running.resources import Resources
 from workers.messages import Solver
 

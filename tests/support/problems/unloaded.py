@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.problem.formulas import parse_constraint
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from workers.messages import Experiment, Model, Output, Solver
 
 

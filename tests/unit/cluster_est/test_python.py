@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 
@@ -21,8 +22,8 @@ CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
 NAMES = """
     Budget ClusterEstError Effect Estimate Experiment Input LeastSquares LoopResult LoopSettings
     Model Multistart Output Parameter Problem Resources Result Solver UncertaintySettings
-    add_effect build_problem close_loop detect fit locate read_config read_problem read_table
-    residuals simulate
+    add_effect build_problem close_loop detect fit locate read_config read_model read_problem
+    read_table residuals simulate
 """
 
 
@@ -117,6 +118,19 @@ class TestLoopResult:
         result, _ = found
         assert f"Closed loop: {result.verdict}." in result._repr_html_()
         assert str(result).startswith(f"Closed loop: {result.verdict}.")
+
+    def test_it_saves_and_reports_and_exports_itself(self, found, tmp_path):
+        result, out = found
+        saved = result.save(tmp_path / "saved")
+        for name in result.tables:
+            mine, theirs = (pq.read_table(at / f"{name}.parquet") for at in (saved, out))
+            assert repr(mine.to_pylist()) == repr(theirs.to_pylist()), name
+        mine, theirs = (json.loads((at / "run.json").read_text()) for at in (saved, out))
+        for name in ("verdict", "effects", "errors", "notes", "cost", "status"):
+            assert mine[name] == theirs[name], name
+        assert "bias" in result.report(tmp_path / "loop.html").read_text(encoding="utf-8")
+        exported = result.export(text=True)
+        assert "bias" in exported.printed[0]
 
 
 class TestNotebook:

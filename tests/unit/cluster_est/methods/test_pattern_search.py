@@ -15,7 +15,7 @@ from support.problems.unloaded import unloaded_problem
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Evaluation, Points
 from cluster_est.methods.pattern_search.method import PatternSearch
-from cluster_est.problem.problem import Parameter
+from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.space import make_space
 from cluster_est.running.runner import Runner, SearchRequest
 from workers.messages import Outcome, Status

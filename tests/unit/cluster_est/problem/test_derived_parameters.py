@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from support.problems.unloaded import unloaded_problem
 
 from cluster_est.errors import ProblemError
-from cluster_est.problem.problem import Parameter
+from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.space import make_space
 
 

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cluster_est.errors import ProblemError
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from workers.messages import Experiment, Model, Output, Solver
 

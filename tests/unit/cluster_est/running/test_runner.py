@@ -23,7 +23,8 @@ from cluster_est.methods.base import (
     Solution,
 )
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.problem import Parameter, Problem
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Budget, Runner, RunSnapshot, SearchRequest, TaskOrigin
 from workers.messages import Experiment, FloatArray, Model, Outcome, Output, Solver, Status, Task

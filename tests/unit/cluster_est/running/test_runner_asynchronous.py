@@ -23,7 +23,7 @@ from cluster_est.methods.base import (
     Solution,
 )
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.problem import Parameter
+from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Budget, Runner, SearchIteration, SearchRequest
 from workers.messages import Outcome, Status, Task

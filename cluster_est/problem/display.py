@@ -1,4 +1,4 @@
-"""What notebooks and `print` show of problems and results: plain tables."""
+"""Plain tables for notebooks and `print`, of problems and of results."""
 
 from __future__ import annotations
 

@@ -1,0 +1,81 @@
+"""A model from the file of an FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal, get_args
+
+from cluster_est.errors import ModelError
+from workers.fmu.description import describe, nearest
+from workers.messages import Interface, Model, ResetPolicy, Solver, SolverName
+from workers.messages.checks import as_tuple, check_choice, shown
+
+
+def read_model(
+    path: str | Path,
+    parameters: Sequence[str] = (),
+    *,
+    interface: Interface | Literal["auto"] = "auto",
+    solver: Solver | SolverName | Literal["auto"] = "auto",
+    structure: Mapping[str, int] | None = None,
+    reset: ResetPolicy = "auto",
+) -> Model:
+    """Read an FMU, with the defaults of a config.
+
+    Parameters
+    ----------
+    path
+        Of the FMU.
+    parameters
+        Names of the variables that are estimated, in the order of the problem's parameters.
+    interface
+        "auto" prefers model exchange.
+    solver
+        A solver or its name; "auto" is "dormand_prince" for model exchange, else "fmu".
+    structure
+        Structural parameters (FMI 3) that differ from their start values.
+    reset
+        The state that every simulation begins with; see `Model.renew`.
+
+    Raises
+    ------
+    ModelError
+        If it cannot be read, or does not offer what is wanted.
+    """
+    if not isinstance(path, str | Path):
+        raise ModelError(f"model.fmu: must be a path but is {shown(path)}")
+    path = Path(path)
+    try:
+        archive = path.read_bytes()
+    except OSError as error:
+        raise ModelError(
+            f"model.fmu: {path} cannot be read ({error.strerror}); check the path"
+        ) from error
+    chosen = dict(structure or {})
+    description = describe(path.name, archive, chosen)
+    names = as_tuple(parameters, str, "model.parameters", ModelError)
+    for name in names:
+        if name not in description.variables:
+            raise ModelError(
+                f"model.parameters: {path.name} has no variable {name!r}"
+                f"{nearest(name, description.variables)}"
+            )
+    found = choose_interface(interface, description.interfaces)
+    if solver == "auto":
+        solver = "dormand_prince" if found == "model_exchange" else "fmu"
+    if isinstance(solver, str):
+        check_choice(solver, get_args(SolverName), "model.solver", ModelError)
+        solver = Solver(solver)
+    return Model(path.name, archive, found, solver, names, tuple(chosen.items()), reset=reset)
+
+
+def choose_interface(wanted: str, offered: tuple[Interface, ...]) -> Interface:
+    """Return the interface that is wanted; "auto" prefers model exchange.
+
+    That the FMU offers it is checked when a problem is described.
+    """
+    check_choice(wanted, ("auto", *get_args(Interface)), "model.interface", ModelError)
+    if wanted == "auto":
+        return "model_exchange" if "model_exchange" in offered else offered[-1]
+    return wanted  # type: ignore[return-value]

@@ -1,0 +1,239 @@
+"""Experiments from tables in memory: of pandas, polars or pyarrow, or a dict of columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, get_args
+
+from cluster_est.errors import DataError
+from cluster_est.problem.data import MeasuredTable
+from cluster_est.problem.measured import (
+    ColumnChange,
+    MeasuredColumns,
+    interval,
+    missing_time,
+    sigma_without_output,
+)
+from cluster_est.problem.memory_table import table_of
+from workers.fmu.description import nearest
+from workers.messages import Experiment, FloatArray, Input, Interpolation, Output, Role, Value
+from workers.messages.checks import (
+    as_tuple,
+    check_choice,
+    check_kind,
+    check_name,
+    check_number,
+    shown,
+)
+
+Columns = Mapping[str, str | Mapping[str, str]] | Sequence[str]
+"""Variables of the FMU, each with its column; or names that both have."""
+
+
+def experiment_from_table(
+    table: Any,
+    *,
+    id: str,
+    outputs: Columns,
+    time: str | None = None,
+    sample_time: float | None = None,
+    inputs: Columns = (),
+    signals: Columns = (),
+    sigma: float | Mapping[str, float] = 1.0,
+    columns: Mapping[str, Mapping[str, float | bool]] | None = None,
+    rows: tuple[int, int] | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    values: Mapping[str, Value] | None = None,
+    role: Role = "train",
+    groups: Mapping[str, str] | None = None,
+) -> Experiment:
+    """Make an experiment from a measured table.
+
+    ::
+
+        run = ce.Experiment.from_table(
+            frame, id="step", time="t", inputs={"F": "force"}, outputs={"y": "position"}, sigma=0.01
+        )
+
+    Columns are checked as those of a file that a config names. Empty cells (NaN, None) mean that
+    nothing was measured there.
+
+    Parameters
+    ----------
+    table
+        A DataFrame of pandas or polars, a table of pyarrow, a dict of columns, what `read_table`
+        gave, or the path of a file.
+    id
+        Name of the experiment.
+    outputs
+        {FMU output: column}, or a list of names that both have.
+    time
+        Column with the time in seconds.
+    sample_time
+        Seconds between rows, where there is no such column.
+    inputs, signals
+        {FMU input: column}, or {FMU input: {"column": ..., "interpolation": "hold"}}; signals are
+        measured too, but are no inputs of the model: effects may depend on them.
+    sigma
+        Standard deviation of the noise, of all outputs or by output.
+    columns
+        {column: {"factor": ..., "offset": ..., "demean": ...}}: changes of unit.
+    rows
+        (from, to): rows from (counted from 0) up to, not with, to.
+    start, stop
+        Simulated interval in seconds; by default as far as the data goes.
+    values
+        Known start values of this run by variable name.
+    role
+        "train", or "test" for an experiment that is only predicted.
+    groups
+        Labels by key, for parameters that are per "group:KEY".
+
+    Raises
+    ------
+    DataError
+        If a column is missing or holds something that is no measurement.
+    """
+    check_name(id, "experiment.id", DataError)
+    where = f"experiment {id!r}"
+    wanted = {
+        key: _named(given, f"{where}.{key}")
+        for key, given in (("outputs", outputs), ("inputs", inputs), ("signals", signals))
+    }
+    if not wanted["outputs"]:
+        raise DataError(f"{where}.outputs is missing; add it (FMU output = column)")
+    sigmas = _sigmas(sigma, wanted["outputs"], where)
+    _check_times(time, sample_time, start, stop, where)
+    reader = MeasuredColumns(
+        _table(table, where), where, _rows(rows, where), _changes(columns, where)
+    )
+    counted = next(iter(wanted["outputs"].values()))[0]
+    times = reader.times(time, sample_time, counted)
+    measured = [
+        reader.output(times, name, column, sigmas[name])
+        for name, (column, _) in wanted["outputs"].items()
+    ]
+    start, stop = interval(start, stop, times, measured, where)
+    driving = {key: _driving(reader, times, wanted[key], key) for key in ("inputs", "signals")}
+    return Experiment(
+        id=id,
+        start=start,
+        stop=stop,
+        inputs=driving["inputs"],
+        outputs=tuple(_within(output, start, stop) for output in measured),
+        values=tuple((values or {}).items()),
+        role=role,
+        groups=tuple((groups or {}).items()),
+        signals=driving["signals"],
+    )
+
+
+def _table(table: Any, where: str) -> MeasuredTable:
+    return table_of(Path(table) if isinstance(table, str) else table, where)
+
+
+def _named(given: Columns, where: str) -> dict[str, tuple[str, Interpolation]]:
+    """Column and interpolation of each variable."""
+    if not isinstance(given, Mapping):
+        return {name: (name, "linear") for name in as_tuple(given, str, where, DataError)}
+    found: dict[str, tuple[str, Interpolation]] = {}
+    for name, each in given.items():
+        entry = {"column": each} if isinstance(each, str) else each
+        if not isinstance(entry, Mapping) or "column" not in entry:
+            raise DataError(
+                f"{where}.{name}: must be a column's name or {{column, interpolation}} but is "
+                f"{shown(each)}"
+            )
+        for key in entry:
+            if key not in ("column", "interpolation"):
+                raise DataError(
+                    f"{where}.{name}: unknown key {key}{nearest(key, ['column', 'interpolation'])}"
+                )
+        check_name(entry["column"], f"{where}.{name}.column", DataError)
+        how = entry.get("interpolation", "linear")
+        check_choice(how, get_args(Interpolation), f"{where}.{name}.interpolation", DataError)
+        found[name] = entry["column"], how  # type: ignore[assignment]
+    return found
+
+
+def _sigmas(
+    sigma: float | Mapping[str, float], outputs: Mapping[str, Any], where: str
+) -> dict[str, float]:
+    given = sigma if isinstance(sigma, Mapping) else dict.fromkeys(outputs, sigma)
+    for name, value in given.items():
+        if name not in outputs:
+            raise DataError(sigma_without_output(where, name, outputs))
+        check_number(value, f"{where}.sigma.{name}", DataError, above=0.0)
+    return {name: float(given.get(name, 1.0)) for name in outputs}
+
+
+def _changes(
+    columns: Mapping[str, Mapping[str, float | bool]] | None, where: str
+) -> dict[str, ColumnChange]:
+    known = [each.name for each in fields(ColumnChange)]
+    found = {}
+    for name, change in (columns or {}).items():
+        at = f"{where}.columns.{name}"
+        check_kind(change, Mapping, at, DataError, "; write {factor, offset, demean}")
+        for key, value in change.items():
+            if key not in known:
+                raise DataError(f"{at}: unknown key {key}{nearest(key, known)}")
+            if key == "demean":
+                check_kind(value, bool, f"{at}.demean", DataError)
+            else:
+                check_number(value, f"{at}.{key}", DataError)
+        found[name] = replace(ColumnChange(), **change)  # type: ignore[arg-type]
+    return found
+
+
+def _rows(rows: tuple[int, int] | None, where: str) -> tuple[int, int] | None:
+    if rows is None:
+        return None
+    check_kind(rows, Sequence, f"{where}.rows", DataError, "; write (from, to)")
+    for i, value in enumerate(rows):
+        check_number(value, f"{where}.rows[{i}]", DataError, least=0, whole=True)
+    if len(rows) != 2 or not rows[0] < rows[1]:
+        raise DataError(
+            f"{where}.rows: must be [from, to] with from below to but is {list(rows)}; swap them, "
+            "or leave it out to use all rows"
+        )
+    return int(rows[0]), int(rows[1])
+
+
+def _check_times(
+    time: str | None,
+    sample_time: float | None,
+    start: float | None,
+    stop: float | None,
+    where: str,
+) -> None:
+    problem = missing_time(where, time, sample_time)
+    if problem:
+        raise DataError(problem)
+    if time is not None:
+        check_name(time, f"{where}.time", DataError)
+    if sample_time is not None:
+        check_number(sample_time, f"{where}.sample_time", DataError, above=0.0)
+    for key, value in (("start", start), ("stop", stop)):
+        if value is not None:
+            check_number(value, f"{where}.{key}", DataError)
+
+
+def _driving(
+    reader: MeasuredColumns,
+    times: FloatArray,
+    wanted: Mapping[str, tuple[str, Interpolation]],
+    key: str,
+) -> tuple[Input, ...]:
+    return tuple(
+        reader.driving(times, name, column, interpolation, key)
+        for name, (column, interpolation) in wanted.items()
+    )
+
+
+def _within(output: Output, start: float, stop: float) -> Output:
+    kept = (output.times >= start) & (output.times <= stop)
+    return replace(output, times=output.times[kept], values=output.values[kept])

@@ -1,0 +1,113 @@
+"""A value to estimate."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from cluster_est.errors import ProblemError
+from workers.messages.checks import check_choice, check_name, check_number, is_number, shown
+
+Scale = Literal["linear", "log"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A value to estimate: a parameter of the model or an initial state.
+
+    Attributes
+    ----------
+    name
+        What the user calls it.
+    start
+        Where the estimation starts; the value itself if `fixed`.
+    lower, upper
+        Bounds, in the same physical unit as `start`.
+    scale
+        "log" for a positive value whose order of magnitude is in doubt: methods then see its
+        logarithm.
+    fixed
+        Keep it at `start`.
+    variable
+        The FMU's name for it; `name` if empty.
+    per
+        None: one value for all experiments. "experiment": one for each. "group:KEY": one for each
+        label that the experiments have under KEY.
+    unit
+        For tables; filled in from the FMU if empty.
+    expression
+        A formula in other parameters, such as "2 * k1": the value follows from theirs and is not
+        searched for. Bounds that it has become constraints.
+    auxiliary
+        Not a variable of the FMU: only expressions and constraints use it.
+    """
+
+    name: str
+    start: float
+    lower: float = -math.inf
+    upper: float = math.inf
+    scale: Scale = "linear"
+    fixed: bool = False
+    variable: str = ""
+    per: str | None = None
+    unit: str = ""
+    expression: str = ""
+    auxiliary: bool = False
+
+    def __post_init__(self) -> None:
+        check_name(self.name, "parameters.name", ProblemError)
+        where = f"parameters.{self.name}"
+        self._check_kinds(where)
+        if not self.lower < self.upper:
+            raise ProblemError(
+                f"{where}.bounds: the lower bound must be below the upper one but they are "
+                f"[{self.lower:g}, {self.upper:g}]; to keep a value use fixed = true"
+            )
+        if self.expression:
+            self._check_derived(where)
+        elif not self.lower <= self.start <= self.upper:
+            raise ProblemError(
+                f"{where}.start: must lie in its bounds [{self.lower:g}, {self.upper:g}] but is "
+                f"{self.start:g}; move the start or widen the bounds"
+            )
+        if self.scale == "log" and (self.start <= 0.0 or self.upper <= 0.0):
+            raise ProblemError(
+                f"{where}.scale: a log scale needs a positive start and bounds but the start is "
+                f'{self.start:g}; use scale = "linear" or positive values'
+            )
+        per = str(self.per)
+        if self.per is not None and not re.fullmatch("experiment|group(:.+)?", per):
+            raise ProblemError(
+                f'{where}.per: must be "experiment" or "group:KEY" but is {self.per!r}'
+            )
+
+    def _check_kinds(self, where: str) -> None:
+        check_number(self.start, f"{where}.start", ProblemError)
+        for key in ("lower", "upper"):
+            bound = getattr(self, key)
+            if not is_number(bound):
+                raise ProblemError(
+                    f"{where}.{key}: must be a number, or infinite for no bound, but is "
+                    f"{shown(bound)}"
+                )
+        check_choice(self.scale, get_args(Scale), f"{where}.scale", ProblemError)
+        for key in ("variable", "unit", "expression"):
+            if not isinstance(getattr(self, key), str):
+                raise ProblemError(
+                    f"{where}.{key}: must be text but is {shown(getattr(self, key))}"
+                )
+
+    def _check_derived(self, where: str) -> None:
+        for key, used in (("fixed", self.fixed), ("per", self.per), ("scale", self.scale == "log")):
+            if used:
+                raise ProblemError(
+                    f"{where}.{key}: must be left out where there is an expression, which says "
+                    "all of the value; remove one of the two"
+                )
+
+    @property
+    def target(self) -> str:
+        """The FMU's variable."""
+        return self.variable or self.name

@@ -1,0 +1,61 @@
+"""One number that a method moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from cluster_est.problem.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number that a method moves.
+
+    Attributes
+    ----------
+    label
+        "k", or "x0[exp5]" where the parameter has a value of its own there.
+    parameter
+        Whose value it is.
+    column
+        Its place in `Model.parameters`.
+    experiments
+        Positions, in the space, of the experiments that it acts on.
+    start
+        Physical value that the search starts from.
+    """
+
+    label: str
+    parameter: Parameter
+    column: int
+    experiments: tuple[int, ...]
+    start: float
+
+    @property
+    def log(self) -> bool:
+        return self.parameter.scale == "log"
+
+    def to_search(self, physical: float) -> float:
+        if not self.log:
+            return physical
+        return math.log(physical) if physical > 0.0 else -math.inf
+
+    def to_physical(self, searched: float) -> float:
+        if not self.log:
+            return searched
+        # the exponential of a bound's logarithm may lie just outside the bound
+        return min(max(math.exp(min(searched, 709.0)), self.parameter.lower), self.parameter.upper)
+
+    @property
+    def typical(self) -> float:
+        """The size of a noticeable change, where nothing better is known.
+
+        1 for a logarithm; else the start's own size, or a tenth of the range for a start of 0.
+        """
+        if self.log:
+            return 1.0
+        if self.start != 0.0:
+            return abs(self.start)
+        width = self.parameter.upper - self.parameter.lower
+        return 0.1 * width if math.isfinite(width) else 1.0

@@ -1,0 +1,202 @@
+"""The names of a problem against the variables of its FMU."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from cluster_est.errors import ModelError, ProblemError
+from cluster_est.problem.names import refuse_repeated
+from cluster_est.problem.parameter import Parameter
+from workers.fmu.description import ModelDescription, nearest
+from workers.fmu.variable import ModelVariable
+from workers.messages import Effect, Experiment, Model, Value
+from workers.messages.checks import shown
+
+
+def check_interface(model: Model, description: ModelDescription) -> None:
+    """Refuse an interface that the FMU does not offer.
+
+    Raises
+    ------
+    ModelError
+        With those that it offers, and why others are left out.
+    """
+    offered = description.interfaces
+    if model.interface not in offered:
+        unusable = [w for w in description.warnings if w.endswith("and is left out")]
+        raise ModelError(
+            f"model.interface: {description.file} must offer {model.interface} but offers "
+            f"{' and '.join(offered)}{''.join(f' ({w})' for w in unusable)}; choose that"
+        )
+
+
+def check_parameters(parameters: Sequence[Parameter], description: ModelDescription) -> None:
+    """Check that the FMU lets the start value of each of its parameters be set."""
+    for parameter in parameters:
+        _check_start(description, parameter.target, f"parameters.{parameter.name}", real=True)
+
+
+def check_experiment(
+    experiment: Experiment,
+    description: ModelDescription,
+    model: Model,
+    parameters: Sequence[Parameter],
+) -> None:
+    """Check that the FMU has the variables of an experiment, and lets them be used in this way."""
+    where = f"experiment {experiment.id!r}"
+    for name, value in experiment.values:
+        _check_start(description, name, f"{where}.values", real=False)
+        _check_structure(model, description.variables[name], value, where)
+    _check_inputs(experiment, description, where)
+    for name in experiment.recorded:
+        _check_recorded(description.variable(name, f"{where}.outputs"), description, name, where)
+    _check_roles(experiment, description, parameters)
+
+
+def _check_inputs(experiment: Experiment, description: ModelDescription, where: str) -> None:
+    refuse_repeated(f"{where}.inputs", [given.variable for given in experiment.inputs])
+    for given in experiment.inputs:
+        variable = description.variable(given.variable, f"{where}.inputs")
+        if variable.causality != "input":
+            inputs = [v.name for v in description.inputs()]
+            raise ProblemError(
+                f"{where}.inputs: {given.variable!r} must be an input of {description.file} "
+                f"but is of causality {variable.causality!r}{nearest(given.variable, inputs)}"
+            )
+        if variable.alias_of is not None:  # given under both names, which one would count?
+            raise ProblemError(
+                f"{where}.inputs: {given.variable!r} must be an input's own name but is "
+                f"another name of {variable.alias_of!r}; use that"
+            )
+
+
+def _check_recorded(
+    variable: ModelVariable, description: ModelDescription, name: str, where: str
+) -> None:
+    if variable.kind not in ("real", "integer", "boolean"):
+        raise ProblemError(
+            f"{where}.outputs: {name!r} must be a number of {description.file} but is of "
+            f"type {variable.kind}; choose another variable"
+        )
+    if variable.causality in ("parameter", "input", "independent"):
+        raise ProblemError(
+            f"{where}.outputs.{name}: must be a variable that {description.file} computes but is "
+            f"of causality {variable.causality!r}; choose an output or a local variable"
+        )
+
+
+def _check_structure(model: Model, variable: ModelVariable, value: Value, where: str) -> None:
+    chosen = dict(model.structure).get(variable.name, variable.start)
+    if variable.causality == "structuralParameter" and value != chosen:
+        raise ProblemError(
+            f"{where}.values: {variable.name!r} says how large arrays are, so it must be the same "
+            "in all experiments but is not; give it under values of the whole problem"
+        )
+
+
+def check_effects(
+    effects: Sequence[Effect],
+    description: ModelDescription,
+    model: Model,
+    experiments: Sequence[Experiment],
+) -> None:
+    """Resolve every effect against the FMU and the signals of every experiment."""
+    if not effects:
+        return
+    from workers.effects.definition import define
+
+    named = [tuple(given.variable for given in e.signals) for e in experiments]
+    every = tuple(dict.fromkeys(name for names in named for name in names))
+    for effect in effects:
+        uses = define(effect, description, model.interface, every).uses
+        for experiment, names in zip(experiments, named, strict=True):
+            for name in uses:
+                if name in every and name not in names:
+                    raise ProblemError(
+                        f"experiment {experiment.id!r}.signals: must have {name!r}, on which "
+                        f"effect {effect.name!r} depends, but has not{nearest(name, names)}"
+                    )
+
+
+def check_signals(experiment: Experiment, description: ModelDescription) -> None:
+    """Refuse signals whose names mean something else already."""
+    where = f"experiment {experiment.id!r}.signals"
+    for given in experiment.signals:
+        name = given.variable
+        if name in description.variables:
+            raise ProblemError(
+                f"{where}.{name}: must not be the name of a variable of {description.file} but "
+                "is; choose another, or put it under inputs if it is an input of the model"
+            )
+        if name in ("t", "s"):
+            raise ProblemError(
+                f"{where}.{name}: must not be named t or s, which are the time and the signal at "
+                "an effect's site; choose another name"
+            )
+    refuse_repeated(where, [given.variable for given in experiment.signals])
+
+
+def _check_start(description: ModelDescription, name: str, where: str, *, real: bool) -> None:
+    variable = description.variable(name, where)
+    if not variable.settable:
+        raise ProblemError(
+            f"{where}: {name!r} must be a variable whose start value can be set, but "
+            f"{description.file} computes it ({variable.causality}); choose a parameter or an "
+            "initial state"
+        )
+    if real and variable.kind != "real":
+        raise ProblemError(
+            f"{where}: {name!r} must be a real variable to be estimated but is of type "
+            f"{variable.kind}; give it as a known value instead"
+        )
+
+
+def _check_roles(
+    experiment: Experiment, description: ModelDescription, parameters: Sequence[Parameter]
+) -> None:
+    """Refuse variables that are given twice, and values that their type cannot hold."""
+    where = f"experiment {experiment.id!r}"
+    targets = {p.target: p.name for p in parameters}
+    driven = {given.variable for given in experiment.inputs}
+    for given in experiment.inputs:
+        if given.variable in targets:
+            raise ProblemError(
+                f"{where}.inputs.{given.variable}: must not be estimated too but is "
+                f"parameters.{targets[given.variable]}; remove one of the two"
+            )
+    for name, value in experiment.values:
+        if name in driven:
+            raise ProblemError(
+                f"{where}.values.{name}: must not be an input of the same experiment but is; "
+                "remove one of the two"
+            )
+        check_value(f"{where}.values.{name}", description.variables[name], value)
+
+
+def check_value(where: str, variable: ModelVariable, value: Value) -> None:
+    """Refuse a value that the type of a variable cannot hold; `where` opens the message."""
+    truth, text, kind = isinstance(value, bool), isinstance(value, str), variable.kind
+    number = not truth and not text
+    low, high, called = _whole_numbers(variable.type)
+    fits = {
+        "real": number,
+        "integer": number and float(value).is_integer() and low <= float(value) <= high,
+        "boolean": truth or (number and value in (0, 1)),
+        "string": text,
+    }
+    if not fits.get(kind, False):
+        must = {"integer": called, "boolean": "true or false", "string": "a text"}
+        raise ProblemError(
+            f"{where}: must be {must.get(kind, 'a number')}, because the variable is of type "
+            f"{kind}, but is {shown(value)}"
+        )
+
+
+def _whole_numbers(type_: str) -> tuple[float, float, str]:
+    """The least and the greatest of an FMI type, and what they are called."""
+    bits = int(re.sub(r"\D", "", type_) or 64)
+    most = min(bits, 53)  # beyond that, not every one is a float64
+    if type_.startswith("U"):
+        return 0.0, 2.0**most - 1, f"a whole number of {bits} bits that is not negative"
+    return -(2.0 ** (most - 1)), 2.0 ** (most - 1) - 1, f"a whole number of {bits} bits"

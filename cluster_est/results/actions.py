@@ -1,0 +1,94 @@
+"""Save, report and export a result from Python, as the command line does.
+
+Results stand below the rooms that do this. They reach up from here alone, by imports when they are
+asked to: the one exception to the rule that imports run down.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cluster_est.errors import ProblemError
+from workers.messages.checks import shown
+
+if TYPE_CHECKING:
+    from cluster_est.closed_loop.findings.result import LoopResult
+    from cluster_est.export.write import ExportResult
+    from cluster_est.results.result import Result
+
+NO_CONFIG = "# saved from Python: there is no config\n"
+
+
+def save(result: Result | LoopResult, folder: str | Path, *, overwrite: bool) -> Path:
+    """Write a run folder, without a log of its simulations.
+
+    Raises
+    ------
+    RunFolderError
+        If the folder holds something already or cannot be written.
+    """
+    from cluster_est.results.result import Result
+    from cluster_est.run_folder.folder import RunFolder
+    from cluster_est.run_folder.run_identity import RunIdentity, RunKind
+
+    path = _path(folder, "folder")
+    fitted = result if isinstance(result, Result) else result.after
+    kind = RunKind.FIT if isinstance(result, Result) else RunKind.CLOSED_LOOP
+    identity = RunIdentity(kind, fitted.problem, NO_CONFIG, "", fitted.seed)
+    RunFolder(path, identity, overwrite=overwrite).write(result)
+    return path
+
+
+def report(result: Result | LoopResult, path: str | Path) -> Path:
+    """Write the report of a result: one HTML file.
+
+    Raises
+    ------
+    RunFolderError
+        If it cannot be written.
+    """
+    from cluster_est.report import write_report
+
+    path = _path(path, "path")
+    with tempfile.TemporaryDirectory() as folder:
+        run = save(result, Path(folder) / (path.stem or "run"), overwrite=False)
+        return write_report(run, path)
+
+
+def export(
+    result: Result | LoopResult,
+    fmu: str | Path | None,
+    ssv: str | Path | None,
+    *,
+    modelica: bool,
+    text: bool,
+    experiment: str | None,
+) -> ExportResult:
+    """Write the model with its estimates and effects, as `cluster-est export` does.
+
+    Raises
+    ------
+    ClusterEstError
+        If nothing is asked for, or a file cannot be written.
+    """
+    from cluster_est.export.repair import repaired
+    from cluster_est.export.write import ExportRequest, check_request, write_forms
+    from cluster_est.results.result import Result
+
+    wanted = ExportRequest(
+        None if fmu is None else _path(fmu, "fmu"),
+        None if ssv is None else _path(ssv, "ssv"),
+        modelica,
+        text,
+    )
+    check_request(wanted)
+    fitted = result if isinstance(result, Result) else result.after
+    return write_forms(repaired(fitted.problem, fitted.estimates, experiment), wanted)
+
+
+def _path(path: str | Path, name: str) -> Path:
+    if not isinstance(path, str | Path) or not str(path):
+        raise ProblemError(f"{name}: must be a path but is {shown(path)}")
+    return Path(path)

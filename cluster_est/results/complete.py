@@ -1,0 +1,141 @@
+"""From a solution to a result: test records, errors, tables and intervals."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.methods.base import Method, Solution
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.results import rows
+from cluster_est.results.output_errors import Simulation, output_errors
+from cluster_est.results.result import Result
+from cluster_est.running.evaluation import judge
+from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.search_state import suited
+from cluster_est.uncertainty import Uncertainty, assess, intervals
+
+BEFORE_BYTES = 2**28
+"""Of all trajectories at the start values together: more are not kept until the end of a fit."""
+
+
+def complete(
+    runner: Runner,
+    train: SearchSpace,
+    solution: Solution,
+    method: Method,
+    before: list[Simulation],
+    *,
+    units: dict[str, str],
+    seed: int,
+    begin: float,
+    uncertainty: Uncertainty | None = None,
+) -> Result:
+    """Make the result of a search on the training experiments.
+
+    Parameters
+    ----------
+    runner
+        Where the simulations run that this still needs.
+    train, solution
+        The search's space and what it found there.
+    method
+        For what belongs to test records alone.
+    before
+        Every experiment at the start values.
+    units
+        Of the FMU's variables.
+    seed, begin
+        Of the run; `begin` is a reading of the monotonic clock.
+    uncertainty
+        The solution's; from its Jacobian alone if None.
+    """
+    problem = train.problem
+    units = units | rows.coefficient_units(problem)
+    test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
+    test_solution = _fit_test_records(runner, method, test, seed)
+    known = train.estimates(solution.x)
+    if test_solution is not None:
+        known |= test.estimates(test_solution.x)
+    after = simulate_all(runner, problem, known)
+    solution = _whole(train, solution, method, after)
+    if test_solution is not None:
+        test_solution = _whole(test, test_solution, method, after)
+    uncertainty = uncertainty or assess(train, solution)
+    estimates = rows.estimates(train, solution, "train", units, uncertainty.intervals)
+    estimates += rows.fixed(problem, units) + rows.derived(train, solution, units, uncertainty)
+    if test_solution is not None:
+        found = intervals(test, test_solution)
+        estimates += rows.estimates(test, test_solution, "test", units, found)
+    return Result(
+        problem=problem,
+        estimates=tuple(estimates),
+        solution=solution,
+        test_solution=test_solution,
+        cost_before=_cost(problem, before),
+        cost=_cost(problem, after),
+        errors=output_errors(problem, before, after, units),
+        simulations=tuple(after),
+        evaluations=runner.evaluations,
+        simulated=runner.simulations,
+        failures=runner.failures,
+        seconds=time.monotonic() - begin,
+        constraints=rows.constraints(train, solution, before, after),
+        front=rows.points(train, solution.others),
+        uncertainty=uncertainty,
+        before=_kept(before),
+        seed=seed,
+    )
+
+
+def _kept(simulations: list[Simulation]) -> tuple[Simulation, ...]:
+    """The simulations that are drawn later, if they are no burden."""
+    paths = [s.outcome.trajectory for s in simulations]
+    if sum(path.values.nbytes for path in paths if path is not None) > BEFORE_BYTES:
+        return ()
+    return tuple(replace(s, outcome=replace(s.outcome, residuals=None)) for s in simulations)
+
+
+def _fit_test_records(
+    runner: Runner, method: Method, space: SearchSpace, seed: int
+) -> Solution | None:
+    """Estimate what belongs to test records alone. None if there is nothing to estimate."""
+    if space.size == 0 or runner.interrupted:
+        return None
+    (solution,) = runner.run([SearchRequest("test", method, space, seed)])
+    return solution
+
+
+def simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> list[Simulation]:
+    """Every experiment once, at values given by label, else at the start values."""
+    everything = tuple(range(len(problem.experiments)))
+    space = make_space(problem, everything, known)
+    name = "after" if known else "before"
+    values = space.physical(space.start)
+    outcomes = runner.simulate(values, everything, "trajectory", name, problem.effects)
+    return [Simulation(e, outcome) for e, outcome in zip(everything, outcomes, strict=True)]
+
+
+def _whole(
+    space: SearchSpace, solution: Solution, method: Method, after: list[Simulation]
+) -> Solution:
+    """The solution with every residual at its point, where its search was sent reduced ones."""
+    if solution.at is None or suited(space, method).wants == space.wants:
+        return solution
+    outcomes = tuple(replace(after[e].outcome, trajectory=None) for e in space.experiments)
+    at = judge(space, solution.x, outcomes, solution.at.index)
+    return replace(solution, cost=at.cost, at=at) if at.ok else solution
+
+
+def _cost(problem: Problem, simulations: list[Simulation]) -> float:
+    """The cost of the training experiments; NaN if one of them failed."""
+    chosen = {s.experiment: s.outcome.residuals for s in simulations}
+    space = make_space(problem, problem.indices("train"))
+    residuals = [chosen[e] for e in space.experiments]
+    known = [r for r in residuals if r is not None]
+    if len(known) < len(residuals):
+        return np.nan
+    return problem.cost.value(np.concatenate(known), space.outputs)

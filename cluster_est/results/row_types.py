@@ -1,0 +1,98 @@
+"""The rows of the tables of a fit, one class each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One estimated number, a row of parameters.parquet.
+
+    Attributes
+    ----------
+    label
+        "k", or "x0[exp5]" where the parameter has a value of its own there.
+    parameter, variable, unit
+        The parameter that it belongs to, the FMU's name and unit for it.
+    scope
+        "shared", or the experiment or group that the value is for.
+    value, start, lower, upper
+        Physical values.
+    std_error, lower95, upper95
+        NaN where the data do not determine the value, or hold it at a bound.
+    at_bound
+        "lower", "upper" or "".
+    difference_step
+        Step of the last finite difference, in search coordinates; NaN if there was none.
+    estimated_on
+        "train", or "test" for a value that belongs to a test record alone; "known" if fixed,
+        "derived" if it follows from others.
+    """
+
+    label: str
+    parameter: str
+    variable: str
+    unit: str
+    scope: str
+    value: float
+    start: float
+    lower: float
+    upper: float
+    scale: str
+    at_bound: str
+    std_error: float
+    lower95: float
+    upper95: float
+    difference_step: float
+    estimated_on: str
+
+
+@dataclass(frozen=True)
+class ConstraintValue:
+    """One constraint, a row of constraints.parquet.
+
+    `before` and `after` are at the start and at the estimates, in units of the constraint's scale:
+    at most 0 where `kind` is "<= 0", 0 where it is "= 0". NaN where a simulation failed.
+    """
+
+    constraint: str
+    kind: str
+    before: float
+    after: float
+    satisfied: bool
+
+
+@dataclass(frozen=True)
+class StartResult:
+    """One start of several, a row of starts.parquet.
+
+    Attributes
+    ----------
+    start
+        Its number; 0 is the parameters' own.
+    cost, ending, iterations
+        Of its search.
+    minimum
+        Number of the minimum that it reached, 0 being the best; -1 if it reached none.
+    """
+
+    start: int
+    cost: float
+    ending: str
+    iterations: int
+    minimum: int
+
+
+@dataclass(frozen=True)
+class PointValue:
+    """A value at one of several points worth keeping, a row of minima.parquet or front.parquet.
+
+    `point` numbers them, the best first; `objectives` are costs kept apart.
+    """
+
+    point: int
+    label: str
+    value: float
+    cost: float
+    objectives: tuple[float, ...] = ()

@@ -1,0 +1,127 @@
+"""Checks of what a user hands to `fit`, `simulate`, `residuals` and `close_loop`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from typing import get_args
+
+from cluster_est.errors import ProblemError
+from cluster_est.executors import EXECUTORS
+from cluster_est.methods import ALIASES, METHODS, Method
+from cluster_est.problem.options import check_options
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import make_space
+from cluster_est.running.multistart import Multistart, Sampler
+from cluster_est.running.resources import Resources
+from cluster_est.running.runner import Budget
+from workers.fmu.description import nearest
+from workers.messages import Limits
+from workers.messages.checks import check_choice, check_kind, check_number, shown
+
+
+def check_problem(problem: object) -> None:
+    """Refuse what is no problem.
+
+    Raises
+    ------
+    ProblemError
+        Saying how to make one.
+    """
+    advice = ""
+    if isinstance(problem, str | PathLike):
+        advice = f"; use read_problem({shown(str(problem))})"
+    elif type(problem).__name__ == "Config":
+        advice = "; use build_problem(config, folder)"
+    check_kind(problem, Problem, "problem", ProblemError, advice)
+
+
+def check_resources(resources: Resources) -> None:
+    """Refuse an executor that there is not, and numbers out of their range, as a config does.
+
+    Raises
+    ------
+    ProblemError
+        If there is one.
+    """
+    advice = f"; write Resources({resources!r})" if isinstance(resources, str) else ""
+    check_kind(resources, Resources, "resources", ProblemError, advice)
+    if resources.executor not in EXECUTORS:
+        name = str(resources.executor)
+        raise ProblemError(
+            f"executor.name: there is no {resources.executor!r}{nearest(name, EXECUTORS)}"
+        )
+    if resources.workers is not None:
+        check_number(resources.workers, "executor.workers", ProblemError, above=0, whole=True)
+    if resources.address is not None:
+        check_kind(resources.address, str, "executor.address", ProblemError)
+    check_kind(resources.budget, Budget, "budget", ProblemError)
+    check_kind(resources.limits, Limits, "executor", ProblemError)
+    budget = resources.budget
+    if budget.evaluations is not None:
+        check_number(budget.evaluations, "budget.evaluations", ProblemError, above=0, whole=True)
+    if budget.seconds is not None:
+        check_number(budget.seconds, "budget.seconds", ProblemError, above=0.0)
+
+
+def method_of(method: Method | str) -> Method:
+    """The method, or that of a name as a config may call it.
+
+    Raises
+    ------
+    ProblemError
+        If there is none of that name.
+    """
+    if isinstance(method, str):
+        name = ALIASES.get(method, method)
+        if name not in METHODS:
+            raise ProblemError(f"method.name: there is no {method!r}{nearest(method, METHODS)}")
+        return METHODS[name]()
+    check_kind(method, Method, "method", ProblemError, "; give a method or its name")
+    check_options(method, "method.options", ProblemError)
+    return method
+
+
+def check_multistart(multistart: Multistart) -> None:
+    """Refuse starts that cannot be, as a config does.
+
+    Raises
+    ------
+    ProblemError
+        If they cannot.
+    """
+    advice = f"; write Multistart({multistart!r})" if isinstance(multistart, int) else ""
+    check_kind(multistart, Multistart, "multistart", ProblemError, advice)
+    points = multistart.points
+    if isinstance(points, Mapping) or not all(isinstance(point, Mapping) for point in points):
+        raise ProblemError(
+            f"multistart.points: must be a list of dicts but is {shown(points)}; write "
+            "[{parameter: value}, ...]"
+        )
+    for name in ("n", "screen", "at_once"):
+        value = getattr(multistart, name)
+        check_number(value, f"multistart.{name}", ProblemError, above=0, whole=True)
+    for name in ("patience", "seed"):
+        value = getattr(multistart, name)
+        check_number(value, f"multistart.{name}", ProblemError, least=0, whole=True)
+    check_number(multistart.same, "multistart.same", ProblemError, above=0.0)
+    check_choice(multistart.sampler, get_args(Sampler), "multistart.sampler", ProblemError)
+
+
+def check_values(problem: Problem, values: Mapping[str, float]) -> None:
+    """Refuse values of what is not estimated.
+
+    Raises
+    ------
+    ProblemError
+        If a label is unknown, or its value no finite number.
+    """
+    check_kind(values, Mapping, "values", ProblemError, "; write {name: value}")
+    labels = [u.label for u in make_space(problem, tuple(range(len(problem.experiments)))).unknowns]
+    for name, value in values.items():
+        if name not in labels:
+            raise ProblemError(
+                f"values.{name}: must be named as an unknown of the problem but is not"
+                f"{nearest(str(name), labels)}"
+            )
+        check_number(value, f"values.{name}", ProblemError)

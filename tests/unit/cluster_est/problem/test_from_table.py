@@ -1,0 +1,157 @@
+"""Experiments from tables in memory: the same signals, and the same sentences, as from a file."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+
+import cluster_est as ce
+from cluster_est.errors import DataError
+
+COLUMNS = {
+    "t": [0.0, 0.5, 1.0, 1.5],
+    "force": [1, 2, 3, 4],
+    "position": [0.0, np.nan, 0.2, 0.3],
+    "words": ["1.5", "2", "x", ""],
+    "when": pd.to_timedelta([0, 1, 2, 3], unit="s"),
+}
+GIVEN = {"id": "a", "time": "t", "inputs": {"F": "force"}, "outputs": {"y": "position"}}
+
+
+class FromAnotherLibrary:
+    """A table that offers nothing but the Arrow stream, as those of polars do."""
+
+    def __init__(self, table):
+        self._table = table
+
+    def __arrow_c_stream__(self, requested_schema=None):
+        return self._table.__arrow_c_stream__(requested_schema)
+
+
+def polars_frame():
+    polars = pytest.importorskip("polars")
+    return polars.DataFrame({name: COLUMNS[name] for name in ("t", "force", "position")})
+
+
+TABLES = {
+    "dict": lambda: COLUMNS,
+    "pandas": lambda: pd.DataFrame(COLUMNS),
+    "pandas with the time as index": lambda: pd.DataFrame(COLUMNS).set_index("t"),
+    "pyarrow": lambda: pa.Table.from_pandas(pd.DataFrame(COLUMNS)),
+    "stream": lambda: FromAnotherLibrary(pa.Table.from_pandas(pd.DataFrame(COLUMNS))),
+    "polars": polars_frame,
+}
+
+
+def written(folder):
+    path = folder / "run.csv"
+    pd.DataFrame(COLUMNS).drop(columns="when").to_csv(path, index=False)
+    return path
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_every_kind_of_table_makes_what_a_file_makes(name, tmp_path):
+    expected = ce.Experiment.from_table(written(tmp_path), **GIVEN)
+    found = ce.Experiment.from_table(TABLES[name](), **GIVEN)
+    assert found.key == expected.key
+    assert found.stop == 1.5
+    assert found.outputs[0].times.tolist() == [0.0, 1.0, 1.5]  # an empty cell is not measured
+    assert found.inputs[0].values.tolist() == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_its_options_are_those_of_a_config():
+    found = ce.Experiment.from_table(
+        COLUMNS,
+        id="a",
+        sample_time=0.1,
+        rows=(1, 4),
+        inputs={"F": {"column": "force", "interpolation": "hold"}},
+        outputs=["position"],
+        signals={"sun": "force"},
+        sigma={"position": 0.1},
+        columns={"force": {"factor": 10.0, "offset": 1.0, "demean": True}},
+        start=0.05,
+        values={"m": 2.0},
+        role="test",
+        groups={"size": "big"},
+    )
+    assert found.inputs[0].interpolation == "hold"
+    assert found.inputs[0].values.tolist() == [-9.0, 1.0, 11.0]
+    assert found.outputs[0].sigma == 0.1
+    assert found.outputs[0].values.tolist() == [0.2, 0.3]
+    assert found.start == 0.05
+    assert found.signals[0].variable == "sun"
+    assert (found.role, found.values, found.groups) == (
+        "test",
+        (("m", 2.0),),
+        (("size", "big"),),
+    )
+
+
+REFUSED = [
+    ({"outputs": {"y": "positon"}}, "has no column 'positon'; did you mean 'position'?"),
+    ({"outputs": {"y": "words"}}, "column 'words', row 3: must be a number but is 'x'"),
+    ({"time": "position"}, "row 2: the time must be a finite number but is nan"),
+    ({"outputs": {}}, "experiment 'a'.outputs is missing; add it"),
+    ({"time": None}, "must have either time (a column) or sample_time (seconds) but has neither"),
+    (
+        {"sample_time": 1.0},
+        "must have either time (a column) or sample_time (seconds) but has both",
+    ),
+    ({"sigma": {"q": 1.0}}, "sigma.q: must be named as one of its outputs but is not"),
+    ({"sigma": 0.0}, "sigma.y: must be greater than 0 but is 0"),
+    ({"columns": {"q": {}}}, "columns: the table has no column 'q'"),
+    ({"columns": {"force": {"factr": 1}}}, "columns.force: unknown key factr; did you mean"),
+    ({"columns": {"force": 3}}, "columns.force: must be a Mapping but is 3; write"),
+    ({"columns": {"force": {"factor": "3"}}}, "columns.force.factor: must be a number but is '3'"),
+    ({"rows": (0, 9)}, "rows: must lie within the 4 rows of the table but is [0, 9]"),
+    ({"rows": (2, 1)}, "rows: must be [from, to] with from below to but is [2, 1]"),
+    ({"rows": 3}, "rows: must be a Sequence but is 3; write (from, to)"),
+    ({"rows": (0, 1)}, "must use at least two rows of the table but uses 1; check rows"),
+    ({"rows": (1, 2), "time": None, "sample_time": 1.0}, "must use at least two rows"),
+    ({"start": 9.0}, "start: must be before stop, 1.5 s, but is 9 s; change one, or leave both"),
+    ({"start": "0"}, "start: must be a number but is '0'"),
+    ({"time": 3}, "time: must be text but is 3"),
+    ({"outputs": "y"}, "outputs: must be a list of text but is one alone; put it in brackets"),
+    ({"inputs": {"F": 3}}, "inputs.F: must be a column's name or {column, interpolation} but is 3"),
+    ({"inputs": {"F": {"column": "force", "how": 1}}}, "inputs.F: unknown key how"),
+    ({"id": ""}, "experiment.id: must not be empty"),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), REFUSED)
+def test_what_is_wrong_is_said(change, said):
+    with pytest.raises(DataError, match=re.escape(said)):
+        ce.Experiment.from_table(COLUMNS, **GIVEN | change)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        (COLUMNS | {"position": [1.0]}, "must have as many rows as the time, 4, but has 1"),
+        (COLUMNS | {"t": [0.0, 1.0, 1.0, 2.0]}, "row 3: times must increase but 1 repeats 1"),
+        (COLUMNS | {"position": [np.nan] * 4}, "must hold at least one number but is empty"),
+        (COLUMNS | {"force": [1.0, np.inf, 1.0, 1.0]}, "row 2: must be a finite number but is inf"),
+        (COLUMNS | {"force": [1, "a", 2.0, 3]}, "column 'force': must hold numbers but cannot be"),
+        (COLUMNS | {"t": COLUMNS["when"]}, "must hold numbers but holds duration"),
+        (
+            pd.DataFrame([[0, 1, 2], [1, 2, 3], [2, 3, 4]], columns=["t", "force", "force"]),
+            "must be there once but 2 columns have that name",
+        ),
+        (3, "the table must be of pandas, polars or pyarrow, a dict of columns or a path"),
+        ("missing.csv", "there is no file missing.csv; check the path"),
+    ],
+)
+def test_a_wrong_table_is_said(table, said):
+    given = GIVEN | {"outputs": {"y": "force"}} if isinstance(table, pd.DataFrame) else GIVEN
+    with pytest.raises(DataError, match=re.escape(said)):
+        ce.Experiment.from_table(table, **given)
+
+
+def test_a_table_that_was_read_is_read_once(tmp_path):
+    table = ce.read_table(written(tmp_path))
+    assert ce.Experiment.from_table(table, **GIVEN).id == "a"

@@ -1,0 +1,172 @@
+"""Signals, experiments, models and solvers refuse what is none, in a sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+
+from workers.errors import DataError, EffectError, ModelError
+from workers.messages import Effect, Experiment, Input, Model, Output, Solver
+
+T = np.linspace(0.0, 1.0, 5)
+DRIVEN, MEASURED = Input("F", T, T), Output("y", T, T)
+
+
+class TestSamples:
+    def test_floats_are_kept_as_they_are(self):
+        assert Input("F", T, T).times is T
+
+    @pytest.mark.parametrize(
+        "given",
+        [
+            [1, 2],
+            (1.0, 2.0),
+            np.array([1, 2], np.int8),
+            np.array([1.0, 2.0], ">f4"),
+            np.array([1, 2], object),
+            pd.Series([1, 2], index=[7, 8]),
+            pd.Series([1, 2], dtype="Int64"),
+            pa.array([1, 2]),
+        ],
+    )
+    def test_what_holds_numbers_becomes_floats(self, given):
+        values = Output("y", [0, 1], given).values
+        assert values.dtype == np.float64
+        assert values.tolist() == [1.0, 2.0]
+
+    @pytest.mark.parametrize(
+        ("times", "values", "said"),
+        [
+            ([0, 2, 1], [1, 2, 3], "times, index 2: times must increase but 1 goes back from 2"),
+            ([0, 1, 1], [1, 2, 3], "times, index 2: times must increase but 1 repeats 1"),
+            ([0, np.nan], [1, 2], "times, index 1: the time must be a finite number but is nan"),
+            ([0, 1], [1, np.nan], "values, index 1: must be a finite number but is nan; mend it"),
+            ([0, 1], [1, None], "values, index 1: must be a finite number but is nan; mend it"),
+            ([0, 1], pd.Series([1, pd.NA]), "values, index 1: must be a finite number but is nan"),
+            ([0, 1], np.ma.array([1, 2], mask=[1, 0]), "values, index 0: must be a finite number"),
+            ([0, 1], [1, -np.inf], "values, index 1: must be a finite number but is -inf"),
+            ([0, 1], [1], "values: must have as many rows as the time, 2, but has 1"),
+            ([0, 1], ["1", "2"], "values: must hold numbers but holds <U1; convert it"),
+            ([0, 1], np.array([1, "b"], object), r"values\[1\]: must be a number but is 'b'"),
+            ([0, 1], [1, 2j], "values: must hold numbers but holds complex128"),
+            ([0, 1], [[1], [2]], r"values: must be a list of numbers but is of shape \(2, 1\)"),
+            ([0, 1], [[1], [2, 3]], "values: must hold numbers but cannot be read"),
+            (0, 1, "times: must be a list of numbers but is a number alone"),
+            (
+                pd.date_range("2020", periods=2),
+                [1, 2],
+                r"times: must hold numbers but holds datetime64",
+            ),
+        ],
+    )
+    @pytest.mark.parametrize("kind", [Input, Output])
+    def test_what_is_no_measurement_is_refused(self, kind, times, values, said):
+        with pytest.raises(DataError, match=f"^(input|output) 'y'.{said}"):
+            kind("y", times, values)
+
+    def test_an_input_has_samples(self):
+        with pytest.raises(DataError, match=r"input 'F': must have at least one sample"):
+            Input("F", [], [])
+
+    def test_an_output_may_have_none_left(self):
+        assert len(Output("y", [], []).times) == 0
+
+    @pytest.mark.parametrize("sigma", [0, -1.0, np.nan, np.inf, "1", None, T, True])
+    def test_sigma_is_a_positive_number(self, sigma):
+        with pytest.raises(DataError, match=r"output 'y'\.sigma: must be "):
+            Output("y", T, T, sigma)
+
+    def test_arguments_in_another_order_are_seen(self):
+        with pytest.raises(DataError, match=r"input\.variable: must be text but is array"):
+            Input(T, T, "F")
+
+    def test_the_interpolation_is_one_of_two(self):
+        with pytest.raises(DataError, match="must be 'linear' or 'hold' but is 'cubic'"):
+            Input("F", T, T, "cubic")
+
+
+class TestExperiment:
+    def test_lists_and_dicts_make_the_same_as_tuples(self):
+        plain = Experiment("a", 0.0, 1.0, (DRIVEN,), (MEASURED,), (("m", 1.0),))
+        listed = Experiment("a", 0.0, 1.0, [DRIVEN], [MEASURED], {"m": 1.0})
+        assert listed.key == plain.key
+        assert listed.values == plain.values
+
+    @pytest.mark.parametrize(
+        ("change", "said"),
+        [
+            ({"inputs": DRIVEN}, "inputs: must be a list of Input but is one alone"),
+            ({"inputs": [MEASURED]}, r"inputs\[0\]: must be an Input but is Output"),
+            ({"start": 2.0}, "start: must be before stop, 1 s, but is 2 s; change one"),
+            ({"start": "0"}, "start: must be a number but is '0'"),
+            ({"stop": np.nan}, "stop: must be a finite number but is nan"),
+            ({"stop": 0.5}, "outputs.y: its times must lie between start, 0 s, and stop, 0.5 s"),
+            ({"start": 0.5}, "outputs.y: its times must lie between start, 0.5 s, and stop, 1 s"),
+            ({"role": "training"}, "role: must be 'train' or 'test' but is 'training'"),
+            ({"values": {"m": np.nan}}, "values.m: must be a finite number, true, false or a text"),
+            ({"values": "m"}, "values: must be a dict but is 'm'; write"),
+            ({"values": [("m", 1, 2)]}, r"values: must hold pairs \(name, value\)"),
+            ({"groups": 1}, "groups: must be a dict but is 1"),
+        ],
+    )
+    def test_what_contradicts_itself_is_refused(self, change, said):
+        given = {"id": "a", "start": 0.0, "stop": 1.0, "inputs": [DRIVEN], "outputs": [MEASURED]}
+        with pytest.raises(DataError, match=f"^experiment 'a'.{said}"):
+            Experiment(**given | change)
+
+    @pytest.mark.parametrize("id_", [1, "", None])
+    def test_its_id_is_text(self, id_):
+        with pytest.raises(DataError, match=r"experiment\.id: must"):
+            Experiment(id_, 0.0, 1.0, [DRIVEN], [MEASURED])
+
+
+class TestModel:
+    @pytest.mark.parametrize(
+        ("change", "said"),
+        [
+            ({"interface": "modelexchange"}, "interface: must be 'model_exchange' or 'co_sim"),
+            ({"archive": "a.fmu"}, r"archive: must be the bytes .* use cluster_est.read_model\("),
+            ({"archive": Path("a.fmu")}, "archive: must be the bytes of an FMU but is the path"),
+            ({"archive": 3}, "archive: must be a bytes but is 3"),
+            ({"solver": "cvode"}, r"must be a Solver but is 'cvode'; write Solver\('cvode'\)"),
+            ({"solver": Solver("fmu")}, "must be dormand_prince, rk4 or cvode for model_exchange"),
+            ({"parameters": "m"}, "parameters: must be a list of text but is one alone"),
+            ({"parameters": [1]}, r"parameters\[0\]: must be text but is 1"),
+            ({"renew": "never"}, "reset: must be 'auto', 'reset', 'instance' or 'process'"),
+        ],
+    )
+    def test_what_cannot_be_is_refused(self, change, said):
+        given = {
+            "name": "a.fmu",
+            "archive": b"",
+            "interface": "model_exchange",
+            "solver": Solver("rk4"),
+            "parameters": ("m",),
+        }
+        with pytest.raises(ModelError, match=f"^model.*{said}"):
+            Model(**given | change)
+
+    @pytest.mark.parametrize(
+        ("given", "said"),
+        [
+            ({"name": "ode45"}, "solver: must be 'dormand_prince', 'rk4', 'cvode' or 'fmu' but is"),
+            ({"name": "rk4", "step": 0}, "step: must be greater than 0 but is 0"),
+            ({"name": "rk4", "rtol": "1e-3"}, "rtol: must be a number but is '1e-3'"),
+            ({"name": "rk4", "rtol": 1.0}, "rtol: must be less than 1 but is 1"),
+            ({"name": "rk4", "max_steps": 1e6}, "max_steps: must be a whole number but is 1000000"),
+        ],
+    )
+    def test_a_solver_that_cannot_be_is_refused(self, given, said):
+        with pytest.raises(ModelError, match=f"^model.{said}"):
+            Solver(**given)
+
+
+def test_an_effect_has_a_name_and_a_site():
+    with pytest.raises(EffectError, match=r"effect\.name: must be text but is 1"):
+        Effect(1, "der(v)")
+    with pytest.raises(EffectError, match=r"effect 'f'\.variables: must be a list of text"):
+        Effect("f", "der(v)", "linear", "x")

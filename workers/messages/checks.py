@@ -1,0 +1,142 @@
+"""Checks of what a user hands over: one value, one choice, a list of one kind.
+
+Each raises an error of the class that it is given, in a sentence that says where, what it must be,
+what it is and what to do.
+"""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+from workers.errors import ClusterEstError
+
+Item = TypeVar("Item")
+
+
+def shown(value: object) -> str:
+    """A value as a message shows it: on one line and not too long."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # Python refuses to write integers of thousands of digits
+        return "a number of thousands of digits"
+    return text if len(text) < 60 else text[:57] + "..."
+
+
+def is_number(value: object) -> bool:
+    """True for a real number; true and false are none."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
+def check_number(
+    value: object,
+    where: str,
+    error: type[ClusterEstError],
+    *,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    below: float = math.inf,
+    whole: bool = False,
+) -> None:
+    """Refuse what is no finite number, or not in a range.
+
+    Parameters
+    ----------
+    value
+        To be checked.
+    where
+        Opens the message.
+    error
+        What is raised.
+    above, least, below
+        It must be greater than `above`, at least `least` and less than `below`.
+    whole
+        Whether it must be a whole number.
+    """
+    kind = "a whole number" if whole else "a number"
+    if not is_number(value) or (whole and not isinstance(value, numbers.Integral)):
+        raise error(f"{where}: must be {kind} but is {shown(value)}")
+    number = float(value)  # type: ignore[arg-type]
+    if not math.isfinite(number):
+        raise error(f"{where}: must be a finite number but is {number}")
+    if not number > above:
+        raise error(f"{where}: must be greater than {above:g} but is {number:g}")
+    if not number >= least:
+        raise error(f"{where}: must be at least {least:g} but is {number:g}")
+    if not number < below:
+        raise error(f"{where}: must be less than {below:g} but is {number:g}")
+
+
+def check_choice(
+    value: object, choices: Iterable[str], where: str, error: type[ClusterEstError]
+) -> None:
+    """Refuse what is not among the choices."""
+    names = tuple(choices)
+    if not isinstance(value, str) or value not in names:
+        listed = ", ".join(repr(name) for name in names[:-1])
+        must = f"{listed} or {names[-1]!r}" if listed else repr(names[-1])
+        raise error(f"{where}: must be {must} but is {shown(value)}")
+
+
+def check_name(value: object, where: str, error: type[ClusterEstError]) -> None:
+    """Refuse what is no text, or empty."""
+    if not isinstance(value, str):
+        raise error(f"{where}: must be text but is {shown(value)}")
+    if not value:
+        raise error(f"{where}: must not be empty but is; give it a name")
+
+
+def check_kind(
+    value: object, kind: type, where: str, error: type[ClusterEstError], advice: str = ""
+) -> None:
+    """Refuse what is not of a class, the class itself included."""
+    if isinstance(value, kind):
+        return
+    name = kind.__name__
+    if isinstance(value, type) and issubclass(value, kind):
+        raise error(f"{where}: must be {_a(name)} but is the class; call it: {value.__name__}(...)")
+    raise error(f"{where}: must be {_a(name)} but is {shown(value)}{advice}")
+
+
+def as_tuple(
+    values: Any, kind: type[Item], where: str, error: type[ClusterEstError]
+) -> tuple[Item, ...]:
+    """A list of one kind as a tuple."""
+    name = kind.__name__ if kind is not str else "text"
+    if isinstance(values, kind):
+        raise error(
+            f"{where}: must be a list of {name} but is one alone; put it in brackets: [...]"
+        )
+    if not isinstance(values, Iterable) or isinstance(values, str | bytes):
+        raise error(f"{where}: must be a list of {name} but is {shown(values)}")
+    found = values if type(values) is tuple else tuple(values)
+    for i, value in enumerate(found):
+        if not isinstance(value, kind):
+            raise error(f"{where}[{i}]: must be {_a(name)} but is {shown(value)}")
+    return found
+
+
+def as_pairs(values: Any, where: str, error: type[ClusterEstError]) -> tuple[tuple[str, Any], ...]:
+    """A dict, or pairs, as a tuple of pairs (name, value)."""
+    if hasattr(values, "items"):
+        values = values.items()
+    if not isinstance(values, Iterable) or isinstance(values, str | bytes):
+        raise error(f"{where}: must be a dict but is {shown(values)}; write {{name: value}}")
+    found = tuple(values) if type(values) is not tuple else values
+    for pair in found:
+        if not (isinstance(pair, tuple | list) and len(pair) == 2 and isinstance(pair[0], str)):
+            raise error(
+                f"{where}: must hold pairs (name, value) but holds {shown(pair)}; write "
+                "{name: value}"
+            )
+    return tuple(pair if type(pair) is tuple else tuple(pair) for pair in found)
+
+
+def _a(name: str) -> str:
+    if name == "text":
+        return name
+    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"

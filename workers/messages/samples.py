@@ -1,0 +1,84 @@
+"""Measured signals of an experiment: inputs and outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, get_args
+
+from workers.errors import DataError
+from workers.messages.checks import check_choice, check_name, check_number
+from workers.messages.signals import as_floats, check_finite, check_length, check_times
+from workers.messages.types import FloatArray, Interpolation
+
+
+@dataclass(frozen=True)
+class Input:
+    """A measured signal that drives an input variable of the FMU.
+
+    Before its first and after its last sample the signal keeps that sample's value. Times and
+    values may be given as arrays, lists or columns of a table.
+
+    Raises
+    ------
+    DataError
+        If times are not finite and increasing, or values not finite, or there are none.
+    """
+
+    variable: str
+    times: FloatArray = field(repr=False)
+    values: FloatArray = field(repr=False)
+    interpolation: Interpolation = "linear"
+
+    def __post_init__(self) -> None:
+        where = _check_samples(self, "input")
+        check_choice(
+            self.interpolation, get_args(Interpolation), f"{where}.interpolation", DataError
+        )
+        if not len(self.times):
+            raise DataError(
+                f"{where}: must have at least one sample but has none; leave the input out if "
+                "nothing was measured"
+            )
+
+
+@dataclass(frozen=True)
+class Output:
+    """A measured signal that an output variable of the FMU should follow.
+
+    Times and values may be given as arrays, lists or columns of a table; `sigma` is the standard
+    deviation of the noise, in the signal's unit.
+
+    Raises
+    ------
+    DataError
+        If times are not finite and increasing, values not finite, or sigma not positive.
+    """
+
+    variable: str
+    times: FloatArray = field(repr=False)
+    values: FloatArray = field(repr=False)
+    sigma: float = 1.0
+
+    def __post_init__(self) -> None:
+        where = _check_samples(self, "output")
+        check_number(self.sigma, f"{where}.sigma", DataError, above=0.0)
+
+
+def _check_samples(signal: Any, kind: str) -> str:
+    """Make times and values arrays, and refuse what is no measurement.
+
+    Returns
+    -------
+    str
+        The opening of messages about this signal.
+    """
+    check_name(signal.variable, f"{kind}.variable", DataError)
+    where = f"{kind} {signal.variable!r}"
+    times = as_floats(signal.times, f"{where}.times")
+    values = as_floats(signal.values, f"{where}.values")
+    object.__setattr__(signal, "times", times)  # a frozen class is changed while it is made alone
+    object.__setattr__(signal, "values", values)
+    check_length(values, times, f"{where}.values:")
+    check_times(times, f"{where}.times", "index {}".format)
+    check_finite(values, f"{where}.values")
+    return where
