@@ -23,6 +23,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.result import Result
 from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings
+from cluster_est.run_folder.lock import LOCK
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
 from cluster_est.run_folder.run_identity import FORMAT, versions
@@ -236,7 +237,9 @@ def only_begun(path: Path) -> bool:
     """Whether a folder holds what a run leaves that was killed before it simulated anything."""
     names = {each.name for each in path.iterdir()}
     log = path / "evaluations"
-    return "evaluations" in names and names <= BEGUN and log.is_dir() and not any(log.iterdir())
+    if "evaluations" not in names or not names <= BEGUN or not log.is_dir():
+        return False
+    return {each.name for each in log.iterdir()} <= {LOCK}
 
 
 def _status(result: Result) -> str:
