@@ -21,9 +21,9 @@ import numpy as np
 from closed_loop_benchmark.data import make
 from closed_loop_benchmark.problem import make_problem
 from closed_loop_benchmark.scenarios import all_scenarios
+from virtual_executor import VirtualExecutor
 
 import cluster_est as ce
-from cluster_est.executors.virtual import VirtualExecutor
 from cluster_est.methods.base import Method
 from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
 from cluster_est.methods.pattern_search.method import PatternSearch

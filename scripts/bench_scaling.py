@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from virtual_executor import VirtualExecutor
 
 from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Problem, Solver
-from cluster_est.executors.virtual import VirtualExecutor
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.run_folder.evaluation_log import EvaluationLog

@@ -164,7 +164,7 @@ class EvaluationLog:
         with self._writing:
             self._end_segment()
         if self._lock is not None:
-            os.close(self._lock)
+            self._lock.release()
             self._lock = None
 
     def _write_late(self) -> None:

@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.evaluation_log import EvaluationLog
+from cluster_est.run_folder.lock import LOCK
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
 from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunStatus, versions
@@ -223,7 +224,9 @@ def only_begun(path: Path) -> bool:
     """Return whether a folder holds only what a run leaves that was killed at its very start."""
     names = {each.name for each in path.iterdir()}
     log = path / "evaluations"
-    return "evaluations" in names and names <= BEGUN and log.is_dir() and not any(log.iterdir())
+    if "evaluations" not in names or not names <= BEGUN or not log.is_dir():
+        return False
+    return {each.name for each in log.iterdir()} <= {LOCK}
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

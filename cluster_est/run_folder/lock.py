@@ -1,44 +1,52 @@
-"""One process at a time in a log: a lock that is gone when its process is, however that ended."""
+"""One process at a time in a folder: the system's lock, and where it may not reach, a file.
+
+`filelock` locks a file in the folder: that lock is gone when its process is, however that ended. On
+some network drives other machines do not notice it, or there is none. Where that matters, a file
+says in addition who is at work; one that a process of this machine has left does not count, and
+whether that of another machine is still alive cannot be known.
+"""
 
 from __future__ import annotations
 
+import json
 import os
-import sys
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from filelock import BaseFileLock, FileLock, Timeout
+
 from cluster_est.errors import RunFolderError
 
-if sys.platform != "win32":
-    import fcntl
+LOCK = ".lock"
+SWEEP_LOCK, SWEEP_OWNER = ".sweep.flock", ".sweep.lock"
 
 
-def lock(folder: Path) -> int | None:
-    """Lock a folder until what this gives back is closed with `os.close`.
+def lock(folder: Path, name: str = LOCK) -> BaseFileLock | None:
+    """Lock a folder until what this returns is released or the process ends.
 
-    Some systems and network drives have no such locks: there, None comes back, or other machines
-    do not notice it.
+    Returns
+    -------
+    BaseFileLock | None
+        None where there are no such locks, as on some network drives and in folders that cannot be
+        written.
 
     Raises
     ------
     RunFolderError
         If another process has it.
     """
-    if sys.platform == "win32":
-        return None
-    opened = os.open(folder, os.O_RDONLY)
+    held = FileLock(folder / name, blocking=False, thread_local=False, fallback_to_soft=False)
     try:
-        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(opened)
+        held.acquire()
+    except Timeout:
         raise RunFolderError(
             f"{folder}: another process is at work here; wait for it or end it"
         ) from None
     except OSError:
-        os.close(opened)
         return None
-    return opened
+    return held
 
 
 @contextmanager
@@ -49,4 +57,67 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         if held is not None:
-            os.close(held)
+            held.release()
+
+
+@contextmanager
+def locked_by_sweep(folder: Path) -> Iterator[None]:
+    """Hold a folder for a sweep, also against sweeps on other machines that share it.
+
+    Raises
+    ------
+    RunFolderError
+        If another sweep has it, or it cannot be written.
+    """
+    owner = folder / SWEEP_OWNER
+    try:
+        held = lock(folder, SWEEP_LOCK)
+    except RunFolderError:
+        raise RunFolderError(
+            f"{folder}: another sweep is at work here ({_named(owner)}); wait for it or end it"
+        ) from None
+    try:
+        _own(owner, certain=held is not None)
+        try:
+            yield
+        finally:
+            owner.unlink(missing_ok=True)
+    finally:
+        if held is not None:
+            held.release()
+
+
+def _own(owner: Path, *, certain: bool) -> None:
+    """Write who is at work here, once, or in the place of a process of this machine that is gone.
+
+    It is gone for certain if the system's lock was free.
+    """
+    here = {"pid": os.getpid(), "host": socket.gethostname()}
+    try:
+        try:
+            with owner.open("x", encoding="utf-8") as file:
+                json.dump(here, file)
+        except FileExistsError:
+            if not certain or _read(owner).get("host") != here["host"]:
+                raise RunFolderError(
+                    f"{owner.parent}: another sweep is at work here ({_named(owner)}); wait for "
+                    f"it, or remove {owner} if that process is gone"
+                ) from None
+            owner.write_text(json.dumps(here), encoding="utf-8")
+    except OSError as error:
+        raise RunFolderError(
+            f"{owner.parent}: cannot be written ({error}); choose another"
+        ) from error
+
+
+def _named(owner: Path) -> str:
+    found = _read(owner)
+    return f"process {found.get('pid', '?')} on {found.get('host', '?')}"
+
+
+def _read(owner: Path) -> dict[str, object]:
+    try:
+        found = json.loads(owner.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -10,8 +10,8 @@ from typing import Any
 
 from cluster_est.configured_run import Listener
 from cluster_est.errors import ClusterEstError, ConfigError, RunFolderError
+from cluster_est.run_folder.lock import locked_by_sweep
 from cluster_est.run_folder.run_identity import RunStatus
-from cluster_est.sweep.lock import locked
 from cluster_est.sweep.matrix import SweepRun, read_sweep
 from cluster_est.sweep.pool import SharedPools
 from cluster_est.sweep.run import SweepSettings, check_run, do_sweep_run
@@ -101,7 +101,7 @@ def sweep(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RunFolderError(f"{out}: cannot be made ({error}); choose another") from error
-    with locked(out):
+    with locked_by_sweep(out):
         states = {p.run.name: status(out / p.run.name, p) for p in plan}
         again = FAILED if retry_failed else ()
         todo = [p for p in plan if states[p.run.name] in (NOT_RUN, *again)]

@@ -1,7 +1,6 @@
 """Dependencies of an FMU's shared library, read from its file, to explain why it does not load.
 
-The layout is that of the ELF specification (System V ABI, chapters 4 and 5); where libraries are
-searched for is from the manual page ld.so(8).
+pyelftools reads the file; where libraries are searched for is from the manual page ld.so(8).
 """
 
 from __future__ import annotations
@@ -9,17 +8,24 @@ from __future__ import annotations
 import os
 import platform
 import re
-import struct
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+
+from elftools.elf.dynamic import DynamicSegment, DynamicTag
+from elftools.elf.elffile import ELFFile
+from elftools.elf.enums import ENUM_E_MACHINE
 
 _CACHE = Path("/etc/ld.so.cache")
 _FOLDERS = ("/lib64", "/usr/lib64", "/lib", "/usr/lib", "/usr/local/lib")
-_LOAD, _DYNAMIC = 1, 2
-_NEEDED, _STRINGS, _RPATH, _RUNPATH = 1, 5, 15, 29
-_MACHINES = {3: "x86", 40: "arm", 62: "x86_64", 183: "aarch64", 243: "riscv64"}
+_MACHINES = {
+    "EM_386": "x86",
+    "EM_ARM": "arm",
+    "EM_X86_64": "x86_64",
+    "EM_AARCH64": "aarch64",
+    "EM_RISCV": "riscv64",
+}
 _TOO_NEW = re.compile(r"version `((?:GLIBC|GLIBCXX|CXXABI|GCC)_[\w.]+)' not found")
 _LICENCE = re.compile(r"licen[cs]|flex(lm|net)|check(ed)?[ -]?out", re.IGNORECASE)
 _REFUSAL = re.compile(
@@ -121,66 +127,34 @@ def _listed(names: tuple[str, ...] | list[str]) -> str:
 
 def _read(path: Path) -> _ElfLibrary | None:
     try:
-        return _parse(path.read_bytes())
-    except (OSError, struct.error, ValueError, IndexError, OverflowError):  # damaged in any way
+        with path.open("rb") as file:
+            return _parse(ELFFile(file))
+    except Exception:  # a damaged file may break the parser in any way; then nothing is known of it
         return None
 
 
-def _parse(data: bytes) -> _ElfLibrary | None:
-    if data[:4] != b"\x7fELF" or data[4] not in (1, 2) or data[5] not in (1, 2):
+def _parse(elf: ELFFile) -> _ElfLibrary | None:
+    """Read what the system's loader reads: segments, and no sections, which may be damaged."""
+    elf.header["e_shoff"] = 0
+    tags: list[DynamicTag] = []
+    segment = next(elf.iter_segments(type="PT_DYNAMIC"), None)
+    if isinstance(segment, DynamicSegment):
+        most = segment["p_filesz"] // elf.structs.Elf_Dyn.sizeof()
+        tags = list(islice(segment.iter_tags(), most))
+    needed = _texts(tags, "NEEDED")
+    paths = [*_texts(tags, "RPATH"), *_texts(tags, "RUNPATH")]
+    if "" in needed:  # a name that lies beyond the end of the file
         return None
-    wide, order = data[4] == 2, "<" if data[5] == 1 else ">"
-    (machine,) = struct.unpack_from(order + "H", data, 18)
-    segments = list(_segments(data, wide, order))
-    dynamic = [s for s in segments if s[0] == _DYNAMIC]
-    loads = [s for s in segments if s[0] == _LOAD]
-    entries = list(_entries(data, dynamic[0], wide, order)) if dynamic else []
-    tables = [value for tag, value in entries if tag == _STRINGS]
-    strings = _offset(tables[0], loads) if tables else 0
-
-    def texts(*tags: int) -> list[str]:
-        starts = [strings + value for tag, value in entries if tag in tags]
-        return [data[s : data.index(0, s)].decode(errors="replace") for s in starts]
-
-    folders = [f for text in texts(_RPATH, _RUNPATH) for f in text.split(":") if f]
+    machine = elf["e_machine"]
     return _ElfLibrary(
-        machine=_MACHINES.get(machine, f"other ({machine})"),
-        needed=tuple(texts(_NEEDED)),
-        folders=tuple(folders),
+        machine=_MACHINES.get(machine, f"other ({ENUM_E_MACHINE.get(machine, machine)})"),
+        needed=tuple(needed),
+        folders=tuple(folder for path in paths for folder in path.split(":") if folder),
     )
 
 
-_Segment = tuple[int, int, int, int]
-"""Kind, offset in the file, address in memory, size in the file."""
-
-
-def _segments(data: bytes, wide: bool, order: str) -> Iterator[_Segment]:
-    (start,) = struct.unpack_from(order + ("Q" if wide else "I"), data, 32 if wide else 28)
-    size, count = struct.unpack_from(order + "HH", data, 54 if wide else 42)
-    for i in range(count):
-        at = start + i * size
-        if wide:
-            kind, _, offset, address, _, length = struct.unpack_from(order + "IIQQQQ", data, at)
-        else:
-            kind, offset, address, _, length = struct.unpack_from(order + "IIIII", data, at)
-        yield kind, offset, address, length
-
-
-def _entries(data: bytes, segment: _Segment, wide: bool, order: str) -> Iterator[tuple[int, int]]:
-    layout = order + ("QQ" if wide else "II")
-    _, offset, _, length = segment
-    for at in range(offset, offset + length, struct.calcsize(layout)):
-        tag, value = struct.unpack_from(layout, data, at)
-        if tag == 0:
-            return
-        yield tag, value
-
-
-def _offset(address: int, loads: list[_Segment]) -> int:
-    for _, offset, start, length in loads:
-        if start <= address < start + length:
-            return offset + address - start
-    raise ValueError("an address that is in no segment")
+def _texts(tags: list[DynamicTag], kind: str) -> list[str]:
+    return [str(getattr(t, kind.lower())) for t in tags if t.entry.d_tag == f"DT_{kind}"]
 
 
 def _declared_location(path: Path, elf: _ElfLibrary, name: str) -> Path | None:

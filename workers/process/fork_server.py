@@ -3,6 +3,12 @@
 Forking a worker itself would copy locks that its other threads hold; this process never has a
 second thread. It is started by a `SupervisedEvaluator`, does what that says over one connection,
 and ends, with all that it has forked, when the connection ends.
+
+The fork server of `multiprocessing` is not used because it prepares modules, not objects: each of
+its children would be sent the model and the experiments and prepare the evaluator again. There is
+one for a whole program, not one for each model, so what FMUs print could not be kept apart, and it
+imports the program's main module. When a parent is killed it ends without its children: one that
+simulates goes on until it reads from its connection.
 """
 
 from __future__ import annotations

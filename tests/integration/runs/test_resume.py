@@ -250,7 +250,6 @@ def test_a_finished_run_is_shown(
     assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
 
 
-@pytest.mark.skipif(os.name == "nt", reason="there is no such lock")
 def test_a_run_that_goes_on_is_not_resumed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,8 +21,8 @@ from cluster_est.toml import to_toml
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.run_folder.folder import RunFolder
+from cluster_est.run_folder.lock import locked_by_sweep
 from cluster_est.sweep import run as sweep_run
-from cluster_est.sweep.lock import locked
 
 STARTS = {"name": "start", "key": "parameters.m.start", "values": [1.0, 3.0]}
 DATA = {
@@ -265,7 +265,7 @@ def test_runs_with_ray_must_share_it(sweep):
 
 def test_two_sweeps_do_not_clash(sweep):
     Path("out").mkdir()
-    with locked(Path("out")):
+    with locked_by_sweep(Path("out")):
         code, _, errors = sweep()
     assert code == 2
     assert errors.startswith("cluster-est: out: another sweep is at work here (process ")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cluster_est.toml import to_toml
+from cluster_est.toml import dotted, inline, to_toml
 
 NAMES = st.text(st.characters(exclude_categories=["Cs"]), max_size=6)
 PLAIN = st.one_of(st.booleans(), st.integers(), st.floats(allow_nan=False), NAMES)
@@ -31,13 +32,37 @@ def test_any_tree_comes_back(tree):
     [
         ({"a": None, "b": 1}, "b = 1\n"),
         ({"a": {"b": None}}, "[a]\n"),
-        ({"a": (1.0, float("inf"))}, "a = [1.0, inf]\n"),
+        ({"a": (1.0, float("inf"))}, "a = [\n    1.0,\n    inf,\n]\n"),
         ({"a": float("nan"), "b": float("-inf")}, "a = nan\nb = -inf\n"),
         ({"a": np.float64(0.1)}, "a = 0.1\n"),
         ({"der(x)": "é\x7f"}, '"der(x)" = "é\\u007f"\n'),
-        ({"a": [{"b": {"c": 1}}, {"b": {}}]}, "[[a]]\n\n[a.b]\nc = 1\n\n[[a]]\n\n[a.b]\n"),
-        ({"a": [1, {"b": True, "c": None}]}, "a = [1, { b = true }]\n"),
+        ({"a": [{"b": "c" * 90}, {"b": None}]}, f'[[a]]\nb = "{"c" * 90}"\n\n[[a]]\n'),
+        ({"a": [1, {"b": True, "c": None}]}, "a = [\n    1,\n    { b = true },\n]\n"),
     ],
 )
 def test_what_is_written(tree, text):
     assert to_toml(tree) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ([1.0, float("inf"), 1e-05], "[1.0, inf, 1e-05]"),
+        ({"a.b": {"c": None, "d": (True, "x\n")}}, '{ "a.b" = { d = [true, "x\\n"] } }'),
+        (Path("a/b"), '"a/b"'),
+    ],
+)
+def test_a_value_stands_on_one_line(value, text):
+    assert inline(value) == text
+
+
+@settings(max_examples=200)
+@given(TREES)
+def test_any_value_on_one_line_comes_back(tree):
+    text = inline(tree)
+    assert "\n" not in text
+    assert tomllib.loads(f"v = {text}") == {"v": tree}
+
+
+def test_parts_of_a_key_have_quotes_where_they_need_them():
+    assert dotted("inputs", "der(x)", "") == 'inputs."der(x)".""'

@@ -8,8 +8,8 @@ from support.problems.constrained import CONSTRAINED
 from support.problems.functions import PROBLEMS, FunctionExecutor, FunctionProblem, rosenbrock
 from support.problems.rough import ROUGH
 from support.shuffling_executor import MoodyExecutor
+from virtual_executor import VirtualExecutor
 
-from cluster_est.executors.virtual import VirtualExecutor
 from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
 from cluster_est.methods.pattern_search.method import PatternSearch

@@ -156,7 +156,7 @@ def test_segments_are_rotated_and_read_in_order(
     monkeypatch.setattr(evaluation_log, "BYTES_PER_SEGMENT", 1000)
     recorded = rows(40)
     write(tmp_path, recorded, 2).close()
-    names = sorted(path.name for path in tmp_path.iterdir())
+    names = sorted(path.name for path in tmp_path.glob("*.arrows"))
     assert names == [f"{i:05d}.arrows" for i in range(20)]
     check(read_log(tmp_path), recorded)
     torn = tmp_path / names[3]

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import socket
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,11 +10,9 @@ import pytest
 from support.spoiled import valid_tree, write_input
 
 from cluster_est import Problem, Solver, build_problem
-from cluster_est.errors import ConfigError, RunFolderError
-from cluster_est.executors import WorkerPool
+from cluster_est.errors import ConfigError
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.running.resources import Resources
-from cluster_est.sweep.lock import LOCK, locked
 from cluster_est.sweep.matrix import read_sweep
 from cluster_est.sweep.pool import SharedPools
 from cluster_est.toml import to_toml
@@ -154,57 +147,6 @@ def test_a_missing_or_broken_file_is_refused(tmp_path):
         read_sweep(tmp_path / "sweep.toml")
 
 
-def test_a_lock_keeps_others_out_until_it_is_released(tmp_path):
-    with locked(tmp_path):
-        with pytest.raises(RunFolderError, match=f"process {os.getpid()} on"), locked(tmp_path):
-            pass
-        assert [each.name for each in tmp_path.iterdir()] == [LOCK]
-    with locked(tmp_path):
-        pass
-    assert list(tmp_path.iterdir()) == []
-
-
-def leave_lock(folder: Path, **changes: object) -> None:
-    """What a process that is gone has left."""
-    gone = subprocess.run(
-        [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True
-    )
-    holder = {"pid": int(gone.stdout), "host": socket.gethostname(), "begun": "", "token": "t"}
-    (folder / LOCK).write_text(json.dumps(holder | changes), encoding="utf-8")
-
-
-def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
-    leave_lock(tmp_path)
-    with locked(tmp_path):
-        assert json.loads((tmp_path / LOCK).read_text())["pid"] == os.getpid()
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
-def test_a_number_that_another_process_has_now_is_no_owner(tmp_path):
-    leave_lock(tmp_path, pid=os.getpid(), begun="another boot 17")
-    with locked(tmp_path):
-        pass
-
-
-@pytest.mark.parametrize("changes", [{"host": "elsewhere"}, {"pid": "x"}, {"token": None}])
-def test_a_lock_that_may_still_be_held_is_left_alone(tmp_path, changes):
-    leave_lock(tmp_path, **changes)
-    if "token" in changes:
-        (tmp_path / LOCK).write_text("{", encoding="utf-8")
-    before = (tmp_path / LOCK).read_bytes()
-    with pytest.raises(RunFolderError, match=r"remove .*\.sweep\.lock"), locked(tmp_path):
-        pass
-    assert (tmp_path / LOCK).read_bytes() == before
-
-
-def test_only_who_claims_a_stale_lock_may_replace_it(tmp_path):
-    leave_lock(tmp_path)
-    (tmp_path / f"{LOCK}.claim-t").write_text("{}", encoding="utf-8")
-    with pytest.raises(RunFolderError, match="claim-t"), locked(tmp_path):
-        pass
-
-
 def leased(pools: SharedPools, problem: Problem, resources: Resources | None = None) -> WorkerPool:
     """The workers that a run is given."""
     with pools.lease(problem, resources or Resources(), None) as (pool, _):
@@ -225,7 +167,7 @@ def test_workers_stay_for_the_same_experiments(tmp_path):
     "other",
     [
         {"model": {"solver": Solver("rk4")}},
-        {"model": {"renew": "instance"}},
+        {"model": {"reset": "instance"}},
         {"resources": {"limits": Limits(seconds=1.0)}},
         {"resources": {"workers": 2}},
     ],

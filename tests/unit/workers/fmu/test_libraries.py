@@ -6,10 +6,13 @@ import platform
 import struct
 import subprocess
 import sys
+import tempfile
 import zipfile
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from support.spoiled import FMU, LIBRARY
 
 from workers.fmu.binary_dependencies import is_about_licence, load_failure, missing_libraries
@@ -124,6 +127,31 @@ def test_what_is_no_library_says_nothing(library, tmp_path):
         assert missing_libraries(library(content)) == ()
     assert missing_libraries(tmp_path / "none.so") == ()
     assert load_failure(library(b"no library")) is None
+
+
+def test_sections_that_are_damaged_mislead_nobody(library):
+    whole = bytearray(elf("libno-such.so.3"))
+    struct.pack_into("<Q", whole, 40, 64)  # sections where segments are
+    struct.pack_into("<HHH", whole, 58, 64, 0, 0)  # as many as a damaged first one says
+    assert missing_libraries(library(bytes(whole))) == ("libno-such.so.3",)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.booleans(),
+    st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255))),
+    st.integers(0, 400),
+)
+def test_no_damage_ends_in_an_error(wide, changes, length):
+    content = bytearray(elf("libc.so.6", "libno-such.so.3", runpath="$ORIGIN", wide=wide))
+    for at, byte in changes:
+        if at < len(content):
+            content[at] = byte
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "m.so"
+        path.write_bytes(content[:length])
+        assert "" not in missing_libraries(path)
+        load_failure(path)
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,7 @@ class VirtualExecutor(Executor):
 
     For studies of how methods use workers that simulations keep busy for different times. Nothing
     sleeps: a clock jumps from one end of a task to the next. A task travels alone and at once. The
-    coordinator's own work takes no virtual time unless a clock measures it. It is not for users'
-    fits, so no config can choose it.
+    coordinator's own work takes no virtual time unless a clock measures it.
 
     Parameters
     ----------
