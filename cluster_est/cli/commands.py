@@ -43,7 +43,7 @@ from cluster_est.preflight import (
     SECONDS,
     CheckFinding,
     CheckPage,
-    Verdict,
+    CheckVerdict,
     bare_problem,
     run_checks,
 )
@@ -113,7 +113,7 @@ def _units(config: Config, problem: Problem) -> list[CheckFinding]:
     """A line for each column whose name says another unit than its variable has."""
     return [
         CheckFinding(
-            Verdict.PROBLEM,
+            CheckVerdict.PROBLEM,
             "units",
             f"column '{m.column}' is given to {m.variable}, which is in {m.wanted}, as it is",
             f'columns."{m.column}" = {{ factor = {m.change.factor:.12g}, '

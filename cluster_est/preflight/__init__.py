@@ -6,6 +6,6 @@ an entry in `checks.CHECKS`; it asks the FMU with an `FmuProbe` of `workers`.
 
 from cluster_est.preflight.bare_fmu import bare_problem
 from cluster_est.preflight.checks import SECONDS, run_checks
-from cluster_est.preflight.findings import CheckFinding, CheckPage, Verdict
+from cluster_est.preflight.findings import CheckFinding, CheckPage, CheckVerdict
 
-__all__ = ["SECONDS", "CheckFinding", "CheckPage", "Verdict", "bare_problem", "run_checks"]
+__all__ = ["SECONDS", "CheckFinding", "CheckPage", "CheckVerdict", "bare_problem", "run_checks"]

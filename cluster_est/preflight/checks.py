@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.preflight.findings import CheckFinding, CheckPage, Verdict
+from cluster_est.preflight.findings import CheckFinding, CheckPage, CheckVerdict
 from cluster_est.preflight.parameters import bounds, corners, effects
 from cluster_est.preflight.repeatability import instances, repeatable
 from cluster_est.preflight.simulation_costs import costs
@@ -79,7 +79,7 @@ def run_checks(
         )
         simulations = _simulate(subject)
         findings = [
-            CheckFinding(Verdict.OK, "loads", "it can be loaded and instantiated"),
+            CheckFinding(CheckVerdict.OK, "loads", "it can be loaded and instantiated"),
             *bounds(subject),
             *_simulation_findings(subject, simulations),
             *_probe_findings(subject, simulations),
@@ -110,7 +110,7 @@ def _probe_findings(subject: CheckSubject, simulations: list[Simulation]) -> lis
 
 def _not_loaded(stopped: NoAnswer) -> CheckFinding:
     do = "check that it does not wait for a licence or a window" if stopped.late else ""
-    return CheckFinding(Verdict.PROBLEM, "loads", stopped.message, do)
+    return CheckFinding(CheckVerdict.PROBLEM, "loads", stopped.message, do)
 
 
 def _simulate(subject: CheckSubject) -> list[Simulation]:
@@ -143,16 +143,18 @@ def _simulation_findings(
         outcome = simulation.outcome
         name = f"experiment {subject.problem.experiments[simulation.experiment].id}"
         if outcome.status is Status.NOT_RUN:
-            lines.append(CheckFinding(Verdict.NOT_DONE, name, outcome.message, _MORE))
+            lines.append(CheckFinding(CheckVerdict.NOT_DONE, name, outcome.message, _MORE))
         elif outcome.status is Status.TIMEOUT:
             said = f"at the start values {outcome.message}"
-            lines.append(CheckFinding(Verdict.PROBLEM, name, said, f"if it is only slow: {_MORE}"))
+            lines.append(
+                CheckFinding(CheckVerdict.PROBLEM, name, said, f"if it is only slow: {_MORE}")
+            )
         elif not outcome.ok:
             said = f"at the start values: {outcome.status}: {outcome.message}"
-            lines.append(CheckFinding(Verdict.PROBLEM, name, said, "other start values"))
+            lines.append(CheckFinding(CheckVerdict.PROBLEM, name, said, "other start values"))
     if successful:
         said = f"{len(successful)} of {len(simulations)} experiments, at the start values"
-        lines.append(CheckFinding(Verdict.OK, "simulates", said))
+        lines.append(CheckFinding(CheckVerdict.OK, "simulates", said))
     return lines
 
 

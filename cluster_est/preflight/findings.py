@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from cluster_est.results.output_errors import Simulation
 
 
-class Verdict(enum.StrEnum):
+class CheckVerdict(enum.StrEnum):
     """The result of a check, as it is printed."""
 
     OK = "ok"
@@ -33,7 +33,7 @@ class CheckFinding:
         Advice, with the key of the config; empty if nothing needs to be done.
     """
 
-    verdict: Verdict
+    verdict: CheckVerdict
     check: str
     found: str
     do: str = ""
@@ -58,4 +58,4 @@ class CheckPage:
     @property
     def good(self) -> bool:
         """True if there are no problems."""
-        return not any(each.verdict is Verdict.PROBLEM for each in self.findings)
+        return not any(each.verdict is CheckVerdict.PROBLEM for each in self.findings)

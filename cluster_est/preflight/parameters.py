@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.methods.derivatives.differences import relative_noise
-from cluster_est.preflight.findings import CheckFinding, Verdict
+from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from cluster_est.problem.problem import Parameter
 from cluster_est.problem.space import Unknown
@@ -53,7 +53,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
         said = f"{len(alive)} of {len(names)} act on the outputs: moved by 1 % of its size, "
         said += f"{most} changes them by {alive[most]:.2g} of theirs"
         said += f", {least} by {alive[least]:.2g}" if least != most else ""
-        lines.append(CheckFinding(Verdict.OK, "parameters", said))
+        lines.append(CheckFinding(CheckVerdict.OK, "parameters", said))
         lines += _steps(subject, unknowns[names.index(most)][0]) if subject.repeats else []
     if len(found) < len(names):
         left = f"{len(names) - len(found)} of {len(names)} were not moved"
@@ -102,27 +102,29 @@ def _dead(name: str, *, declared: bool) -> CheckFinding:
     said = "is dead: the outputs do not depend on it at the start"
     if not declared:
         return CheckFinding(
-            Verdict.NOTE, f"parameter {name}", said, "it cannot be estimated from these"
+            CheckVerdict.NOTE, f"parameter {name}", said, "it cannot be estimated from these"
         )
     do = f"parameters.{name}.fixed = true, or remove it, or measure what it acts on"
-    return CheckFinding(Verdict.PROBLEM, f"parameter {name}", said, do)
+    return CheckFinding(CheckVerdict.PROBLEM, f"parameter {name}", said, do)
 
 
 def _faint(name: str, size: float) -> CheckFinding:
     if size == UNKNOWN:
         said = "does not act in one experiment, and there was no time to try all others"
         return CheckFinding(
-            Verdict.NOT_DONE, f"parameter {name}", said, "give it more time with --seconds"
+            CheckVerdict.NOT_DONE, f"parameter {name}", said, "give it more time with --seconds"
         )
     said = f"hardly acts: moved by 1 % of its size it changes the outputs by {size:.2g} of theirs"
     return CheckFinding(
-        Verdict.NOTE, f"parameter {name}", said, f"another parameters.{name}.start, or fix it"
+        CheckVerdict.NOTE, f"parameter {name}", said, f"another parameters.{name}.start, or fix it"
     )
 
 
 def _failed(name: str, said: str) -> CheckFinding:
     do = f"another parameters.{name}.start or narrower bounds"
-    return CheckFinding(Verdict.NOTE, f"parameter {name}", f"moved by 1 % of its size: {said}", do)
+    return CheckFinding(
+        CheckVerdict.NOTE, f"parameter {name}", f"moved by 1 % of its size: {said}", do
+    )
 
 
 def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
@@ -143,10 +145,10 @@ def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
     usual = math.sqrt(relative_noise(subject.problem.model.solver))
     if least <= max(usual, STEPS[-1]):
         said = f"slopes hold down to relative steps of {least:.0e}; a fit takes {usual:.0e}"
-        return [CheckFinding(Verdict.OK, "differences", said)]
+        return [CheckFinding(CheckVerdict.OK, "differences", said)]
     said = f"slopes by {subject.space.unknowns[column].label} hold down to relative steps of "
     do = f"method.options.relative_step = {10.0 * least:.0e}, or a tighter model.rtol"
-    return [CheckFinding(Verdict.NOTE, "differences", f"{said}{least:.0e} only", do)]
+    return [CheckFinding(CheckVerdict.NOTE, "differences", f"{said}{least:.0e} only", do)]
 
 
 def bounds(subject: CheckSubject) -> list[CheckFinding]:
@@ -167,17 +169,17 @@ def _outside(subject: CheckSubject, parameter: Parameter) -> list[CheckFinding]:
     lines = []
     if not parameter.expression and not low <= parameter.start <= high:
         said = f"starts at {parameter.start:g} but {allowed}"
-        lines.append(CheckFinding(Verdict.PROBLEM, where, said, f"another {key}.start"))
+        lines.append(CheckFinding(CheckVerdict.PROBLEM, where, said, f"another {key}.start"))
     if not parameter.fixed and (
         (math.isfinite(parameter.lower) and parameter.lower < low)
         or (math.isfinite(parameter.upper) and parameter.upper > high)
     ):
         said = f"has bounds [{parameter.lower:g}, {parameter.upper:g}] but {allowed}"
-        lines.append(CheckFinding(Verdict.NOTE, where, said, f"{key}.bounds within those"))
+        lines.append(CheckFinding(CheckVerdict.NOTE, where, said, f"{key}.bounds within those"))
     if parameter.unit and variable.unit and parameter.unit != variable.unit:
         said = f"is given in {parameter.unit} but the FMU counts in {variable.unit}"
         do = f"check {key}.start and bounds, which are in the FMU's unit"
-        lines.append(CheckFinding(Verdict.NOTE, where, said, do))
+        lines.append(CheckFinding(CheckVerdict.NOTE, where, said, do))
     return lines
 
 
@@ -197,7 +199,7 @@ def corners(subject: CheckSubject) -> list[CheckFinding]:
         return [unanswered("bounds", found)]
     lines = [
         CheckFinding(
-            Verdict.NOTE,
+            CheckVerdict.NOTE,
             "bounds",
             f"with all parameters at their {name} bounds: {each}",
             "narrower bounds; a search steps back from such points, but they cost it time",
@@ -208,4 +210,4 @@ def corners(subject: CheckSubject) -> list[CheckFinding]:
     if lines:
         return lines
     said = f"it can be simulated with all parameters at their {' and '.join(n for n, _ in named)}"
-    return [CheckFinding(Verdict.OK, "bounds", f"{said} bounds")]
+    return [CheckFinding(CheckVerdict.OK, "bounds", f"{said} bounds")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.preflight.findings import CheckFinding, Verdict
+from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from workers.messages import Renewal
 from workers.probes.probes import (
@@ -42,8 +42,8 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], Renewal | Non
             "export it without a random generator or clock; else choose a method.name that takes "
             'no differences, such as "pattern_search"'
         )
-        return [CheckFinding(Verdict.PROBLEM, "repeatable", said, do)], None
-    same = CheckFinding(Verdict.OK, "repeatable", "two fresh processes give the same bits")
+        return [CheckFinding(CheckVerdict.PROBLEM, "repeatable", said, do)], None
+    same = CheckFinding(CheckVerdict.OK, "repeatable", "two fresh processes give the same bits")
     policy: Renewal = "reset" if found.reset == 0.0 else "instance"
     lines = [same, _reset(subject, found)]
     return lines + (_leftovers(subject) if policy == "reset" else []), policy
@@ -52,7 +52,7 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], Renewal | Non
 def _reset(subject: CheckSubject, found: RepetitionResult) -> CheckFinding:
     if found.reset == 0.0:
         return CheckFinding(
-            Verdict.OK, "reset", "a reset instance gives the same bits as a fresh one"
+            CheckVerdict.OK, "reset", "a reset instance gives the same bits as a fresh one"
         )
     how = "a simulation after a reset fails"
     if found.reset is not None:
@@ -63,15 +63,17 @@ def _reset(subject: CheckSubject, found: RepetitionResult) -> CheckFinding:
     do = 'model.reset = "auto" sees to it: a new process for each simulation'
     if subject.executor == "local":
         do = 'executor.name = "processes", for a new process for each simulation'
-        return CheckFinding(Verdict.PROBLEM, "reset", how, do)
+        return CheckFinding(CheckVerdict.PROBLEM, "reset", how, do)
     return _reset_advice(subject, "process", how, do)
 
 
 def _reset_advice(subject: CheckSubject, needed: str, how: str, do: str) -> CheckFinding:
     renew = subject.problem.model.renew
     if renew in ("auto", needed, "process"):
-        return CheckFinding(Verdict.NOTE, "reset", how, do)
-    return CheckFinding(Verdict.PROBLEM, "reset", how, f'set model.reset = "{needed}" or "auto"')
+        return CheckFinding(CheckVerdict.NOTE, "reset", how, do)
+    return CheckFinding(
+        CheckVerdict.PROBLEM, "reset", how, f'set model.reset = "{needed}" or "auto"'
+    )
 
 
 def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
@@ -82,7 +84,7 @@ def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
         return []
     return [
         CheckFinding(
-            Verdict.NOTE,
+            CheckVerdict.NOTE,
             "values",
             "values that were set survive a reset; harmless where each simulation sets them again, "
             "as a fit does",
@@ -100,13 +102,13 @@ def instances(subject: CheckSubject) -> CheckFinding:
     declared = subject.description.offer(subject.problem.model.interface).once_per_process
     count, _ = found
     if count > 1 and not declared:
-        return CheckFinding(Verdict.OK, "instances", f"{count} at once in a process")
+        return CheckFinding(CheckVerdict.OK, "instances", f"{count} at once in a process")
     says = "and says so" if declared else "and does not say so"
     if count > 1:
         says = "as it says, though more could be made"
     do = 'for several workers: executor.name = "processes" or "ray"'
     local = subject.executor == "local" and _several(subject)
-    verdict = Verdict.PROBLEM if local else Verdict.NOTE
+    verdict = CheckVerdict.PROBLEM if local else CheckVerdict.NOTE
     return CheckFinding(verdict, "instances", f"one in a process, {says}", do)
 
 

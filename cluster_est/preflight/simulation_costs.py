@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from cluster_est.executors.backlog import BATCH_SECONDS
-from cluster_est.preflight.findings import CheckFinding, Verdict
+from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from workers.probes.probes import CostProbe, SimulationCost
 from workers.process.trial import NoAnswer
@@ -50,7 +50,7 @@ def _time(subject: CheckSubject, seconds: float, count: int) -> CheckFinding:
         do = f'executor.name = "processes" and executor.workers = {cores}, or "ray" for a cluster'
     else:
         do = ""
-    return CheckFinding(Verdict.OK, "cost", said, do)
+    return CheckFinding(CheckVerdict.OK, "cost", said, do)
 
 
 def _shown(seconds: float) -> str:
@@ -62,17 +62,19 @@ def _shown(seconds: float) -> str:
 def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
     if found.leak is None or (found.count < LEAST_COUNT and found.leak < 50.0 * LEAK):
         said = f"{found.count} simulations are too few to see a leak"
-        return CheckFinding(Verdict.OK, "memory", said) if found.leak is not None else _few(said)
+        return (
+            CheckFinding(CheckVerdict.OK, "memory", said) if found.leak is not None else _few(said)
+        )
     if found.leak < LEAK:
-        return CheckFinding(Verdict.OK, "memory", f"no leak in {found.count} simulations")
+        return CheckFinding(CheckVerdict.OK, "memory", f"no leak in {found.count} simulations")
     said = f"leaks {found.leak / 1024:.3g} kB a simulation"
     lasts = subject.growth / found.leak
     if subject.executor == "local":
         do = 'executor.name = "processes", whose processes are replaced as they grow'
-        return CheckFinding(Verdict.NOTE, "memory", said, do)
+        return CheckFinding(CheckVerdict.NOTE, "memory", said, do)
     said += f"; its process is replaced after about {lasts:.3g} of them (executor.growth)"
-    return CheckFinding(Verdict.NOTE, "memory", said)
+    return CheckFinding(CheckVerdict.NOTE, "memory", said)
 
 
 def _few(said: str) -> CheckFinding:
-    return CheckFinding(Verdict.NOT_DONE, "memory", said, "give it more time with --seconds")
+    return CheckFinding(CheckVerdict.NOT_DONE, "memory", said, "give it more time with --seconds")

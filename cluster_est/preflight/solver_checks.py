@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.preflight.findings import CheckFinding, Verdict
+from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from workers.messages import Solver
 from workers.probes.directional import DirectionalProbe
@@ -30,7 +30,7 @@ def accuracy(subject: CheckSubject) -> list[CheckFinding]:
         and not subject.description.variable_steps
     ):
         said = "its communication step is fixed, so that it cannot be halved to compare"
-        return [CheckFinding(Verdict.OK, "accuracy", said)]
+        return [CheckFinding(CheckVerdict.OK, "accuracy", said)]
     solver = subject.problem.model.solver
     other, how, key = _finer(subject, solver)
     found = subject.ask(SolverProbe(*subject.probe_arguments, other), 6)
@@ -38,8 +38,8 @@ def accuracy(subject: CheckSubject) -> list[CheckFinding]:
         return [unanswered("accuracy", found)]
     said = f"with {how} the outputs change by {found:.2g} of their size"
     if found < GOOD:
-        return [CheckFinding(Verdict.OK, "accuracy", said)]
-    verdict = Verdict.PROBLEM if found > BAD else Verdict.NOTE
+        return [CheckFinding(CheckVerdict.OK, "accuracy", said)]
+    verdict = CheckVerdict.PROBLEM if found > BAD else CheckVerdict.NOTE
     return [CheckFinding(verdict, "accuracy", said, key)]
 
 
@@ -77,8 +77,8 @@ def stiffness(subject: CheckSubject) -> list[CheckFinding]:
         return [unanswered("stiffness", found)]
     if found:
         said = f"the model is stiff: stability shortens the steps of {model.solver.name}"
-        return [CheckFinding(Verdict.NOTE, "stiffness", said, 'model.solver = "cvode"')]
-    return [CheckFinding(Verdict.OK, "stiffness", f"not stiff: {model.solver.name} suits it")]
+        return [CheckFinding(CheckVerdict.NOTE, "stiffness", said, 'model.solver = "cvode"')]
+    return [CheckFinding(CheckVerdict.OK, "stiffness", f"not stiff: {model.solver.name} suits it")]
 
 
 def derivatives(subject: CheckSubject) -> list[CheckFinding]:
@@ -95,9 +95,9 @@ def derivatives(subject: CheckSubject) -> list[CheckFinding]:
     do = "let no fit rely on them; export it again without, or tell its maker"
     if found.zero:
         said = "directional derivatives are offered, but all are silently 0"
-        return [CheckFinding(Verdict.NOTE, check, said, do)]
+        return [CheckFinding(CheckVerdict.NOTE, check, said, do)]
     if found.error > AGREES:
         said = f"directional derivatives differ from the model's slopes by {found.error:.2g}"
-        return [CheckFinding(Verdict.NOTE, check, f"{said} of the largest", do)]
+        return [CheckFinding(CheckVerdict.NOTE, check, f"{said} of the largest", do)]
     said = f"directional derivatives agree with differences within {found.error:.1g}"
-    return [CheckFinding(Verdict.OK, check, said)]
+    return [CheckFinding(CheckVerdict.OK, check, said)]

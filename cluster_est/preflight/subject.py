@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cluster_est.preflight.findings import CheckFinding, Verdict
+from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from workers.fmu.description import ModelDescription
@@ -109,5 +109,5 @@ def unanswered(check: str, stopped: NoAnswer) -> CheckFinding:
     """Return the finding of a check without an answer."""
     if stopped.late:
         more = "give it more time with --seconds"
-        return CheckFinding(Verdict.NOT_DONE, check, f"no time left: {stopped.message}", more)
-    return CheckFinding(Verdict.NOTE, check, f"could not be found out: {stopped.message}")
+        return CheckFinding(CheckVerdict.NOT_DONE, check, f"no time left: {stopped.message}", more)
+    return CheckFinding(CheckVerdict.NOTE, check, f"could not be found out: {stopped.message}")
