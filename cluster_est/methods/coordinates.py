@@ -105,8 +105,10 @@ class ScaledCoordinates:
             violated = np.abs(violations) > EXACT
             if not violated.any():
                 return u
-            given = jacobian is not None and i < STEPS_WITH_GIVEN_JACOBIAN
-            rows = jacobian if jacobian is not None and given else self._jacobian(u)
+            if jacobian is not None and i < STEPS_WITH_GIVEN_JACOBIAN:
+                rows = jacobian
+            else:
+                rows = self._jacobian(u)
             matrix = np.where(at_bound, 0.0, rows[violated])
             moved = u - np.linalg.pinv(matrix) @ violations[violated]
             at_bound |= (moved < self.lower) | (moved > self.upper)

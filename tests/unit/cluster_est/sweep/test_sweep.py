@@ -11,6 +11,7 @@ from support.spoiled import valid_tree, write_input
 
 from cluster_est import Problem, Solver, build_problem
 from cluster_est.errors import ConfigError
+from cluster_est.executors import WorkerPool
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.running.resources import Resources
 from cluster_est.sweep.matrix import read_sweep
