@@ -389,10 +389,10 @@ def test_source_text_works_in_another_process(tmp_path):
         model, experiment, points = pickle.loads(open({str(packed)!r}, "rb").read())
         from workers.evaluate import Evaluator
         from workers.messages import Task
-        from workers.wire import Answers, Batch
+        from workers.wire import OutcomeColumns, TaskBatch
         batch = Batch.of([Task(i, 0, values) for i, values in enumerate(points)])
         outcomes = Evaluator(model, [experiment], "w").evaluate(batch)
-        sys.stdout.buffer.write(pickle.dumps(Answers.of(outcomes)))
+        sys.stdout.buffer.write(pickle.dumps(OutcomeColumns.of(outcomes)))
         """
     )
     done = subprocess.run(
