@@ -390,7 +390,7 @@ def test_source_text_works_in_another_process(tmp_path):
         from workers.evaluate import Evaluator
         from workers.messages import Task
         from workers.wire import OutcomeColumns, TaskBatch
-        batch = Batch.of([Task(i, 0, values) for i, values in enumerate(points)])
+        batch = TaskBatch.of([Task(i, 0, values) for i, values in enumerate(points)])
         outcomes = Evaluator(model, [experiment], "w").evaluate(batch)
         sys.stdout.buffer.write(pickle.dumps(OutcomeColumns.of(outcomes)))
         """
