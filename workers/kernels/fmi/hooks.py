@@ -116,7 +116,7 @@ def interpolate_inputs(grid, i, time, work):  # type: ignore[no-untyped-def]
 
 @inlined
 def initial_inputs(hooks, grid, work):  # type: ignore[no-untyped-def]
-    """Compute the inputs that the FMU is initialised with, into `edited`.
+    """Compute the inputs that the FMU is initialised with, into `effective_inputs`.
 
     Its states are not known yet and count as 0.
     """

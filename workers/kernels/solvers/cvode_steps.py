@@ -4,7 +4,7 @@ How it treats inputs was measured on a stiff reaction with 1000 samples of its f
 
 - Where a held input jumps, it starts again. To leave it to the error control takes twice as long
   on noise and makes five to fourteen times the error.
-- At a kink of an input, it stops, but goes on with what it knows: to start again would cost three
+- At a kink of an input, it stops, but keeps its history: to start again would cost three
   to six times as much on a smooth input. Not to stop at all would be two to three times as fast
   there, but a long step might pass over a pulse, and nobody would know.
 - At other times of the grid, it does not stop; the states there are those of the polynomial that

@@ -107,10 +107,10 @@ def _eigenvalue(step, work):  # type: ignore[no-untyped-def]
     """Estimate the largest eigenvalue from the last two stages of a step."""
     derivative_distance, state_distance = 0.0, 0.0
     for j in range(len(work.states)):
-        slope = 0.0
+        total = 0.0
         for stage in range(5):
-            slope += WEIGHTS[5, stage] * work.stages[stage, j]
-        sixth = work.states[j] + step * slope
+            total += WEIGHTS[5, stage] * work.stages[stage, j]
+        sixth = work.states[j] + step * total
         derivative_distance += (work.stages[6, j] - work.stages[5, j]) ** 2
         state_distance += (work.trial[j] - sixth) ** 2
     return sqrt(derivative_distance / state_distance) if state_distance > 0.0 else 0.0
