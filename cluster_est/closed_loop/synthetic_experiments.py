@@ -11,7 +11,7 @@ from workers.messages import Experiment, FloatArray
 
 
 @dataclass(frozen=True)
-class Shortened:
+class ShortenedCopy:
     """The first part of an experiment.
 
     Attributes
@@ -40,7 +40,7 @@ class Shortened:
 
 
 @dataclass(frozen=True)
-class Enlarged:
+class EnlargedCopy:
     """An experiment whose inputs swing further about their means.
 
     Attributes
@@ -60,17 +60,17 @@ class Enlarged:
         return replace(experiment, id=name, inputs=inputs)
 
 
-SyntheticKind = Shortened | Enlarged
+SyntheticKind = ShortenedCopy | EnlargedCopy
 
 
-def shortened_kinds(thresholds: PreparationThresholds) -> tuple[Shortened, ...]:
+def shortened_kinds(thresholds: PreparationThresholds) -> tuple[ShortenedCopy, ...]:
     """Return the shortened experiments that a start grows through, the shortest first."""
-    return tuple(Shortened(share, thresholds.shortest) for share in thresholds.horizons)
+    return tuple(ShortenedCopy(share, thresholds.shortest) for share in thresholds.horizons)
 
 
-def enlarged_kind(thresholds: PreparationThresholds) -> Enlarged:
+def enlarged_kind(thresholds: PreparationThresholds) -> EnlargedCopy:
     """Return the enlarged experiments in which a model must stay bounded."""
-    return Enlarged(thresholds.enlargement)
+    return EnlargedCopy(thresholds.enlargement)
 
 
 def _swung(values: FloatArray, factor: float) -> FloatArray:

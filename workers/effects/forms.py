@@ -12,9 +12,9 @@ A form of your own is one entry here, or an expression in a config.
 from __future__ import annotations
 
 from workers.effects.kinds import (
-    Condition,
     EffectForm,
     FormCoefficient,
+    FormCondition,
     GridScale,
     OwnState,
     SiteKind,
@@ -25,9 +25,9 @@ from workers.fmu.description import nearest
 
 __all__ = [
     "FORMS",
-    "Condition",
     "EffectForm",
     "FormCoefficient",
+    "FormCondition",
     "GridScale",
     "OwnState",
     "SiteKind",
@@ -42,11 +42,11 @@ _OUT: tuple[SiteKind, ...] = ("output",)
 _SIGNAL: tuple[SiteKind, ...] = ("input", "output")
 _PAR: tuple[SiteKind, ...] = ("parameter",)
 
-_OSCILLATES = (Condition.OSCILLATES,)
-_OWN = (Condition.OWN,)
-_OWN_OSCILLATES = (Condition.OWN, Condition.OSCILLATES)
-_DRIVEN = (Condition.DRIVEN,)
-_DRIVEN_OSCILLATES = (Condition.DRIVEN, Condition.OSCILLATES)
+_OSCILLATES = (FormCondition.OSCILLATES,)
+_OWN = (FormCondition.OWN,)
+_OWN_OSCILLATES = (FormCondition.OWN, FormCondition.OSCILLATES)
+_DRIVEN = (FormCondition.DRIVEN,)
+_DRIVEN_OSCILLATES = (FormCondition.DRIVEN, FormCondition.OSCILLATES)
 
 
 def _k(unit: str) -> FormCoefficient:
@@ -117,7 +117,7 @@ def _between(
     equation: str,
     unit: str,
     *shapes: FormCoefficient,
-    when: tuple[Condition, ...] = _OSCILLATES,
+    when: tuple[FormCondition, ...] = _OSCILLATES,
     order: float = 0.0,
 ) -> EffectForm:
     """A force between two states: what it takes from the first it gives to the second.
@@ -164,7 +164,7 @@ _RATES = (
     EffectForm("gap", "end stop", _DER, "-k * (max(v - at, 0) - max(-v - at, 0))",
          (_drag("site / v"), _BEYOND), 1, when=_OSCILLATES),
     EffectForm("square_root", "leak", _DER, "-k * sqrt(max(v, 0))", (_k("site / v^0.5"),), 1,
-         when=(Condition.POSITIVE,)),
+         when=(FormCondition.POSITIVE,)),
     EffectForm("signed_root", "leak", _DER, "-k * sign(v) * sqrt(abs(v))",
          (_drag("site / v^0.5", if_own=True),), 1, when=_OSCILLATES),
     EffectForm("table", "table", _DER, _TABLE, _TABLE_COEFFICIENTS, 1, order=2.0),
@@ -177,7 +177,7 @@ _RATES = (
     _between("coulomb", "friction", "tanh(v / width)", "", _WIDTH),
     _between("overflow", "leak", "max(v - at, 0)", " / v",
              _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9),
-             when=(Condition.FIRST,), order=0.2),
+             when=(FormCondition.FIRST,), order=0.2),
     _between("leak", "leak", "sign(v) * sqrt(abs(v))", " / v^0.5"),
 )  # fmt: skip
 

@@ -41,7 +41,7 @@ class GridScale(enum.Enum):
     """Angular frequency of a peak in the residual's spectrum."""
 
 
-class Condition(enum.Enum):
+class FormCondition(enum.Enum):
     """A condition on the data, or on a form's variable, under which a search tries the form."""
 
     OSCILLATES = "oscillates"
@@ -143,7 +143,7 @@ class EffectForm:
     states: tuple[OwnState, ...] = ()
     reaction: str = ""
     memory: str = ""
-    when: tuple[Condition, ...] = ()
+    when: tuple[FormCondition, ...] = ()
     order: float = 0.0
 
     @property

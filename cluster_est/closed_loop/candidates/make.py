@@ -19,9 +19,9 @@ from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import (
     FORMS,
-    Condition,
     EffectForm,
     FormCoefficient,
+    FormCondition,
     GridScale,
     positive,
 )
@@ -209,9 +209,9 @@ def _variables(
         return
     outputs = [n for n in trajectories[0].names if n in common and n not in states]
     names = [*states, *driven, *(outputs if site.kind == "output" else [])]
-    if Condition.DRIVEN in form.when:
+    if FormCondition.DRIVEN in form.when:
         names = driven
-    if Condition.OWN in form.when:
+    if FormCondition.OWN in form.when:
         names = [site.target]
     if site.kind in ("input", "output"):
         names = [n for n in names if n != site.target]
@@ -228,7 +228,7 @@ def _of_pair(
 
     A difference points from the second state to the first, so one order of the pair is enough.
     """
-    if Condition.FIRST in form.when:
+    if FormCondition.FIRST in form.when:
         yield (site.targets[0],)
         return
     if states.index(site.targets[0]) < states.index(site.targets[1]):

@@ -10,7 +10,7 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.thresholds import CandidateThresholds
-from workers.effects.forms import Condition, EffectForm, FormCoefficient, GridScale
+from workers.effects.forms import EffectForm, FormCoefficient, FormCondition, GridScale
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray
 
@@ -30,9 +30,11 @@ class SignalScales:
         if about is not None and not all(_moves(signal) for signal in (about, *signals)):
             return False
         share = self.thresholds.both_signs
-        if Condition.OSCILLATES in form.when and (about is None or not oscillates(about, share)):
+        if FormCondition.OSCILLATES in form.when and (
+            about is None or not oscillates(about, share)
+        ):
             return False
-        if Condition.POSITIVE in form.when and (about is None or not _positive(about)):
+        if FormCondition.POSITIVE in form.when and (about is None or not _positive(about)):
             return False
         spread = [c.scale for c in form.coefficients if c.scale in _ENDS]
         ends = {self.grid(FormCoefficient("", scale=scale), site, variables) for scale in spread}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cluster_est.closed_loop.synthetic_experiments import (
-    Enlarged,
-    Shortened,
+    EnlargedCopy,
+    ShortenedCopy,
 )
 from workers.messages import Experiment, Input, Output
 
@@ -19,7 +19,7 @@ RUN = Experiment(
 
 
 def test_a_part_has_the_measurements_until_its_end():
-    part = Shortened(0.6).of(RUN)
+    part = ShortenedCopy(0.6).of(RUN)
     assert (part.start, part.stop) == (10.0, 16.0)
     first, second = part.outputs
     np.testing.assert_array_equal(first.times, T[T <= 16.0])
@@ -30,28 +30,28 @@ def test_a_part_has_the_measurements_until_its_end():
 
 
 def test_a_part_is_as_long_as_each_output_needs():
-    part = Shortened(0.01).of(RUN)
-    assert len(part.outputs[1].times) >= Shortened(0.01).samples
-    assert part.stop == T[::5][Shortened(0.01).samples - 1]
+    part = ShortenedCopy(0.01).of(RUN)
+    assert len(part.outputs[1].times) >= ShortenedCopy(0.01).samples
+    assert part.stop == T[::5][ShortenedCopy(0.01).samples - 1]
 
 
 def test_a_record_that_is_too_short_stays_whole():
     few = Experiment("few", 0.0, 5.0, (), (Output("y", np.arange(1.0, 5.0), np.zeros(4)),))
-    part = Shortened(0.15).of(few)
+    part = ShortenedCopy(0.15).of(few)
     assert part.stop == 4.0
     assert part.outputs[0].times.tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
 def test_inputs_swing_further_about_their_means():
-    (given,) = Enlarged(1.25).of(RUN).inputs
+    (given,) = EnlargedCopy(1.25).of(RUN).inputs
     old = RUN.inputs[0].values
     assert np.isclose(given.values.mean(), old.mean())
     np.testing.assert_allclose(np.ptp(given.values), 1.25 * np.ptp(old))
     np.testing.assert_allclose(given.values - old, 0.25 * (old - old.mean()), atol=1e-14)
     assert given.interpolation == "hold"
-    assert Enlarged(1.25).of(RUN).outputs == RUN.outputs
+    assert EnlargedCopy(1.25).of(RUN).outputs == RUN.outputs
 
 
 def test_without_inputs_nothing_is_enlarged():
     still = Experiment("still", 0.0, 5.0, (), RUN.outputs)
-    assert Enlarged(2.0).of(still).key == still.key
+    assert EnlargedCopy(2.0).of(still).key == still.key

@@ -17,7 +17,7 @@ from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.selection.declared_model import BRIEF
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.synthetic_experiments import Shortened
+from cluster_est.closed_loop.synthetic_experiments import ShortenedCopy
 from cluster_est.closed_loop.workbench import FitStart, SimulationMeter
 from cluster_est.running.runner import TaskOrigin
 from workers.messages import Outcome, Status
@@ -76,7 +76,7 @@ def test_each_output_has_a_variance_of_its_own():
 
 def test_synthetic_experiments_start_from_the_values_of_their_experiments(bench):
     start = FitStart(bench.problem, {"m": 1.3, "c[e0]": 0.7, "c[e1]": 0.9})
-    space = bench.space(start, Shortened(0.15))
+    space = bench.space(start, ShortenedCopy(0.15))
     labels = [u.label for u in space.unknowns]
     assert labels == ["m", "k", "c[e0 (first 15%)]", "c[e1 (first 15%)]"]
     np.testing.assert_allclose(space.start, [1.3, 30.0, 0.7, 0.9])

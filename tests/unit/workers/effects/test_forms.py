@@ -7,7 +7,7 @@ import re
 import pytest
 
 from workers.effects.definition import coefficients, split_variable
-from workers.effects.forms import FORMS, Condition, GridScale, positive
+from workers.effects.forms import FORMS, FormCondition, GridScale, positive
 from workers.effects.memory import MEMORIES
 from workers.messages import Effect
 
@@ -15,7 +15,7 @@ from workers.messages import Effect
 @pytest.mark.parametrize(("kind", "name"), FORMS)
 def test_what_is_no_strength_has_a_grid_and_all_has_a_unit(kind, name):
     form = FORMS[kind, name]
-    assert all(isinstance(condition, Condition) for condition in form.when)
+    assert all(isinstance(condition, FormCondition) for condition in form.when)
     assert form.memory in ("", *MEMORIES)
     assert bool(form.reaction) is (kind == "pair")
     for c in form.coefficients:
