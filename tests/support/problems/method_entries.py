@@ -69,7 +69,7 @@ ENTRIES = [
     Entry(ParticleSwarm(), (SMOOTH, ROUGHNESS), 1e-2, boxed=True),
     Entry(GeneticAlgorithm(), (SMOOTH, ROUGHNESS), 0.03, boxed=True),
     Entry(Isres(), (CONSTRAINT,), 1e-3, boxed=True),
-    # gives a front instead of a minimum, see tests/unit/cluster_est/methods/test_populations.py
+    # gives a front instead of a minimum, see tests/unit/cluster_est/methods/populations/test_populations.py
     Entry(Nsga2(), (), np.nan, boxed=True),
 ]
 
