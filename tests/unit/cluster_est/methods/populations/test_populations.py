@@ -442,11 +442,13 @@ class TestNsga2:
         with Split(two_outputs) as executor:
             found = Runner(executor).run([SearchRequest("test", apart, space)])[0]
         expected = solve(two_objectives(), method, two_outputs)
+        assert len(expected.others) > 1
         assert [o.objectives for o in found.others] == [o.objectives for o in expected.others]
 
     def test_an_objective_is_the_problem_s_cost_of_its_part(self):
         problem = two_objectives(cost=SumAbsolute())
         solution = solve(problem, Nsga2(population=20, max_generations=5), two_outputs)
+        assert len(solution.others) > 1
         for other in solution.others:
             parts = [np.abs(other.x - A).sum(), np.abs(other.x - B).sum()]
             assert other.objectives == pytest.approx(parts)
@@ -461,6 +463,7 @@ class TestNsga2:
         executor = FunctionExecutor(two_outputs, lambda x: np.array([x[0] - 0.5]))
         with executor:
             found = Runner(executor).run([SearchRequest("test", Nsga2(), space)])[0]
+        assert found.at.feasible
         assert max(other.x[0] for other in found.others) <= 0.5 + 1e-6
         roots = np.sqrt([other.objectives for other in found.others])
         assert (roots[:, 0] / self.DISTANCE).min() < 0.05
