@@ -2,7 +2,8 @@
 
 Published figures (Champneys et al., arXiv 2405.10779): Silverbox arrow 14.4 mV linear, 0.26 mV at
 best; cascaded tanks 0.588 V linear, 0.191 V at best. EMPS, relative error of the force by its
-authors with Coulomb friction: 8.94 % on the pulses.
+authors with Coulomb friction: 8.94 % on the pulses. The loop's own figures are those of the README,
+here within a tenth.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from support.measured import PLACES, measured
 from support.problems.springs import ROOT
 
 import cluster_est as ce
+from cluster_est.closed_loop.findings.result import Verdict
 
 
 def closed(name: str, file: str, monkeypatch: pytest.MonkeyPatch):
@@ -31,31 +33,35 @@ def closed(name: str, file: str, monkeypatch: pytest.MonkeyPatch):
 
 def test_silverbox_has_a_cubic_stiffness(monkeypatch):
     _, result = closed("silverbox", "silverbox/SNLS80mV.csv", monkeypatch)
-    assert result.verdict in ("found", "partial")
+    assert result.verdict is Verdict.FOUND
     first = result.effects[0]
     names = {("der(v)", "cubic", ("y",)), ("parameter k", "square", ("y",))}  # the same equation
     assert (first.site, first.form, first.variables) in names
     (arrow,) = [e for e in result.errors if e.role == "test"]
-    assert 13e-3 < arrow.rmse_before < 15e-3
-    assert arrow.rmse_after < 1.0e-3
+    assert arrow.rmse_before == pytest.approx(13.95e-3, rel=0.01)
+    assert arrow.rmse_after == pytest.approx(0.40e-3, rel=0.1)
 
 
 def test_the_tanks_spill_over_and_are_full_at_ten_volts(monkeypatch):
     _, result = closed("cascaded_tanks", "cascaded_tanks/dataBenchmark.csv", monkeypatch)
-    assert result.verdict in ("found", "partial")
+    assert result.verdict is Verdict.PARTIAL
     assert len(result.effects) > 1
     assert {"overflow", "hinge"} & {e.form for e in result.effects}
     (val,) = [e for e in result.errors if e.role == "test"]
-    assert 0.6 < val.rmse_before < 0.72
-    assert val.rmse_after < 0.34
+    assert val.rmse_before == pytest.approx(0.664, rel=0.01)
+    assert val.rmse_after == pytest.approx(0.257, rel=0.1)
 
 
 def test_emps_has_coulomb_friction(monkeypatch):
     problem, result = closed("emps", "emps/DATA_EMPS.mat", monkeypatch)
-    assert result.verdict in ("found", "partial")
+    assert result.verdict is Verdict.PARTIAL
     assert ("der(v)", "coulomb") in {(e.site, e.form) for e in result.effects}
+    assert sorted({row.role for row in result.errors}) == ["test", "train"]
     for row in result.errors:
         run = next(e for e in problem.experiments if e.id == row.experiment)
         size = float(np.sqrt(np.mean(run.outputs[0].values ** 2)))
         assert 0.15 < row.rmse_before / size < 0.18
         assert row.rmse_after / size < 0.065
+        if row.role == "test":
+            assert row.rmse_before / size == pytest.approx(0.166, rel=0.01)
+            assert row.rmse_after / size == pytest.approx(0.047, rel=0.1)

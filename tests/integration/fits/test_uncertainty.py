@@ -163,14 +163,30 @@ def binomial(hits, least, most):
 
 class TestCoverage:
     """The bench in short. Of 60 intervals that hold the truth in 95 % of all cases, 50 do or more
-    with a probability of 0.9996; with one of 70 % only in 2 %."""
+    with a probability of 0.9996; with one of 70 % only in 2 %. Of the 240 of the starts of all
+    experiments, 217 to 237 do with one of 0.998; intervals half as wide again hold 239."""
 
     def test_of_intervals_from_derivatives(self):
-        binomial(bench_coverage.covariance_hits(60), 50 / 60, 1.0)
+        hits = bench_coverage.covariance_hits(60)
+        assert sum(hits["x0"]) <= 237
+        assert sum(hits["x0"]) >= 217
+        binomial(hits, 50 / 60, 1.0)
 
     def test_of_profiles(self):
         binomial(bench_coverage.profile_hits(20, experiments=2, samples=40), 15 / 20, 1.0)
 
     def test_of_the_bootstrap(self):
-        found = bench_coverage.bootstrap_hits(5, draws=40, experiments=10, samples=20)
-        binomial(found["bootstrap"], 3 / 5, 1.0)
+        """White noise and alike experiments: it must come to what the derivatives say. Of five
+        fits to ten experiments, the mean ratio of standard errors scatters by about 0.12; how often
+        its intervals hold the truth is tested where refits cost nothing."""
+        runner, found, _ = bench_coverage.fitted(5, experiments=10, samples=20, seed=3)
+        settings = UncertaintySettings(bootstrap=40)
+        ratios = []
+        for r, (space, solution) in enumerate(found):
+            generator = np.random.default_rng(r)
+            drawn = bootstrap(runner, space, solution, bench_coverage.REFIT, settings, generator)
+            known = dict(zip((u.label for u in space.unknowns), assess(space, solution).intervals,
+                             strict=True))  # fmt: skip
+            ratios.append([i.std_error / known[i.label].std_error for i in drawn.intervals])
+        assert np.shape(ratios) == (5, 3)
+        np.testing.assert_allclose(np.mean(ratios, axis=0), 1.0, atol=0.35)

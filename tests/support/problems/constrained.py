@@ -66,6 +66,15 @@ CONSTRAINED = [
         cost=Total(),
     ),
     FunctionProblem(
+        "hs11",
+        scalar(lambda x: (x[0] - 5.0) ** 2 + x[1] ** 2 - 25.0),
+        (4.9, 0.1),
+        -8.498464223,
+        constraints=at_most(lambda x: x[0] ** 2 - x[1]),
+        equality=(LEAST,),
+        cost=Total(),
+    ),
+    FunctionProblem(
         "hs14",
         lambda x: np.array([x[0] - 2.0, x[1] - 1.0]),
         (2.0, 2.0),

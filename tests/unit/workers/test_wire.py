@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
+from typing import Any
 
 import numpy as np
 
-from workers.messages import Linearisation, Outcome, Status, Trajectory
-from workers.wire import OutcomeColumns
+from workers.messages import Effect, Linearisation, Outcome, Status, Task, Trajectory
+from workers.wire import OutcomeColumns, TaskBatch
 
 NAMES = {
     "state_names": ("x", "v", "lag:z"),
@@ -16,6 +17,7 @@ NAMES = {
     "output_names": ("y",),
     "parameter_names": ("m", "k"),
 }
+DEFAULT = Outcome(0, Status.OK)
 
 
 def linearisation(seed: int) -> Linearisation:
@@ -27,14 +29,24 @@ def linearisation(seed: int) -> Linearisation:
     )
 
 
-def same(one: Linearisation, other: Linearisation) -> bool:
-    pairs = [(getattr(one, f.name), getattr(other, f.name)) for f in fields(Linearisation)]
-    return all(np.array_equal(a, b) for a, b in pairs)
+def same(one: Any, other: Any) -> bool:
+    """Equal in type, in every field and in every element, NaN included."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        alike = one.dtype == other.dtype and one.shape == other.shape
+        return bool(alike and np.array_equal(one, other, equal_nan=True))
+    if is_dataclass(one):
+        return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
+    return bool(one == other)
 
 
-def test_outcomes_come_back_with_all_they_carry() -> None:
+def outcomes() -> list[Outcome]:
+    """Every kind of answer, those with and without each field in turn."""
     trajectory = Trajectory(("y",), np.arange(2.0), np.ones((2, 1)))
-    sent = [
+    slopes = np.arange(6.0).reshape(3, 2)
+    slopes[1, 1] = np.nan
+    return [
         Outcome(7, Status.OK, np.arange(3.0), seconds=0.5, worker="w"),
         Outcome(3, Status.OK, np.arange(2.0), worker="w", linearisation=linearisation(0)),
         Outcome(4, Status.NOT_FINITE, message="too large", worker="w"),
@@ -42,20 +54,37 @@ def test_outcomes_come_back_with_all_they_carry() -> None:
         Outcome(6, Status.OK, np.arange(4.0), worker="w", linearisation=linearisation(1)),
         Outcome(8, Status.OK, np.zeros(0), worker="w", constraints=np.array([0.5, -1.0])),
         Outcome(9, Status.OK, np.arange(2.0), worker="w", constraints=np.array([np.nan])),
+        Outcome(1, Status.OK, np.arange(3.0), worker="w", sensitivities=slopes),
+        Outcome(2, Status.OK, np.arange(3.0), message="no derivatives", seconds=2.0, worker="w"),
+        Outcome(0, Status.OK, np.ones(3), worker="w", sensitivities=2.0 * slopes),
     ]
+
+
+def test_outcomes_come_back_with_all_they_carry() -> None:
+    sent = outcomes()
+    for field in fields(Outcome):
+        carried = [getattr(outcome, field.name) for outcome in sent]
+        assert not all(same(each, getattr(DEFAULT, field.name)) for each in carried), field.name
     got = pickle.loads(pickle.dumps(OutcomeColumns.of(sent))).outcomes()
+    assert len(got) == len(sent)
     for before, after in zip(sent, got, strict=True):
-        assert (after.task, after.status, after.message) == (
-            before.task, before.status, before.message
-        )  # fmt: skip
-        assert (after.seconds, after.worker) == (before.seconds, before.worker)
-        assert (after.residuals is None) == (before.residuals is None)
-        if before.residuals is not None:
-            np.testing.assert_array_equal(after.residuals, before.residuals, strict=True)
-        np.testing.assert_array_equal(after.constraints, before.constraints, strict=True)
-        assert (after.trajectory is None) == (before.trajectory is None)
-        assert (after.linearisation is None) == (before.linearisation is None)
-        if before.linearisation is not None:
-            assert after.linearisation is not None
-            assert same(before.linearisation, after.linearisation)
-    assert not same(linearisation(0), linearisation(1))
+        for field in fields(Outcome):
+            assert same(getattr(before, field.name), getattr(after, field.name)), field.name
+
+
+def test_no_outcomes_are_none_again() -> None:
+    assert OutcomeColumns.of([]).outcomes() == []
+
+
+def test_tasks_come_back_with_all_they_carry() -> None:
+    effects = (Effect("drag", "der(v)", "linear", ("v",)),)
+    generator = np.random.default_rng(0)
+    sent = [
+        Task(number, experiment, generator.normal(size=3), "sensitivities", effects)
+        for number, experiment in ((5, 1), (2, 0), (9, 1))
+    ]
+    got = pickle.loads(pickle.dumps(TaskBatch.of(sent))).tasks()
+    assert len(got) == len(sent)
+    for before, after in zip(sent, got, strict=True):
+        for field in fields(Task):
+            assert same(getattr(before, field.name), getattr(after, field.name)), field.name

@@ -152,3 +152,29 @@ def test_experiment_without_the_group_that_a_parameter_needs_is_refused() -> Non
 def test_residuals_stand_experiment_after_experiment() -> None:
     space = make_space(make_problem([Parameter("k", 1.0)], 5), (1, 3, 4))
     assert space.rows == (slice(0, 2), slice(2, 6), slice(6, 11))
+
+
+@pytest.mark.parametrize(
+    ("parameter", "size"),
+    [
+        (Parameter("p", -3.0, -50.0, 100.0), 3.0),
+        (Parameter("p", 0.0, -4.0, 1.0), 0.5),
+        (Parameter("p", 0.0, -4.0), 1.0),
+        (Parameter("p", 7.0, 1.0, 1e6, "log"), 1.0),
+    ],
+    ids=[
+        "its own size",
+        "a tenth of its range",
+        "one where nothing is known",
+        "one of a logarithm",
+    ],
+)
+def test_a_noticeable_change(parameter: Parameter, size: float) -> None:
+    assert make_space(make_problem([parameter], 1), (0,)).typical.tolist() == [size]
+
+
+def test_a_search_begins_at_what_is_known_and_within_the_bounds() -> None:
+    parameters = [Parameter("p", 2.0, 0.5, 10.0, per="experiment"), Parameter("q", 3.0, 1.0, 9.0)]
+    space = make_space(make_problem(parameters, 2), (0, 1), starts={"p[e1]": 4.0, "q": 99.0})
+    assert [unknown.label for unknown in space.unknowns] == ["p[e0]", "p[e1]", "q"]
+    assert space.start.tolist() == [2.0, 4.0, 9.0]

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
+from support.loop_objects import made_candidate, made_screening
 
-from cluster_est.closed_loop.selection.pairs import best_pairs
-from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
-from cluster_est.closed_loop.statistics.score import score
+from cluster_est.closed_loop.selection.pairs import FITTED, best_pairs
 
 GENERATOR = np.random.default_rng(5)
 N, COUNT = 400, 60
@@ -17,15 +14,9 @@ MATRIX = GENERATOR.standard_normal((N, 3))
 COLUMNS = [GENERATOR.standard_normal((N, 1)) for _ in range(COUNT)]
 
 
-def named(name, family="friction"):
-    form = SimpleNamespace(family=family, free=family == "table")
-    return SimpleNamespace(candidate=SimpleNamespace(effect=SimpleNamespace(name=name), form=form))
-
-
-def screened(residuals, columns, trials=None):
-    scores = score(OrthogonalProjection(MATRIX), residuals, columns)
-    trials = trials or [named(f"e{i}") for i in range(len(columns))]
-    return SimpleNamespace(plain=scores, trials=tuple(trials))
+def screened(residuals, columns, candidates=None):
+    made = candidates or [made_candidate(f"e{i}") for i in range(len(columns))]
+    return made_screening(MATRIX, residuals, columns, made)
 
 
 def left(residuals, *columns):
@@ -51,7 +42,8 @@ def test_pairs_are_ranked_as_by_least_squares():
     residuals = GENERATOR.standard_normal(N)
     found = best_pairs(screened(residuals, COLUMNS[:12]))
     every = {(i, j): left(residuals, COLUMNS[i], COLUMNS[j]) for i in range(12) for j in range(i)}
-    expected = sorted(every, key=every.get)[: len(found)]
+    assert len(found) == FITTED
+    expected = sorted(every, key=every.get)[:FITTED]
     assert [frozenset(pair) for pair in found] == [frozenset(pair) for pair in expected]
 
 
@@ -64,13 +56,19 @@ def test_scales_do_not_matter(scale):
 
 def test_points_of_one_grid_and_tables_and_what_is_alike_are_no_pairs():
     residuals, columns = planted()
-    trials = [named(f"e{i}") for i in range(COUNT)]
-    trials[40] = named("e17")
-    assert {17, 40} not in [set(p) for p in best_pairs(screened(residuals, columns, trials))]
-    trials[40] = named("e40", "table")
-    assert not any(40 in pair for pair in best_pairs(screened(residuals, columns, trials)))
+    trials = [made_candidate(f"e{i}") for i in range(COUNT)]
+    trials[40] = made_candidate("e17")
+    found = best_pairs(screened(residuals, columns, trials))
+    assert len(found) == FITTED
+    assert {17, 40} not in [set(p) for p in found]
+    trials[40] = made_candidate("e40", "table")
+    found = best_pairs(screened(residuals, columns, trials))
+    assert len(found) == FITTED
+    assert not any(40 in pair for pair in found)
     columns[40] = columns[17] + 0.01 * COLUMNS[40]
-    assert {17, 40} not in [set(p) for p in best_pairs(screened(residuals, columns))]
+    found = best_pairs(screened(residuals, columns))
+    assert len(found) == FITTED
+    assert {17, 40} not in [set(p) for p in found]
 
 
 def test_one_candidate_is_no_pair():

@@ -51,22 +51,6 @@ def ackley(x):
     return np.array([far + np.e - np.exp(np.mean(np.cos(2.0 * np.pi * z)))])
 
 
-def hs43(x):
-    a, b, c, d = x
-    return np.array([a**2 + b**2 + 2 * c**2 + d**2 - 5 * a - 5 * b - 21 * c + 7 * d])
-
-
-def hs43_constraints(x):
-    a, b, c, d = x
-    return -np.array(
-        [
-            8 - a**2 - b**2 - c**2 - d**2 - a + b - c + d,
-            10 - a**2 - 2 * b**2 - c**2 - 2 * d**2 + a + d,
-            5 - 2 * a**2 - b**2 - c**2 - 2 * a + b + d,
-        ]
-    )
-
-
 ROSENBROCK = FunctionProblem("rosenbrock", rosenbrock, (-1.2, 1.0), 0.0, (-2, -2), (2.5, 3.5))
 BEALE = FunctionProblem("beale", beale, (1.0, 0.8), 0.0, (-4.5, -4.5), (4.5, 4.5))
 ON_A_BOUND = FunctionProblem("bound", rosenbrock, (-1.2, 1.0), 0.25, (-2.0, -2.0), (0.5, 2.0))
@@ -76,8 +60,8 @@ RASTRIGIN = FunctionProblem(
 ACKLEY = FunctionProblem(
     "ackley", ackley, (10.3, -2.7, 11.2), 0.0, (-15.0,) * 3, (20.0,) * 3, cost=TotalCost()
 )
-# problems 11 and 43 of W. Hock, K. Schittkowski, Test Examples for Nonlinear Programming Codes
-# (1981), doi:10.1007/978-3-642-48320-2, and 7 and 39, which have equalities
+# problems 11 and 7 of W. Hock, K. Schittkowski, Test Examples for Nonlinear Programming Codes
+# (1981), doi:10.1007/978-3-642-48320-2; the others are in the product of methods and problems
 HS11 = FunctionProblem(
     "hs11",
     lambda x: np.array([(x[0] - 5.0) ** 2 + x[1] ** 2 - 25.0]),
@@ -89,17 +73,6 @@ HS11 = FunctionProblem(
     (False,),
     TotalCost(),
 )
-HS43 = FunctionProblem(
-    "hs43",
-    hs43,
-    (0.0,) * 4,
-    -44.0,
-    (-10.0,) * 4,
-    (10.0,) * 4,
-    hs43_constraints,
-    (False,) * 3,
-    TotalCost(),
-)
 HS7 = FunctionProblem(
     "hs7",
     lambda x: np.array([np.log(1.0 + x[0] ** 2) - x[1]]),
@@ -109,17 +82,6 @@ HS7 = FunctionProblem(
     (3.0,) * 2,
     lambda x: np.array([(1.0 + x[0] ** 2) ** 2 + x[1] ** 2 - 4.0]),
     (True,),
-    TotalCost(),
-)
-HS39 = FunctionProblem(
-    "hs39",
-    lambda x: np.array([-x[0]]),
-    (2.0,) * 4,
-    -1.0,
-    (-3.0,) * 4,
-    (3.0,) * 4,
-    lambda x: np.array([x[1] - x[0] ** 3 - x[2] ** 2, x[0] ** 2 - x[1] - x[3] ** 2]),
-    (True, True),
     TotalCost(),
 )
 MINIMA = [
@@ -226,30 +188,11 @@ def test_mostly_finds_the_least_of_several_minima(method, problem, tolerance):
     assert (costs <= problem.minimum + tolerance).sum() >= 4
 
 
-@pytest.mark.parametrize("problem", [HS11, HS43], ids=lambda p: p.name)
-@pytest.mark.parametrize(
-    ("method", "tolerance"),
-    [
-        (DifferentialEvolution(), 1e-5),
-        (Cmaes(), 1e-5),
-        (ParticleSwarm(), 0.1),
-        (GeneticAlgorithm(max_generations=200), 1.0),
-        (Isres(), 1e-5),
-    ],
-    ids=lambda v: getattr(v, "name", ""),
-)
-def test_keeps_inequality_constraints(method, problem, tolerance):
-    solution = problem.solve(method)
-    assert solution.at.feasible
-    assert solution.cost == pytest.approx(problem.minimum, abs=tolerance)
-
-
-@pytest.mark.parametrize("problem", [HS7, HS39], ids=lambda p: p.name)
-def test_isres_keeps_equality_constraints(problem):
-    solution = problem.solve(Isres())
+def test_isres_keeps_an_equality_to_many_digits():
+    solution = HS7.solve(Isres())
     assert solution.ending is Ending.CONVERGED
     assert solution.at.feasible
-    assert solution.cost == pytest.approx(problem.minimum, abs=1e-5)
+    assert solution.cost == pytest.approx(HS7.minimum, abs=1e-5)
 
 
 @names
@@ -499,11 +442,13 @@ class TestNsga2:
         with Split(two_outputs) as executor:
             found = Runner(executor).run([SearchRequest("test", apart, space)])[0]
         expected = solve(two_objectives(), method, two_outputs)
+        assert len(expected.others) > 1
         assert [o.objectives for o in found.others] == [o.objectives for o in expected.others]
 
     def test_an_objective_is_the_problem_s_cost_of_its_part(self):
         problem = two_objectives(cost=SumAbsolute())
         solution = solve(problem, Nsga2(population=20, max_generations=5), two_outputs)
+        assert len(solution.others) > 1
         for other in solution.others:
             parts = [np.abs(other.x - A).sum(), np.abs(other.x - B).sum()]
             assert other.objectives == pytest.approx(parts)
@@ -518,6 +463,7 @@ class TestNsga2:
         executor = FunctionExecutor(two_outputs, lambda x: np.array([x[0] - 0.5]))
         with executor:
             found = Runner(executor).run([SearchRequest("test", Nsga2(), space)])[0]
+        assert found.at.feasible
         assert max(other.x[0] for other in found.others) <= 0.5 + 1e-6
         roots = np.sqrt([other.objectives for other in found.others])
         assert (roots[:, 0] / self.DISTANCE).min() < 0.05

@@ -1,0 +1,200 @@
+"""Real objects of a closed loop from a few numbers: what a search would have left behind.
+
+Their only parameter is "k", and nothing can be simulated: the tests that use them look at
+residuals, directions and what is said of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+from support.problems.functions import FunctionExecutor
+from support.problems.springs import FMU
+
+from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.screening.directions import CandidatePoint
+from cluster_est.closed_loop.screening.screen import ScreeningResult
+from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.forward_selection import SelectionResult, SelectionRound
+from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.statistics.omnibus import OmnibusTest
+from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
+from cluster_est.closed_loop.statistics.records import make_records
+from cluster_est.closed_loop.statistics.score import score
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench, SimulationMeter
+from cluster_est.methods.base import Ending, Solution
+from cluster_est.problem.space import make_space
+from cluster_est.results.output_errors import OutputError
+from cluster_est.results.result import Result
+from cluster_est.running.runner import Runner
+from workers.effects.forms import FORMS
+from workers.effects.site import EffectSite
+from workers.fmu.description import ModelDescription, describe_model
+from workers.messages import Effect, FloatArray
+
+FORM_OF_FAMILY = {"friction": "coulomb", "table": "table"}
+"""A form of the library for a family, at a state derivative."""
+NO_STRUCTURE = OmnibusTest(0.5, 0.1)
+
+
+def made_problem(
+    *lengths: int, outputs: int = 1, sigma: float = 1.0, roles: Sequence[str] = ()
+) -> Problem:
+    """An experiment "run 0", "run 1" ... for each length, with outputs "y0", "y1" ... over 1 s."""
+    runs = tuple(
+        Experiment(
+            f"run {e}",
+            0.0,
+            1.0,
+            (),
+            tuple(
+                Output(f"y{i}", np.linspace(0.0, 1.0, n), np.zeros(n), sigma)
+                for i in range(outputs)
+            ),
+            role=roles[e] if roles else "train",  # type: ignore[arg-type]
+        )
+        for e, n in enumerate(lengths)
+    )
+    model = Model("none", b"", "model_exchange", Solver("rk4"), ("k",))
+    return Problem(model, (Parameter("k", 1.0, 0.0, 10.0),), runs)
+
+
+def made_bench(problem: Problem) -> LoopWorkbench:
+    """A workbench on its training experiments, with the settings that a user gets."""
+    train = problem.indices("train")
+    meter = SimulationMeter(problem.experiments, None)
+    return LoopWorkbench(
+        runner=Runner(FunctionExecutor(_never)),
+        problem=problem,
+        description=_description(),
+        settings=LoopSettings(),
+        seed=0,
+        train=train,
+        records=make_records([problem.experiments[e] for e in train]),
+        synthetic={},
+        everything=problem,
+        meter=meter,
+        sites=(),
+        notes=(),
+    )
+
+
+def made_fit(
+    problem: Problem, residuals: FloatArray, added: Sequence[EffectCandidate] = ()
+) -> FittedModel:
+    """A model whose fit left these residuals."""
+    space = make_space(problem, problem.indices("train"))
+    assert len(residuals) == space.rows[-1].stop
+    jacobian = np.zeros((len(residuals), space.size))
+    return FittedModel(space, space.start, np.asarray(residuals, float), jacobian, tuple(added))
+
+
+def fit_with_squares(
+    problem: Problem, total: float, added: Sequence[EffectCandidate] = ()
+) -> FittedModel:
+    """A model whose residuals are all of one size and have this sum of squares."""
+    size = make_space(problem, problem.indices("train")).rows[-1].stop
+    return made_fit(problem, np.full(size, np.sqrt(total / size)), added)
+
+
+def made_candidate(name: str, family: str = "friction") -> EffectCandidate:
+    """An effect of this name at der(v), in a form of the family."""
+    form = FORMS["derivative", FORM_OF_FAMILY[family]]
+    assert form.family == family
+    site = EffectSite("derivative", "v")
+    count = len(form.coefficients)
+    effect = Effect(name, str(site), form.name, ("v",))
+    return EffectCandidate(
+        effect, form, site, True, ((0.0,) * count,), (-1.0,) * count, (1.0,) * count
+    )
+
+
+def made_screening(
+    matrix: FloatArray,
+    residuals: FloatArray,
+    columns: Sequence[FloatArray],
+    candidates: Sequence[EffectCandidate],
+    *,
+    omnibus: OmnibusTest = NO_STRUCTURE,
+    omnibus_white: OmnibusTest | None = None,
+    p: float = 0.2,
+    p_white: float = 0.3,
+) -> ScreeningResult:
+    """These candidates' directions against a residual; whitening changes nothing."""
+    scores = score(OrthogonalProjection(matrix), residuals, columns)
+    return ScreeningResult(
+        trials=tuple(CandidatePoint(c, c.grid[0]) for c in candidates),
+        columns=tuple(columns),
+        rows=np.arange(len(residuals)),
+        plain=scores,
+        white=scores,
+        omnibus=omnibus,
+        omnibus_white=omnibus_white or omnibus,
+        p=p,
+        p_white=p_white,
+    )
+
+
+def made_round(why: str, screening: ScreeningResult) -> SelectionRound:
+    """A round in which nothing was added."""
+    return SelectionRound(screening, (), why)
+
+
+def made_selection(
+    base: FittedModel,
+    current: FittedModel,
+    last: SelectionRound,
+    *,
+    squares_before: FloatArray | None = None,
+    squares: FloatArray | None = None,
+    noise: Sequence[float] = (1.0,),
+) -> SelectionResult:
+    """A search that ended; what is predicted is what was fitted, unless it is given."""
+    own, now = (_by_experiment(fit) for fit in (base, current))
+    return SelectionResult(
+        base=base,
+        current=current,
+        base_prediction=LeaveOneOutPrediction(own if squares_before is None else squares_before),
+        prediction=LeaveOneOutPrediction(now if squares is None else squares),
+        rivals={},
+        steps=(last,),
+        findings=(),
+        noise=np.array(noise),
+    )
+
+
+def made_result(problem: Problem, errors: Sequence[OutputError]) -> Result:
+    """A fit's result of which only the errors are looked at."""
+    solution = Solution(np.ones(1), 0.0, Ending.CONVERGED)
+    return Result(
+        problem=problem,
+        estimates=(),
+        solution=solution,
+        test_solution=None,
+        cost_before=0.0,
+        cost=0.0,
+        errors=tuple(errors),
+        simulations=(),
+        evaluations=0,
+        simulated=0,
+        failures=0,
+        seconds=0.0,
+    )
+
+
+def _by_experiment(fitted: FittedModel) -> FloatArray:
+    return np.array([float(np.sum(fitted.residuals[rows] ** 2)) for rows in fitted.space.rows])
+
+
+@cache
+def _description() -> ModelDescription:
+    return describe_model(
+        Model(FMU.name, FMU.read_bytes(), "model_exchange", Solver("rk4"), ("k",))
+    )
+
+
+def _never(x: FloatArray) -> FloatArray:
+    raise AssertionError("nothing can be simulated here")

@@ -1,0 +1,141 @@
+"""What is said of searches made by hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from support.loop_objects import (
+    fit_with_squares,
+    made_bench,
+    made_candidate,
+    made_problem,
+    made_round,
+    made_screening,
+    made_selection,
+)
+
+from cluster_est.closed_loop.findings.result import Verdict
+from cluster_est.closed_loop.findings.verdict import judge
+from cluster_est.closed_loop.statistics.omnibus import OmnibusTest
+
+PROBLEM = made_problem(100, 100, 100, 100)
+FLOOR = 400.0
+QUIET, STRUCTURED = OmnibusTest(0.5, 0.1), OmnibusTest(0.0025, 30.0)
+FRICTION = ("friction",)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Sums of squares over those of the noise, and what was seen last.
+
+    `left_out` takes the place of `now` in predictions, `worse` is how many of the four experiments
+    are predicted worse than without the effects.
+    """
+
+    base: float
+    now: float
+    why: str
+    omnibus: OmnibusTest = QUIET
+    families: tuple[str, ...] = FRICTION
+    left_out: float = np.nan
+    white: OmnibusTest | None = None
+    worse: int = 0
+
+    def search(self):
+        after = self.now if np.isnan(self.left_out) else self.left_out
+        squares = np.full(4, after * FLOOR / 4)
+        squares[: self.worse] = 1.01 * self.base * FLOOR / 4
+        if self.worse:
+            squares[self.worse :] -= (squares.sum() - after * FLOOR) / (4 - self.worse)
+        added = [made_candidate(f"effect{i}", each) for i, each in enumerate(self.families)]
+        base = fit_with_squares(PROBLEM, self.base * FLOOR)
+        current = fit_with_squares(PROBLEM, self.now * FLOOR, added)
+        screening = made_screening(
+            current.jacobian, current.residuals, [], [],
+            omnibus=self.omnibus, omnibus_white=self.white,
+        )  # fmt: skip
+        return made_selection(base, current, made_round(self.why, screening), squares=squares)
+
+
+CLEAN, LITTLE = "nothing significant", "it explains too little of what is missing"
+NOISE = "coloured noise"
+CASES = {
+    "nothing is missing": (
+        Case(1.0, 1.0, CLEAN, families=()), Verdict.NONE, "no candidate is significant"),
+    "structure, but no candidate": (
+        Case(1.5, 1.5, CLEAN, STRUCTURED, ()), Verdict.UNEXPLAINED, "smooth structure"),
+    "autocorrelation, and nothing else": (
+        Case(1.5, 1.5, CLEAN, STRUCTURED, (), white=QUIET), Verdict.COLOURED,
+        "no candidate is significant"),
+    "structure below five percent": (
+        Case(1.03, 1.03, CLEAN, STRUCTURED, ()), Verdict.NONE, "no candidate is significant"),
+    "more than the noise, but no structure": (
+        Case(1.5, 1.5, CLEAN, families=()), Verdict.NONE, "no candidate is significant"),
+    "structure that is significant but faint": (
+        Case(1.5, 1.5, CLEAN, OmnibusTest(0.0025, 4.0), ()), Verdict.NONE, "no candidate"),
+    "coloured noise": (
+        Case(1.5, 1.5, NOISE, STRUCTURED, ()), Verdict.COLOURED, "tied to no candidate"),
+    "coloured noise that is not even smooth": (
+        Case(1.5, 1.5, NOISE, families=()), Verdict.NONE, "once the residual is whitened"),
+    "a candidate was not accepted": (
+        Case(1.01, 1.01, LITTLE, families=()), Verdict.NONE, LITTLE),
+    "nothing explains it": (
+        Case(4.0, 4.0, LITTLE, STRUCTURED, ()), Verdict.UNEXPLAINED, LITTLE),
+    "all is explained": (Case(9.0, 1.0, CLEAN), Verdict.FOUND, "close 100%"),
+    "nearly all is explained": (Case(101.0, 1.5, LITTLE, STRUCTURED), Verdict.FOUND, "close 100%"),
+    "just less than nearly all": (
+        Case(101.0, 4.0, LITTLE, STRUCTURED), Verdict.PARTIAL, "close 97%"),
+    "most is explained": (
+        Case(9.0, 3.0, LITTLE, STRUCTURED), Verdict.PARTIAL, "structure is left"),
+    "just more than most": (
+        Case(11.0, 4.9, LITTLE, STRUCTURED), Verdict.PARTIAL, "close 61%"),
+    "just less than most": (
+        Case(11.0, 5.1, LITTLE, STRUCTURED), Verdict.UNEXPLAINED, "only 59%"),
+    "most, but not in prediction": (
+        Case(9.0, 3.0, LITTLE, STRUCTURED, left_out=5.0), Verdict.UNEXPLAINED, "only 50%"),
+    "a free table explains it": (
+        Case(9.0, 1.0, CLEAN, families=("friction", "table")), Verdict.PARTIAL, "free table"),
+    "a free table explains most": (
+        Case(9.0, 3.0, LITTLE, STRUCTURED, ("table",)), Verdict.UNEXPLAINED, "only 75%"),
+    "too little is explained": (
+        Case(9.0, 6.0, LITTLE, STRUCTURED), Verdict.UNEXPLAINED, "only 38%"),
+    "the rest is coloured": (
+        Case(9.0, 1.4, NOISE, STRUCTURED), Verdict.FOUND, "autocorrelated noise"),
+    "the rest is too large for noise of any colour": (
+        Case(900.0, 27.0, NOISE, STRUCTURED), Verdict.PARTIAL, "structure is left"),
+    "the rest is coloured, and one of four is predicted worse": (
+        Case(9.0, 2.9, NOISE, STRUCTURED, worse=1), Verdict.FOUND, "autocorrelated noise"),
+    "the rest is coloured, but half is predicted worse": (
+        Case(9.0, 5.0, NOISE, STRUCTURED, worse=2), Verdict.UNEXPLAINED, "only 50%"),
+    "the rest of a free table is coloured": (
+        Case(9.0, 1.4, NOISE, STRUCTURED, ("table",)), Verdict.UNEXPLAINED, "only 95%"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_verdicts(name):
+    case, expected, said = CASES[name]
+    judgement = judge(made_bench(PROBLEM), case.search())
+    assert judgement.verdict is expected
+    assert said in judgement.reason
+
+
+def test_what_is_closed_is_the_lesser_of_training_and_prediction():
+    search = Case(9.0, 3.0, LITTLE, STRUCTURED, left_out=4.0).search()
+    judgement = judge(made_bench(PROBLEM), search)
+    assert judgement.closed == pytest.approx(5.0 / 8.0)
+    assert "62%" in judgement.reason
+
+
+def test_a_prediction_near_the_noise_is_measured_by_a_part_of_the_noise():
+    """The gap in prediction is 0.01 of the noise, and counts as 0.02 of it."""
+    base, current = (fit_with_squares(PROBLEM, f * FLOOR) for f in (9.0, 1.0))
+    current = fit_with_squares(PROBLEM, FLOOR, [made_candidate("effect")])
+    screening = made_screening(current.jacobian, current.residuals, [], [], omnibus=STRUCTURED)
+    search = made_selection(
+        base, current, made_round(LITTLE, screening),
+        squares_before=np.full(4, 1.01 * FLOOR / 4), squares=np.full(4, FLOOR / 4),
+    )  # fmt: skip
+    assert judge(made_bench(PROBLEM), search).closed == pytest.approx(0.5)
