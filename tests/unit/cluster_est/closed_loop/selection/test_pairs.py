@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from support.loop_objects import made_candidate, made_screening
 
-from cluster_est.closed_loop.selection.pairs import FITTED, best_pairs
+from cluster_est.closed_loop.selection.pairs import best_pairs
+from cluster_est.closed_loop.thresholds import PairThresholds
+
+FITTED = PairThresholds().fitted
 
 GENERATOR = np.random.default_rng(5)
 N, COUNT = 400, 60
