@@ -16,6 +16,7 @@ from workers.kernels.fmi.arguments import KernelArguments
 from workers.kernels.fmi.component import FmiComponent, KernelWorkspace, nothing_loaded, workspace
 from workers.kernels.fmi.hooks import EffectHooks, no_hooks
 from workers.kernels.fmi.initialise import SolverSettings
+from workers.kernels.fmi.progress import RUNNING, no_watcher
 from workers.kernels.solvers.co_simulation import co_simulate_batch
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.dormand_prince import dormand_prince_batch
@@ -77,16 +78,21 @@ class FmuIntegrator:
     ----------
     model, description
         The FMU; the description must be of the same archive.
+    progress
+        Counters that the loop advances; see `workers.kernels.fmi.progress`.
     """
 
     instance: FmuInstance
 
-    def __init__(self, model: Model, description: ModelDescription) -> None:
+    def __init__(
+        self, model: Model, description: ModelDescription, progress: IntArray | None = None
+    ) -> None:
         self._model, self._description = model, description
         name = model.solver.name
         self.batch: Batch = CvodeBatch() if name == "cvode" else BATCHES[name]
         self._asks_for_jacobian = name == "cvode" and _may_give_jacobian(model, description)
         self._workspaces: dict[tuple[int, ...], KernelWorkspace] = {}
+        self._progress = no_watcher() if progress is None else progress
         self._widest = max((v.size for v in description.variables.values()), default=1)
 
     def load(self, instance: FmuInstance | None = None) -> None:
@@ -237,7 +243,7 @@ class FmuIntegrator:
             self._widest,
         )
         if sizes not in self._workspaces:
-            self._workspaces[sizes] = workspace(*sizes)
+            self._workspaces[sizes] = workspace(*sizes, self._progress)
         return self._workspaces[sizes]
 
     @property
@@ -280,7 +286,10 @@ class FmuIntegrator:
             record.codes[left],
             stopped_at[left],
         )
-        return batch(asked)
+        try:
+            return batch(asked)
+        finally:
+            self._progress[RUNNING] = 0
 
     def _explain(self, code: int, time: float) -> str:
         said = " | ".join(dict.fromkeys(self.instance.log))

@@ -15,7 +15,7 @@ from workers.kernels.fmi import failure
 from workers.kernels.fmi.hooks import no_hooks
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.stiffness import stiffness
-from workers.messages import Effect, Experiment, FloatArray, Input, Model
+from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Model
 from workers.simulation.bind_experiment import BoundExperiment, install
 from workers.simulation.integrator import FmuIntegrator, SimulationBatch
 from workers.simulation.sensitivities import SensitivitySource
@@ -37,6 +37,8 @@ class Simulator:
         The FMU; the description must be of the same archive.
     experiments
         What `run` counts by index.
+    progress
+        Counters that simulations advance; see `workers.kernels.fmi.progress`.
 
     Raises
     ------
@@ -45,7 +47,11 @@ class Simulator:
     """
 
     def __init__(
-        self, model: Model, description: ModelDescription, experiments: tuple[Experiment, ...]
+        self,
+        model: Model,
+        description: ModelDescription,
+        experiments: tuple[Experiment, ...],
+        progress: IntArray | None = None,
     ) -> None:
         self._model, self._description = model, description
         self._experiments = tuple(_moving_first(description, e) for e in experiments)
@@ -63,7 +69,7 @@ class Simulator:
             tuple[int, tuple[tuple[EffectDefinition, int], ...], int], PreparedExperiment
         ] = {}
         self._sensing = SensitivitySource(model, description)
-        self._loop = FmuIntegrator(model, description)
+        self._loop = FmuIntegrator(model, description, progress)
 
     def load(self, instance: FmuInstance | None = None) -> None:
         """Load the FMU and instantiate it, unless another's instance is to be used.

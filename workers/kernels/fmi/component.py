@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from workers.kernels.fmi.progress import no_watcher
 from workers.kernels.fmi.values import TYPES, VariableAccess
 from workers.messages import FloatArray, IntArray
 
@@ -88,7 +89,7 @@ class KernelWorkspace(NamedTuple):
     hold at the moment; `next_event` the time of the next time event. `indicators` are the event
     indicators after the last step, behind an event that is being located, and of a trial.
     `info` has what FMUs say of events (see `workers.kernels.fmi.functions`), `cell` the value of
-    one variable.
+    one variable. `progress` has counters (see `workers.kernels.fmi.progress`).
     """
 
     inputs: FloatArray
@@ -107,6 +108,7 @@ class KernelWorkspace(NamedTuple):
     indicators: FloatArray
     info: IntArray
     cell: FloatArray
+    progress: IntArray
 
 
 def workspace(
@@ -116,11 +118,12 @@ def workspace(
     n_parameters: int = 0,
     n_indicators: int = 0,
     n_cells: int = 1,
+    progress: IntArray | None = None,
 ) -> KernelWorkspace:
     """Allocate the memory for one instance.
 
     `n_coefficients` and `n_parameters` are those of effects; `n_cells` is the size of the largest
-    array variable.
+    array variable. `progress` is memory that somebody looks at while a simulation runs.
     """
     return KernelWorkspace(
         inputs=np.zeros(n_inputs),
@@ -139,6 +142,7 @@ def workspace(
         indicators=np.zeros((3, n_indicators)),
         info=np.zeros(12, np.int32),
         cell=np.zeros(n_cells),
+        progress=no_watcher() if progress is None else progress,
     )
 
 

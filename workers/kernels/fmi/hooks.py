@@ -16,6 +16,7 @@ import numpy as np
 from numba.core.types import float64, int32, intp
 
 from workers.kernels.fmi.calling import address_of, c_function, inlined
+from workers.kernels.fmi.progress import count_simulation
 from workers.messages import FloatArray, IntArray
 
 
@@ -48,7 +49,8 @@ _inside = c_function(int32, float64, intp, intp, intp, intp, intp)
 
 @inlined
 def take_point(hooks, p, work):  # type: ignore[no-untyped-def]
-    """Copy the coefficients and base values of one point to where the hooks find them."""
+    """Begin a simulation: copy a point's coefficients and base values to where hooks find them."""
+    count_simulation(work)
     work.counts[0] = hooks.substeps[p]
     for j in range(len(work.coefficients)):
         work.coefficients[j] = hooks.coefficients[p, j]

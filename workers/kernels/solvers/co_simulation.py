@@ -21,6 +21,7 @@ from workers.kernels.fmi.functions import (
 )
 from workers.kernels.fmi.hooks import before, begin, first_inputs, inside, take_inputs, take_point
 from workers.kernels.fmi.initialise import initialise, n_steps
+from workers.kernels.fmi.progress import count_call
 from workers.kernels.fmi.values import DISCARD, get_values, set_reals, set_values
 
 
@@ -147,6 +148,7 @@ def _advance(c, references, settings, grid, i, steps, work):  # type: ignore[no-
             status = set_real_input_derivatives(
                 c, references.inputs.reals, work.orders, grid.slopes[i]
             )
+        count_call(work)
         if status < DISCARD:
             status = do_step(c, grid.times[i] + s * step, step, work.info)
     return status
@@ -168,6 +170,7 @@ def _advance_with_effects(c, references, settings, hooks, grid, i, steps, work):
             status = set_real_input_derivatives(
                 c, references.inputs.reals, work.orders, work.slopes
             )
+        count_call(work)
         if status < DISCARD:
             status = do_step(c, time, step, work.info)
     return status

@@ -36,7 +36,7 @@ EXPERIMENTS = tuple(
     Experiment(name, 0.0, 2.0, INPUTS, (Output("y", TIMES, np.zeros(9)),)) for name in "ab"
 )
 RATES = np.linspace(0.1, 1.9, 60)
-QUICK = Limits(seconds=3.0, patience=100.0)
+QUICK = Limits(seconds=3.0)
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def test_whatever_is_sent_of_them_simulations_that_are_known_travel_together(
     batch = TaskBatch.of([replace(task, want=want) for task in tasks(RATES[:4])])
     for _ in range(2):
         assert all(outcome.ok for outcome in guard.evaluate(batch))
-    assert sizes == [1, 1, 1, 1, 4]
+    assert sizes == [4, 4]
 
 
 def test_no_task_is_tried_a_third_time(open_guard, monkeypatch):
@@ -150,7 +150,7 @@ def test_no_task_is_tried_a_third_time(open_guard, monkeypatch):
 
 
 def test_too_much_memory_is_said_to_be_that(open_guard):
-    limits = Limits(seconds=120.0, patience=0.0, memory=700.0 * 2**20)
+    limits = Limits(seconds=120.0, memory=700.0 * 2**20)
     outcomes = in_batches(open_guard(limits), tasks(RATES[:20], EATS_MEMORY, 0.1))
     expected = {i for i in bad(0.1) if i < 20}
     failed = {outcome.task: outcome for outcome in outcomes if not outcome.ok}
