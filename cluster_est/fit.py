@@ -17,7 +17,7 @@ from cluster_est.results.output_errors import Simulation, output_errors
 from cluster_est.results.result import Result
 from cluster_est.running.evaluation import judge
 from cluster_est.running.multistart import Multistart, check_starts, search_from_starts
-from cluster_est.running.resources import Resources, one_blas_thread, open_executor, suit_method
+from cluster_est.running.resources import Resources, one_blas_thread, open_executor
 from cluster_est.running.runner import Note, Record, Runner, SearchRequest, Show
 from cluster_est.running.search_state import suited
 from cluster_est.uncertainty import (
@@ -83,7 +83,6 @@ def fit(
     multistart = multistart or Multistart()
     train = check_search(problem, method, settings, multistart)
     with one_blas_thread(), open_executor(problem, resources) as executor:
-        method = suit_method(method, executor, train, resources)
         runner = Runner(executor, resources.budget, record, show, note)
         result = fit_on(runner, train, method, seed, multistart, settings)
     return replace(result, seconds=time.monotonic() - begin)

@@ -22,6 +22,7 @@ from cluster_est.cli.printing import (
     say,
 )
 from cluster_est.cli.progress import ProgressLine
+from cluster_est.cli.reading import read_config
 from cluster_est.cli.replay_printing import print_answer, print_failures, print_question
 from cluster_est.cli.run_keeper import Keeper
 from cluster_est.cli.sweep_printing import print_sweep
@@ -33,7 +34,7 @@ from cluster_est.config.build import (
     build_settings,
     build_uncertainty,
 )
-from cluster_est.config.reader import Config, read_config
+from cluster_est.config.reader import Config
 from cluster_est.drafting import draft, unit_mismatches, write
 from cluster_est.errors import BudgetError, ConfigError, ModelError, ProblemError, RunFolderError
 from cluster_est.fit import check_search

@@ -23,7 +23,6 @@ from cluster_est.run_folder.resume import check_resumable, is_finished, open_fol
 from cluster_est.running.reset_policy import ResetDecision, recorded
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import RunSnapshot, SearchIteration, Show, TaskOrigin
-from cluster_est.running.sensitivity_policy import SensitivityDecision, recorded_slopes
 from workers.messages import Outcome
 
 STEPS = {
@@ -66,9 +65,7 @@ class Keeper:
         self.folder: RunFolder | None = None
         self.logged: LoggedOutcomes | None = None
         self.chosen: ResetDecision | None = None
-        self.carried: SensitivityDecision | None = None
         self._renew: ResetDecision | None = None
-        self._carry: SensitivityDecision | None = None
         self.finished = False
         if not resume:
             check_free(out, overwrite=overwrite)
@@ -78,8 +75,7 @@ class Keeper:
             found = "holds a finished run"
             if self.logged is not None:
                 found = f"is resumed; {len(self.logged)} simulations stand in its log"
-                facts = read_facts(out)
-                self._renew, self._carry = recorded(facts), recorded_slopes(facts)
+                self._renew = recorded(read_facts(out))
             say(Console(stderr=True), f"cluster-est: {out} {found}")
         self._open: Callable[[], RunFolder] = lambda: open_folder(
             out,
@@ -90,7 +86,6 @@ class Keeper:
             logged=self.logged,
             base=base,
             chosen=self.chosen,
-            carried=self.carried,
         )
 
     def resources(self, config: Config) -> Resources:
@@ -100,20 +95,13 @@ class Keeper:
             found,
             log=self.logged,
             renew=self._renew,
-            carried=self._carry,
             chosen=self._choose,
-            slopes=self._take,
         )
 
     def _choose(self, chosen: ResetDecision) -> None:
         self.chosen = chosen
         if not chosen.plain:
             say(Console(stderr=True), f"cluster-est: {chosen.sentence}")
-
-    def _take(self, carried: SensitivityDecision) -> None:
-        self.carried = carried
-        if carried.carry:
-            say(Console(stderr=True), f"cluster-est: sensitivities are used: {carried.sentence}")
 
     @property
     def steps(self) -> str:

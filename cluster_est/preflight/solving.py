@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding
+from cluster_est.preflight.sensitivities import sensitivities
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from workers.messages import Solver
 from workers.probes.directional import DirectionalProbe
@@ -99,4 +100,4 @@ def derivatives(subject: CheckSubject) -> list[CheckFinding]:
         said = f"directional derivatives differ from the model's slopes by {found.error:.2g}"
         return [CheckFinding("note", check, f"{said} of the largest", do)]
     said = f"directional derivatives agree with differences within {found.error:.1g}"
-    return [CheckFinding("ok", check, said)]
+    return [CheckFinding("ok", check, said), *sensitivities(subject)]

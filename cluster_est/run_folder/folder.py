@@ -28,7 +28,6 @@ from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
 from cluster_est.run_folder.run_identity import FORMAT, versions
 from cluster_est.running.reset_policy import ResetDecision
 from cluster_est.running.runner import RunSnapshot, SearchIteration, TaskOrigin
-from cluster_est.running.sensitivity_policy import SensitivityDecision
 from workers.messages import Outcome
 
 BEGUN = {"evaluations", "config.toml", ".config.toml", PROGRESS, ".run.json"}
@@ -58,8 +57,8 @@ class RunFolder:
         What the run that is there has simulated, if it is taken up again: its log goes on.
     config_folder
         The folder that the config's paths start from.
-    chosen, carried
-        What every simulation begins with; whether sensitivities are taken from the model.
+    chosen
+        What every simulation begins with.
 
     Raises
     ------
@@ -80,7 +79,6 @@ class RunFolder:
         logged: LoggedOutcomes | None = None,
         config_folder: Path | None = None,
         chosen: ResetDecision | None = None,
-        carried: SensitivityDecision | None = None,
     ) -> None:
         check_free(path, overwrite=overwrite or logged is not None)
         self.path = path
@@ -89,7 +87,7 @@ class RunFolder:
         self._config_hash = config_hash
         self._logged = logged
         self._config_folder = config_folder
-        self._chosen, self._carried = chosen, carried
+        self._chosen = chosen
         self._iterations: dict[tuple[str, int, str], dict[str, Any]] = {}
         self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
         self._begin = time.time()
@@ -203,7 +201,6 @@ class RunFolder:
                 "solver": self._problem.model.solver.name,
             },
             "renewal": dataclasses.asdict(self._chosen) if self._chosen is not None else None,
-            "sensitivities": dataclasses.asdict(self._carried) if self._carried else None,
             "experiments": {e.id: e.key for e in self._problem.experiments},
             "versions": versions(),
         }

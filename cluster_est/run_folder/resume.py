@@ -16,7 +16,6 @@ from cluster_est.run_folder.folder import RunFolder, check_free
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, hash_config, versions
 from cluster_est.running.reset_policy import ResetDecision
-from cluster_est.running.sensitivity_policy import SensitivityDecision
 
 FINISHED = "done"
 
@@ -31,7 +30,6 @@ def open_folder(
     logged: LoggedOutcomes | None = None,
     base: Path | None = None,
     chosen: ResetDecision | None = None,
-    carried: SensitivityDecision | None = None,
 ) -> RunFolder:
     """The folder of a run by a config, whose paths start from `base`.
 
@@ -48,7 +46,6 @@ def open_folder(
         logged=logged,
         config_folder=base,
         chosen=chosen,
-        carried=carried,
     )
 
 
@@ -100,6 +97,11 @@ def _difference(
     for experiment in problem.experiments:
         if known.get(experiment.id) != experiment.key:
             return f"the data of experiment {experiment.id!r} were others then"
+    if (facts.get("sensitivities") or {}).get("carry"):  # of versions that decided this by a clock
+        return (
+            "an earlier version had found sensitivities to be quicker and took them, which now "
+            'method.options.differences = "sensitivities" has to say'
+        )
     return _different_version(facts.get("versions", {}))
 
 

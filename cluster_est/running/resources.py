@@ -8,15 +8,12 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from cluster_est.executors import Executor, WorkerPool
+from cluster_est.executors import Executor
 from cluster_est.executors.log_replay import LogReplayExecutor
-from cluster_est.methods.base import Method
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import SearchSpace
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.running.reset_policy import ResetDecision, open_renewing
 from cluster_est.running.runner import Budget
-from cluster_est.running.sensitivity_policy import SensitivityDecision, cheaper_slopes, with_slopes
 from workers.messages import Limits
 
 
@@ -40,11 +37,8 @@ class Resources:
         What an interrupted run has simulated already, if this one takes it up again.
     renew
         What that run's simulations began with, if it had to be chosen.
-    carried
-        Whether that run's method took sensitivities from the model, if that was found out.
-    chosen, slopes
-        Told what every simulation begins with, and where derivatives come from, before the first
-        simulation that counts.
+    chosen
+        Told what every simulation begins with, before the first simulation that counts.
     """
 
     executor: str = "local"
@@ -54,11 +48,7 @@ class Resources:
     limits: Limits = field(default_factory=Limits)
     log: LoggedOutcomes | None = field(default=None, repr=False, compare=False)
     renew: ResetDecision | None = None
-    carried: SensitivityDecision | None = None
     chosen: Callable[[ResetDecision], None] | None = field(default=None, repr=False, compare=False)
-    slopes: Callable[[SensitivityDecision], None] | None = field(
-        default=None, repr=False, compare=False
-    )
 
 
 def one_blas_thread() -> Any:
@@ -79,15 +69,3 @@ def open_executor(problem: Problem, resources: Resources) -> Executor:
     if resources.log is None:
         return executor
     return LogReplayExecutor(executor, problem.model, problem.experiments, resources.log)
-
-
-def suit_method(
-    method: Method, executor: Executor, space: SearchSpace, resources: Resources
-) -> Method:
-    """The method, with derivatives from where they are cheaper; nothing was simulated yet."""
-    found = resources.carried or SensitivityDecision(False)
-    if resources.carried is None and isinstance(executor, WorkerPool):
-        found = cheaper_slopes(executor, space, method)
-    if resources.slopes is not None:
-        resources.slopes(found)
-    return with_slopes(method, found)

@@ -31,7 +31,7 @@ def main(descriptor: int, shared: int) -> None:
     orders = Connection(descriptor)
     installation = orders.recv()
     _keep_apart(installation[0])
-    evaluator = _prepare(*installation, map_progress(shared))
+    evaluator = _prepare(installation, map_progress(shared))
     running: set[int] = set()
     with contextlib.suppress(EOFError, OSError):
         while True:
@@ -65,11 +65,11 @@ def _keep_apart(model: Model) -> None:
 
 
 def _prepare(
-    model: Model, experiments: tuple[Experiment, ...], name: str, progress: IntArray
+    installation: tuple[Model, tuple[Experiment, ...], str], progress: IntArray
 ) -> Evaluator | ModelError:
     """All but the FMU, ready once for all processes; or what is wrong with it, for them to say."""
     try:
-        return Evaluator(model, experiments, name, load=False, progress=progress)
+        return Evaluator(*installation, load=False, progress=progress)
     except ModelError as error:
         return error
 

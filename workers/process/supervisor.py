@@ -1,6 +1,6 @@
 """Simulations in a process of their own: one that crashes, hangs or leaks costs only itself.
 
-A batch is sent to a forked process. If that dies or has to be ended, each task of the batch is asked
+A batch is sent to a forked process. If that dies or has to be ended, each task of it is asked
 again alone. One that has failed twice, the last time in a process in which nothing was simulated
 before, is an outcome with the reason. For some time after, tasks go one by one, so that the next
 failure costs its neighbours nothing.

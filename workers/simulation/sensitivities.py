@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numba import typeof
 
 from workers.errors import ModelError
 from workers.fmu.description import ModelDescription
@@ -137,6 +138,18 @@ class SensitivitySource:
             record=np.zeros((len(ready.grid.times), len(chosen), y)),
         )
         return SensitivityPass(True if self._model.solver.name == "rk4" else None, forward)
+
+    def compile(
+        self, ready: BoundExperiment, point: FloatArray, arguments: tuple[Any, ...]
+    ) -> None:
+        """Have the loops compiled for one point, whose other arguments are those of `start`."""
+        along = self.along(ready, point, np.full(len(point), KNOWN), 0)
+        record = np.empty((len(ready.grid.times), len(ready.outputs)))
+        given = (along.fixed, *arguments, along.forward, record)
+        simulate_forward.compile(tuple(typeof(each) for each in given))
+        references, found = np.zeros(1, np.uint32), np.zeros(1)
+        given = (*arguments, references, references, found)
+        takes_as_known.compile(tuple(typeof(each) for each in given))
 
     def find_kinds(
         self,

@@ -227,6 +227,14 @@ class Simulator:
         point = np.zeros(len(self._model.parameters))
         stiffness.compile(tuple(typeof(each) for each in self._of_stiffness(0, point, 1)))
 
+    def compile_sensitivities(self) -> None:
+        """Have what `sensitivities` needs compiled, or read from disk, if the FMU may have them."""
+        ready, point = self._installed[0], np.zeros(len(self._model.parameters))
+        if self._sensing.why_not(ready):
+            return
+        arguments = self._of_stiffness(0, point, 1)
+        self._sensing.compile(ready, point, arguments)
+
     def _of_stiffness(self, experiment: int, point: FloatArray, max_steps: int) -> tuple[Any, ...]:
         ready, hooks = self._installed[experiment], no_hooks(1)
         return (
