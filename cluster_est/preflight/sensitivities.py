@@ -39,4 +39,4 @@ def sensitivities(subject: CheckSubject) -> list[CheckFinding]:
     if part > CHEAPER:
         return [CheckFinding("ok", "sensitivities", said)]
     do = 'method.options.differences = "sensitivities", for least_squares and sqp'
-    return [CheckFinding("note", "sensitivities", said, do)]
+    return [CheckFinding("ok", "sensitivities", said, do)]
