@@ -12,7 +12,7 @@ import pytest
 
 from workers.process.forked import ForkClient
 
-STOPPED, RUNNING = 0.4, 0.05
+STOPPED, RUNNING = 0.3, 0.1
 """Seconds of each."""
 
 
@@ -20,7 +20,7 @@ STOPPED, RUNNING = 0.4, 0.05
 def stopped_now_and_then(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
     """Stop every process that is forked for an FMU, and let it go on, over and over.
 
-    Gives their ids. Each stands still for eight times as long as it runs in between.
+    Gives their ids. Each stands still for three times as long as it runs in between.
     """
     processes: list[int] = []
     fork = ForkClient.fork

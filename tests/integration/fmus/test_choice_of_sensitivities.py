@@ -84,6 +84,7 @@ def test_a_run_that_a_clock_had_chosen_them_for_is_refused(
     tree = config.model_dump(mode="json", exclude_defaults=False)
     run = {
         "format": resume.FORMAT,
+        "status": "interrupted",
         "config_hash": resume.hash_config(tree, "closed_loop"),
         "fmu": {"sha256": problem.model.archive_hash},
         "experiments": {e.id: e.key for e in problem.experiments},
