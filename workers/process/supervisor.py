@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
-from workers.messages import Experiment, Limits, Model, Outcome, Status, Task
+from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
 from workers.probes.memory import resident_bytes
 from workers.process.child import BatchReport
 from workers.process.forked import ForkClient
@@ -79,6 +79,7 @@ class SupervisedEvaluator:
         self._name, self._file, self._limits = name, model.name, limits
         self._renew = model.renew
         self._careful = 0
+        self._known: set[int] = set()
         self._used = False
         self._base = 0
         self._stopped = False
@@ -95,7 +96,7 @@ class SupervisedEvaluator:
         """Answer every task of a batch, in its order."""
         failed = 0
         together = self._renew in ("auto", "reset")
-        if together and self._careful == 0:
+        if together and self._careful == 0 and self._is_known(batch):
             answered = self._ask(batch)
             if not isinstance(answered, ProcessFailure):
                 return answered
@@ -166,6 +167,7 @@ class SupervisedEvaluator:
             code = self._end(kill=failure is not None)
             return failure or _ended(code)
         outcomes = report.answers.outcomes()
+        self._known.update(batch.experiments.tolist() if batch.want in USUAL else [])
         if self._renew == "process":
             self._end(kill=True)  # it has answered, and nothing waits for how it ends
         elif self._has_grown(report):
@@ -181,6 +183,11 @@ class SupervisedEvaluator:
             if failure is not None:
                 return failure
         return None
+
+    def _is_known(self, batch: TaskBatch) -> bool:
+        """Whether such simulations travel together: the first ones may take minutes, and go alone,
+        so that a failure does not cost them all."""
+        return batch.want in USUAL and self._known.issuperset(batch.experiments.tolist())
 
     def _has_grown(self, report: BatchReport) -> bool:
         """Whether the process should be replaced before it fails: the FMU leaks."""

@@ -133,7 +133,7 @@ def test_whatever_is_sent_of_them_simulations_that_are_known_travel_together(
     batch = TaskBatch.of([replace(task, want=want) for task in tasks(RATES[:4])])
     for _ in range(2):
         assert all(outcome.ok for outcome in guard.evaluate(batch))
-    assert sizes == [4, 4]
+    assert sizes == [1, 1, 1, 1, 4]
 
 
 def test_no_task_is_tried_more_than_twice_alone(open_guard, monkeypatch):
