@@ -16,13 +16,18 @@ import contextlib
 import os
 import signal
 from collections.abc import Sequence
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
 from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
-from workers.probes.memory import resident_bytes
 from workers.process.child import BatchReport
+from workers.process.failures import (
+    LOAD_SECONDS,
+    ProcessFailure,
+    how_it_ended,
+    too_large,
+    too_late,
+)
 from workers.process.forked import ForkClient
 from workers.process.watch import ProgressWatch
 from workers.wire import TaskBatch
@@ -35,22 +40,6 @@ CAREFUL = 500
 """Tasks in a row without a failure before they travel in batches again."""
 MOST_INSTANCES = 900
 """Of an FMU in one process; some tools' FMUs die at about 1000."""
-LOAD_SECONDS = 300.0
-"""For which a process may stand still outside of a simulation: it loads the FMU, compiles what
-simulates, or compares the outputs with what was measured."""
-
-
-@dataclass(frozen=True)
-class ProcessFailure:
-    """Why a process did not answer."""
-
-    status: Status
-    message: str
-
-    @property
-    def from_outside(self) -> bool:
-        """Whether somebody else ended it, so that the simulation is not to blame."""
-        return self.status is Status.LOST_WORKER
 
 
 class LostError(Exception):
@@ -165,7 +154,7 @@ class SupervisedEvaluator:
             raise
         if report is None:
             code = self._end(kill=failure is not None)
-            return failure or _ended(code)
+            return failure or how_it_ended(code)
         outcomes = report.answers.outcomes()
         self._known.update(batch.experiments.tolist() if batch.want in USUAL else [])
         if self._renew == "process":
@@ -179,14 +168,16 @@ class SupervisedEvaluator:
         watch = ProgressWatch(child, self._forks.progress)
         while not connection.poll(LOOK_SECONDS):
             watch.look()
-            failure = _too_late(watch, self._limits) or _too_large(child, self._limits)
+            failure = too_late(watch, self._limits) or too_large(child, self._limits)
             if failure is not None:
                 return failure
         return None
 
     def _is_known(self, batch: TaskBatch) -> bool:
-        """Whether such simulations travel together: the first ones may take minutes, and go alone,
-        so that a failure does not cost them all."""
+        """Whether such simulations travel together.
+
+        The first ones, which may take minutes, go alone: a failure does not cost them all.
+        """
         return batch.want in USUAL and self._known.issuperset(batch.experiments.tolist())
 
     def _has_grown(self, report: BatchReport) -> bool:
@@ -226,7 +217,7 @@ class SupervisedEvaluator:
                     )
             said = connection.recv()
         except (EOFError, OSError) as error:
-            ended = _ended(self._end(kill=False))
+            ended = how_it_ended(self._end(kill=False))
             if ended.from_outside:
                 raise LostError(ended.message) from error
             raise ModelError(
@@ -249,52 +240,3 @@ class SupervisedEvaluator:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
         return self._forks.wait(child)
-
-
-def _too_late(watch: ProgressWatch, limits: Limits) -> ProcessFailure | None:
-    """Why a simulation is not waited for any longer; None if it is."""
-    if watch.simulated > limits.seconds:
-        return ProcessFailure(
-            Status.TIMEOUT,
-            f"the simulation did not end within {limits.seconds:.3g} s and was stopped; raise "
-            "executor.timeout if it only needs longer",
-        )
-    most = limits.stall if watch.simulates else max(limits.stall, LOAD_SECONDS)
-    if watch.still > most:
-        return ProcessFailure(
-            Status.TIMEOUT,
-            f"the simulation stood still for {most:.3g} s, in which no step ended, and was "
-            "stopped; check that the FMU does not wait for a licence or a window, or raise "
-            "executor.stall if one step of it takes so long",
-        )
-    return None
-
-
-def _too_large(child: int, limits: Limits) -> ProcessFailure | None:
-    resident = resident_bytes(child)
-    if resident <= limits.memory:
-        return None
-    return ProcessFailure(
-        Status.OUT_OF_MEMORY,
-        f"the simulation took {resident / 2**20:.0f} MB of memory and was stopped; "
-        "raise executor.memory if it needs that much",
-    )
-
-
-def _ended(code: int | None) -> ProcessFailure:
-    """What became of a process that ended in the middle of a simulation."""
-    if code is None or code == -signal.SIGKILL:
-        message = "the process was killed from outside, perhaps because memory ran out"
-        return ProcessFailure(Status.LOST_WORKER, message)
-    if code < 0:
-        name = _signal_name(-code)
-        return ProcessFailure(Status.CRASH, f"the process crashed during this simulation ({name})")
-    message = f"the process was ended by the FMU during this simulation (exit code {code})"
-    return ProcessFailure(Status.CRASH, message)
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"

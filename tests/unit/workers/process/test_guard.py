@@ -163,7 +163,7 @@ def test_what_sleeps_without_a_step_is_asked_again_and_then_ended(open_guard):
 
 def test_what_is_stopped_and_goes_on_is_no_failure(open_guard, monkeypatch):
     """It stands still for five times as long as it may, and no time passes for it."""
-    monkeypatch.setattr("workers.process.supervisor.LOAD_SECONDS", 0.2)
+    monkeypatch.setattr("workers.process.failures.LOAD_SECONDS", 0.2)
     guard, asked = open_guard(Limits(stall=0.2)), tasks(RATES[:10])
     expected = in_batches(guard, asked)
     child = guard._child[0]
