@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluster_est.config.build import build_problem
+from cluster_est.config.former_keys import former_keys
 from cluster_est.config.options import build_method
 from cluster_est.config.reader import Config, read_config
 from cluster_est.config.settings import (
@@ -204,6 +205,8 @@ def do_run(
     KeyboardInterrupt
         If it is interrupted before anything was simulated.
     """
+    for sentence in former_keys(run.config):
+        listener.say(sentence)
     context = RunContext(run.identity, to.out, to.existing, listener.say)
     if context.finished:
         return RunEnd(RunStatus.DONE)

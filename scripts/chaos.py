@@ -193,9 +193,9 @@ def workers_of(process: int) -> list[tuple[int, str]]:
                 continue
             parents[int(entry.name)] = int(stat.rpartition(")")[2].split()[1])
     return [
-        (pid, "worker" if name.startswith("ray::Worker") else "simulation")
+        (pid, "worker" if name.startswith("ray::FmuActor") else "simulation")
         for pid, name in names.items()
-        if (name.startswith("ray::Worker") or "workers.process.fork_server" in name)
+        if (name.startswith("ray::FmuActor") or "workers.process.fork_server" in name)
         and descends(pid, process, parents)
     ]
 

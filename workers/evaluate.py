@@ -49,6 +49,8 @@ class Evaluator:
     load
         Whether the FMU is loaded. If not, all else is made ready, and `load` follows later: in
         processes that are forked from this one, each of which loads it for itself.
+    progress
+        Counters that simulations advance; see `workers.kernels.fmi.progress`.
 
     Raises
     ------
@@ -57,11 +59,17 @@ class Evaluator:
     """
 
     def __init__(
-        self, model: Model, experiments: Sequence[Experiment], name: str, *, load: bool = True
+        self,
+        model: Model,
+        experiments: Sequence[Experiment],
+        name: str,
+        *,
+        load: bool = True,
+        progress: IntArray | None = None,
     ) -> None:
         description = describe_model(model)
         self.model, self.description = model, description
-        self._simulator = Simulator(model, description, tuple(experiments))
+        self._simulator = Simulator(model, description, tuple(experiments), progress)
         self.experiments = self._experiments = tuple(experiments)
         self._comparisons = [
             ExperimentComparison(e, self._simulator.bound_experiment(i).grid, model.parameters)

@@ -11,6 +11,8 @@ from rich.console import Console
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.preflight_printing import print_page
 from cluster_est.cli.printing import print_check, print_model, say
+from cluster_est.cli.terminal import complain
+from cluster_est.config.former_keys import former_keys
 from cluster_est.config.reader import Config
 from cluster_est.config.settings import build_resources
 from cluster_est.configured_run import read_run
@@ -67,6 +69,8 @@ def check(options: Namespace) -> int:
         return _verdict(page)
     run = read_run(path, options.overrides, RunKind.FIT, allow_code=options.allow_code)
     config, problem = run.config, run.identity.problem
+    for sentence in former_keys(config):
+        complain(sentence)
     page = run_checks(problem, build_resources(config), seconds)
     page = replace(page, findings=(*page.findings, *_units(config, problem)))
     print_model(console, problem, f"method {config.method.name}")

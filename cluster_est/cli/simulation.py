@@ -12,7 +12,9 @@ import pyarrow.parquet
 from rich.console import Console
 
 from cluster_est.cli.exit_codes import ExitCode
+from cluster_est.cli.terminal import complain
 from cluster_est.config.build import build_problem
+from cluster_est.config.former_keys import former_keys
 from cluster_est.config.reader import read_config
 from cluster_est.config.settings import build_resources
 from cluster_est.errors import RunFolderError
@@ -25,6 +27,8 @@ from cluster_est.run_folder.reading import read_run_table
 def simulate(options: Namespace) -> int:
     """Simulate every experiment and write one table of trajectories."""
     config, out = read_config(options.config, options.overrides), options.out
+    for sentence in former_keys(config):
+        complain(sentence)
     writer = _table_writer(out)
     if out.is_dir():
         raise RunFolderError(f"--out: {out} must be a file but is a folder; choose another")

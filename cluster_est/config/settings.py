@@ -70,4 +70,4 @@ def build_resources(config: Config) -> Resources:
 def _limits(config: Config) -> Limits:
     section = config.executor
     memory = float("inf") if section.memory is None else section.memory * 2.0**20
-    return Limits(section.timeout, section.patience, memory, section.growth * 2.0**20)
+    return Limits(section.timeout, section.stall, memory, section.growth * 2.0**20)

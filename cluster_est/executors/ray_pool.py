@@ -1,8 +1,9 @@
 """Simulations in Ray actors, one for each core, on this machine or a cluster.
 
 Two batches are in flight for each actor, so that it never waits for the coordinator. Actors may
-come and go: what a lost one had is asked again elsewhere, what takes much longer than usual is
-asked twice where a worker is idle, and the first answer counts. An FMU that crashes or hangs takes
+come and go: what a lost one had is asked again elsewhere, and what takes much longer than usual is
+asked twice where a worker is idle. The first answer counts, which changes nothing: both are the
+same bits, and who of the two fails has tried in a fresh process. An FMU that crashes or hangs takes
 no actor with it (see `workers.process.supervisor`), so a task is given up only after many lost
 workers.
 """
@@ -103,12 +104,15 @@ class RayPool(WorkerPool):
         return self._fixed or cores()
 
     def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
-        actor = next(iter(self._actors.values()))
-        asked = [actor.evaluate.remote(TaskBatch.of([task])) for task in tasks]
-        try:
-            return [outcome for answers in ray.get(asked) for outcome in answers.outcomes()]
-        except RayError:
-            return []  # it is replaced as soon as it is asked for something
+        for _ in range(ALONE):
+            name, actor = next(iter(self._actors.items()))
+            asked = [actor.evaluate.remote(TaskBatch.of([task])) for task in tasks]
+            try:
+                return [outcome for answers in ray.get(asked) for outcome in answers.outcomes()]
+            except RayError:  # lost: what is decided by its answers must not depend on that
+                self._replace(name)
+                self._wait_for_workers()
+        return []
 
     def submit(self, tasks: Sequence[Task]) -> None:
         self._open.update(task.id for task in tasks)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict
+from cluster_est.preflight.sensitivities import sensitivities
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from workers.messages import Solver
 from workers.probes.directional import DirectionalProbe
@@ -100,4 +101,4 @@ def derivatives(subject: CheckSubject) -> list[CheckFinding]:
         said = f"directional derivatives differ from the model's slopes by {found.error:.2g}"
         return [CheckFinding(CheckVerdict.NOTE, check, f"{said} of the largest", do)]
     said = f"directional derivatives agree with differences within {found.error:.1g}"
-    return [CheckFinding(CheckVerdict.OK, check, said)]
+    return [CheckFinding(CheckVerdict.OK, check, said), *sensitivities(subject)]

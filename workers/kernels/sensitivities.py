@@ -5,6 +5,7 @@ from __future__ import annotations
 from workers.kernels.fmi.calling import kernel
 from workers.kernels.fmi.failure import FINISHED, HAS_EVENTS, OUTPUT, SENSITIVITIES, failed
 from workers.kernels.fmi.functions import get_directional_derivative
+from workers.kernels.fmi.progress import count_simulation
 from workers.kernels.fmi.values import DISCARD
 from workers.kernels.model_exchange.evaluation import record_outputs
 from workers.kernels.model_exchange.forward_sensitivities import instance_of, record_sensitivities
@@ -34,6 +35,7 @@ def simulate_forward(  # type: ignore[no-untyped-def]
     """
     times, steps_left = grid.times, settings.max_steps
     time, proposed = times[0], 0.0
+    count_simulation(work)
     code = _start_sensitivities(c, references, starts, settings, hooks, grid, point, work, forward)
     if code == FINISHED:
         code = _start_compiled_once(c, references, starts, settings, hooks, grid, point, work)

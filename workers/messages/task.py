@@ -44,9 +44,10 @@ class Limits:
     Attributes
     ----------
     seconds
-        Longest that one simulation may take.
-    patience
-        How many times as long as usual it may take, beyond a second; 0 for no such limit.
+        Longest that one simulation may take on the wall's clock.
+    stall
+        Seconds for which it may stand still: no step ends, though the system lets it run, or it
+        sleeps. It has to happen twice.
     memory
         Most bytes that the process may have in memory.
     growth
@@ -54,6 +55,6 @@ class Limits:
     """
 
     seconds: float = 600.0
-    patience: float = 50.0
+    stall: float = 60.0
     memory: float = float("inf")
     growth: float = 256.0 * 2**20

@@ -225,10 +225,11 @@ class SolverProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class CompileProbe(FmuProbe):
-    """Asks for what `StiffnessProbe` needs to be compiled and on disk, which takes long once."""
+    """Asks for what other probes need to be compiled and on disk, which takes long once."""
 
     def answer(self, evaluator: Evaluator) -> None:
         evaluator.simulator.compile_stiffness()
+        evaluator.simulator.compile_sensitivities()
 
 
 @dataclass(frozen=True)

@@ -22,18 +22,22 @@ from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
-from workers.messages import Experiment, Model
+from workers.messages import Experiment, IntArray, Model
 from workers.process.child import serve
+from workers.process.watch import map_progress
 
 FORK, FORK_FOR_EFFECTS = "fork", "fork for effects"
 
 
-def main(descriptor: int) -> None:
-    """Fork and wait as told: `FORK` and a connection's handle, or the id of an ended process."""
+def main(descriptor: int, shared: int) -> None:
+    """Fork and wait as told: `FORK` and a connection's handle, or the id of an ended process.
+
+    `shared` is the descriptor of the counters that all processes advance, one at a time.
+    """
     orders = Connection(descriptor)
     installation = orders.recv()
     _keep_apart(installation[0])
-    evaluator = _prepare(*installation)
+    evaluator = _prepare(installation, map_progress(shared))
     running: set[int] = set()
     with contextlib.suppress(EOFError, OSError):
         while True:
@@ -67,14 +71,14 @@ def _keep_apart(model: Model) -> None:
 
 
 def _prepare(
-    model: Model, experiments: tuple[Experiment, ...], name: str
+    installation: tuple[Model, tuple[Experiment, ...], str], progress: IntArray
 ) -> Evaluator | ModelError:
     """All but the FMU, ready once for all processes; or what is wrong with it, for them to say."""
     try:
-        return Evaluator(model, experiments, name, load=False)
+        return Evaluator(*installation, load=False, progress=progress)
     except ModelError as error:
         return error
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    main(int(sys.argv[1]), int(sys.argv[2]))

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from workers.process.fork_server import FORK, FORK_FOR_EFFECTS
+from workers.process.watch import SharedProgress
 
 
 class ForkClient:
@@ -24,10 +25,17 @@ class ForkClient:
     ----------
     installation
         What each process is given; see `workers.process.child.serve`.
+
+    Attributes
+    ----------
+    progress
+        What the process has done that was forked last; see `workers.kernels.fmi.progress`.
     """
 
     def __init__(self, installation: tuple[Any, ...]) -> None:
         self._installation = installation
+        self._shared = SharedProgress()
+        self.progress = self._shared.counters
         self._start()
 
     def fork(self, *, effects: bool = False) -> tuple[int, Connection]:
@@ -43,10 +51,11 @@ class ForkClient:
         OSError
             If none can be started.
         """
+        self.progress[:] = 0
         try:
             return self._fork(effects)
         except (EOFError, OSError):
-            self.close()
+            self._stop()
             self._start()
         try:
             return self._fork(effects)
@@ -67,16 +76,21 @@ class ForkClient:
 
     def close(self) -> None:
         """End all processes. Again does nothing."""
+        self._stop()
+        self._shared.close()
+
+    def _stop(self) -> None:
         if not self._orders.closed:
             self._orders.close()
             self._zygote.wait()
 
     def _start(self) -> None:
         mine, theirs = socket.socketpair()
+        passed = theirs.fileno(), self._shared.descriptor
         with theirs:
             self._zygote = subprocess.Popen(
-                [sys.executable, "-m", "workers.process.fork_server", str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
+                [sys.executable, "-m", "workers.process.fork_server", *map(str, passed)],
+                pass_fds=passed,
                 start_new_session=True,
                 env={**os.environ, "PYTHONPATH": _import_path(), "OPENBLAS_NUM_THREADS": "1"},
             )

@@ -1,9 +1,13 @@
 """Simulations in a process of their own: one that crashes, hangs or leaks costs only itself.
 
-A batch is sent to a forked process. If that dies or takes too long, each task of the batch is asked
-again alone in a fresh one, and the one that fails even then is an outcome with the reason: no task
-is tried a third time. For some time after, tasks go one by one, so that the next failure costs its
-neighbours nothing.
+A batch is sent to a forked process. If that dies or has to be ended, each task of it is asked
+again alone. One that has failed twice, the last time in a process in which nothing was simulated
+before, is an outcome with the reason. For some time after, tasks go one by one, so that the next
+failure costs its neighbours nothing.
+
+No simulation is ended because others were quicker, or because the machine is busy: steps are
+counted by the solvers (`Solver.max_steps`), and what stands still is told from what waits for its
+turn (see `workers.process.watch`). Only `Limits.seconds` goes by the clock on the wall.
 """
 
 from __future__ import annotations
@@ -11,49 +15,31 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import statistics
-import time
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
 from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
-from workers.probes.memory import resident_bytes
 from workers.process.child import BatchReport
+from workers.process.failures import (
+    LOAD_SECONDS,
+    ProcessFailure,
+    how_it_ended,
+    too_large,
+    too_late,
+)
 from workers.process.forked import ForkClient
+from workers.process.watch import ProgressWatch
 from workers.wire import TaskBatch
 
 LOOK_SECONDS = 0.1
-"""How often the memory of a running simulation is looked at."""
-GRACE_SECONDS = 1.0
-"""What a simulation may always take beyond what is usual."""
-NEIGHBOURS = 5.0
-"""How many times as long as usual the other simulations of a batch may take on average. If they
-take longer, each is asked again alone and has all its time."""
-REMEMBERED = 31
-"""Durations of each experiment, whose median is what is usual."""
+"""How often the memory and the progress of a running simulation are looked at."""
 TRIES, LOST = 2, 10
 """How often a simulation may fail, and how often it may be killed from outside."""
 CAREFUL = 500
 """Tasks in a row without a failure before they travel in batches again."""
 MOST_INSTANCES = 900
 """Of an FMU in one process; some tools' FMUs die at about 1000."""
-LOAD_SECONDS = 300.0
-
-
-@dataclass(frozen=True)
-class ProcessFailure:
-    """Why a process did not answer."""
-
-    status: Status
-    message: str
-
-    @property
-    def from_outside(self) -> bool:
-        """Whether somebody else ended it, so that the simulation is not to blame."""
-        return self.status is Status.LOST_WORKER
 
 
 class LostError(Exception):
@@ -81,8 +67,9 @@ class SupervisedEvaluator:
     ) -> None:
         self._name, self._file, self._limits = name, model.name, limits
         self._renew = model.reset
-        self._seconds: dict[int, deque[float]] = {}
         self._careful = 0
+        self._known: set[int] = set()
+        self._used = False
         self._base = 0
         self._stopped = False
         self._effects = False
@@ -98,7 +85,7 @@ class SupervisedEvaluator:
         """Answer every task of a batch, in its order."""
         failed = 0
         together = self._renew in ("auto", "reset")
-        if together and self._careful == 0 and self._is_usual(batch):
+        if together and self._careful == 0 and self._is_known(batch):
             answered = self._ask(batch)
             if not isinstance(answered, ProcessFailure):
                 return answered
@@ -126,17 +113,21 @@ class SupervisedEvaluator:
         self._forks.close()
 
     def _alone(self, task: Task, failed: int) -> Outcome:
-        """The outcome of one task, which has failed so many times with its batch."""
+        """The outcome of one task, which has failed so many times with its batch.
+
+        What others leave behind in a process, memory above all, must not make it fail.
+        """
         self._careful = max(self._careful - 1, 0)
         lost = 0
         while True:
+            alone = self._child is None or not self._used
             answered = self._ask(TaskBatch.of([task]))
             if not isinstance(answered, ProcessFailure):
                 return answered[0]
             self._careful = CAREFUL
             lost += answered.from_outside
             failed += not answered.from_outside
-            if failed >= TRIES or lost >= LOST:
+            if (failed >= TRIES and alone) or lost >= LOST:
                 return self._failed(task, answered)
 
     def _failed(self, task: Task, failure: ProcessFailure) -> Outcome:
@@ -150,11 +141,11 @@ class SupervisedEvaluator:
             return ProcessFailure(Status.CRASH, str(error))
         except LostError as error:
             return ProcessFailure(Status.LOST_WORKER, str(error))
-        begin = time.monotonic()
         self._effects |= bool(batch.effects)
+        self._used = True
         try:
             connection.send(batch)
-            failure = self._wait(child, connection, begin, self._limit(batch))
+            failure = self._wait(child, connection)
             report: BatchReport | None = None if failure else connection.recv()
         except (EOFError, OSError):
             failure, report = None, None
@@ -163,54 +154,31 @@ class SupervisedEvaluator:
             raise
         if report is None:
             code = self._end(kill=failure is not None)
-            return failure or _ended(code)
+            return failure or how_it_ended(code)
         outcomes = report.answers.outcomes()
-        self._learn(batch, outcomes)
+        self._known.update(batch.experiments.tolist() if batch.want in USUAL else [])
         if self._renew == "process":
             self._end(kill=True)  # it has answered, and nothing waits for how it ends
         elif self._has_grown(report):
             self._end(kill=False)
         return outcomes
 
-    def _wait(
-        self, child: int, connection: Connection, begin: float, limit: float
-    ) -> ProcessFailure | None:
-        """Wait for an answer; why not, if time or memory ran out."""
-        while not connection.poll(min(LOOK_SECONDS, max(begin + limit - time.monotonic(), 0.0))):
-            if time.monotonic() - begin >= limit:
-                return ProcessFailure(
-                    Status.TIMEOUT,
-                    f"the simulation did not end within {limit:.3g} s and was stopped; raise "
-                    "executor.timeout or executor.patience if it only needs longer",
-                )
-            resident = resident_bytes(child)
-            if resident > self._limits.memory:
-                return ProcessFailure(
-                    Status.OUT_OF_MEMORY,
-                    f"the simulation took {resident / 2**20:.0f} MB of memory and was stopped; "
-                    "raise executor.memory if it needs that much",
-                )
+    def _wait(self, child: int, connection: Connection) -> ProcessFailure | None:
+        """Wait for an answer; why not, if it stands still, or time or memory ran out."""
+        watch = ProgressWatch(child, self._forks.progress)
+        while not connection.poll(LOOK_SECONDS):
+            watch.look()
+            failure = too_late(watch, self._limits) or too_large(child, self._limits)
+            if failure is not None:
+                return failure
         return None
 
-    def _limit(self, batch: TaskBatch) -> float:
-        """Seconds that a batch may take: what one of it may, and some times what is usual."""
-        hard = self._limits.seconds
-        if self._limits.patience == 0.0 or not self._is_usual(batch):
-            return hard * len(batch.ids)
-        usual = [statistics.median(self._seconds[e]) for e in batch.experiments.tolist()]
-        longest = max(usual)
-        one = min(hard, GRACE_SECONDS + self._limits.patience * longest)
-        return one + NEIGHBOURS * (sum(usual) - longest)
+    def _is_known(self, batch: TaskBatch) -> bool:
+        """Whether such simulations travel together.
 
-    def _is_usual(self, batch: TaskBatch) -> bool:
-        """Whether it is known how long these simulations take; a first one goes alone."""
-        return batch.want in USUAL and all(e in self._seconds for e in batch.experiments.tolist())
-
-    def _learn(self, batch: TaskBatch, outcomes: Sequence[Outcome]) -> None:
-        if batch.want in USUAL:
-            for experiment, outcome in zip(batch.experiments.tolist(), outcomes, strict=True):
-                known = self._seconds.setdefault(experiment, deque(maxlen=REMEMBERED))
-                known.append(outcome.seconds)
+        The first ones, which may take minutes, go alone: a failure does not cost them all.
+        """
+        return batch.want in USUAL and self._known.issuperset(batch.experiments.tolist())
 
     def _has_grown(self, report: BatchReport) -> bool:
         """Whether the process should be replaced before it fails: the FMU leaks."""
@@ -231,22 +199,25 @@ class SupervisedEvaluator:
         """Fork a process and wait until it has loaded the FMU."""
         if self._stopped:
             raise ModelError(f"{self._file}: its worker was stopped")
-        self._base = 0
+        self._base, self._used = 0, False
         try:
-            self._child = _, connection = self._forks.fork(effects=self._effects)
+            self._child = child, connection = self._forks.fork(effects=self._effects)
         except OSError as error:
             raise LostError(f"no process can be started ({error})") from error
         said: ModelError | None
         try:
-            if not connection.poll(LOAD_SECONDS):
-                self._end(kill=True)
-                raise ModelError(
-                    f"{self._file}: must load within {LOAD_SECONDS:g} s but does not; check that "
-                    "it does not wait for a licence or a window"
-                )
+            watch = ProgressWatch(child, self._forks.progress)
+            while not connection.poll(LOOK_SECONDS):
+                watch.look()
+                if watch.still > LOAD_SECONDS:
+                    self._end(kill=True)
+                    raise ModelError(
+                        f"{self._file}: must load within {LOAD_SECONDS:g} s but does not; check "
+                        "that it does not wait for a licence or a window"
+                    )
             said = connection.recv()
         except (EOFError, OSError) as error:
-            ended = _ended(self._end(kill=False))
+            ended = how_it_ended(self._end(kill=False))
             if ended.from_outside:
                 raise LostError(ended.message) from error
             raise ModelError(
@@ -269,22 +240,3 @@ class SupervisedEvaluator:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
         return self._forks.wait(child)
-
-
-def _ended(code: int | None) -> ProcessFailure:
-    """What became of a process that ended in the middle of a simulation."""
-    if code is None or code == -signal.SIGKILL:
-        message = "the process was killed from outside, perhaps because memory ran out"
-        return ProcessFailure(Status.LOST_WORKER, message)
-    if code < 0:
-        name = _signal_name(-code)
-        return ProcessFailure(Status.CRASH, f"the process crashed during this simulation ({name})")
-    message = f"the process was ended by the FMU during this simulation (exit code {code})"
-    return ProcessFailure(Status.CRASH, message)
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"

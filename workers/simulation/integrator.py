@@ -16,11 +16,12 @@ from workers.kernels.fmi.arguments import KernelArguments
 from workers.kernels.fmi.component import FmiComponent, KernelWorkspace, nothing_loaded, workspace
 from workers.kernels.fmi.hooks import EffectHooks, no_hooks
 from workers.kernels.fmi.initialise import SolverSettings
+from workers.kernels.fmi.progress import RUNNING, no_watcher
 from workers.kernels.solvers.co_simulation import co_simulate_batch
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.dormand_prince import dormand_prince_batch
 from workers.kernels.solvers.rk4 import rk4_batch
-from workers.messages import FloatArray, Model
+from workers.messages import FloatArray, IntArray, Model
 from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment
 from workers.simulation.jacobian import (
@@ -121,16 +122,21 @@ class FmuIntegrator:
     ----------
     model, description
         The FMU; the description must be of the same archive.
+    progress
+        Counters that the loop advances; see `workers.kernels.fmi.progress`.
     """
 
     instance: FmuInstance
 
-    def __init__(self, model: Model, description: ModelDescription) -> None:
+    def __init__(
+        self, model: Model, description: ModelDescription, progress: IntArray | None = None
+    ) -> None:
         self._model, self._description = model, description
         name = model.solver.name
         self.batch: Batch = CvodeBatch() if name == "cvode" else BATCHES[name]
         self._checks_jacobian = name == "cvode" and _may_use_jacobian(model, description)
         self._workspaces: dict[tuple[int, ...], KernelWorkspace] = {}
+        self._progress = no_watcher() if progress is None else progress
         self._largest_array = max((v.size for v in description.variables.values()), default=1)
 
     def load(self, instance: FmuInstance | None = None) -> None:
@@ -243,7 +249,7 @@ class FmuIntegrator:
             self._largest_array,
         )
         if sizes not in self._workspaces:
-            self._workspaces[sizes] = workspace(*sizes)
+            self._workspaces[sizes] = workspace(*sizes, self._progress)
         return self._workspaces[sizes]
 
     @property
@@ -281,7 +287,10 @@ class FmuIntegrator:
         remaining = slice(first, first + 1 if self._new_instance_each else None)
         settings = self.settings(run.n_effect_states)
         work = self.workspace(run.bound, run.hooks, run.n_effect_states)
-        return run.batch(run.arguments(remaining, component, settings, work))
+        try:
+            return run.batch(run.arguments(remaining, component, settings, work))
+        finally:
+            self._progress[RUNNING] = 0
 
     def _explain(self, code: int, time: float) -> str:
         log = " | ".join(dict.fromkeys(self.instance.log))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numba import typeof
 
 from workers.errors import ModelError
 from workers.fmu.description import ModelDescription
@@ -150,6 +151,18 @@ class SensitivitySource:
         for row in np.flatnonzero(kinds == DIFFERENCES):
             handles[row] = [next(instances).component.handle for _ in range(2)]
         return handles
+
+    def compile(
+        self, bound: BoundExperiment, point: FloatArray, arguments: tuple[Any, ...]
+    ) -> None:
+        """Compile the loops for one point; `arguments` are the first of `is_known`."""
+        prepared = self.prepare_pass(bound, point, np.full(len(point), KNOWN), 0)
+        outputs = np.empty((len(bound.grid.times), len(bound.outputs)))
+        given = (prepared.fixed, *arguments, prepared.forward, outputs)
+        simulate_forward.compile(tuple(typeof(each) for each in given))
+        references, found = np.zeros(1, np.uint32), np.zeros(1)
+        given = (*arguments, references, references, found)
+        is_known.compile(tuple(typeof(each) for each in given))
 
     def parameter_kinds(
         self,

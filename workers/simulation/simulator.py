@@ -15,7 +15,7 @@ from workers.kernels.fmi import failure
 from workers.kernels.fmi.hooks import no_hooks
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.stiffness import stiffness
-from workers.messages import Effect, Experiment, FloatArray, Input, Model
+from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Model
 from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment, bind_experiment
 from workers.simulation.effect_bindings import EffectBindings
@@ -37,6 +37,8 @@ class Simulator:
         The FMU; the description must be of the same archive.
     experiments
         Those that `run` refers to by index.
+    progress
+        Counters that simulations advance; see `workers.kernels.fmi.progress`.
 
     Raises
     ------
@@ -45,7 +47,11 @@ class Simulator:
     """
 
     def __init__(
-        self, model: Model, description: ModelDescription, experiments: tuple[Experiment, ...]
+        self,
+        model: Model,
+        description: ModelDescription,
+        experiments: tuple[Experiment, ...],
+        progress: IntArray | None = None,
     ) -> None:
         self._model, self._description = model, description
         self._experiments = tuple(_continuous_first(description, e) for e in experiments)
@@ -56,7 +62,7 @@ class Simulator:
         signals = tuple(dict.fromkeys(s.variable for e in experiments for s in e.signals))
         self._bindings = EffectBindings(model, description, self._experiments, signals)
         self._sensitivity_source = SensitivitySource(model, description)
-        self._integrator = FmuIntegrator(model, description)
+        self._integrator = FmuIntegrator(model, description, progress)
 
     def load(self, instance: FmuInstance | None = None) -> None:
         """Load the FMU and instantiate it, unless another's instance is to be used.
@@ -220,6 +226,14 @@ class Simulator:
         """Compile what `is_stiff` needs, or read it from disk."""
         point = np.zeros(len(self._model.parameters))
         stiffness.compile(tuple(typeof(each) for each in self._stiffness_arguments(0, point, 1)))
+
+    def compile_sensitivities(self) -> None:
+        """Compile what `sensitivities` needs, or read it from disk, if the FMU may have them."""
+        bound, point = self._bound[0], np.zeros(len(self._model.parameters))
+        if self._sensitivity_source.unavailable_reason(bound):
+            return
+        arguments = self._stiffness_arguments(0, point, 1)
+        self._sensitivity_source.compile(bound, point, arguments)
 
     def _stiffness_arguments(
         self, experiment: int, point: FloatArray, max_steps: int

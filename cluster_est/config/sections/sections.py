@@ -153,10 +153,11 @@ class ExecutorSection(ConfigSection):
     timeout: Finite = Field(
         600.0, gt=0.0, description="seconds that one simulation may take; not with local"
     )
-    patience: Finite = Field(
-        50.0,
-        ge=0.0,
-        description="times as long as usual that one may take, and a second; 0: no such limit",
+    stall: Finite = Field(
+        60.0, gt=0.0, description="seconds that one may stand still, without a step that ends"
+    )
+    patience: Finite | None = Field(
+        None, ge=0.0, description="of earlier versions: has no effect any more"
     )
     memory: Finite | None = Field(
         None, gt=0.0, description="MB that a worker's simulation may have; default: no limit"

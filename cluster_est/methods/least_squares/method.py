@@ -77,8 +77,8 @@ class LeastSquares(Method):
         removes the error that forward differences leave in the minimum. Where they are central, the
         last steps go on to a millionth of `ftol`. "sensitivities": none; one simulation carries the
         derivatives along, where an FMU in model exchange provides directional derivatives that
-        agree with differences, and "auto" elsewhere. `fit` takes them for "auto" too where that
-        needs half the time (`cluster_est.running.sensitivity_policy`).
+        agree with differences, and "auto" elsewhere. `cluster-est check` says where they are
+        quicker; nothing else takes them.
     relative_step
         Relative step of the differences; 0 takes the one that suits the solver's noise.
     """

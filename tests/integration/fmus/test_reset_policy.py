@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ import pytest
 
 from cluster_est.cli import main
 from cluster_est.running import reset_policy as renewal
+from workers.messages import Outcome, Status, Task
 
 Give = Callable[[str, int], Path]
 Fit = Callable[..., int]
@@ -137,3 +138,25 @@ def test_a_run_that_is_resumed_goes_on_as_it_began(
     assert fitted("reset_keeps_state", 2, "--resume") == 0
     assert chosen(tmp_path) == "instance"
     assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+
+
+class HourLong:
+    """A first worker whose simulations take an hour each, and that keeps something."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
+        found = []
+        for task in tasks:
+            self.asked += 1
+            residuals = np.full(3, float(self.asked))
+            found.append(Outcome(task.id, Status.OK, residuals, seconds=3600.0))
+        return found
+
+
+def test_it_is_tried_however_long_it_takes() -> None:
+    worker = HourLong()
+    question = renewal.RepeatabilityTest((Task(0, 0, np.zeros(1)), Task(1, 0, np.zeros(1))))
+    assert question.ask(worker) is False  # type: ignore[arg-type]
+    assert worker.asked == 2

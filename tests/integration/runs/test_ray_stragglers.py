@@ -42,7 +42,7 @@ def actors() -> list[int]:
                 )
             except OSError:
                 continue
-            if name.startswith(b"ray::Worker"):
+            if name.startswith(b"ray::FmuActor"):
                 found.append(int(entry.name))
     return [pid for pid in found if os.getpid() in ancestors(pid, parents)]
 

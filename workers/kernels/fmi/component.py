@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from workers.kernels.fmi.progress import no_watcher
 from workers.kernels.fmi.values import TYPES, VariableAccess
 from workers.messages import FloatArray, IntArray
 
@@ -89,7 +90,7 @@ class KernelWorkspace(NamedTuple):
     hold at the moment; `next_event` the time of the next time event. `indicators` are the event
     indicators after the last step, behind an event that is being located, and of a trial.
     `info` has what FMUs say of events (see `workers.kernels.fmi.functions`), `buffer` the value of
-    one variable.
+    one variable. `progress` has counters (see `workers.kernels.fmi.progress`).
     """
 
     inputs: FloatArray
@@ -108,6 +109,7 @@ class KernelWorkspace(NamedTuple):
     indicators: FloatArray
     info: IntArray
     buffer: FloatArray
+    progress: IntArray
 
 
 def workspace(
@@ -117,6 +119,7 @@ def workspace(
     n_parameters: int = 0,
     n_indicators: int = 0,
     buffer_size: int = 1,
+    progress: IntArray | None = None,
 ) -> KernelWorkspace:
     """Allocate the memory for one instance.
 
@@ -140,6 +143,7 @@ def workspace(
         indicators=np.zeros((3, n_indicators)),
         info=np.zeros(12, np.int32),
         buffer=np.zeros(buffer_size),
+        progress=no_watcher() if progress is None else progress,
     )
 
 

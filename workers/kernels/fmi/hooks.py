@@ -17,6 +17,7 @@ import numpy as np
 from numba.core.types import float64, int32, intp
 
 from workers.kernels.fmi.calling import address_of, c_function, inlined
+from workers.kernels.fmi.progress import count_simulation
 from workers.messages import FloatArray, IntArray
 
 
@@ -49,7 +50,8 @@ _call_add_derivatives = c_function(int32, float64, intp, intp, intp, intp, intp)
 
 @inlined
 def select_point(hooks, p, work):  # type: ignore[no-untyped-def]
-    """Copy the coefficients and base values of one point to the workspace."""
+    """Begin a simulation: copy a point's coefficients and base values to the workspace."""
+    count_simulation(work)
     work.substeps[0] = hooks.substeps[p]
     for j in range(len(work.coefficients)):
         work.coefficients[j] = hooks.coefficients[p, j]

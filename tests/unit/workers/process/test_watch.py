@@ -1,0 +1,110 @@
+"""What stands still is told from what waits for its turn. Times and states are made up."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+
+import pytest
+
+from workers.kernels.fmi.progress import CALLS, RUNNING, SIMULATIONS, no_watcher
+from workers.process import watch
+from workers.process.watch import ProcessActivity, ProgressWatch, SharedProgress, map_progress
+
+Passed = Callable[[float, ProcessActivity | None], None]
+
+
+@pytest.fixture
+def counters():
+    return no_watcher()
+
+
+@pytest.fixture
+def let_pass(monkeypatch: pytest.MonkeyPatch) -> Passed:
+    """Let seconds pass, after which the system says something of the process."""
+    now = [100.0, ProcessActivity(waiting=True, seconds=5.0)]
+    monkeypatch.setattr(watch.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(ProcessActivity, "of", staticmethod(lambda process: now[1]))
+
+    def then(seconds: float, activity: ProcessActivity | None) -> None:
+        now[0] += seconds
+        now[1] = activity
+
+    return then
+
+
+def test_ready_to_run_but_not_let_run(counters, let_pass: Passed) -> None:
+    """A busy machine gives it 0.2 s in an hour."""
+    seen = ProgressWatch(1, counters)
+    for hour in range(3):
+        let_pass(3600.0, ProcessActivity(waiting=True, seconds=5.0 + 0.2 * (hour + 1)))
+        seen.look()
+    assert seen.still == pytest.approx(0.6)
+
+
+def test_busy_without_a_step(counters, let_pass: Passed) -> None:
+    seen = ProgressWatch(1, counters)
+    let_pass(10.0, ProcessActivity(waiting=True, seconds=14.0))
+    seen.look()
+    assert seen.still == pytest.approx(9.0)
+
+
+def test_asleep_of_its_own_accord(counters, let_pass: Passed) -> None:
+    seen = ProgressWatch(1, counters)
+    for _ in range(20):
+        let_pass(0.5, ProcessActivity(waiting=False, seconds=5.0))
+        seen.look()
+    assert seen.still == pytest.approx(10.0)
+
+
+def test_who_looks_was_asleep_itself(counters, let_pass: Passed) -> None:
+    seen = ProgressWatch(1, counters)
+    let_pass(3600.0, ProcessActivity(waiting=False, seconds=5.0))
+    seen.look()
+    assert seen.still == watch.LATE_SECONDS
+
+
+@pytest.mark.parametrize("which", [CALLS, SIMULATIONS])
+def test_a_step_begins_it_anew(counters, let_pass: Passed, which: int) -> None:
+    seen = ProgressWatch(1, counters)
+    let_pass(10.0, ProcessActivity(waiting=True, seconds=14.0))
+    seen.look()
+    counters[which] += 1
+    seen.look()
+    assert seen.still == 0.0
+
+
+def test_each_simulation_has_the_time_for_itself(counters, let_pass: Passed) -> None:
+    seen = ProgressWatch(1, counters)
+    counters[:] = 1, 1, 1
+    for _ in range(4):
+        let_pass(2.0, None)
+        counters[SIMULATIONS] += 1
+        seen.look()
+    let_pass(3.0, None)
+    assert seen.simulated == pytest.approx(3.0)
+    counters[RUNNING] = 0
+    assert seen.simulated == 0.0
+
+
+def test_counters_are_seen_by_another_process() -> None:
+    shared = SharedProgress()
+    code = (
+        "import sys; from workers.process.watch import map_progress; "
+        "map_progress(int(sys.argv[1]))[:] = 7, 8, 9"
+    )
+    command = [sys.executable, "-c", code, str(shared.descriptor)]
+    subprocess.run(command, pass_fds=[shared.descriptor], check=True)
+    assert shared.counters.tolist() == [7, 8, 9]
+    assert map_progress(shared.descriptor).tolist() == [7, 8, 9]
+    shared.close()
+    shared.close()
+
+
+def test_the_system_says_something_of_this_process() -> None:
+    found = ProcessActivity.of(os.getpid())
+    assert found is not None
+    assert found.seconds > 0.0
+    assert ProcessActivity.of(2**22 + 1) is None

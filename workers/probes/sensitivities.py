@@ -1,0 +1,49 @@
+"""What one simulation that carries sensitivities along takes, beside one that does not."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from workers.evaluate import Evaluator
+from workers.messages import FloatArray
+from workers.probes.base import FmuProbe
+
+REPEATS = 2
+"""The quicker of so many counts: the first has something to prepare."""
+
+
+@dataclass(frozen=True)
+class SensitivityCost:
+    """Seconds of a simulation.
+
+    Attributes
+    ----------
+    plain, carrying
+        Without and with the derivatives by all parameters.
+    """
+
+    plain: float
+    carrying: float
+
+
+@dataclass(frozen=True)
+class SensitivityCostProbe(FmuProbe):
+    """Times both ways at one point of an experiment; no answer where there are none."""
+
+    experiment: int
+    point: FloatArray
+
+    def answer(self, evaluator: Evaluator) -> SensitivityCost | None:
+        simulator, points = evaluator.simulator, self.point[None]
+        plain, carrying = [], []
+        for _ in range(REPEATS):
+            begin = time.perf_counter()
+            simulator.run(self.experiment, points)
+            middle = time.perf_counter()
+            found = simulator.sensitivities(self.experiment, points)
+            plain.append(middle - begin)
+            carrying.append(time.perf_counter() - middle)
+            if not found.sensitivities:
+                return None
+        return SensitivityCost(min(plain), min(carrying))

@@ -1,0 +1,140 @@
+"""Telling a process that stands still from one that waits for its turn on a busy machine.
+
+A process that is simulated in advances counters in memory that it shares with the one that waits
+for it. While they do not move, the time counts in which it could have moved them: the processor
+time that it was given, and the time that it slept of its own accord. While it is ready to run and
+others are running, or somebody has stopped it, no time passes for it.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from workers.kernels.fmi.progress import RUNNING, SIMULATIONS, no_watcher
+from workers.messages import IntArray
+
+LATE_SECONDS = 1.0
+"""Of sleep that count from one look to the next: who looks so rarely was kept from looking."""
+WAITING = "RTt"
+"""States of Linux in which a process would go on if it were let: ready to run, or stopped."""
+
+
+class SharedProgress:
+    """Counters in memory that this process and those that are given its descriptor share.
+
+    Attributes
+    ----------
+    descriptor
+        Of the memory, to be mapped by `map_progress`.
+    counters
+        See `workers.kernels.fmi.progress`.
+    """
+
+    def __init__(self) -> None:
+        self.descriptor = _anonymous_file()
+        os.ftruncate(self.descriptor, mmap.PAGESIZE)
+        self.counters = map_progress(self.descriptor)
+
+    def close(self) -> None:
+        """Give the descriptor back. Again does nothing."""
+        if self.descriptor >= 0:
+            os.close(self.descriptor)
+            self.descriptor = -1
+
+
+def map_progress(descriptor: int) -> IntArray:
+    """The counters in memory that another process has made."""
+    memory = mmap.mmap(descriptor, mmap.PAGESIZE)
+    return np.frombuffer(memory, np.int64, count=len(no_watcher()))
+
+
+@dataclass(frozen=True)
+class ProcessActivity:
+    """What the system says of a process.
+
+    Attributes
+    ----------
+    waiting
+        Whether it would go on if it were let.
+    seconds
+        Of processor time that it was given so far.
+    """
+
+    waiting: bool
+    seconds: float
+
+    @classmethod
+    def of(cls, process: int) -> ProcessActivity | None:
+        """None where the system does not say."""
+        try:
+            text = Path(f"/proc/{process}/stat").read_text(encoding="ascii", errors="replace")
+            fields = text.rpartition(")")[2].split()
+            ticks = int(fields[11]) + int(fields[12])
+        except (OSError, IndexError, ValueError):
+            return None
+        return cls(fields[0] in WAITING, ticks / os.sysconf("SC_CLK_TCK"))
+
+
+class ProgressWatch:
+    """Looks at a process from time to time.
+
+    Parameters
+    ----------
+    process
+        Its id.
+    counters
+        That it advances.
+
+    Attributes
+    ----------
+    still
+        Seconds for which it has stood still.
+    """
+
+    def __init__(self, process: int, counters: IntArray) -> None:
+        self._process, self._counters = process, counters
+        self._seen = counters.tobytes()
+        self._looked = time.monotonic()
+        self._activity = ProcessActivity.of(process)
+        self._simulation, self._begun = int(counters[SIMULATIONS]), self._looked
+        self.still = 0.0
+
+    def look(self) -> None:
+        """Count the time since the last look."""
+        now, activity = time.monotonic(), ProcessActivity.of(self._process)
+        if int(self._counters[SIMULATIONS]) != self._simulation:
+            self._simulation, self._begun = int(self._counters[SIMULATIONS]), now
+        seen = self._counters.tobytes()
+        passed = self._passed(now - self._looked, activity)
+        self.still = self.still + passed if seen == self._seen else 0.0
+        self._seen, self._looked, self._activity = seen, now, activity
+
+    @property
+    def simulates(self) -> bool:
+        """Whether a simulation is under way; else it prepares one, or compares what it gave."""
+        return bool(self._counters[RUNNING])
+
+    @property
+    def simulated(self) -> float:
+        """Seconds since the simulation was first seen that is under way."""
+        return time.monotonic() - self._begun if self.simulates else 0.0
+
+    def _passed(self, seconds: float, activity: ProcessActivity | None) -> float:
+        """How much of some seconds since the last look it could have used."""
+        if activity is None or self._activity is None or not activity.waiting:
+            return min(seconds, LATE_SECONDS)
+        return min(seconds, activity.seconds - self._activity.seconds)
+
+
+def _anonymous_file() -> int:
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create("cluster-est")
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())
