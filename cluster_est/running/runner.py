@@ -134,6 +134,8 @@ class Runner:
         """
         self._refuse_if_exhausted([])
         searches = [self._open(request) for request in requests]
+        for search, share in zip(searches, self._budget.shares(len(searches)), strict=True):
+            search.most_evaluations = share
         try:
             if not self.interrupted:
                 with DeferredInterrupts() as interrupts:
@@ -192,14 +194,15 @@ class Runner:
             if at_once is not None and under_way >= at_once:
                 return
             search = waiting.pop()
-            if self._budget.exhausted and begun:
+            if begun and self._is_cut(search):
                 self._finish(search, Ending.BUDGET)
             else:
                 self._advance(search, None)
 
     def _give_up(self, searches: Sequence[SearchState]) -> None:
-        """End searches whose solutions nobody wants any more."""
+        """End searches whose solutions nobody wants any more; their evaluations do not count."""
         for search in searches:
+            self._budget.evaluations -= search.asked
             self._drop(search, tuple(search.pending))
             search.steps.close()
 
@@ -268,7 +271,7 @@ class Runner:
                 search.solution = end.value
                 self._end(search)
                 return
-            if search.asked and self._budget.exhausted:
+            if search.asked and self._is_cut(search):
                 self._finish(search, Ending.BUDGET)
                 return
             self._ask(search, points)
@@ -314,6 +317,12 @@ class Runner:
         last = search.last_line()
         if last is not None:
             self._note(SearchIteration(search.request.name, last, search.asked))
+
+    def _is_cut(self, search: SearchState) -> bool:
+        """Return whether a search must end for the budget's sake."""
+        if self._whole:  # then all are cut, whoever used it up
+            return self._budget.exhausted
+        return self._budget.out_of_time or search.asked >= search.most_evaluations
 
     def _refuse_if_exhausted(self, searches: Sequence[SearchState]) -> None:
         cut = [s for s in searches if s.solution and s.solution.ending is Ending.BUDGET]

@@ -10,7 +10,7 @@ from cluster_est.executors import Executor
 from workers.messages import Outcome, Task
 
 
-class MoodyExecutor(Executor):
+class ShufflingExecutor(Executor):
     """Begins some tasks, in order, and ends any of those.
 
     Attributes

@@ -170,7 +170,9 @@ class ExecutorSection(ConfigSection):
 class BudgetSection(ConfigSection):
     """Limits of a run."""
 
-    evaluations: Count | None = Field(None, gt=0, description="points to evaluate at most")
+    evaluations: Count | None = Field(
+        None, gt=0, description="points to evaluate at most, in equal parts for many starts"
+    )
     seconds: Finite | None = Field(None, gt=0.0, description="after which nothing new is asked")
 
 

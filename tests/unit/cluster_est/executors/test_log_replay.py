@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.cut_logs import cut
 from support.problems.functions import FunctionProblem
-from support.shuffling_executor import MoodyExecutor
+from support.shuffling_executor import ShufflingExecutor
 
 from cluster_est.executors.log_replay import LogReplayExecutor
 from cluster_est.methods.base import Solution
@@ -73,7 +73,7 @@ def write(folder: Path, asked: list[Task], settings: LogSettings | None = None) 
     log.close()
 
 
-def recall(folder: Path, inner: MoodyExecutor) -> LogReplayExecutor:
+def recall(folder: Path, inner: ShufflingExecutor) -> LogReplayExecutor:
     return LogReplayExecutor(inner, MODEL, EXPERIMENTS, LoggedOutcomes(folder))
 
 
@@ -88,7 +88,7 @@ def drain(executor: LogReplayExecutor, count: int) -> list[int]:
 def test_what_is_logged_is_given_back_as_it_was(tmp_path: Path, want: str) -> None:
     asked = tasks(0.1, -1.7, 0.3, want=want)
     write(tmp_path, asked)
-    inner = MoodyExecutor(answer)
+    inner = ShufflingExecutor(answer)
     executor = recall(tmp_path, inner)
     executor.submit(asked)
     for task in asked:
@@ -111,7 +111,7 @@ def test_what_is_logged_is_given_back_as_it_was(tmp_path: Path, want: str) -> No
 def test_answers_come_in_the_order_of_the_log_then_the_others(tmp_path: Path) -> None:
     one, two, three, four = tasks(0.1, 0.2, 0.3, 0.4)
     write(tmp_path, [three, one])
-    inner = MoodyExecutor(answer)
+    inner = ShufflingExecutor(answer)
     executor = recall(tmp_path, inner)
     executor.submit([one, two])  # three is not asked yet: it cannot be waited for
     assert drain(executor, 1) == [one.id]
@@ -123,7 +123,7 @@ def test_answers_come_in_the_order_of_the_log_then_the_others(tmp_path: Path) ->
 def test_the_same_question_asked_again_takes_the_next_row(tmp_path: Path) -> None:
     one, again, third = (replace(tasks(0.1)[0], id=i) for i in range(3))
     write(tmp_path, [one, again])
-    inner = MoodyExecutor(answer)
+    inner = ShufflingExecutor(answer)
     executor = recall(tmp_path, inner)
     executor.submit([one, again, third])
     assert drain(executor, 2) == [0, 1]
@@ -133,7 +133,7 @@ def test_the_same_question_asked_again_takes_the_next_row(tmp_path: Path) -> Non
 
 def test_what_is_wanted_is_part_of_the_question(tmp_path: Path) -> None:
     write(tmp_path, tasks(0.1))
-    inner = MoodyExecutor(answer)
+    inner = ShufflingExecutor(answer)
     executor = recall(tmp_path, inner)
     executor.submit(tasks(0.1, want="trajectory"))
     (found,) = executor.completed()
@@ -145,7 +145,7 @@ def test_rows_without_residuals_are_simulated_again_and_keep_their_turn(tmp_path
     asked = tasks(0.1, -1.7, 0.3, 0.4)
     write(tmp_path, asked[::-1], LogSettings(residuals=False))
     assert read_log(tmp_path)["residuals"].null_count == 4
-    inner = MoodyExecutor(answer)
+    inner = ShufflingExecutor(answer)
     executor = recall(tmp_path, inner)
     executor.submit(asked)
     outcomes = [executor.completed() for _ in asked]
@@ -157,7 +157,7 @@ def test_rows_without_residuals_are_simulated_again_and_keep_their_turn(tmp_path
 def test_what_is_held_is_not_taken_back_but_the_others_are(tmp_path: Path) -> None:
     asked = tasks(0.1, 0.2, 0.3)
     write(tmp_path, asked[:1])
-    inner = MoodyExecutor(answer)
+    inner = ShufflingExecutor(answer)
     executor = recall(tmp_path, inner)
     executor.submit(asked)
     assert executor.cancel([0, 1]) == [1]
@@ -169,18 +169,18 @@ def test_only_what_was_answered_from_the_log_is_known_to_be_logged(tmp_path: Pat
     asked = tasks(0.1, 0.2)
     write(tmp_path, asked[:1])
     logged = LoggedOutcomes(tmp_path)
-    executor = LogReplayExecutor(MoodyExecutor(answer), MODEL, EXPERIMENTS, logged)
+    executor = LogReplayExecutor(ShufflingExecutor(answer), MODEL, EXPERIMENTS, logged)
     executor.submit(asked)
     drain(executor, 2)
     assert [logged.was_answered(task.id) for task in asked] == [True, False]
     assert not logged.was_answered(0)  # the first task of the next runner
 
 
-def searched(folder: Path, seed: int) -> tuple[Solution, MoodyExecutor]:
+def searched(folder: Path, seed: int) -> tuple[Solution, ShufflingExecutor]:
     """An asynchronous search with answers in random order, behind what the log has."""
     logged = LoggedOutcomes(folder)
     log = log_of(folder)
-    inner = MoodyExecutor(answer, seed, workers=4)
+    inner = ShufflingExecutor(answer, seed, workers=4)
 
     def record(who: TaskOrigin, outcome: Outcome) -> None:
         if not logged.was_answered(outcome.task):

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.problems.functions import FunctionExecutor, FunctionProblem, beale
-from support.shuffling_executor import MoodyExecutor
+from support.shuffling_executor import ShufflingExecutor
 
 from cluster_est import Budget, LeastSquares
 from cluster_est.errors import ProblemError
@@ -339,7 +339,7 @@ def test_which_starts_are_enough_does_not_depend_on_which_is_faster(seed, worker
         return Outcome(task.id, Status.OK, himmelblau(task.values), constraints=np.zeros(0))
 
     expected = bits(run(FunctionExecutor(himmelblau), 1))
-    assert bits(run(MoodyExecutor(answer, seed, workers), at_once)) == expected
+    assert bits(run(ShufflingExecutor(answer, seed, workers), at_once)) == expected
 
 
 # --- what is found
@@ -407,7 +407,7 @@ def test_order_of_arrival_changes_no_bit(seed, workers, at_once):
         return Outcome(task.id, Status.OK, values, constraints=np.zeros(0))
 
     multistart = Multistart(6, at_once=at_once)
-    runner = Runner(MoodyExecutor(answer, seed, workers))
+    runner = Runner(ShufflingExecutor(answer, seed, workers))
     found = search_from_starts(runner, space_of(problem), LeastSquares(), multistart, 0)
     assert bits(found) == bits(search(problem, Multistart(6)))
 
@@ -446,3 +446,22 @@ def test_a_budget_ends_all_with_what_they_have():
     assert Ending.BUDGET in endings
     assert np.isfinite(found.best.cost)
     assert runner.evaluations < 30 + 16 * 8
+
+
+def test_a_budget_is_shared_equally_whichever_search_is_quicker():
+    """In whatever order outcomes come back, each start ends where its own share ends."""
+    space = space_of(HIMMELBLAU)
+    found = []
+
+    def answer(task: Task) -> Outcome:
+        return Outcome(task.id, Status.OK, himmelblau(task.values), constraints=np.zeros(0))
+
+    for seed in range(4):
+        runner = Runner(ShufflingExecutor(answer, seed, workers=4), Budget(evaluations=60))
+        found.append((search_from_starts(runner, space, LeastSquares(), Multistart(5), 0), runner))
+    first, one = found[0]
+    assert Ending.BUDGET in {s.ending for s in first.solutions}
+    for other, runner in found[1:]:
+        assert runner.evaluations == one.evaluations
+        for a, b in zip(first.solutions, other.solutions, strict=True):
+            assert (a.x.tobytes(), a.cost, a.ending) == (b.x.tobytes(), b.cost, b.ending)

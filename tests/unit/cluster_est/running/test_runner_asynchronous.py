@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.problems.unloaded import unloaded_problem
-from support.shuffling_executor import MoodyExecutor
+from support.shuffling_executor import ShufflingExecutor
 
 from cluster_est.methods.base import (
     Ending,
@@ -109,7 +109,7 @@ VALUES = tuple(3.0 - 0.25 * i for i in range(12))
 @given(SEEDS, st.integers(1, 5), st.integers(1, 4))
 def test_every_asynchronous_point_is_answered_once_with_its_own_number(seed, ahead, workers):
     method = Eager(VALUES, ahead)
-    executor = MoodyExecutor(answer, seed, workers)
+    executor = ShufflingExecutor(answer, seed, workers)
     (solution,) = Runner(executor).run([request(method)])
     assert sorted(at.index for at in method.seen) == list(range(12))
     for at in method.seen:
@@ -123,7 +123,7 @@ def test_an_answer_does_not_wait_for_the_slowest():
     """The first of three points, whose two tasks are the slowest, holds nothing up."""
     order: list[int] = []
 
-    class Slow(MoodyExecutor):
+    class Slow(ShufflingExecutor):
         def completed(self) -> list[Outcome]:
             self._queue.sort(key=lambda task: task.values[0] == VALUES[0])
             order.append(len(self._queue))
@@ -140,7 +140,7 @@ def test_an_answer_does_not_wait_for_the_slowest():
 @given(SEEDS, st.integers(2, 5), st.integers(1, 3))
 def test_dropped_points_are_never_answered(seed, ahead, every):
     method = Eager(VALUES, ahead, drop_every=every)
-    executor = MoodyExecutor(answer, seed, 2)
+    executor = ShufflingExecutor(answer, seed, 2)
     Runner(executor).run([request(method)])
     answered = [at.index for at in method.seen]
     assert sorted([*answered, *method.dropped]) == list(range(12))
@@ -165,7 +165,7 @@ def test_what_has_not_begun_is_not_simulated():
             return Solution(space.start, 0.0, Ending.CONVERGED)
 
     method = Regrets()
-    executor = MoodyExecutor(answer, 1, 2)
+    executor = ShufflingExecutor(answer, 1, 2)
     runner = Runner(executor)
     runner.run([request(method)])
     assert method.indices[-1] == 20
@@ -192,7 +192,7 @@ def test_a_point_that_another_search_wants_too_goes_on():
     steady = Eager((5.0, 6.0, 7.0, 8.0), 4)
     for seed in range(20):
         steady = Eager((5.0, 6.0, 7.0, 8.0), 4)
-        executor = MoodyExecutor(answer, seed, 1)
+        executor = ShufflingExecutor(answer, seed, 1)
         Runner(executor).run([request(Fickle(), "fickle"), request(steady, "steady")])
         assert sorted(at.index for at in steady.seen) == [0, 1, 2, 3]
         tasks = {(t.experiment, t.values.tobytes()) for t in executor.submitted}
@@ -217,7 +217,7 @@ def test_a_dropped_point_may_be_asked_for_again(seed):
             return Solution(space.start, 0.0, Ending.CONVERGED)
 
     method = Wavering()
-    Runner(MoodyExecutor(answer, seed, 2)).run([request(method)])
+    Runner(ShufflingExecutor(answer, seed, 2)).run([request(method)])
     assert sorted(at.index for at in method.found) == [4, 5, 6, 7]
     assert sorted(at.cost for at in method.found) == pytest.approx([cost(i) for i in (1, 2, 3, 4)])
 
@@ -235,7 +235,7 @@ def test_the_same_point_twice_in_a_request_is_simulated_once_and_answered_twice(
             return Solution(space.start, 0.0, Ending.CONVERGED)
 
     method = Twice()
-    executor = MoodyExecutor(answer, 0)
+    executor = ShufflingExecutor(answer, 0)
     Runner(executor).run([request(method)])
     assert [at.index for at in method.found] == [0, 1, 2, 3]
     assert [at.cost for at in method.found] == pytest.approx([cost(v) for v in (2, 3, 2, 2)])
@@ -257,7 +257,7 @@ def test_parameters_without_a_value_are_not_simulated():
             return Solution(space.start, 0.0, Ending.CONVERGED)
 
     method = Below()
-    executor = MoodyExecutor(answer, 0)
+    executor = ShufflingExecutor(answer, 0)
     Runner(executor).run([SearchRequest("search", method, space)])
     bad, good, infinite = method.found
     assert good.ok
@@ -276,7 +276,7 @@ def test_a_number_of_residuals_that_changes_is_a_failure(method):
 
     recorded: list[Outcome] = []
     runner = Runner(
-        MoodyExecutor(changing), record=lambda origin, outcome: recorded.append(outcome)
+        ShufflingExecutor(changing), record=lambda origin, outcome: recorded.append(outcome)
     )
     (solution,) = runner.run([request(method)])
     assert solution.cost >= 2.0 * 0.7**2
@@ -331,13 +331,13 @@ def summary(solutions: Sequence[Solution]) -> list[tuple[bytes, float, Ending, i
     return [(s.x.tobytes(), s.cost, s.ending, s.iterations) for s in solutions]
 
 
-REFERENCE = summary(Runner(MoodyExecutor(answer)).run(many(Downhill(), STARTS)))
+REFERENCE = summary(Runner(ShufflingExecutor(answer)).run(many(Downhill(), STARTS)))
 
 
 @settings(max_examples=25)
 @given(SEEDS, st.integers(1, 9), st.integers(1, 5))
 def test_how_many_searches_are_under_way_changes_nothing(seed, at_once, workers):
-    found = Runner(MoodyExecutor(answer, seed, workers)).run(many(Downhill(), STARTS), at_once)
+    found = Runner(ShufflingExecutor(answer, seed, workers)).run(many(Downhill(), STARTS), at_once)
     assert summary(found) == REFERENCE
 
 
@@ -345,7 +345,7 @@ def test_how_many_searches_are_under_way_changes_nothing(seed, at_once, workers)
 @given(SEEDS, st.integers(1, 9))
 def test_no_more_searches_are_under_way_than_wanted_and_they_begin_in_order(seed, at_once):
     method = Downhill()
-    Runner(MoodyExecutor(answer, seed)).run(many(method, STARTS), at_once)
+    Runner(ShufflingExecutor(answer, seed)).run(many(method, STARTS), at_once)
     under_way, most = 0, 0
     for line in method.log:
         under_way += {"begin": 1, "end": -1}.get(line.split()[0], 0)
@@ -365,7 +365,7 @@ def test_enough_sees_the_first_ones_in_order_whatever_ends_first(seed, workers, 
         assert summary(solutions) == REFERENCE[: len(solutions)]
         return len(solutions) >= wanted
 
-    executor = MoodyExecutor(answer, seed, workers)
+    executor = ShufflingExecutor(answer, seed, workers)
     method = Downhill()
     found = Runner(executor).run(many(method, STARTS), at_once, enough)
     assert asked == list(range(1, wanted + 1))
@@ -376,7 +376,7 @@ def test_enough_sees_the_first_ones_in_order_whatever_ends_first(seed, workers, 
 
 
 def test_given_up_searches_leave_nothing_in_the_queue_and_nothing_behind():
-    executor = MoodyExecutor(answer, 3, 1)
+    executor = ShufflingExecutor(answer, 3, 1)
     runner = Runner(executor)
     runner.run(many(Downhill(1e-9), STARTS), 8, lambda solutions: True)
     assert executor.cancelled
@@ -385,12 +385,12 @@ def test_given_up_searches_leave_nothing_in_the_queue_and_nothing_behind():
 
 
 def test_failed_starts_are_solutions_like_others():
-    found = Runner(MoodyExecutor(answer)).run(many(Downhill(), (-1.0, 2.0)), 1)
+    found = Runner(ShufflingExecutor(answer)).run(many(Downhill(), (-1.0, 2.0)), 1)
     assert [s.ending for s in found] == [Ending.START_FAILED, Ending.CONVERGED]
 
 
 def test_searches_that_were_not_begun_end_with_the_budget():
-    runner = Runner(MoodyExecutor(answer), Budget(evaluations=9))
+    runner = Runner(ShufflingExecutor(answer), Budget(evaluations=9))
     method = Downhill()
     found = runner.run(many(method, STARTS), 1)
     assert len(found) == len(STARTS)
@@ -408,7 +408,7 @@ def test_an_interrupt_ends_all_of_them(seed, when):
         if call == when:
             raise KeyboardInterrupt
 
-    found = Runner(MoodyExecutor(answer, seed, 2, interrupt)).run(many(Downhill(), STARTS), 2)
+    found = Runner(ShufflingExecutor(answer, seed, 2, interrupt)).run(many(Downhill(), STARTS), 2)
     assert len(found) == len(STARTS)
     assert {s.ending for s in found} <= {Ending.INTERRUPTED, Ending.CONVERGED}
     assert found[-1].ending is Ending.INTERRUPTED
@@ -419,7 +419,7 @@ def test_an_interrupt_ends_all_of_them(seed, when):
 
 def notes_of(run: Callable[[Runner], object], seed: int = 0) -> list[SearchIteration]:
     noted: list[SearchIteration] = []
-    run(Runner(MoodyExecutor(answer, seed), note=noted.append))
+    run(Runner(ShufflingExecutor(answer, seed), note=noted.append))
     return noted
 
 
@@ -466,7 +466,7 @@ def test_the_end_says_how_far_from_the_constraints_it_is():
 
 def test_the_end_of_a_budget_is_noted_with_the_best_point():
     noted: list[SearchIteration] = []
-    runner = Runner(MoodyExecutor(answer), Budget(evaluations=3), note=noted.append)
+    runner = Runner(ShufflingExecutor(answer), Budget(evaluations=3), note=noted.append)
     (solution,) = runner.run(many(Downhill(), (8.0,)))
     assert solution.ending is Ending.BUDGET
     assert solution.cost == pytest.approx(cost(2.0))

@@ -7,7 +7,7 @@ import pytest
 from support.problems.constrained import CONSTRAINED
 from support.problems.functions import PROBLEMS, FunctionExecutor, FunctionProblem, rosenbrock
 from support.problems.rough import ROUGH
-from support.shuffling_executor import MoodyExecutor
+from support.shuffling_executor import ShufflingExecutor
 from virtual_executor import VirtualExecutor
 
 from cluster_est.methods.base import Ending, Method, Solution
@@ -26,9 +26,9 @@ def solve(problem: FunctionProblem, executor, method: Method = METHOD, seed: int
     return Runner(executor).run([SearchRequest("test", method, space, seed)])[0]
 
 
-def moody(problem: FunctionProblem, seed: int, workers: int) -> MoodyExecutor:
+def moody(problem: FunctionProblem, seed: int, workers: int) -> ShufflingExecutor:
     answers = FunctionExecutor(problem.residuals, problem.constraints)
-    return MoodyExecutor(answers._answer, seed, workers)
+    return ShufflingExecutor(answers._answer, seed, workers)
 
 
 def is_minimum(problem: FunctionProblem, cost: float, tolerance: float) -> bool:
