@@ -14,11 +14,11 @@ from cluster_est.config.reader import read_config
 from cluster_est.errors import ClusterEstError
 from cluster_est.fit import fit, simulate
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.data import read_table
 from cluster_est.problem.fmu_file import read_model
-from cluster_est.problem.from_table import experiment_from_table
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.tables.experiment import experiment_from_table
+from cluster_est.problem.tables.files import read_table
 from cluster_est.residual_function import residuals
 from cluster_est.results.result import Result
 from cluster_est.results.row_types import Estimate

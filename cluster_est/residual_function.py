@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import ClassVar, Self, get_args
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
@@ -181,6 +182,7 @@ class _PointEvaluation(Method):
     x: FloatArray
     differences: Scheme | None = None
 
+    @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         (at,) = yield Points(self.x[None, :], "point")
         if self.differences is None or not at.ok:

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 from rich.console import Console
 
+from cluster_est.cli.display.terminal_text import readable
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.parser import parse
-from cluster_est.cli.terminal_text import readable
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
 

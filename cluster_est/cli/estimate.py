@@ -6,10 +6,10 @@ from argparse import Namespace
 
 from rich.console import Console
 
+from cluster_est.cli.display.closed_loop import print_any_run
+from cluster_est.cli.display.run import say
+from cluster_est.cli.display.sweep import print_sweep
 from cluster_est.cli.exit_codes import ExitCode
-from cluster_est.cli.loop_printing import print_any_run
-from cluster_est.cli.printing import say
-from cluster_est.cli.sweep_printing import print_sweep
 from cluster_est.cli.terminal import complain, terminal_listener
 from cluster_est.configured_run import Destination, do_run, read_run
 from cluster_est.run_folder.context import Existing

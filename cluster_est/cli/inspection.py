@@ -6,10 +6,10 @@ from argparse import Namespace
 
 from rich.console import Console
 
+from cluster_est.cli.display.closed_loop import print_any_run
+from cluster_est.cli.display.replay import print_answer, print_failures, print_question
+from cluster_est.cli.display.run import print_iterations, say
 from cluster_est.cli.exit_codes import ExitCode
-from cluster_est.cli.loop_printing import print_any_run
-from cluster_est.cli.printing import print_iterations, say
-from cluster_est.cli.replay_printing import print_answer, print_failures, print_question
 from cluster_est.run_folder.replay import prepare, read_logged
 from cluster_est.run_folder.replay import replay as run_replay
 

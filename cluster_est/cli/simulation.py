@@ -5,10 +5,9 @@ from __future__ import annotations
 from argparse import Namespace
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.csv
-import pyarrow.feather
-import pyarrow.parquet
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+from pyarrow import feather
 from rich.console import Console
 
 from cluster_est.cli.exit_codes import ExitCode
@@ -84,9 +83,9 @@ def read_estimates(run_folder: Path, problem: Problem) -> dict[str, float]:
 
 def _table_writer(out: Path):  # type: ignore[no-untyped-def]
     writers = {
-        ".parquet": pa.parquet.write_table,
-        ".feather": pa.feather.write_feather,
-        ".csv": pa.csv.write_csv,
+        ".parquet": pq.write_table,
+        ".feather": feather.write_feather,
+        ".csv": pacsv.write_csv,
     }
     if out.suffix.lower() not in writers:
         raise RunFolderError(

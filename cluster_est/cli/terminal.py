@@ -7,8 +7,8 @@ from contextlib import contextmanager
 
 from rich.console import Console
 
-from cluster_est.cli.printing import say
-from cluster_est.cli.progress import ProgressLine
+from cluster_est.cli.display.progress import ProgressLine
+from cluster_est.cli.display.run import say
 from cluster_est.configured_run import Listener
 from cluster_est.running.records import Budget, Show
 

@@ -14,8 +14,8 @@ from cluster_est.config.sections.types import MOST_TIMES
 from cluster_est.config.time_base import compared_at, counted, snapped, weighted
 from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ConfigError
-from cluster_est.problem.data import MeasuredTable, read_table
-from cluster_est.problem.measured import interval
+from cluster_est.problem.tables.files import MeasuredTable, read_table
+from cluster_est.problem.tables.measured import interval
 from workers.fmu.description import nearest
 from workers.messages import Curve, Experiment, FloatArray, Input, Output
 

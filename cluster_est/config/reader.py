@@ -46,7 +46,7 @@ from cluster_est.costs import COSTS
 from cluster_est.errors import ConfigError
 from cluster_est.executors import EXECUTORS
 from cluster_est.methods import ALIASES, METHODS
-from cluster_est.problem.measured import missing_time, sigma_without_output
+from cluster_est.problem.tables.measured import missing_time, sigma_without_output
 from workers.fmu.description import nearest
 
 __all__ = [

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from cluster_est.config.reader import ExperimentSection, InputSection
 from cluster_est.errors import ConfigError
-from cluster_est.problem.data import MeasuredTable
-from cluster_est.problem.measured import ColumnChange, MeasuredColumns
+from cluster_est.problem.tables.files import MeasuredTable
+from cluster_est.problem.tables.measured import ColumnChange, MeasuredColumns
 from workers.messages import FloatArray, Input, Output
 
 

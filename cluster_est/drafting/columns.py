@@ -11,7 +11,7 @@ import numpy as np
 
 from cluster_est.drafting.units import conversion
 from cluster_est.errors import DataError
-from cluster_est.problem.data import MeasuredTable, read_table
+from cluster_est.problem.tables.files import MeasuredTable, read_table
 from workers.messages import FloatArray
 
 TIMES = ("time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp")

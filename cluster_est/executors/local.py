@@ -7,6 +7,8 @@ from collections.abc import Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import ClassVar, Protocol, Self
 
+from typing_extensions import override
+
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import TaskBacklog
 from cluster_est.executors.base import WorkerPool
@@ -51,6 +53,7 @@ class LocalExecutor(WorkerPool):
         self._running: dict[Future[list[Outcome]], TaskBatch] = {}
 
     @classmethod
+    @override
     def open(
         cls,
         model: Model,

@@ -6,6 +6,8 @@ from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import ClassVar, Self
 
+from typing_extensions import override
+
 from cluster_est.executors.base import WorkerPool
 from cluster_est.executors.local import LocalExecutor
 from workers.messages import Experiment, Limits, Model, Outcome, Task
@@ -27,6 +29,7 @@ class ProcessExecutor(WorkerPool):
         self._threads = LocalExecutor(guards)
 
     @classmethod
+    @override
     def open(
         cls,
         model: Model,

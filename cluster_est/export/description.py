@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element, SubElement
 from cluster_est.export.fmi3_document import as_fmi_2
 from cluster_est.export.layout import AddedVariable, WrapperLayout
 from workers.fmu.archive import open_archive
-from workers.fmu.xml import XML, ReadingNotes, parse
+from workers.fmu.parsing.xml import XML, ReadingNotes, parse
 from workers.messages import Value
 
 _FLAGS = (

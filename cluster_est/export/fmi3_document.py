@@ -8,8 +8,8 @@ from xml.etree.ElementTree import Element, SubElement
 
 from cluster_est.export.fmi3_variables import fits
 from workers.fmu.description import ModelDescription
+from workers.fmu.parsing.xml import flag, whole
 from workers.fmu.variable import ModelVariable
-from workers.fmu.xml import flag, whole
 
 _ROOT = (
     "modelName", "description", "author", "version", "copyright", "license", "generationTool",

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.feather
-import pyarrow.parquet
+import pyarrow.parquet as pq
 from hypothesis import strategies as st
+from pyarrow import feather
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
@@ -127,9 +127,9 @@ def _table(draw: st.DrawFn) -> pa.Table:
 def _parquet(draw: st.DrawFn) -> bytes:
     packed = io.BytesIO()
     try:
-        pa.parquet.write_table(_table(draw), packed)
+        pq.write_table(_table(draw), packed)
     except pa.ArrowException:  # a type that Parquet lacks
-        pa.parquet.write_table(pa.table(ROWS), packed)
+        pq.write_table(pa.table(ROWS), packed)
     return packed.getvalue()
 
 
@@ -137,9 +137,9 @@ def _feather(draw: st.DrawFn) -> bytes:
     packed = io.BytesIO()
     compression = draw(st.sampled_from(["uncompressed", "lz4", "zstd"]))
     try:
-        pa.feather.write_feather(_table(draw), packed, compression)
+        feather.write_feather(_table(draw), packed, compression)
     except (pa.ArrowException, ValueError):
-        pa.feather.write_feather(pa.table(ROWS), packed)
+        feather.write_feather(pa.table(ROWS), packed)
     return packed.getvalue()
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import fmpy
 
-from workers.fmu.elements import Version
+from workers.fmu.parsing.elements import Version
 
 PLATFORM: str = fmpy.platform
 """This machine's platform in FMI 2.0's names."""

@@ -47,6 +47,7 @@ def too_late(watch: ProgressWatch, limits: Limits) -> ProcessFailure | None:
 
 
 def too_large(child: int, limits: Limits) -> ProcessFailure | None:
+    """Return the failure of a process that has more memory than it may; None if it has not."""
     resident = resident_bytes(child)
     if resident <= limits.memory:
         return None

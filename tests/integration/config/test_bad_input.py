@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.feather
-import pyarrow.parquet
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pyarrow import feather
 from scipy.io import savemat
 from support.spoiled import (
     GUID,
@@ -257,8 +257,8 @@ def as_mat_columns(path: Path) -> None:
         ("b.csv", lambda path: path.write_text(ROWS.replace("0.1,1,0.01", "0.1,,NaN"))),
         ("b.mat", as_mat),
         ("b.mat", as_mat_columns),
-        ("b.parquet", lambda path: pa.parquet.write_table(pa.table(COLUMNS), path)),
-        ("b.feather", lambda path: pa.feather.write_feather(pa.table(COLUMNS), path)),
+        ("b.parquet", lambda path: pq.write_table(pa.table(COLUMNS), path)),
+        ("b.feather", lambda path: feather.write_feather(pa.table(COLUMNS), path)),
     ],
 )
 def test_what_looks_unusual_works(tmp_path, run, name, make: Callable[[Path], Any]):

@@ -23,11 +23,12 @@ def no_watcher() -> IntArray:
 
 @inlined
 def count_call(work):  # type: ignore[no-untyped-def]
+    """Count that the FMU was told where it is, or to make a step."""
     work.progress[CALLS] += 1
 
 
 @inlined
 def count_simulation(work):  # type: ignore[no-untyped-def]
-    """One begins; whoever has called the loop says when the last one has ended."""
+    """Count a simulation that begins; the caller of the loop says when the last one has ended."""
     work.progress[SIMULATIONS] += 1
     work.progress[RUNNING] = 1

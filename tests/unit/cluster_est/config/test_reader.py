@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from support.spoiled import INF, NAN, REMOVED, mutate, spoiled_tree, valid_tree, write_input
 
 from cluster_est import read_config
-from cluster_est.cli.terminal_text import readable
+from cluster_est.cli.display.terminal_text import readable
 from cluster_est.config.reader import parse_config
 from cluster_est.errors import ClusterEstError, ConfigError
 from cluster_est.toml import to_toml

@@ -6,8 +6,8 @@ import pytest
 from support.described import END, HEAD_3, fmi3, read
 
 from workers.errors import ModelError
-from workers.fmu import arrays as description_arrays
-from workers.fmu.structure import VariableDependency
+from workers.fmu.parsing import arrays as description_arrays
+from workers.fmu.parsing.structure import VariableDependency
 
 TIME = '<Float64 name="time" valueReference="0" causality="independent"/>'
 SPRING = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from cluster_est.cli.printing import say
+from cluster_est.cli.display.run import say
 from cluster_est.preflight import CheckPage
 
 

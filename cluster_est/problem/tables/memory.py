@@ -10,7 +10,7 @@ from typing import Any
 import pyarrow as pa
 
 from cluster_est.errors import DataError
-from cluster_est.problem.data import MeasuredTable, named_columns, read_table, repeated
+from cluster_est.problem.tables.files import MeasuredTable, named_columns, read_table, repeated
 from workers.messages import FloatArray
 
 

@@ -11,8 +11,8 @@ import pytest
 from scipy.io import savemat, whosmat
 
 from cluster_est.errors import DataError
-from cluster_est.problem.data import read_table
-from cluster_est.problem.mat_file import contents
+from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.mat_file import contents
 
 VARIABLES = {
     "t": np.linspace(0.0, 1.0, 5),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 from workers.errors import ModelError
-from workers.fmu.xml import XML, ReadingNotes, flag
+from workers.fmu.parsing.xml import XML, ReadingNotes, flag
 from workers.messages import Interface
 
 _INTERFACES: dict[str, Interface] = {

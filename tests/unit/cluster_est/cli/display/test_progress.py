@@ -7,7 +7,7 @@ import math
 
 from rich.console import Console
 
-from cluster_est.cli.progress import STARTING, ProgressLine, line
+from cluster_est.cli.display.progress import STARTING, ProgressLine, line
 from cluster_est.methods.base import Progress
 from cluster_est.running.records import RunSnapshot
 from cluster_est.running.runner import Budget

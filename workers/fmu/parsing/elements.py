@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree.ElementTree import Element
 
+from workers.fmu.parsing.xml import ReadingNotes, whole
 from workers.fmu.variable import KINDS, Type
-from workers.fmu.xml import ReadingNotes, whole
 
 Version = Literal["2.0", "3.0"]
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element
 
-from workers.fmu.arrays import ArraySizes, elements_of, renamed
-from workers.fmu.elements import (
+from workers.fmu.parsing.arrays import ArraySizes, elements_of, renamed
+from workers.fmu.parsing.elements import (
     NOTHING,
     TYPES,
     RawVariable,
@@ -15,8 +15,8 @@ from workers.fmu.elements import (
     declared_types,
     raw_variables,
 )
+from workers.fmu.parsing.xml import ReadingNotes, number, whole
 from workers.fmu.variable import KINDS, Kind, ModelVariable
-from workers.fmu.xml import ReadingNotes, number, whole
 
 _CAUSALITIES = (
     "parameter", "calculatedParameter", "input", "output", "local", "independent",

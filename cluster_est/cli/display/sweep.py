@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
-from cluster_est.cli.printing import number, print_table, say
+from cluster_est.cli.display.run import number, print_table, say
 from cluster_est.sweep.state import SUCCESS, SUMMARY
 
 HEADER = ["run", "status", "cost", "RMSE train", "test", "evaluations", "seconds", ""]

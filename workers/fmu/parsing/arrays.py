@@ -8,9 +8,9 @@ from dataclasses import replace
 from itertools import product
 from xml.etree.ElementTree import Element
 
-from workers.fmu.elements import RawVariable
+from workers.fmu.parsing.elements import RawVariable
+from workers.fmu.parsing.xml import ReadingNotes, flag, number, whole
 from workers.fmu.variable import ModelVariable
-from workers.fmu.xml import ReadingNotes, flag, number, whole
 
 MAX_ELEMENTS = 1_000_000
 """Elements of all arrays together. What is beyond has no names."""

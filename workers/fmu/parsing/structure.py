@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree.ElementTree import Element
 
-from workers.fmu.elements import Version
-from workers.fmu.model_variables import DeclaredVariables
-from workers.fmu.xml import ReadingNotes, whole
+from workers.fmu.parsing.elements import Version
+from workers.fmu.parsing.model_variables import DeclaredVariables
+from workers.fmu.parsing.xml import ReadingNotes, whole
 
 
 @dataclass(frozen=True)

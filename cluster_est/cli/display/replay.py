@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from cluster_est.cli.printing import number, print_table, say
+from cluster_est.cli.display.run import number, print_table, say
 from cluster_est.run_folder.log_format import logged_cost
 from cluster_est.run_folder.replay import LoggedSimulation, ReplayRequest, comparison, read_failures
 from workers.messages import Outcome

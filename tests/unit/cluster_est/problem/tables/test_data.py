@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.feather
-import pyarrow.parquet
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from pyarrow import feather
 from scipy.io import savemat
 
 from cluster_est.errors import DataError
-from cluster_est.problem.data import read_table
+from cluster_est.problem.tables.files import read_table
 
 TIMES = [0.0, 0.5, 1.0]
 COLUMNS = {"t": TIMES, "y": [1.0, 2.0, 4.0]}
@@ -148,7 +148,7 @@ def test_columns_without_numbers_are_refused(tmp_path, times, sentence):
 
 def write(folder: Path, table: pa.Table, ending: str) -> Path:
     path = folder / f"a{ending}"
-    writer = pa.parquet.write_table if ending == ".parquet" else pa.feather.write_feather
+    writer = pq.write_table if ending == ".parquet" else feather.write_feather
     writer(table, path)
     return path
 

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any, get_args
 
 from cluster_est.errors import DataError
-from cluster_est.problem.data import MeasuredTable
-from cluster_est.problem.measured import (
+from cluster_est.problem.tables.files import MeasuredTable
+from cluster_est.problem.tables.measured import (
     ColumnChange,
     MeasuredColumns,
     interval,
     missing_time,
     sigma_without_output,
 )
-from cluster_est.problem.memory_table import table_of
+from cluster_est.problem.tables.memory import table_of
 from workers.fmu.description import nearest
 from workers.messages import Experiment, FloatArray, Input, Interpolation, Output, Role, Value
 from workers.messages.checks import (

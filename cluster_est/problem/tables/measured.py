@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.errors import DataError
-from cluster_est.problem.data import MeasuredTable
+from cluster_est.problem.tables.files import MeasuredTable
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Input, Interpolation, Output
 from workers.messages.signals import check_length, check_times, refuse_value

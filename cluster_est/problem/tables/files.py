@@ -14,12 +14,12 @@ from typing import NoReturn
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute
-import pyarrow.csv
-import pyarrow.feather
-import pyarrow.parquet
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+from pyarrow import feather
 
 from cluster_est.errors import DataError
-from cluster_est.problem.mat_file import contents
+from cluster_est.problem.tables.mat_file import contents
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
 
@@ -145,12 +145,12 @@ def _read_csv(path: Path) -> MeasuredTable:
     with path.open(encoding="utf-8-sig", errors="replace") as opened:
         header = next((line for line in opened if line.strip("\r\n")), "")
     delimiter = max(",;\t", key=header.count)
-    parse = pa.csv.ParseOptions(delimiter=delimiter)
+    parse = pacsv.ParseOptions(delimiter=delimiter)
     try:
-        with pa.csv.open_csv(path, parse_options=parse) as opened_csv:
+        with pacsv.open_csv(path, parse_options=parse) as opened_csv:
             names = opened_csv.schema.names
-        convert = pa.csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()))
-        table = pa.csv.read_csv(path, parse_options=parse, convert_options=convert)
+        convert = pacsv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()))
+        table = pacsv.read_csv(path, parse_options=parse, convert_options=convert)
     except (pa.ArrowInvalid, UnicodeDecodeError):
         _explain_csv(path, delimiter)
         raise
@@ -197,14 +197,14 @@ def _lines(path: Path, delimiter: str) -> Iterator[tuple[int, list[str]]]:
 
 def _read_parquet(path: Path) -> MeasuredTable:
     # read_table would make columns of a folder's name like "run=3"
-    with pa.parquet.ParquetFile(path) as opened:
+    with pq.ParquetFile(path) as opened:
         table = opened.read()
     table.validate(full=True)
     return named_columns(path, table)
 
 
 def _read_feather(path: Path) -> MeasuredTable:
-    table = pa.feather.read_table(path, memory_map=False)
+    table = feather.read_table(path, memory_map=False)
     table.validate(full=True)
     return named_columns(path, table)
 

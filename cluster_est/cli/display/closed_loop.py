@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
-from cluster_est.cli.printing import SHOWN, interval, number, print_run, print_table, say
+from cluster_est.cli.display.run import SHOWN, interval, number, print_run, print_table, say
 from cluster_est.run_folder.reading import StoredRun, read_stored_run
 
 Facts = Mapping[str, Any]

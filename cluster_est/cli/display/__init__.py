@@ -1,0 +1,1 @@
+"""Everything that a terminal shows: runs, findings, lists, the line of progress."""

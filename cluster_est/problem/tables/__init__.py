@@ -1,0 +1,1 @@
+"""Measured tables, in files or in memory, as checked signals of an experiment."""

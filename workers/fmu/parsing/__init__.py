@@ -1,0 +1,1 @@
+"""The parts of a model description's XML, read without trusting them."""
