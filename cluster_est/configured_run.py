@@ -108,7 +108,7 @@ class Listener:
 
 @dataclass(frozen=True)
 class Destination:
-    """Where a run goes.
+    """The folder of a run, and what is written to it.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class Destination:
 
 @dataclass(frozen=True)
 class RunEnd:
-    """How a run ended.
+    """The end of a run.
 
     Attributes
     ----------

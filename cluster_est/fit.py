@@ -41,7 +41,7 @@ from workers.messages.checks import as_tuple, check_kind, check_number
 
 @dataclass(frozen=True)
 class FitPlan:
-    """How a problem is fitted.
+    """The method of a fit, with its starts, seed and intervals.
 
     Attributes
     ----------

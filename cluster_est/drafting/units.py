@@ -8,7 +8,8 @@ from dataclasses import dataclass
 PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
 PREFIXED = ("m", "s", "N", "Pa", "V", "A", "W", "J", "Ohm", "F", "H", "Hz", "K", "N.m", "bar")
 SPELLINGS = {
-    "°C": "degC", "celsius": "degC", "°": "deg", "Ω": "Ohm", "ohm": "Ohm", "\u00b5": "u", "\u03bc": "u",
+    "°C": "degC", "celsius": "degC", "°": "deg", "Ω": "Ohm", "ohm": "Ohm",
+    "\u00b5": "u", "\u03bc": "u",  # the micro sign and the Greek letter
     "·": ".", "*": ".", "^": "", "**": "", "²": "2", "³": "3", "sec": "s", "Nm": "N.m",
     "s^-1": "1/s", "s-1": "1/s",
 }  # fmt: skip

@@ -82,5 +82,5 @@ class TaskBacklog:
 
 
 def _alike(one: Task, other: Task) -> bool:
-    """Whether two tasks may travel in one batch."""
+    """Return whether two tasks may travel in one batch."""
     return one.want == other.want and one.effects == other.effects

@@ -35,7 +35,7 @@ class Executor(ABC):
     @property
     @abstractmethod
     def busy(self) -> int:
-        """How many workers have something to do."""
+        """Number of workers that have something to do."""
 
     @abstractmethod
     def close(self) -> None:

@@ -121,7 +121,7 @@ class LocalExecutor(WorkerPool):
 
     @property
     def _here(self) -> bool:
-        """Whether what comes next runs in the caller's thread."""
+        """Return whether what comes next runs in the caller's thread."""
         quick = len(self._backlog) > 0 and self._backlog.next_seconds < SLOW_SECONDS
         return self.workers == 1 and not self._running and quick
 

@@ -52,7 +52,7 @@ def disconnect() -> None:
 
 
 def cores() -> int:
-    """How many the cluster has at the moment, at least one."""
+    """Return the number of cores that the cluster has at the moment, at least one."""
     return max(1, int(ray.cluster_resources().get("CPU", 1)))
 
 

@@ -1,4 +1,4 @@
-"""What every simulation begins with: a reset, a new instance or a new process.
+"""The reset policy: each simulation begins with a reset, a new instance or a new process.
 
 Most FMUs can be reset, which costs microseconds. Some keep something: a state, a table, values that
 were set once. What is simulated then depends on what was simulated before, without any sign of it.
@@ -33,7 +33,7 @@ BEGINS = {
 
 @dataclass(frozen=True)
 class ResetDecision:
-    """What every simulation of a run begins with, and why.
+    """The reset policy of a run, and the reason for it.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class ResetDecision:
 
 
 def recorded(facts: Mapping[str, Any]) -> ResetDecision | None:
-    """What every simulation of a run began with, by its run.json; None if that does not say."""
+    """Return the decision that a run.json holds; None if it does not say."""
     found = facts.get("renewal") or {}
     if found.get("renew") not in WAYS:
         return None
@@ -60,7 +60,7 @@ def recorded(facts: Mapping[str, Any]) -> ResetDecision | None:
 
 @dataclass(frozen=True)
 class RepeatabilityTest:
-    """What the first worker is asked: the first task again after the others."""
+    """A test of the first worker: the first task again after the others."""
 
     tasks: tuple[Task, ...]
 
@@ -82,7 +82,7 @@ class RepeatabilityTest:
         return cls(tuple(Task(i, e, values[e]) for i, e in enumerate(asked)))
 
     def ask(self, executor: WorkerPool) -> bool | None:
-        """Whether the answers are the same bits; None if that cannot be found out."""
+        """Return whether the answers are the same bits; None if that cannot be found out."""
         (first,) = executor.first_worker(self.tasks[:1]) or (None,)
         if first is None or not first.ok:
             return None

@@ -1,4 +1,4 @@
-"""What one simulation that carries sensitivities along takes, beside one that does not."""
+"""The time of a simulation with sensitivities, beside one without."""
 
 from __future__ import annotations
 

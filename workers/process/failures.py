@@ -23,7 +23,7 @@ class ProcessFailure:
 
     @property
     def from_outside(self) -> bool:
-        """Whether somebody else ended it, so that the simulation is not to blame."""
+        """True if somebody else ended it, so that the simulation is not to blame."""
         return self.status is Status.LOST_WORKER
 
 
@@ -59,7 +59,7 @@ def too_large(child: int, limits: Limits) -> ProcessFailure | None:
 
 
 def how_it_ended(code: int | None) -> ProcessFailure:
-    """What became of a process that ended in the middle of a simulation."""
+    """Return the failure of a process that ended in the middle of a simulation."""
     if code is None or code == -signal.SIGKILL:
         message = "the process was killed from outside, perhaps because memory ran out"
         return ProcessFailure(Status.LOST_WORKER, message)

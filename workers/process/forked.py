@@ -112,6 +112,6 @@ class ForkClient:
 
 
 def _import_path() -> str:
-    """Where this package stands, for the process to find it too."""
+    """Return the import path of this package, for the process to find it too."""
     own = str(Path(__file__).parents[2])
     return os.pathsep.join([own, *filter(None, [os.environ.get("PYTHONPATH")])])

@@ -174,14 +174,14 @@ class SupervisedEvaluator:
         return None
 
     def _is_known(self, batch: TaskBatch) -> bool:
-        """Whether such simulations travel together.
+        """Return whether such simulations travel together.
 
         The first ones, which may take minutes, go alone: a failure does not cost them all.
         """
         return batch.want in USUAL and self._known.issuperset(batch.experiments.tolist())
 
     def _has_grown(self, report: BatchReport) -> bool:
-        """Whether the process should be replaced before it fails: the FMU leaks."""
+        """Return whether the process should be replaced before it fails: the FMU leaks."""
         self._base = self._base or report.resident
         grown = report.resident - self._base > self._limits.growth
         return grown or report.instances > MOST_INSTANCES

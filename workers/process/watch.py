@@ -57,7 +57,7 @@ def map_progress(descriptor: int) -> IntArray:
 
 @dataclass(frozen=True)
 class ProcessActivity:
-    """What the system says of a process.
+    """The state of a process, as the system gives it.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class ProgressWatch:
 
     @property
     def simulates(self) -> bool:
-        """Whether a simulation is under way; else it prepares one, or compares what it gave."""
+        """True while a simulation is under way; else it prepares one, or compares what it gave."""
         return bool(self._counters[RUNNING])
 
     @property
@@ -127,7 +127,7 @@ class ProgressWatch:
         return time.monotonic() - self._begun if self.simulates else 0.0
 
     def _passed(self, seconds: float, activity: ProcessActivity | None) -> float:
-        """How much of some seconds since the last look it could have used."""
+        """Return the part of some seconds since the last look that it could have used."""
         if activity is None or self._activity is None or not activity.waiting:
             return min(seconds, LATE_SECONDS)
         return min(seconds, activity.seconds - self._activity.seconds)
