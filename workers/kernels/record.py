@@ -56,7 +56,7 @@ def apply_to_outputs(hooks, grid, outputs, column, coefficients, substeps, work)
         Steps of the effect's own states from one time of the grid to the next.
     """
     for i in range(len(grid.times)):
-        if i > 0 and hooks.add_derivatives != 0:
+        if i > 0 and hooks.state_derivatives != 0:
             for n in range(substeps):
                 _advance_states(hooks, grid, outputs, i - 1, n, substeps, coefficients, work)
         _interpolate(grid, outputs, i, 0.0, work)
@@ -82,7 +82,7 @@ def _advance_states(hooks, grid, outputs, i, n, substeps, coefficients, work):  
         fraction = (n + node) / substeps
         _interpolate(grid, outputs, i, fraction, work)
         time = grid.times[i] + fraction * length
-        _call_hook_into(hooks.add_derivatives, time, trial, coefficients, work, k[stage])
+        _call_hook_into(hooks.state_derivatives, time, trial, coefficients, work, k[stage])
     for j in range(len(x)):
         x[j] += step / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
 

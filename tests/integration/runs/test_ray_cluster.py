@@ -9,8 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import ray
-from support.problems.springs import spring_problem
 from ray.cluster_utils import Cluster
+from support.problems.springs import spring_problem
 
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.executors.ray_pool import RayPool

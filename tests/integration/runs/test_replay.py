@@ -17,8 +17,8 @@ from support.problems.springs import ROOT
 from support.spoiled import write_input
 
 from cluster_est.cli import main
-from cluster_est.toml import to_toml
 from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.toml import to_toml
 
 Capture = pytest.CaptureFixture[str]
 

@@ -18,10 +18,10 @@ from support.cut_logs import cut
 from support.problems.springs import ROOT
 
 from cluster_est.cli import main
-from cluster_est.toml import to_toml
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.run_folder.evaluation_log import read_log
 from cluster_est.run_folder.lock import locked
+from cluster_est.toml import to_toml
 from workers.messages import Outcome
 
 CONFIG = str(ROOT / "configs" / "mass_spring_damper.toml")

@@ -15,14 +15,13 @@ from support.problems.springs import ROOT
 
 from cluster_est.cli import main
 from cluster_est.configured_run import ConfiguredFit, ConfiguredRun, Destination, RunEnd
-from cluster_est.running.environment import RunEnvironment
-from cluster_est.toml import to_toml
-from cluster_est.toml import to_toml
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.run_folder.folder import RunFolder
 from cluster_est.run_folder.lock import locked_by_sweep
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.sweep import run as sweep_run
+from cluster_est.toml import to_toml
 
 STARTS = {"name": "start", "key": "parameters.m.start", "values": [1.0, 3.0]}
 DATA = {

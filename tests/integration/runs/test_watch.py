@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from support.problems.springs import spring_problem
 from support.reported import fitted_run
-from rich.console import Console
 
 from cluster_est.cli import main
 from cluster_est.fit import fit
@@ -22,7 +22,7 @@ from cluster_est.report.watch import RunFollower, RunView, follow
 from cluster_est.report.watch_printing import WatchTable, rendered
 from cluster_est.run_folder.folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
-from cluster_est.running.records import SearchIteration, TaskOrigin, RunSnapshot
+from cluster_est.running.records import RunSnapshot, SearchIteration, TaskOrigin
 from workers.messages import Outcome, Status
 
 

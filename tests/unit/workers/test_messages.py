@@ -136,7 +136,7 @@ class TestModel:
             ({"solver": Solver("fmu")}, "must be dormand_prince, rk4 or cvode for model_exchange"),
             ({"parameters": "m"}, "parameters: must be a list of text but is one alone"),
             ({"parameters": [1]}, r"parameters\[0\]: must be text but is 1"),
-            ({"renew": "never"}, "reset: must be 'auto', 'reset', 'instance' or 'process'"),
+            ({"reset": "never"}, "reset: must be 'auto', 'reset', 'instance' or 'process'"),
         ],
     )
     def test_what_cannot_be_is_refused(self, change, said):
