@@ -1,4 +1,4 @@
-"""A fit from the command line and a run of a sweep are one recipe: the same bits, the same facts."""
+"""A fit and a run of a sweep are one recipe: the same bits and the same facts."""
 
 from __future__ import annotations
 
