@@ -45,12 +45,19 @@ ENDLESS = 1_000_000
 """SciPy's limit of iterations: ours is on the number of derivatives."""
 GRADIENT_TOLERANCE = 1e-14
 """Next to none: trust-constr takes a stationary point of its barrier for one of the problem."""
+STANDSTILL, STANDSTILLS = 1e-9, 5
+"""Steps of SLSQP, in typical sizes, that are less than derivatives by differences can tell, and so
+many in a row: at a feasible point it has converged then, though its own tolerance is finer."""
 BARRIER_MARGIN = 0.01
 """Distance from a bound at which the barrier of trust-constr begins, in typical sizes."""
 
 
 class _FeasiblePointError(Exception):
     """Raised through SciPy at a feasible point, where there is nothing to minimise."""
+
+
+class _StandstillError(Exception):
+    """Raised through SciPy where it only takes steps that make no difference."""
 
 
 class _LimitError(Exception):
@@ -80,7 +87,7 @@ class _ScipyCallbacks:
         self._cache = EvaluationCache(space, ask, scheme, settings.relative_step)
         self._origin = np.zeros(space.size)
         self._scale = 1.0
-        self._last = self._origin
+        self._last, self._standstills = self._origin, 0
         self._feasibility_only = False
         self._constraints_before: FloatArray = np.zeros(len(self._equality))
 
@@ -107,7 +114,7 @@ class _ScipyCallbacks:
         cache = self._cache
         if cache.best is not None:
             cache.origin = cache.best[0]
-        self._last = self._origin
+        self._last, self._standstills = self._origin, 0
         at = self.evaluation(self._origin)
         if self._feasibility_only:
             self._scale = 1.0
@@ -130,16 +137,19 @@ class _ScipyCallbacks:
                         "jac": lambda z, m=mask, s=sign: s * self.constraint_jacobian(z)[m],
                     }
                 )
-        found = minimize(
-            self.cost,
-            self._origin,
-            jac=self.gradient,
-            method="SLSQP",
-            bounds=list(zip(*self._bounds(), strict=True)),
-            constraints=constraints,
-            callback=lambda xk: self._note(xk),
-            options={"ftol": self._settings.ftol, "maxiter": ENDLESS},
-        )
+        try:
+            found = minimize(
+                self.cost,
+                self._origin,
+                jac=self.gradient,
+                method="SLSQP",
+                bounds=list(zip(*self._bounds(), strict=True)),
+                constraints=constraints,
+                callback=self._note_slsqp,
+                options={"ftol": self._settings.ftol, "maxiter": ENDLESS},
+            )
+        except _StandstillError:
+            return Ending.CONVERGED, ""
         ending = Ending.CONVERGED if found.status == 0 else Ending.STALLED
         return ending, "" if found.status == 0 else f"SLSQP: {found.message}"
 
@@ -232,6 +242,14 @@ class _ScipyCallbacks:
         if not cache.has_derivatives(z) and cache.gradients >= self._settings.max_iterations:
             raise _LimitError
         return cache.derivatives(z)
+
+    def _note_slsqp(self, z: FloatArray) -> None:
+        """Add a line, and end where nothing moves any more."""
+        moved = float(np.abs(z - self._last).max())
+        self._note(z)
+        self._standstills = self._standstills + 1 if moved <= STANDSTILL else 0
+        if self._standstills >= STANDSTILLS and self._cache.evaluation(z).feasible:
+            raise _StandstillError
 
     def _note(self, z: FloatArray, state: Any = None) -> None:
         """Add a line to the iteration table, without further evaluations."""
