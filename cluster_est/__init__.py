@@ -23,8 +23,8 @@ from cluster_est.residual_function import residuals
 from cluster_est.results.result import Result
 from cluster_est.results.row_types import Estimate
 from cluster_est.running.multistart import Multistart
+from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
-from cluster_est.running.runner import Budget
 from cluster_est.uncertainty import UncertaintySettings
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 

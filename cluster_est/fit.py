@@ -26,8 +26,9 @@ from cluster_est.running.arguments import (
 )
 from cluster_est.running.environment import Monitor, RunEnvironment, open_executor
 from cluster_est.running.multistart import Multistart, check_starts, search_from_starts
+from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources, one_blas_thread
-from cluster_est.running.runner import Note, Record, Runner, Show
+from cluster_est.running.runner import Runner
 from cluster_est.uncertainty import (
     UncertaintySettings,
     bootstrap,

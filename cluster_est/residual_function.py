@@ -18,7 +18,8 @@ from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import open_executor
 from cluster_est.running.resources import Resources
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from workers.messages import FloatArray
 from workers.messages.checks import check_choice, shown
 

@@ -25,7 +25,8 @@ from cluster_est import Experiment, Input, LeastSquares, Model, Output, Paramete
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.methods.base import Solution
 from cluster_est.problem.space import SearchSpace, make_space
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap, profiles
 
 FMU = Path(__file__).parent.parent / "configs" / "models" / "mass_spring_damper.fmu"

@@ -30,7 +30,8 @@ from cluster_est.methods.pattern_search.method import PatternSearch
 from cluster_est.problem.space import make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.resources import Resources, one_blas_thread
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Task
 
 SYSTEM, PARAMETERS = "dc_motor_belt", 8

@@ -42,7 +42,8 @@ from cluster_est.executors import Executor
 from cluster_est.problem.space import make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.resources import one_blas_thread
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 
 PROCESSES = 2
 SAME = 1e-6

@@ -21,7 +21,8 @@ from cluster_est.config.settings import build_resources
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.environment import open_executor
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 
 
 def main() -> None:

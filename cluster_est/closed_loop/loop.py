@@ -30,8 +30,9 @@ from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.result import Result
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
+from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources
-from cluster_est.running.runner import Note, Record, SearchRequest, Show
+from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import examine
 from workers.messages.checks import as_tuple, check_kind
 

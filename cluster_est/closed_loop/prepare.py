@@ -25,8 +25,8 @@ from cluster_est.fit import check_method
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.running.environment import RunEnvironment
+from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.resources import one_blas_thread
-from cluster_est.running.runner import Record, TaskOrigin
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest

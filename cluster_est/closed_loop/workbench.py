@@ -19,7 +19,9 @@ from cluster_est.methods.base import Evaluation, Method
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
-from cluster_est.running.runner import Record, Runner, SearchRequest, TaskOrigin
+from cluster_est.running.records import Record, TaskOrigin
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Outcome, Want
 

@@ -6,8 +6,8 @@ from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.config.reader import Config
 from cluster_est.errors import ConfigError, EffectError
 from cluster_est.running.multistart import Multistart
+from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
-from cluster_est.running.runner import Budget
 from cluster_est.uncertainty import UncertaintySettings
 from workers.effects.site import parse_site
 from workers.messages import Limits

@@ -14,8 +14,8 @@ from cluster_est.results import rows
 from cluster_est.results.output_errors import Simulation, output_errors
 from cluster_est.results.result import Result
 from cluster_est.running.evaluation import judge
-from cluster_est.running.runner import Runner, SearchRequest
-from cluster_est.running.search_state import suited
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest, suited
 from cluster_est.uncertainty import Uncertainty, assess, intervals
 
 BEFORE_BYTES = 2**28

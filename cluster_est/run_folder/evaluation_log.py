@@ -27,7 +27,7 @@ from cluster_est.run_folder.log_format import (
     segments,
     slim,
 )
-from cluster_est.running.runner import TaskOrigin
+from cluster_est.running.records import TaskOrigin
 from workers.messages import Outcome, Trajectory
 
 __all__ = ["SCHEMA", "EvaluationLog", "LogSettings", "read_log"]

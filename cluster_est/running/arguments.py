@@ -13,8 +13,8 @@ from cluster_est.problem.options import check_options
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.running.multistart import Multistart, Sampler
+from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
-from cluster_est.running.runner import Budget
 from workers.fmu.description import nearest
 from workers.messages import Limits
 from workers.messages.checks import check_choice, check_kind, check_number, shown

@@ -11,9 +11,10 @@ from cluster_est.executors import Executor, WorkerPool
 from cluster_est.executors.base import OutcomeSource
 from cluster_est.executors.log_replay import LogReplayExecutor
 from cluster_est.problem.problem import Problem
+from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.reset_policy import ResetDecision, open_with_reset
 from cluster_est.running.resources import Resources
-from cluster_est.running.runner import Note, Record, Runner, Show
+from cluster_est.running.runner import Runner
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.space import SearchSpace
-from cluster_est.running.runner import Runner, SearchRequest
-from cluster_est.running.search_state import suited
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest, suited
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
 
@@ -148,8 +148,8 @@ def make_starts(runner: Runner, space: SearchSpace, multistart: Multistart) -> F
     samples = sample(space, missing * multistart.screen, multistart)
     if multistart.screen > 1:
         (found,) = runner.run([SearchRequest("screen", GivenPoints(samples, "screen"), space)])
-        if not found.evaluations:
-            raise KeyboardInterrupt  # the only end that it can have without an answer
+        if not found.evaluations:  # interrupted: none of these searches begins any more
+            return np.vstack([*given, samples[:missing]])
         order = sorted(range(len(samples)), key=lambda i: (found.evaluations[i].rank, i))
         samples = samples[order[:missing]]
     return np.vstack([*given, samples])

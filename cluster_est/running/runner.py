@@ -29,19 +29,6 @@ from cluster_est.running.records import (
 from cluster_est.running.search_state import SearchRequest, SearchState, suited
 from workers.messages import Effect, FloatArray, Outcome, Status, Task, Want
 
-__all__ = [
-    "Budget",
-    "Note",
-    "Record",
-    "RunSnapshot",
-    "Runner",
-    "SearchIteration",
-    "SearchRequest",
-    "Show",
-    "TaskOrigin",
-]
-
-
 SUBMITTED_AT_ONCE = 1000
 HURRY_SECONDS = 2.0
 Enough = Callable[[Sequence[Solution]], bool]

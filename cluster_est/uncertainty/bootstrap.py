@@ -22,7 +22,8 @@ from scipy.stats import t as student
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.problem.space import SearchSpace
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty.covariance.layout import is_shared
 from cluster_est.uncertainty.settings import UncertaintySettings
 from cluster_est.uncertainty.spaces import resampled

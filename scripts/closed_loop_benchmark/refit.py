@@ -11,7 +11,8 @@ from cluster_est import LeastSquares, Problem, Resources
 from cluster_est.methods.base import Solution
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.environment import open_executor
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 
 METHOD = LeastSquares(differences="forward", max_iterations=40, ftol=1e-8, xtol=1e-8)
 

@@ -25,8 +25,8 @@ from cluster_est.methods.populations.nsga2 import Nsga2
 from cluster_est.problem.reduction import LEAST_RESIDUALS, want_of
 from cluster_est.problem.space import make_space
 from cluster_est.running.multistart import Multistart, search_from_starts
-from cluster_est.running.runner import Runner, SearchRequest
-from cluster_est.running.search_state import suited
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest, suited
 from workers.evaluate import Evaluator
 from workers.messages import REDUCTIONS, Curve, Outcome, SignalBound, Status, Task, UserFunction
 from workers.residuals.reduce import reduce_residuals

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from cluster_est.running.runner import Budget, RunSnapshot
+from cluster_est.running.records import Budget, RunSnapshot
 
 SECONDS_BETWEEN = 0.1
 STARTING = "starting; the first use of a solver compiles it, for up to half a minute"

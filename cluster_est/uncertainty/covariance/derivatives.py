@@ -13,7 +13,8 @@ from cluster_est.methods.base import Ending, Evaluation, Method, Points, Search,
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import jacobian, relative_noise
 from cluster_est.problem.space import SearchSpace
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty.covariance.accuracy import relative_sizes
 from cluster_est.uncertainty.covariance.covariance import assess, scaled_jacobian
 from cluster_est.uncertainty.covariance.jacobian import has_jacobian, jacobian_blocks, with_jacobian

@@ -23,7 +23,8 @@ from scipy.stats import f as fisher
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
 from cluster_est.problem.space import SearchSpace
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty.covariance.covariance import assess
 from cluster_est.uncertainty.covariance.derivatives import linearise
 from cluster_est.uncertainty.covariance.layout import is_shared

@@ -22,7 +22,8 @@ from cluster_est import (
 )
 from cluster_est.problem.space import make_space
 from cluster_est.running.environment import open_executor
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import (
     UncertaintySettings,
     assess,

@@ -21,7 +21,7 @@ from cluster_est.cli import main
 from cluster_est.methods import Method
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.methods.sqp.method import Sqp
-from cluster_est.running.runner import SearchIteration
+from cluster_est.running.records import SearchIteration
 
 CONFIGS = ROOT / "configs"
 FREE, TOLERANCES = (CONFIGS / f"wen_bouc_spring{end}.toml" for end in ("", "_tolerances"))

@@ -19,7 +19,7 @@ from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import ShortenedCopy
 from cluster_est.closed_loop.workbench import FitStart, SimulationMeter
-from cluster_est.running.runner import TaskOrigin
+from cluster_est.running.records import TaskOrigin
 from workers.messages import Outcome, Status
 
 NAME = "mass_spring_damper"

@@ -18,7 +18,8 @@ from cluster_est.problem.space import make_space
 from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings, read_log
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.running.records import TaskOrigin
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, Task, Trajectory
 
 PROBLEM = FunctionProblem(

@@ -14,7 +14,7 @@ from cluster_est.run_folder import evaluation_log
 from cluster_est.run_folder.evaluation_log import SCHEMA, EvaluationLog, LogSettings, read_log
 from cluster_est.run_folder.log_format import END_OF_STREAM, mend
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
-from cluster_est.running.runner import TaskOrigin
+from cluster_est.running.records import TaskOrigin
 from workers.messages import Effect, Outcome, Status, Trajectory
 
 EXPERIMENTS = [("first", "key1"), ("second", "key2")]

@@ -26,7 +26,8 @@ from cluster_est.running.multistart import (
     sample,
     search_from_starts,
 )
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, Task
 
 MINIMA = np.array(

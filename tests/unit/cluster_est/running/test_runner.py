@@ -26,7 +26,9 @@ from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
-from cluster_est.running.runner import Budget, Runner, RunSnapshot, SearchRequest, TaskOrigin
+from cluster_est.running.records import Budget, RunSnapshot, TaskOrigin
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from workers.messages import Experiment, FloatArray, Model, Outcome, Output, Solver, Status, Task
 
 TIMES = np.linspace(0.0, 2.0, 15)

@@ -25,7 +25,9 @@ from cluster_est.methods.base import (
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.space import SearchSpace, make_space
-from cluster_est.running.runner import Budget, Runner, SearchIteration, SearchRequest
+from cluster_est.running.records import Budget, SearchIteration
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, Task
 
 SEEDS = st.integers(0, 2**32 - 1)

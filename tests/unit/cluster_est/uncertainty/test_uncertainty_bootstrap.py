@@ -11,7 +11,9 @@ from support.problems.curves import CurveExecutor, Curves
 
 from cluster_est import LeastSquares, Parameter
 from cluster_est.errors import ProblemError
-from cluster_est.running.runner import Budget, Runner, SearchRequest
+from cluster_est.running.records import Budget
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap, check_bootstrap
 from cluster_est.uncertainty.bootstrap import percentile_interval
 from cluster_est.uncertainty.rows import bootstrap_rows, interval_rows

@@ -9,8 +9,7 @@ from rich.console import Console
 
 from cluster_est.cli.display.progress import STARTING, ProgressLine, line
 from cluster_est.methods.base import Progress
-from cluster_est.running.records import RunSnapshot
-from cluster_est.running.runner import Budget
+from cluster_est.running.records import Budget, RunSnapshot
 
 
 def snapshot(cost: float, failures: int = 0) -> RunSnapshot:

@@ -10,7 +10,7 @@ from cluster_est import LeastSquares, Parameter
 from cluster_est.methods import block_matrix
 from cluster_est.methods.base import Ending
 from cluster_est.methods.derivatives import differences
-from cluster_est.running.runner import SearchRequest
+from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import assess, examine
 
 TIMES = np.linspace(0.0, 3.0, 12)

@@ -14,7 +14,8 @@ from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
 from cluster_est.methods.pattern_search.method import PatternSearch
 from cluster_est.problem.space import make_space
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 
 METHOD = AsynchronousPatternSearch()
 OTHER_MINIMA = {"freudenstein roth": 48.98425, "hs15": 360.379767}

@@ -17,7 +17,8 @@ from cluster_est.methods.base import Ending, Evaluation, Points
 from cluster_est.methods.pattern_search.method import PatternSearch
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.space import make_space
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status
 
 EIGHT = FunctionProblem("eight", lambda x: x - np.arange(8.0), (5.0,) * 8, 0.0)

@@ -34,7 +34,8 @@ from cluster_est.methods.populations.nsga2 import Nsga2
 from cluster_est.methods.populations.particle_swarm import ParticleSwarm
 from cluster_est.problem.space import make_space
 from cluster_est.running.evaluation import judge
-from cluster_est.running.runner import Runner, SearchRequest
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, UserFunction
 
 SHIFT = np.array([0.3, -0.7, 0.11])

@@ -15,7 +15,9 @@ from cluster_est.costs.likelihood import GaussianLikelihood
 from cluster_est.costs.sum_absolute import SumAbsolute
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Points, Solution
-from cluster_est.running.runner import Budget, Runner, SearchRequest
+from cluster_est.running.records import Budget
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, check_profiles, profiles, select
 from cluster_est.uncertainty.profiles.continuation import ProfileContinuation
 from cluster_est.uncertainty.profiles.profile_steps import ProfileTarget
