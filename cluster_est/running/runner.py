@@ -121,8 +121,9 @@ class Runner:
         """
         self._refuse_if_exhausted([])
         searches = [self._open(request) for request in requests]
-        for search, share in zip(searches, self._budget.shares(len(searches)), strict=True):
-            search.most_evaluations = share
+        if at_once != 1 and not self._whole:
+            for search, share in zip(searches, self._budget.shares(len(searches)), strict=True):
+                search.share = share
         try:
             if not self.interrupted:
                 with DeferredInterrupts() as interrupts:
@@ -307,9 +308,9 @@ class Runner:
 
     def _is_cut(self, search: SearchState) -> bool:
         """Return whether a search must end for the budget's sake."""
-        if self._whole:  # then all are cut, whoever used it up
+        if search.share is None:  # alone, one after the other, or of a recipe that all are cut for
             return self._budget.exhausted
-        return self._budget.out_of_time or search.asked >= search.most_evaluations
+        return self._budget.out_of_time or search.asked >= search.share
 
     def _refuse_if_exhausted(self, searches: Sequence[SearchState]) -> None:
         cut = [s for s in searches if s.solution and s.solution.ending is Ending.BUDGET]

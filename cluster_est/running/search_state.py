@@ -61,7 +61,7 @@ class SearchState:
     purpose: str = ""
     sensitivities: bool = False
     asked: int = 0
-    most_evaluations: float = np.inf
+    share: float | None = None
     best: Evaluation | None = None
     best_x: FloatArray | None = None
     progress: Progress = field(default_factory=lambda: Progress(0, np.nan))
