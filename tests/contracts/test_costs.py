@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,6 +23,10 @@ def outputs_of(residuals):
 
 @pytest.mark.parametrize("kind", COSTS.values(), ids=lambda k: k.name)
 class TestCost:
+    def test_its_options_are_the_fields_of_a_dataclass(self, kind):
+        assert dataclasses.is_dataclass(kind), "write @dataclass(frozen=True) above it"
+        assert kind.__dataclass_params__.frozen
+
     @given(residuals=RESIDUALS, seed=st.integers(0, 100))
     def test_order_is_irrelevant(self, kind, residuals, seed):
         outputs = outputs_of(residuals)

@@ -127,7 +127,7 @@ def check(outcomes: dict[int, Outcome], tasks: Sequence[Task]) -> None:
 
 
 def test_every_executor_is_tested() -> None:
-    assert {name for name, _ in OPENERS.values()} == set(EXECUTORS)
+    assert {name for name, _ in OPENERS.values()} == set(EXECUTORS), "add a line to OPENERS"
 
 
 class TestContract:
