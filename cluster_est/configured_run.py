@@ -219,6 +219,8 @@ def do_run(
                 resources, context.monitor(show), context.earlier, source or OwnWorkers()
             )
             result = run.compute(environment)
+            if context.folder is None and getattr(result, "interrupted", False):
+                raise KeyboardInterrupt  # a run that is there stays: nothing was simulated
             status = context.finish(result)
     except (KeyboardInterrupt, BudgetError, ProblemError) as error:
         if context.folder is None:  # nothing was simulated: the input is to blame

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.scales import SignalScales
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
+from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, screen
 from cluster_est.closed_loop.selection.declared_model import fit_declared
@@ -18,7 +18,6 @@ from cluster_est.closed_loop.statistics.noise import estimate_noise
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.problem import Problem
-from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources
 from workers.effects.forms import EffectForm, FormCoefficient
 from workers.effects.forms import form as find_form
@@ -200,10 +199,7 @@ def _screened(
     problem: Problem, resources: Resources | None, settings: LoopSettings | None, seed: int
 ) -> Iterator[tuple[LoopWorkbench, FittedModel, ScreeningResult]]:
     """The declared model fitted, and every candidate against its residual."""
-    request = LoopRequest(
-        problem, RunEnvironment(resources or Resources()), settings or LoopSettings(), seed
-    )
-    with open_workbench(request) as workbench:
+    with open_workbench(checked_request(problem, resources, settings, seed)) as workbench:
         fitted = fit_declared(workbench, FitStart(workbench.problem, {}))
         yield workbench, fitted, screen(workbench, fitted, 1)
 

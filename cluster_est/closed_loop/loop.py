@@ -17,24 +17,20 @@ from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
+from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
 from cluster_est.closed_loop.selection.forward_selection import forward_selection
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.options import check_options
 from cluster_est.problem.problem import Problem
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.result import Result
-from cluster_est.running.arguments import check_problem, check_resources
-from cluster_est.running.environment import Monitor, RunEnvironment
+from cluster_est.running.environment import Monitor
 from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import examine
-from workers.messages.checks import as_tuple, check_kind
 
 FINAL = LeastSquares(trials=4, max_iterations=50)
 
@@ -71,16 +67,8 @@ def close_loop(
     ClusterEstError
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
-    resources = Resources() if resources is None else resources
-    settings = LoopSettings() if settings is None else settings
-    check_problem(problem)
-    check_resources(resources)
-    check_kind(settings, LoopSettings, "closed_loop", ProblemError)
-    check_options(settings, "closed_loop", ProblemError)
-    for key in ("forms", "sites"):
-        as_tuple(getattr(settings, key), str, f"closed_loop.{key}", ProblemError)
-    environment = RunEnvironment(resources, Monitor(record, show, note))
-    return run_loop(LoopRequest(problem, environment, settings, seed))
+    monitor = Monitor(record, show, note)
+    return run_loop(checked_request(problem, resources, settings, seed, monitor))
 
 
 def run_loop(request: LoopRequest) -> LoopResult:

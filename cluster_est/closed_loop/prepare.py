@@ -22,15 +22,18 @@ from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench, Simulatio
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
+from cluster_est.problem.options import check_options
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
-from cluster_est.running.environment import RunEnvironment
+from cluster_est.running.arguments import check_problem, check_resources
+from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.records import Record, TaskOrigin
-from cluster_est.running.resources import one_blas_thread
+from cluster_est.running.resources import Resources, one_blas_thread
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment, Outcome
+from workers.messages.checks import as_tuple, check_kind, check_number
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,32 @@ class LoopRequest:
     environment: RunEnvironment = field(default_factory=RunEnvironment)
     settings: LoopSettings = field(default_factory=LoopSettings)
     seed: int = 0
+
+
+def checked_request(
+    problem: Problem,
+    resources: Resources | None,
+    settings: LoopSettings | None,
+    seed: int,
+    monitor: Monitor | None = None,
+) -> LoopRequest:
+    """Return a request of what a user has handed over, checked as a config is.
+
+    Raises
+    ------
+    ProblemError
+        If something is of the wrong kind or out of its range.
+    """
+    resources = Resources() if resources is None else resources
+    settings = LoopSettings() if settings is None else settings
+    check_problem(problem)
+    check_resources(resources)
+    check_kind(settings, LoopSettings, "closed_loop", ProblemError)
+    check_options(settings, "closed_loop", ProblemError)
+    for key in ("forms", "sites"):
+        as_tuple(getattr(settings, key), str, f"closed_loop.{key}", ProblemError)
+    check_number(seed, "closed_loop.seed", ProblemError, least=0, whole=True)
+    return LoopRequest(problem, RunEnvironment(resources, monitor or Monitor()), settings, seed)
 
 
 @contextmanager

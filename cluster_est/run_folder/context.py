@@ -20,6 +20,17 @@ from cluster_est.running.records import RunSnapshot, SearchIteration, Show, Task
 from cluster_est.running.reset_policy import ResetDecision, recorded
 from workers.messages import Outcome
 
+FIT_TITLES = {
+    "before": "simulating at the start values",
+    "train": "searching",
+    "screen": "screening the starts",
+    "derivatives": "finding the intervals",
+    "directions": "finding the intervals",
+    "test": "fitting the test records",
+    "after": "simulating at the estimates",
+}
+"""Texts for people, by the names of a fit's searches in the log."""
+
 
 class Existing(enum.Enum):
     """The treatment of a run that the folder holds already."""
@@ -118,7 +129,9 @@ class RunContext:
         """Say how far the run came, as part of a sentence."""
         if not self._searches:
             return "stopped before the first simulation"
-        *done, last = dict.fromkeys(stage_title(name) for name in self._searches)
+        *done, last = dict.fromkeys(
+            FIT_TITLES.get(name) or stage_title(name) for name in self._searches
+        )
         return f"stopped while {last}" + (f", after {', '.join(done)}" if done else "")
 
     def _record(self, origin: TaskOrigin, outcome: Outcome) -> None:

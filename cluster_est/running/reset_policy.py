@@ -20,9 +20,11 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.running.resources import Resources
 from workers.errors import ModelError
-from workers.messages import Experiment, Outcome, ResetPolicy, Task
+from workers.messages import Experiment, Outcome, ResetPolicy, Status, Task
 
 WAYS: tuple[ResetPolicy, ...] = ("reset", "instance", "process")
+NO_ANSWER = (Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY)
+"""Ends of a simulation that say nothing of what it would have given."""
 BEGINS = {
     "reset": "a reset of the instance",
     "instance": "a new instance",
@@ -87,7 +89,9 @@ class RepeatabilityTest:
         if first is None or not first.ok:
             return None
         rest = executor.first_worker(self.tasks[1:])
-        return bool(rest) and rest[-1].ok and _bits(rest[-1]) == _bits(first)
+        if not rest or rest[-1].status in NO_ANSWER:
+            return None
+        return rest[-1].ok and _bits(rest[-1]) == _bits(first)
 
 
 class _Start(Protocol):

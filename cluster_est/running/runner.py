@@ -121,9 +121,6 @@ class Runner:
         """
         self._refuse_if_exhausted([])
         searches = [self._open(request) for request in requests]
-        if at_once != 1 and not self._whole:
-            for search, share in zip(searches, self._budget.shares(len(searches)), strict=True):
-                search.share = share
         try:
             if not self.interrupted:
                 with DeferredInterrupts() as interrupts:
@@ -182,15 +179,14 @@ class Runner:
             if at_once is not None and under_way >= at_once:
                 return
             search = waiting.pop()
-            if begun and self._is_cut(search):
+            if begun and self._budget.exhausted:
                 self._finish(search, Ending.BUDGET)
             else:
                 self._advance(search, None)
 
     def _give_up(self, searches: Sequence[SearchState]) -> None:
-        """End searches whose solutions nobody wants any more; their evaluations do not count."""
+        """End searches whose solutions nobody wants any more."""
         for search in searches:
-            self._budget.evaluations -= search.asked
             self._drop(search, tuple(search.pending))
             search.steps.close()
 
@@ -259,7 +255,7 @@ class Runner:
                 search.solution = end.value
                 self._end(search)
                 return
-            if search.asked and self._is_cut(search):
+            if search.asked and self._budget.exhausted:
                 self._finish(search, Ending.BUDGET)
                 return
             self._ask(search, points)
@@ -305,12 +301,6 @@ class Runner:
         last = search.last_line()
         if last is not None:
             self._note(SearchIteration(search.request.name, last, search.asked))
-
-    def _is_cut(self, search: SearchState) -> bool:
-        """Return whether a search must end for the budget's sake."""
-        if search.share is None:  # alone, one after the other, or of a recipe that all are cut for
-            return self._budget.exhausted
-        return self._budget.out_of_time or search.asked >= search.share
 
     def _refuse_if_exhausted(self, searches: Sequence[SearchState]) -> None:
         cut = [s for s in searches if s.solution and s.solution.ending is Ending.BUDGET]

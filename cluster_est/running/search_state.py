@@ -61,7 +61,6 @@ class SearchState:
     purpose: str = ""
     sensitivities: bool = False
     asked: int = 0
-    share: float | None = None
     best: Evaluation | None = None
     best_x: FloatArray | None = None
     progress: Progress = field(default_factory=lambda: Progress(0, np.nan))

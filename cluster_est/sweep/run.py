@@ -80,8 +80,9 @@ def do_sweep_run(run: SweepRun, folder: Path, settings: SweepSettings) -> RunSta
 
     Raises
     ------
-    ExecutorError
-        If there are no workers to be had, which would hit all runs; the next call goes on.
+    ExecutorError, RunFolderError
+        If there are no workers to be had, or its folder cannot be written, which would hit all
+        runs; the next call goes on.
     """
     configured = read_sweep_run(run, allow_code=settings.allow_code)
     clear_torn(folder)
@@ -89,7 +90,7 @@ def do_sweep_run(run: SweepRun, folder: Path, settings: SweepSettings) -> RunSta
     to = Destination(folder, existing, report=False, begin_at_once=True)
     try:
         return do_run(configured, to, settings.listener, settings.pools).status
-    except ExecutorError:
+    except (ExecutorError, RunFolderError):
         raise
     except Exception:  # whatever it is stands in its run.json; the other runs still can be done
         return RunStatus.FAILED

@@ -112,7 +112,10 @@ def sweep(
                 for run in _pooled(todo):
                     states[run.name] = NOT_RUN
                     write_state(out, path, states, running=run.name)
-                    found = do_sweep_run(run, out / run.name, settings)
+                    try:
+                        found = do_sweep_run(run, out / run.name, settings)
+                    except KeyboardInterrupt:
+                        break
                     if found is RunStatus.INTERRUPTED:
                         break
                     states[run.name] = found

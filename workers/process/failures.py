@@ -35,7 +35,9 @@ def too_late(watch: ProgressWatch, limits: Limits) -> ProcessFailure | None:
             f"the simulation did not end within {limits.seconds:.3g} s and was stopped; raise "
             "executor.timeout if it only needs longer",
         )
-    most = limits.stall if watch.simulates else max(limits.stall, LOAD_SECONDS)
+    if not watch.simulates:
+        return _too_late_outside(watch, max(limits.stall, LOAD_SECONDS))
+    most = limits.stall
     if watch.still > most:
         return ProcessFailure(
             Status.TIMEOUT,
@@ -44,6 +46,18 @@ def too_late(watch: ProgressWatch, limits: Limits) -> ProcessFailure | None:
             "executor.stall if one step of it takes so long",
         )
     return None
+
+
+def _too_late_outside(watch: ProgressWatch, most: float) -> ProcessFailure | None:
+    """Return the failure of a process that stands still before or after a simulation."""
+    if watch.still <= most:
+        return None
+    return ProcessFailure(
+        Status.TIMEOUT,
+        f"what comes before or after the simulation, such as loading, compiling or a function of "
+        f"the config's, took {most:.3g} s without an end and was stopped; check that function, or "
+        "raise executor.stall",
+    )
 
 
 def too_large(child: int, limits: Limits) -> ProcessFailure | None:

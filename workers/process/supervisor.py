@@ -160,7 +160,7 @@ class SupervisedEvaluator:
         if self._renew == "process":
             self._end(kill=True)  # it has answered, and nothing waits for how it ends
         elif self._has_grown(report):
-            self._end(kill=False)
+            self._end(kill=True)  # freeing the FMU may hang, and its memory goes with the process
         return outcomes
 
     def _wait(self, child: int, connection: Connection) -> ProcessFailure | None:
@@ -216,6 +216,9 @@ class SupervisedEvaluator:
                         "that it does not wait for a licence or a window"
                     )
             said = connection.recv()
+        except KeyboardInterrupt:  # nobody will ask this process whether it has loaded
+            self._end(kill=True)
+            raise
         except (EOFError, OSError) as error:
             ended = how_it_ended(self._end(kill=False))
             if ended.from_outside:

@@ -22,8 +22,9 @@ from workers.messages import IntArray
 
 LATE_SECONDS = 1.0
 """Of sleep that count from one look to the next: who looks so rarely was kept from looking."""
-WAITING = "RTt"
-"""States of Linux in which a process would go on if it were let: ready to run, or stopped."""
+WAITING = "RTtD"
+"""States of Linux in which a thread would go on if it were let: ready to run, stopped, or waiting
+for a disk, as on a machine whose memory is short. `executor.timeout` ends it all the same."""
 
 
 class SharedProgress:
@@ -62,7 +63,7 @@ class ProcessActivity:
     Attributes
     ----------
     waiting
-        Whether it would go on if it were let.
+        Whether one of its threads would go on if it were let.
     seconds
         Of processor time that it was given so far.
     """
@@ -77,9 +78,11 @@ class ProcessActivity:
             text = Path(f"/proc/{process}/stat").read_text(encoding="ascii", errors="replace")
             fields = text.rpartition(")")[2].split()
             ticks = int(fields[11]) + int(fields[12])
+            states = [_state(path) for path in Path(f"/proc/{process}/task").glob("*/stat")]
         except (OSError, IndexError, ValueError):
             return None
-        return cls(fields[0] in WAITING, ticks / os.sysconf("SC_CLK_TCK"))
+        waiting = any(state in WAITING for state in (fields[0], *states))
+        return cls(waiting, ticks / os.sysconf("SC_CLK_TCK"))
 
 
 class ProgressWatch:
@@ -103,14 +106,17 @@ class ProgressWatch:
         self._seen = counters.tobytes()
         self._looked = time.monotonic()
         self._activity = ProcessActivity.of(process)
-        self._simulation, self._begun = int(counters[SIMULATIONS]), self._looked
+        self._simulation = int(counters[SIMULATIONS])
         self.still = 0.0
+        self._simulated = 0.0
 
     def look(self) -> None:
         """Count the time since the last look."""
         now, activity = time.monotonic(), ProcessActivity.of(self._process)
         if int(self._counters[SIMULATIONS]) != self._simulation:
-            self._simulation, self._begun = int(self._counters[SIMULATIONS]), now
+            self._simulation, self._simulated = int(self._counters[SIMULATIONS]), 0.0
+        else:  # who looks so rarely was kept from looking, and so was the simulation
+            self._simulated += min(now - self._looked, LATE_SECONDS)
         seen = self._counters.tobytes()
         passed = self._passed(now - self._looked, activity)
         self.still = self.still + passed if seen == self._seen else 0.0
@@ -124,13 +130,22 @@ class ProgressWatch:
     @property
     def simulated(self) -> float:
         """Seconds since the simulation was first seen that is under way."""
-        return time.monotonic() - self._begun if self.simulates else 0.0
+        return self._simulated if self.simulates else 0.0
 
     def _passed(self, seconds: float, activity: ProcessActivity | None) -> float:
         """Return the part of some seconds since the last look that it could have used."""
         if activity is None or self._activity is None or not activity.waiting:
             return min(seconds, LATE_SECONDS)
         return min(seconds, activity.seconds - self._activity.seconds)
+
+
+def _state(path: Path) -> str:
+    """Return the state of a thread; "" if it has ended."""
+    try:
+        text = path.read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return ""
+    return text.rpartition(")")[2].split()[0]
 
 
 def _anonymous_file() -> int:

@@ -171,7 +171,7 @@ class BudgetSection(ConfigSection):
     """Limits of a run."""
 
     evaluations: Count | None = Field(
-        None, gt=0, description="points to evaluate at most, in equal parts for many starts"
+        None, gt=0, description="points to evaluate at most, of all searches together"
     )
     seconds: Finite | None = Field(None, gt=0.0, description="after which nothing new is asked")
 

@@ -160,3 +160,16 @@ def test_it_is_tried_however_long_it_takes() -> None:
     question = renewal.RepeatabilityTest((Task(0, 0, np.zeros(1)), Task(1, 0, np.zeros(1))))
     assert question.ask(worker) is False  # type: ignore[arg-type]
     assert worker.asked == 2
+
+
+@pytest.mark.parametrize("status", [Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY])
+def test_a_simulation_without_an_answer_says_nothing_of_a_reset(status: Status) -> None:
+    class Dies(HourLong):
+        def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
+            found = super().first_worker(tasks)
+            if self.asked == 1:
+                return found
+            return [Outcome(task.id, status, message="it ended") for task in tasks]
+
+    question = renewal.RepeatabilityTest((Task(0, 0, np.zeros(1)), Task(1, 0, np.zeros(1))))
+    assert question.ask(Dies()) is None  # type: ignore[arg-type]

@@ -13,8 +13,12 @@ import pytest
 from support.problems.springs import ROOT
 
 from cluster_est.cli import main
+from cluster_est.errors import RunFolderError
+from cluster_est.executors.local import LocalExecutor
+from cluster_est.run_folder.context import RunContext
 from cluster_est.run_folder.evaluation_log import read_log
 from cluster_est.toml import to_toml
+from workers.messages import Outcome
 
 CLOCKS = {"seconds", "busy_seconds", "started", "ended"}
 """Columns and keys that hold readings of a clock."""
@@ -107,3 +111,34 @@ def test_a_sweep_over_the_timeout_uses_what_each_run_says(
     for limit in ("0.4", "0.8"):
         said = json.loads(Path(f"swept/config-timeout_{limit}/run.json").read_text())["message"]
         assert f"did not end within {limit} s" in said
+
+
+def test_an_interrupt_before_the_first_simulation_leaves_the_run_that_is_there(
+    spring: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["fit", "spring.toml", "--out", "run", "--no-report"]) == 0
+    before = tables(spring / "run")
+
+    def interrupted(executor: LocalExecutor) -> list[Outcome]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(LocalExecutor, "completed", interrupted)
+    assert main(["fit", "spring.toml", "--out", "run", "--overwrite", "--no-report"]) == 130
+    assert tables(spring / "run") == before
+    assert main(["fit", "spring.toml", "--out", "new", "--no-report"]) == 130
+    assert not Path("new").exists()
+
+
+def test_a_folder_that_cannot_be_written_ends_a_sweep_with_the_reason(
+    spring: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(context: RunContext) -> None:
+        raise RunFolderError(f"{context.out}: cannot be written (the disk is full)")
+
+    monkeypatch.setattr(RunContext, "begin", full)
+    write_sweep("spring.toml")
+    assert main(["sweep", "sweep.toml", "--out", "swept"]) == 2
+    assert "the disk is full" in capsys.readouterr().err
+    assert [row["status"] for row in pq.read_table("swept/summary.parquet").to_pylist()] == [
+        "not run"
+    ]

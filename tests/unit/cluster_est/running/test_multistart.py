@@ -447,22 +447,3 @@ def test_a_budget_ends_all_with_what_they_have():
     assert Ending.BUDGET in endings
     assert np.isfinite(found.best.cost)
     assert runner.evaluations < 30 + 16 * 8
-
-
-def test_a_budget_is_shared_equally_whichever_search_is_quicker():
-    """In whatever order outcomes come back, each start ends where its own share ends."""
-    space = space_of(HIMMELBLAU)
-    found = []
-
-    def answer(task: Task) -> Outcome:
-        return Outcome(task.id, Status.OK, himmelblau(task.values), constraints=np.zeros(0))
-
-    for seed in range(4):
-        runner = Runner(ShufflingExecutor(answer, seed, workers=4), Budget(evaluations=60))
-        found.append((search_from_starts(runner, space, LeastSquares(), Multistart(5), 0), runner))
-    first, one = found[0]
-    assert Ending.BUDGET in {s.ending for s in first.solutions}
-    for other, runner in found[1:]:
-        assert runner.evaluations == one.evaluations
-        for a, b in zip(first.solutions, other.solutions, strict=True):
-            assert (a.x.tobytes(), a.cost, a.ending) == (b.x.tobytes(), b.cost, b.ending)

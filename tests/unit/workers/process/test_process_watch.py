@@ -83,8 +83,13 @@ def test_each_simulation_has_the_time_for_itself(counters, let_pass: Passed) -> 
         let_pass(2.0, None)
         counters[SIMULATIONS] += 1
         seen.look()
-    let_pass(3.0, None)
+    for _ in range(6):
+        let_pass(0.5, None)
+        seen.look()
     assert seen.simulated == pytest.approx(3.0)
+    let_pass(3600.0, None)  # the whole machine was suspended
+    seen.look()
+    assert seen.simulated == pytest.approx(4.0)
     counters[RUNNING] = 0
     assert seen.simulated == 0.0
 
