@@ -11,8 +11,8 @@ closed loops of those with `[closed_loop]` or measured data, of the sweep, of a 
 and resumed, of fits in processes and with Ray, and the exports of a fit and of a closed loop.
 Measured data is found as the configs say; what needs data that is not there is named and left out.
 
-Compared are all columns of all tables, run.json, and every file of an exported archive. Clocks and
-names of workers are left out: see `CLOCKS`.
+Compared are all columns of all tables, run.json, the resolved config and every file of an exported
+archive. Clocks and names of workers are left out: see `CLOCKS`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -198,6 +199,9 @@ def _differences(one: Path, other: Path) -> Iterator[str]:
         yield from _table_differences(tables[0], tables[1])
     elif one.suffix == ".json":
         trees = [json.loads(p.read_text(encoding="utf-8")) for p in (one, other)]
+        yield from _tree_differences(trees[0], trees[1], "")
+    elif one.suffix == ".toml":
+        trees = [tomllib.loads(p.read_text(encoding="utf-8")) for p in (one, other)]
         yield from _tree_differences(trees[0], trees[1], "")
     elif one.suffix == ".fmu":
         with zipfile.ZipFile(one) as first, zipfile.ZipFile(other) as second:
