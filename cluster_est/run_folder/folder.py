@@ -22,7 +22,7 @@ from cluster_est.run_folder.evaluation_log import EvaluationLog
 from cluster_est.run_folder.lock import LOCK
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
-from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunStatus, versions
+from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunKind, RunStatus, versions
 from cluster_est.running.records import RunSnapshot, SearchIteration, TaskOrigin
 from cluster_est.running.reset_policy import ResetDecision
 from workers.messages import Outcome
@@ -144,8 +144,9 @@ class RunFolder:
             self._write_table(name, result.table(name))
         self._write_searches()
         facts = dict(result.facts())
-        for name in ("simulations", "failures") if self._workers else ():
-            facts[name] = int(sum(worker[name] for worker in self._workers.values()))
+        if self._identity.kind is RunKind.CLOSED_LOOP and self._workers:
+            for name in ("simulations", "failures"):  # of all its runners, not of the last alone
+                facts[name] = int(sum(worker[name] for worker in self._workers.values()))
         searched = result.search_seconds
         self._write_workers(searched if np.isfinite(searched) else facts["seconds"])
         status = RunStatus(facts["status"])
