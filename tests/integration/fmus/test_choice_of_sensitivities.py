@@ -18,6 +18,7 @@ from cluster_est.preflight.sensitivities import sensitivities
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
 from cluster_est.problem.space import make_space
 from cluster_est.run_folder import resume
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from workers.messages import Model
 from workers.probes.sensitivities import SensitivityCost, SensitivityCostProbe
 from workers.process.trial import ProbeBench
@@ -81,22 +82,22 @@ def test_a_run_that_a_clock_had_chosen_them_for_is_refused(
 ) -> None:
     """Resumed with differences, it would be half the one and half the other."""
     config = parse_config({"model": {"fmu": "a.fmu"}, "experiments": [RUN]}, "config")
-    tree = config.model_dump(mode="json", exclude_defaults=False)
+    identity = RunIdentity.of(RunKind.FIT, config, tmp_path, problem)
     run = {
         "format": resume.FORMAT,
         "status": "interrupted",
-        "config_hash": resume.hash_config(tree, "closed_loop"),
+        "config_hash": identity.config_hash,
         "fmu": {"sha256": problem.model.archive_hash},
         "experiments": {e.id: e.key for e in problem.experiments},
         "versions": resume.versions(),
         "sensitivities": {"carry": False, "sentence": ""},
     }
     (tmp_path / "run.json").write_text(json.dumps(run), encoding="utf-8")
-    assert resume.check_resumable(tmp_path, problem, config, "closed_loop")
+    assert resume.check_resumable(tmp_path, identity)
     run["sensitivities"] = {"carry": True, "sentence": "quicker"}
     (tmp_path / "run.json").write_text(json.dumps(run), encoding="utf-8")
     with pytest.raises(RunFolderError, match='differences = "sensitivities" has to say'):
-        resume.check_resumable(tmp_path, problem, config, "closed_loop")
+        resume.check_resumable(tmp_path, identity)
 
 
 RUN = {"id": "a", "data": "a.csv", "time": "t", "outputs": {"y": "y"}}
