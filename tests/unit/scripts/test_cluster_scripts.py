@@ -14,7 +14,7 @@ import yaml
 
 from cluster_est.cli.parser import parse
 
-FOLDER = Path(__file__).parents[2] / "scripts" / "cluster"
+FOLDER = Path(__file__).parents[3] / "scripts" / "cluster"
 SHELL = sorted(FOLDER.glob("*.sh"))
 TEXTS = [*SHELL, *sorted(FOLDER.glob("*.yaml")), FOLDER / "Dockerfile"]
 
