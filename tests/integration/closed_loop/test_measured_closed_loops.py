@@ -33,7 +33,7 @@ def closed(name: str, file: str, monkeypatch: pytest.MonkeyPatch):
 
 def test_silverbox_has_a_cubic_stiffness(monkeypatch):
     _, result = closed("silverbox", "silverbox/SNLS80mV.csv", monkeypatch)
-    assert result.verdict is Verdict.FOUND
+    assert result.verdict is Verdict.PARTIAL  # 1.05 times the noise is left, with structure in it
     first = result.effects[0]
     names = {("der(v)", "cubic", ("y",)), ("parameter k", "square", ("y",))}  # the same equation
     assert (first.site, first.form, first.variables) in names
