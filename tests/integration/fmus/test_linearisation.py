@@ -262,9 +262,9 @@ def test_failures_are_outcomes_and_leave_their_neighbours_alone():
 
 def test_a_derivative_that_is_not_finite_is_said():
     """The root of a position has no derivative where the mass starts, at 0 and pushed upwards."""
-    experiment = replace(spring_experiment(()), stop=0.02)
     experiment = replace(
-        experiment,
+        spring_experiment(()),
+        stop=0.02,
         inputs=(Input("F", np.array([0.0]), np.array([5.0])),),
         outputs=(Output("y", np.array([0.02]), np.zeros(1)),),
     )

@@ -53,5 +53,5 @@ def test_inputs_swing_further_about_their_means():
 
 
 def test_without_inputs_nothing_is_enlarged():
-    still = Experiment("still", 0.0, 5.0, (), RUN.outputs)
+    still = Experiment("still", 10.0, 20.0, (), RUN.outputs)
     assert EnlargedCopy(2.0).of(still).key == still.key
