@@ -18,6 +18,7 @@ import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
+from multiprocessing.queues import SimpleQueue
 from pathlib import Path
 from typing import Any, get_args
 
@@ -129,9 +130,15 @@ def run(cases: Sequence[Scenario], processes: int, deadline: float) -> Iterator[
         worker.start()
     everything = [*divide(cases, processes), *([[]] * processes)]
     # In a thread, because a queue blocks while it is full, and the reports must be read meanwhile.
-    feeder = threading.Thread(target=lambda: [portions.put(p) for p in everything], daemon=True)
+    feeder = threading.Thread(target=_feed, args=(portions, everything), daemon=True)
     feeder.start()
     yield from gather(workers, reports)
+
+
+def _feed(portions: SimpleQueue[list[Scenario]], everything: list[list[Scenario]]) -> None:
+    """Hand out all portions."""
+    for portion in everything:
+        portions.put(portion)
 
 
 def divide(cases: Sequence[Scenario], processes: int) -> list[list[Scenario]]:

@@ -28,6 +28,7 @@ from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap, profiles
+from workers.messages import FloatArray
 
 FMU = Path(__file__).parent.parent / "configs" / "models" / "mass_spring_damper.fmu"
 TRUTH = {"m": 1.2, "k": 30.0, "c": 0.6}
@@ -39,17 +40,19 @@ REFIT = LeastSquares(differences="forward", trials=2)
 Hits = dict[str, list[bool]]
 
 
-def response(times: np.ndarray, force: np.ndarray, x0: float) -> np.ndarray:
+def response(times: FloatArray, force: FloatArray, x0: float) -> FloatArray:
     """Displacement under a force that is linear between its samples, without approximation."""
     m, k, c = TRUTH["m"], TRUTH["k"], TRUTH["c"]
     system = ([[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]])
     return np.asarray(lsim(system, force, times, [x0, 0.0])[1]).ravel()
 
 
-def repeated(repetitions: int, experiments: int, samples: int, seed: int) -> tuple[Problem, dict]:
+def repeated(
+    repetitions: int, experiments: int, samples: int, seed: int
+) -> tuple[Problem, dict[str, float]]:
     """All repetitions in one problem, so that one executor serves them all; and the truth."""
     generator = np.random.default_rng(seed)
-    times = np.arange(samples) * STEP
+    times = STEP * np.arange(samples, dtype=np.float64)
     truth = dict(TRUTH)
     runs = []
     designs = [
@@ -78,7 +81,7 @@ def repeated(repetitions: int, experiments: int, samples: int, seed: int) -> tup
 
 def fitted(
     repetitions: int, experiments: int, samples: int, seed: int
-) -> tuple[Runner, list[tuple[SearchSpace, Solution]], dict]:
+) -> tuple[Runner, list[tuple[SearchSpace, Solution]], dict[str, float]]:
     """Every repetition, fitted."""
     problem, truth = repeated(repetitions, experiments, samples, seed)
     spaces = [

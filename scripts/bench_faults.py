@@ -87,7 +87,7 @@ def report(undisturbed: Path, out: Path, name: str, spent: float, peak: float) -
     one, other = (pq.read_table(folder / "parameters.parquet") for folder in (undisturbed, out))
     errors = np.array(one["std_error"].to_pylist(), np.float64)
     away = np.abs(np.array(other["value"].to_pylist()) - np.array(one["value"].to_pylist()))
-    waited = 2 * TIMEOUT * status.count("timeout") / WORKERS
+    waited = float(2 * TIMEOUT * status.count("timeout") / WORKERS)
     print(
         f"{name}: {spent:.1f} s ({waited:.1f} s of them timeouts), {len(status)} simulations, "
         f"failed: {failed or 'none'}, {peak:.0f} MB, at most {np.nanmax(away / errors):.1g} "

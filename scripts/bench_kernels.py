@@ -15,8 +15,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import fmpy
@@ -251,7 +252,7 @@ def compare_exchange(
 
         seconds: dict[str, list[float]] = {"kernel": [], "fmpy": []}
         for _ in range(rounds):
-            measured = interleave({"kernel": lambda ours=ours: ours.run(0, points)}, 1, BATCH)
+            measured = interleave({"kernel": partial(ours.run, 0, points)}, 1, BATCH)
             measured |= interleave({"fmpy": run_fmpy}, 1, 1)
             for name, value in measured.items():
                 seconds[name].append(value)
@@ -273,8 +274,8 @@ def compare_ray(rounds: int) -> None:
             executor_class("ray").open(asked, experiments, 2, None) as ray_pool,
         ):
             runs = {
-                "local": lambda e=local, n=simulations: answer(e, n),
-                "ray": lambda e=ray_pool, n=simulations: answer(e, n),
+                "local": partial(answer, local, simulations),
+                "ray": partial(answer, ray_pool, simulations),
             }
             medians = interleave(runs, rounds, simulations)
         print(
@@ -293,7 +294,7 @@ def answer(executor: Executor, simulations: int) -> None:
 
 
 def interleave(
-    runs: dict[str, Callable[[], object]], rounds: int, simulations: int
+    runs: Mapping[str, Callable[[], object]], rounds: int, simulations: int
 ) -> dict[str, float]:
     """Median seconds a simulation of each run, measured in turns."""
     seconds: dict[str, list[float]] = {name: [] for name in runs}

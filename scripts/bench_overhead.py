@@ -14,7 +14,7 @@ import argparse
 import statistics
 import tempfile
 import time
-from collections import Counter
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +97,7 @@ def measure(executor: Executor, number: int) -> tuple[float, list[float]]:
     points = np.zeros((number, 4))
     points[:, 0] = np.linspace(0.5, 1.5, number)
     tasks = [Task(i, 0, point) for i, point in enumerate(points)]
-    busy: Counter[str] = Counter()
+    busy: defaultdict[str, float] = defaultdict(float)
     begin = time.perf_counter()
     left = iter(range(0, number, AT_ONCE))
     asked = answered = 0

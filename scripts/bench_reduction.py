@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from bench_sensitivities import make_problem
-from fmus import build
+from fmus.build import build
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.fit import fit
@@ -47,7 +47,7 @@ def main() -> None:
     parser.add_argument("--evaluations", type=int, default=1000)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        archive = build.build("chain", 2, Path(folder)).read_bytes()
+        archive = build("chain", 2, Path(folder)).read_bytes()
     problem = make_problem(archive, options.times, options.experiments)
     budget = Budget(evaluations=options.evaluations)
     resources = Resources(executor=options.executor, workers=options.workers, budget=budget)

@@ -19,10 +19,11 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
-from fmus import build
+from fmus.build import build
 
 import cluster_est as ce
 from cluster_est.fit import fit
+from cluster_est.methods.derivatives.differences import Differences
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.results.result import Result
 from cluster_est.running.resources import Resources
@@ -33,7 +34,7 @@ from workers.wire import TaskBatch
 RATES = tuple(f"{kind}{i}" for kind in "ab" for i in range(1, 6))
 TRUTH = np.array([1.0, 0.8, 0.6, 0.5, 0.4, 0.10, 0.15, 0.20, 0.25, 0.30])
 STATES = ("x1", "x2", "x3", "x4", "x5")
-WAYS = ("auto", "forward", "sensitivities")
+WAYS: tuple[Differences, ...] = ("auto", "forward", "sensitivities")
 
 
 def main() -> None:
@@ -44,7 +45,7 @@ def main() -> None:
     parser.add_argument("--experiments", type=int, default=4)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        archive = build.build("chain", 2, Path(folder)).read_bytes()
+        archive = build("chain", 2, Path(folder)).read_bytes()
     problem = make_problem(archive, options.times, options.experiments)
     seconds: dict[str, list[float]] = {way: [] for way in WAYS}
     found: dict[str, Result] = {}
@@ -55,11 +56,11 @@ def main() -> None:
             if turn > 0:  # the first compiles
                 seconds[way].append(found[way].search_seconds)
     usual = statistics.median(seconds["auto"])
-    for way, result in found.items():
+    for each, result in found.items():
         solution = result.solution
         print(
-            f"{way}: {result.simulated} simulations, {solution.iterations} iterations, "
-            f"cost {solution.cost:.9g}, {statistics.median(seconds[way]) / usual:.2f} of the "
+            f"{each}: {result.simulated} simulations, {solution.iterations} iterations, "
+            f"cost {solution.cost:.9g}, {statistics.median(seconds[each]) / usual:.2f} of the "
             f"seconds of auto {solution.message}"
         )
 
@@ -77,6 +78,7 @@ def make_problem(archive: bytes, times: int, experiments: int) -> ce.Problem:
         evaluator = Evaluator(model, (run,), "truth")
         (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, TRUTH)]))
         evaluator.close()
+        assert outcome.residuals is not None
         exact = np.split(-0.01 * outcome.residuals, len(STATES))
         noisy = (y + 0.01 * chance.standard_normal(times) for y in exact)
         pairs = zip(STATES, noisy, strict=True)

@@ -92,13 +92,14 @@ def _chunk(tally: Tally, count: int, number: int, keep: Path) -> int:
     process = get_context("fork").Process(target=_serve, args=(theirs, count, number, home))
     process.start()
     theirs.close()
-    done, input_now = 0, None
+    done = 0
+    input_now: Input | None = None
     try:
         while mine.poll(LONGEST_SECONDS):
             said = mine.recv()
             if isinstance(said, str):
                 raise SystemExit(said)
-            if isinstance(said, Verdict):
+            if isinstance(said, Verdict) and input_now is not None:
                 tally.add(input_now.kind, said, _keep(input_now, said, keep))
                 done, input_now = done + 1, None
             else:

@@ -32,8 +32,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fmi", type=int, choices=[2, 3], default=2)
     options = parser.parse_args()
-    import references as known
     from fmus.build import build
+    from support.truth import own_fmus as known
 
     cases: dict[str, tuple[str, str, dict[str, float], float, Course]] = {
         "bouncing ball": ("bouncing_ball", "height", {}, 3.0, lambda t: known.bouncing_ball(t)[0]),

@@ -36,16 +36,7 @@ def build_settings(config: Config) -> LoopSettings:
 def build_multistart(config: Config) -> Multistart:
     """From how many starts."""
     section = config.multistart
-    return Multistart(
-        n=section.n,
-        sampler=section.sampler,
-        points=tuple(section.points),
-        screen=section.screen,
-        at_once=section.at_once,
-        patience=section.patience,
-        same=section.same,
-        seed=section.seed,
-    )
+    return Multistart(points=tuple(section.points), **section.model_dump(exclude={"points"}))
 
 
 def build_uncertainty(config: Config) -> UncertaintySettings:
@@ -62,7 +53,7 @@ def build_resources(config: Config) -> Resources:
         executor=config.executor.name,
         workers=config.executor.workers,
         address=config.executor.address,
-        budget=Budget(config.budget.evaluations, config.budget.seconds),
+        budget=Budget(**config.budget.model_dump()),
         limits=_limits(config),
     )
 

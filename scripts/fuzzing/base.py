@@ -76,11 +76,12 @@ def damaged(draw: Any, content: bytes) -> bytes:
     how = draw(st.sampled_from(["cut", "overwrite", "insert", "repeat", "remove", "empty"]))
     some = draw(st.binary(min_size=1, max_size=4))
     length = draw(st.integers(1, 64))
-    return {
+    damages: dict[str, bytes] = {
         "cut": content[:at],
         "overwrite": content[:at] + some + content[at + len(some) :],
         "insert": content[:at] + some + content[at:],
         "repeat": content[: at + length] + content[at:],
         "remove": content[:at] + content[at + length :],
         "empty": b"",
-    }[how]
+    }
+    return damages[how]

@@ -7,6 +7,7 @@ import io
 import stat
 import warnings
 import zipfile
+from collections.abc import Callable
 from xml.etree import ElementTree
 
 from hypothesis import strategies as st
@@ -93,7 +94,11 @@ def descriptions(draw: st.DrawFn) -> Input:
 @st.composite
 def archives(draw: st.DrawFn) -> Input:
     """An FMU whose zip file was spoiled."""
-    hows = {"entries": _other_entries, "link": _link, "bomb": lambda draw: _bomb()}
+    hows: dict[str, Callable[[st.DrawFn], bytes]] = {
+        "entries": _other_entries,
+        "link": _link,
+        "bomb": lambda draw: _bomb(),
+    }
     how = draw(st.sampled_from(["bytes", "bytes", "entries", "entries", "entries", "link", "bomb"]))
     if how == "bytes":
         content = damaged(draw, _packed(_entries(), draw(st.sampled_from([0, 8, 12, 14]))))

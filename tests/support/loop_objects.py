@@ -18,7 +18,11 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.screen import ScreeningResult
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.forward_selection import SelectionResult, SelectionRound
+from cluster_est.closed_loop.selection.rounds import (
+    RejectionReason,
+    SelectionResult,
+    SelectionRound,
+)
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.statistics.omnibus import OmnibusTest
 from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
@@ -138,7 +142,7 @@ def made_screening(
     )
 
 
-def made_round(why: str, screening: ScreeningResult) -> SelectionRound:
+def made_round(why: RejectionReason, screening: ScreeningResult) -> SelectionRound:
     """A round in which nothing was added."""
     return SelectionRound(screening, (), why)
 

@@ -50,7 +50,7 @@ class ShufflingExecutor(Executor):
         self._running += self._queue[:room]
         del self._queue[:room]
         assert self._running, "the runner waits for nothing"
-        self._generator.shuffle(self._running)  # type: ignore[arg-type]
+        self._generator.shuffle(self._running)
         count = int(self._generator.integers(1, len(self._running) + 1))
         done, self._running = self._running[:count], self._running[count:]
         self.answered += done

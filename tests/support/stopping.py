@@ -25,7 +25,7 @@ def stopped_now_and_then(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]
     processes: list[int] = []
     fork = ForkClient.fork
 
-    def noted(client: ForkClient, *, effects: bool = False):  # type: ignore[no-untyped-def]
+    def noted(client: ForkClient, *, effects: bool = False):
         process, connection = fork(client, effects=effects)
         processes.append(process)
         return process, connection

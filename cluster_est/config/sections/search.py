@@ -17,6 +17,8 @@ from cluster_est.config.sections.types import (
     Positive,
     Samples,
 )
+from cluster_est.running.multistart import Multistart, Sampler
+from cluster_est.uncertainty import UncertaintySettings
 
 
 def _level(value: Any) -> Any:
@@ -127,27 +129,32 @@ class MethodSection(ConfigSection):
     seed: Count = Field(0, description="of the method's random generator")
 
 
+_STARTS, _REFITS = Multistart(), UncertaintySettings()
+
+
 class MultistartSection(ConfigSection):
     """Keys of several starts."""
 
-    n: Positive = Field(1, description="starts, the parameters' own first")
-    sampler: Literal["sobol", "latin_hypercube", "uniform"] = Field(
-        "sobol", description="how the others are spread over the bounds"
+    n: Positive = Field(_STARTS.n, description="starts, the parameters' own first")
+    sampler: Sampler = Field(
+        _STARTS.sampler, description="how the others are spread over the bounds"
     )
     points: list[dict[str, Finite]] = Field(
         default_factory=list, description="starts of your own: [{ parameter = value }, ...]"
     )
     screen: Positive = Field(
-        1, description="points looked at for each start; the best ones are started from"
+        _STARTS.screen,
+        description="points looked at for each start; the best ones are started from",
     )
-    at_once: Positive = Field(16, description="starts under way at the same time")
+    at_once: Positive = Field(_STARTS.at_once, description="starts under way at the same time")
     patience: Count = Field(
-        0, description="stop after so many starts in a row without a new minimum; 0: never"
+        _STARTS.patience,
+        description="stop after so many starts in a row without a new minimum; 0: never",
     )
     same: Finite = Field(
-        1e-3, gt=0.0, description="relative distance up to which two minima are the same"
+        _STARTS.same, gt=0.0, description="relative distance up to which two minima are the same"
     )
-    seed: Count = Field(0, description="of the sampler")
+    seed: Count = Field(_STARTS.seed, description="of the sampler")
 
 
 class UncertaintySection(ConfigSection):
@@ -157,13 +164,17 @@ class UncertaintySection(ConfigSection):
         default_factory=list,
         description='labels or parameters whose likelihood profiles are taken; "shared" or "all"',
     )
-    bootstrap: Count = Field(0, description="draws of experiments with a refit each; 0: none")
-    confidence: Finite = Field(0.95, ge=0.5, lt=1.0, description="of profiles and bootstrap")
-    steps: Positive = Field(4, description="refits at least on each side of a profile")
+    bootstrap: Count = Field(
+        _REFITS.bootstrap, description="draws of experiments with a refit each; 0: none"
+    )
+    confidence: Finite = Field(
+        _REFITS.confidence, ge=0.5, lt=1.0, description="of profiles and bootstrap"
+    )
+    steps: Positive = Field(_REFITS.steps, description="refits at least on each side of a profile")
     max_steps: int = Field(
-        20, ge=2, le=LARGEST, description="refits on a side, then it is called flat"
+        _REFITS.max_steps, ge=2, le=LARGEST, description="refits on a side, then it is called flat"
     )
     rise: Finite = Field(
-        0.0, ge=0.0, description="of the cost at a profile's ends; 0: from the residuals"
+        _REFITS.rise, ge=0.0, description="of the cost at a profile's ends; 0: from the residuals"
     )
-    at_once: Positive = Field(16, description="refits under way at the same time")
+    at_once: Positive = Field(_REFITS.at_once, description="refits under way at the same time")

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, Strict
 
+from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.config.sections.experiment import ExperimentSection
 from cluster_est.config.sections.search import (
     ConstraintSection,
@@ -15,6 +16,7 @@ from cluster_est.config.sections.search import (
     UncertaintySection,
 )
 from cluster_est.config.sections.types import LARGEST, ConfigSection, Count, Finite, Known
+from cluster_est.running.resources import Resources
 
 
 class ModelSection(ConfigSection):
@@ -112,6 +114,9 @@ class EffectSection(ConfigSection):
     )
 
 
+_LOOP, _RESOURCES = LoopSettings(), Resources()
+
+
 class ClosedLoopSection(ConfigSection):
     """Keys of the closed loop."""
 
@@ -121,29 +126,36 @@ class ClosedLoopSection(ConfigSection):
     sites: list[str] = Field(
         default_factory=list, description='where to look, such as "der(v)"; default: all'
     )
-    max_effects: Count = Field(3, gt=0, description="effects to add at most")
+    max_effects: Count = Field(_LOOP.max_effects, gt=0, description="effects to add at most")
     significance: Finite = Field(
-        0.01, gt=0.0, lt=1.0, description="largest p-value at which something counts as missing"
+        _LOOP.significance,
+        gt=0.0,
+        lt=1.0,
+        description="largest p-value at which something counts as missing",
     )
     draws: int = Field(
-        2000, ge=100, le=LARGEST, description="Monte Carlo draws of each null distribution"
+        _LOOP.draws, ge=100, le=LARGEST, description="Monte Carlo draws of each null distribution"
     )
-    trials: Count = Field(30, gt=0, description="candidates tried by a real simulation")
-    refits: Count = Field(12, gt=0, description="of those, how many are refitted")
+    trials: Count = Field(_LOOP.trials, gt=0, description="candidates tried by a real simulation")
+    refits: Count = Field(_LOOP.refits, gt=0, description="of those, how many are refitted")
     starts: Count = Field(
-        8, gt=0, description="starts of the declared fit, where one is not enough"
+        _LOOP.starts, gt=0, description="starts of the declared fit, where one is not enough"
     )
     least_gain: Finite = Field(
-        0.2, ge=0.0, description="share of the gap to the noise that an effect must close"
+        _LOOP.least_gain,
+        ge=0.0,
+        description="share of the gap to the noise that an effect must close",
     )
-    pairs: bool = Field(True, description="try two effects at once where no single one is enough")
+    pairs: bool = Field(
+        _LOOP.pairs, description="try two effects at once where no single one is enough"
+    )
     seed: Count = Field(0, description="of every random generator of the loop")
 
 
 class ExecutorSection(ConfigSection):
     """Keys of the executor and its limits."""
 
-    name: str = Field("local", description="local, processes or ray")
+    name: str = Field(_RESOURCES.executor, description="local, processes or ray")
     workers: Count | None = Field(
         None, gt=0, description="default: every core of the cluster for ray, else 1"
     )
@@ -151,10 +163,14 @@ class ExecutorSection(ConfigSection):
         None, description='of a Ray cluster, e.g. "auto"; default: this machine alone'
     )
     timeout: Finite = Field(
-        600.0, gt=0.0, description="seconds that one simulation may take; not with local"
+        _RESOURCES.limits.seconds,
+        gt=0.0,
+        description="seconds that one simulation may take; not with local",
     )
     stall: Finite = Field(
-        60.0, gt=0.0, description="seconds that one may stand still, without a step that ends"
+        _RESOURCES.limits.stall,
+        gt=0.0,
+        description="seconds that one may stand still, without a step that ends",
     )
     patience: Finite | None = Field(
         None, ge=0.0, description="of earlier versions: has no effect any more"
@@ -163,7 +179,9 @@ class ExecutorSection(ConfigSection):
         None, gt=0.0, description="MB that a worker's simulation may have; default: no limit"
     )
     growth: Finite = Field(
-        256.0, gt=0.0, description="MB by which an FMU may leak before its process is replaced"
+        _RESOURCES.limits.growth / 2.0**20,
+        gt=0.0,
+        description="MB by which an FMU may leak before its process is replaced",
     )
 
 

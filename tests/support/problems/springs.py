@@ -36,7 +36,7 @@ def spring_problem(
 ) -> Truth:
     """Shared m, k, c and, in each experiment, an initial position (and velocity) of its own."""
     generator = np.random.default_rng(seed)
-    times = np.arange(samples) * 0.02
+    times = 0.02 * np.arange(samples, dtype=np.float64)
     values = dict(TRUE)
     forces, runs = [], []
     for e in range(experiments):

@@ -118,7 +118,7 @@ def robertson(times: Array, k1: float = 0.04, k2: float = 3e7, k3: float = 1e4) 
     return solved(rates, jacobian, [1.0, 0.0, 0.0], times, stiff=True)
 
 
-def solved(rates, jacobian, start, times: Array, stiff: bool) -> Array:  # type: ignore[no-untyped-def]
+def solved(rates, jacobian, start, times: Array, stiff: bool) -> Array:
     """(times, states), each solved to a time and not interpolated."""
     options = {"jac": jacobian, "method": "Radau"} if stiff else {"method": "DOP853"}
     found, x, now = np.empty((len(times), len(start))), np.array(start), 0.0

@@ -13,7 +13,15 @@ from support.problems.springs import ROOT
 from cluster_est import LeastSquares, LoopSettings, build_problem, read_config
 from cluster_est.config import reader as config
 from cluster_est.config.reader import parse_config
-from cluster_est.config.settings import build_settings
+from cluster_est.config.settings import (
+    build_multistart,
+    build_resources,
+    build_settings,
+    build_uncertainty,
+)
+from cluster_est.running.multistart import Multistart
+from cluster_est.running.resources import Resources
+from cluster_est.uncertainty import UncertaintySettings
 
 REFERENCE = ROOT / "configs" / "reference.toml"
 SECTIONS = {
@@ -86,8 +94,12 @@ def test_method_options_are_those_of_least_squares():
     assert tree(everything=False)["method"]["options"] == defaults
 
 
-def test_the_keys_of_a_closed_loop_are_its_settings():
-    assert build_settings(parse_config(tree(everything=False), "reference")) == LoopSettings()
+def test_keys_that_are_not_given_leave_the_settings_of_python():
+    config = parse_config(tree(everything=False), "reference")
+    assert build_settings(config) == LoopSettings()
+    assert build_multistart(config) == Multistart()
+    assert build_uncertainty(config) == UncertaintySettings()
+    assert build_resources(config) == Resources()
 
 
 def test_the_reference_is_a_config_that_works():

@@ -18,6 +18,7 @@ from support.loop_objects import (
 
 from cluster_est.closed_loop.findings.result import Verdict
 from cluster_est.closed_loop.findings.verdict import judge
+from cluster_est.closed_loop.selection.rounds import RejectionReason
 from cluster_est.closed_loop.statistics.omnibus import OmnibusTest
 
 PROBLEM = made_problem(100, 100, 100, 100)
@@ -36,7 +37,7 @@ class Case:
 
     base: float
     now: float
-    why: str
+    why: RejectionReason
     omnibus: OmnibusTest = QUIET
     families: tuple[str, ...] = FRICTION
     left_out: float = np.nan
@@ -59,8 +60,8 @@ class Case:
         return made_selection(base, current, made_round(self.why, screening), squares=squares)
 
 
-CLEAN, LITTLE = "nothing significant", "it explains too little of what is missing"
-NOISE = "coloured noise"
+CLEAN, LITTLE = RejectionReason.NOT_SIGNIFICANT, RejectionReason.LITTLE_EXPLAINED
+NOISE = RejectionReason.COLOURED_NOISE
 CASES = {
     "nothing is missing": (
         Case(1.0, 1.0, CLEAN, families=()), Verdict.NONE, "no candidate is significant"),

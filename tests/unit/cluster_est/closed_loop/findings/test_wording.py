@@ -16,6 +16,7 @@ from support.loop_objects import (
 )
 
 from cluster_est.closed_loop.findings.wording import _largest_difference, error_changes, where_left
+from cluster_est.closed_loop.selection.rounds import RejectionReason
 from cluster_est.results.output_errors import OutputError
 
 
@@ -34,7 +35,7 @@ def changes(sigma, noise):
     problem = made_problem(50, sigma=sigma)
     fitted = fit_with_squares(problem, 1.0)
     screening = made_screening(fitted.jacobian, fitted.residuals, [], [])
-    last = made_round("nothing significant", screening)
+    last = made_round(RejectionReason.NOT_SIGNIFICANT, screening)
     found = made_selection(fitted, fitted, last, noise=[noise / sigma])
     before, after = (followed(problem, rmse, sigma) for rmse in (0.6, 0.2))
     (row,) = error_changes(made_bench(problem), found, before, after)
