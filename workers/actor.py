@@ -25,3 +25,7 @@ class FmuActor:
     def evaluate(self, batch: TaskBatch) -> OutcomeColumns:
         """Answer a batch of tasks."""
         return OutcomeColumns.of(self._evaluator.evaluate(batch))
+
+    def once(self, batch: TaskBatch) -> OutcomeColumns:
+        """Answer a batch of tasks, each at the first attempt."""
+        return OutcomeColumns.of([self._evaluator.once(task) for task in batch.tasks()])

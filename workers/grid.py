@@ -20,6 +20,8 @@ class SignalGrid(NamedTuple):
     ----------
     times : (n,)
         Strictly increasing, from start to stop.
+    intervals : (n,)
+        Seconds from each time to the next.
     inputs : (n, m)
         Each input, then each signal, at each time; where a held one jumps, its value after it.
     slopes : (n, m)
@@ -35,6 +37,7 @@ class SignalGrid(NamedTuple):
     """
 
     times: FloatArray
+    intervals: FloatArray
     inputs: FloatArray
     slopes: FloatArray
     jumps: IntArray
@@ -81,6 +84,7 @@ def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
             jumps[1:] |= values[1:] != values[:-1]
     return SignalGrid(
         times=times,
+        intervals=np.diff(times, append=times[-1:]),
         inputs=_columns([value for value, _ in inputs], len(times)),
         slopes=_columns([slope for _, slope in inputs], len(times)),
         jumps=jumps,

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.console import Console
 
+from cluster_est.cli.crash_observer import crash_observer
 from cluster_est.cli.display.terminal_text import readable
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.parser import parse
@@ -36,7 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run() -> None:
     """Run a command as a program: end with its exit code, whatever still runs in threads."""
-    code = main()
+    with crash_observer():
+        code = main()
     if code == ExitCode.INTERRUPTED:  # a simulation that nobody can stop must not keep the process
         sys.stdout.flush()
         sys.stderr.flush()

@@ -239,7 +239,9 @@ def _sites(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     interface = problem.model.interface
     pairs = open_pairs(description, interface)
     pairs += [EffectSite("pair", *reversed(site.targets)) for site in pairs]
-    return tuple(str(site) for site in [*open_sites(description, interface), *pairs])
+    measured = {output.variable for e in problem.experiments for output in e.outputs}
+    sites = open_sites(description, interface, measured)
+    return tuple(str(site) for site in [*sites, *pairs])
 
 
 def _notes(problem: Problem) -> tuple[str, ...]:

@@ -71,7 +71,7 @@ def initial_states(description: ModelDescription) -> list[ModelVariable]:
 
 
 def _can_be_estimated(variable: ModelVariable) -> bool:
-    own = variable.alias_of is None and variable.kind == "real"
+    own = variable.alias_of is None and variable.kind == "real" and not variable.is_tool_setting
     return own and variable.causality == "parameter" and variable.settable
 
 

@@ -94,7 +94,8 @@ class WorkerPool(Executor):
     def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
         """Have one worker answer tasks in turn, always the same one, while nothing else is asked.
 
-        Their ids may be used again. Empty if that worker was lost.
+        Each is asked once, even if it crashes. Their ids may be used again. Empty if that worker
+        was lost.
         """
 
 

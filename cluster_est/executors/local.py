@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import queue
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import ClassVar, Protocol, Self
 
@@ -73,11 +73,16 @@ class LocalExecutor(WorkerPool):
         return cls([Evaluator(model, experiments, f"local-{i}") for i in range(count)])
 
     def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
-        evaluator, outcomes = self._evaluators[0], []
-        for task in tasks:  # in a thread, so that an interrupt comes through
-            batch = TaskBatch.of([task])
-            running = self._threads.submit(evaluator.evaluate, batch)
-            self._running[running] = batch
+        return self.in_turn(tasks, lambda task: self._evaluators[0].evaluate(TaskBatch.of([task])))
+
+    def in_turn(
+        self, tasks: Sequence[Task], answer: Callable[[Task], list[Outcome]]
+    ) -> list[Outcome]:
+        """Have tasks answered one after the other, in a thread: an interrupt comes through."""
+        outcomes: list[Outcome] = []
+        for task in tasks:
+            running = self._threads.submit(answer, task)
+            self._running[running] = TaskBatch.of([task])
             outcomes += running.result()
             del self._running[running]
         return outcomes

@@ -55,7 +55,7 @@ class ProcessExecutor(WorkerPool):
         return cls(guards)
 
     def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
-        return self._threads.first_worker(tasks)
+        return self._threads.in_turn(tasks, lambda task: [self._guards[0].once(task)])
 
     def submit(self, tasks: Sequence[Task]) -> None:
         self._threads.submit(tasks)

@@ -106,7 +106,7 @@ class RayPool(WorkerPool):
     def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
         for _ in range(ALONE):
             name, actor = next(iter(self._actors.items()))
-            asked = [actor.evaluate.remote(TaskBatch.of([task])) for task in tasks]
+            asked = [actor.once.remote(TaskBatch.of([task])) for task in tasks]
             try:
                 return [outcome for answers in ray.get(asked) for outcome in answers.outcomes()]
             except RayError:  # lost: what is decided by its answers must not depend on that

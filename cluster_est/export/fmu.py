@@ -89,9 +89,8 @@ def archive_files(layout: WrapperLayout, command: tuple[str, ...]) -> dict[str, 
             Path(folder, file).write_bytes(text)
         found[library] = compile_library(command, Path(folder), os.path.basename(library))
     with open_archive(model.name, model.archive) as opened:
-        for entry in opened.infolist():
-            if not entry.is_dir():
-                found[f"resources/original/{entry.filename}"] = opened.read(entry)
+        for entry in opened.infolist():  # empty folders too: some originals look for theirs
+            found[f"resources/original/{entry.filename}"] = opened.read(entry)
     return found
 
 
@@ -143,5 +142,6 @@ def _write_archive(path: Path, content: dict[str, bytes]) -> None:
             entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.create_system = 3  # the same archive, whatever system builds it
-            entry.external_attr = 0o755 << 16 if "binaries/" in name else 0o644 << 16
+            runnable = entry.is_dir() or "binaries/" in name
+            entry.external_attr = 0o755 << 16 if runnable else 0o644 << 16
             archive.writestr(entry, data)

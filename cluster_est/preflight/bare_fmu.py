@@ -47,7 +47,8 @@ def _parameters(description: ModelDescription) -> list[ModelVariable]:
         for v in description.variables.values()
         if v.causality == "parameter" and v.kind == "real" and v.settable and v.start is not None
     ]
-    return [v for v in found if v.alias_of is None][:MOST_PARAMETERS]
+    own = [v for v in found if v.alias_of is None and not v.is_tool_setting]
+    return own[:MOST_PARAMETERS]
 
 
 def _parameter(variable: ModelVariable) -> Parameter:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -60,6 +61,7 @@ def run_checks(
     """
     description = problem.describe()
     if seconds == 0.0:
+        description.check_platform(problem.model.interface)
         return CheckPage((), ())
     with ProbeBench(problem.model, problem.experiments) as bench:
         loaded = bench.ask(None, 1e4 if seconds == np.inf else max(seconds, 1.0) * LOADING)
@@ -151,7 +153,7 @@ def _simulation_findings(
             )
         elif not outcome.ok:
             said = f"at the start values: {outcome.status}: {outcome.message}"
-            lines.append(CheckFinding(CheckVerdict.PROBLEM, name, said, "other start values"))
+            lines.append(CheckFinding(CheckVerdict.PROBLEM, name, said, _ADVICE[outcome.status]))
     if successful:
         said = f"{len(successful)} of {len(simulations)} experiments, at the start values"
         lines.append(CheckFinding(CheckVerdict.OK, "simulates", said))
@@ -159,3 +161,12 @@ def _simulation_findings(
 
 
 _MORE = "give it more time with --seconds"
+_ADVICE = defaultdict(
+    lambda: "other start values; a stop before that time, if the FMU ends there by itself",
+    {
+        Status.CRASH: "simulate it in another tool: if it crashes there too, ask whoever exported "
+        "it, and look for files, libraries or a licence that it needs",
+        Status.OUT_OF_MEMORY: "raise executor.memory",
+    },
+)
+"""What to do about a simulation that failed, by the way it ended."""

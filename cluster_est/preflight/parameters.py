@@ -24,6 +24,7 @@ FAINT = 1e-9
 """An effect of less, of the outputs' size, drowns in rounding."""
 STEPS = tuple(10.0**-k for k in range(3, 9))
 """Relative steps of differences that are tried."""
+MOST_NAMED = 5
 AGREEMENT = 0.02
 """Largest relative difference of derivatives that count as the same."""
 
@@ -45,7 +46,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
         if each == 0.0:
             sizes[name] = _effect_elsewhere(subject, column, unknown)
     lines = [_failed(name, each) for name, each in pairs if isinstance(each, str)]
-    lines += [_dead(name, declared=subject.declared) for name, size in sizes.items() if size == 0.0]
+    lines += _dead([name for name, size in sizes.items() if size == 0.0], subject)
     lines += [_faint(name, size) for name, size in sizes.items() if 0.0 < size < FAINT]
     alive = {name: size for name, size in sizes.items() if size >= FAINT}
     if alive:
@@ -98,14 +99,27 @@ def _moved(subject: CheckSubject, column: int, share: float) -> FloatArray:
     return subject.at(x)
 
 
-def _dead(name: str, *, declared: bool) -> CheckFinding:
+def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
     said = "is dead: the outputs do not depend on it at the start"
-    if not declared:
-        return CheckFinding(
-            CheckVerdict.NOTE, f"parameter {name}", said, "it cannot be estimated from these"
-        )
-    do = f"parameters.{name}.fixed = true, or remove it, or measure what it acts on"
-    return CheckFinding(CheckVerdict.PROBLEM, f"parameter {name}", said, do)
+    if subject.declared:
+        do = "parameters.{}.fixed = true, or remove it, or measure what it acts on"
+        return [
+            CheckFinding(CheckVerdict.PROBLEM, f"parameter {name}", said, do.format(name))
+            for name in names
+        ]
+    given = {each.variable for each in subject.problem.experiments[subject.experiment].inputs}
+    idle = [v.name for v in subject.description.inputs() if v.name not in given]
+    do = "they may act once the inputs are driven, as a config's data do"
+    if not idle:
+        do = "what the FMU shows in its default experiment does not determine them"
+    if not names:
+        return []
+    some = ", ".join(names[:MOST_NAMED])
+    more = len(names) - MOST_NAMED
+    some += f" and {more} more" if more > 0 else ""
+    said = f"the outputs do not depend on {some} at the start values"
+    said += f", with nothing at the inputs {', '.join(idle[:MOST_NAMED])}" if idle else ""
+    return [CheckFinding(CheckVerdict.NOTE, "dead parameters", said, do)]
 
 
 def _faint(name: str, size: float) -> CheckFinding:

@@ -6,18 +6,19 @@ import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
-from workers.messages import ResetPolicy
+from workers.messages import FloatArray, ResetPolicy
 from workers.probes.probes import (
     InstanceProbe,
     LeftoverProbe,
     RepeatProbe,
     RepetitionResult,
-    difference,
+    differences,
 )
 from workers.process.trial import NoAnswer
 
 FACTOR = 1.37
 """Of every value, to see whether it survives a reset: no round number."""
+MOST_NAMED = 5
 
 
 def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy | None]:
@@ -35,18 +36,30 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy |
         if isinstance(other, NoAnswer):
             return [unanswered("repeatable", other)], "reset"
         again = other.first
-    far = difference(again, found.first)
     if again.tobytes() != found.first.tobytes():
-        said = f"no: two fresh processes differ by {far:.2g} of the outputs' size"
-        do = (
-            "export it without a random generator or clock; else choose a method.name that takes "
-            'no differences, such as "pattern_search"'
-        )
-        return [CheckFinding(CheckVerdict.PROBLEM, "repeatable", said, do)], None
+        return [_not_repeatable(subject, again, found.first)], None
     same = CheckFinding(CheckVerdict.OK, "repeatable", "two fresh processes give the same bits")
     policy: ResetPolicy = "reset" if found.reset == 0.0 else "instance"
     lines = [same, _reset(subject, found)]
     return lines + (_leftovers(subject) if policy == "reset" else []), policy
+
+
+def _not_repeatable(subject: CheckSubject, one: FloatArray, other: FloatArray) -> CheckFinding:
+    names = subject.problem.experiments[subject.experiment].recorded
+    far = dict(zip(names, differences(one, other).tolist(), strict=True))
+    differing = [name for name in names if not far[name] <= 0.0]
+    said = "no: two fresh processes differ in " + ", ".join(
+        f"{name} (by {far[name]:.2g} of its size)" for name in differing[:MOST_NAMED]
+    )
+    more = len(differing) - MOST_NAMED
+    said += f" and {more} more outputs" if more > 0 else ""
+    do = (
+        "export it without a random generator or clock; else choose a method.name that takes "
+        'no differences, such as "pattern_search"'
+    )
+    if len(differing) < len(names):
+        do = f"leave {'it' if len(differing) == 1 else 'them'} out: all other outputs repeat"
+    return CheckFinding(CheckVerdict.PROBLEM, "repeatable", said, do)
 
 
 def _reset(subject: CheckSubject, found: RepetitionResult) -> CheckFinding:

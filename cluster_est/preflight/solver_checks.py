@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.preflight.sensitivities import sensitivities
 from cluster_est.preflight.subject import CheckSubject, unanswered
-from workers.messages import Solver
+from workers.messages import FloatArray, Solver
 from workers.probes.directional import DirectionalProbe
 from workers.probes.probes import SolverProbe, StiffnessProbe
 from workers.process.trial import NoAnswer
@@ -37,11 +38,32 @@ def accuracy(subject: CheckSubject) -> list[CheckFinding]:
     found = subject.ask(SolverProbe(*subject.probe_arguments, other), 6)
     if isinstance(found, NoAnswer):
         return [unanswered("accuracy", found)]
-    said = f"with {how} the outputs change by {found:.2g} of their size"
-    if found < GOOD:
-        return [CheckFinding(CheckVerdict.OK, "accuracy", said)]
-    verdict = CheckVerdict.PROBLEM if found > BAD else CheckVerdict.NOTE
-    return [CheckFinding(verdict, "accuracy", said, key)]
+    return _judged(subject, found, how, key)
+
+
+def _judged(subject: CheckSubject, found: FloatArray, how: str, key: str) -> list[CheckFinding]:
+    """Judge by the outputs that move between events; others may count steps."""
+    names = subject.problem.experiments[subject.experiment].recorded
+    pairs = list(zip(names, found.tolist(), strict=True))
+    moving = [pair for pair in pairs if subject.description.variables[pair[0]].is_continuous]
+    others = [pair for pair in pairs if pair not in moving]
+    lines = []
+    if moving:
+        name, far = max(moving, key=_far)
+        said = f"with {how} {name} changes by {far:.2g} of its size, and no output by more"
+        verdict = CheckVerdict.PROBLEM if far > BAD else CheckVerdict.NOTE
+        fine = CheckFinding(CheckVerdict.OK, "accuracy", said)
+        lines.append(fine if far < GOOD else CheckFinding(verdict, "accuracy", said, key))
+    name, far = max(others, key=_far, default=("", 0.0))
+    if not far < GOOD:
+        said = f"with {how} {name}, which is no continuous output, changes by {far:.2g} of its size"
+        do = f"nothing, if it counts steps or calls; else {key}"
+        lines.append(CheckFinding(CheckVerdict.NOTE, "accuracy", said, do))
+    return lines or [CheckFinding(CheckVerdict.OK, "accuracy", f"with {how} no output changes")]
+
+
+def _far(pair: tuple[str, float]) -> float:
+    return math.inf if math.isnan(pair[1]) else pair[1]
 
 
 def _finer(subject: CheckSubject, solver: Solver) -> tuple[Solver, str, str]:

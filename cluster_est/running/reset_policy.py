@@ -18,6 +18,7 @@ from cluster_est.errors import ExecutorError
 from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
+from cluster_est.running.known_fmus import has_survived, remember_survival
 from cluster_est.running.resources import Resources
 from workers.errors import ModelError
 from workers.messages import Experiment, Outcome, ResetPolicy, Status, Task
@@ -61,6 +62,25 @@ def recorded(facts: Mapping[str, Any]) -> ResetDecision | None:
 
 
 @dataclass(frozen=True)
+class RepeatabilityAnswer:
+    """The answer to a `RepeatabilityTest`.
+
+    Attributes
+    ----------
+    same
+        Whether the answers were the same bits; None if that cannot be found out.
+    crashed
+        Whether the process crashed: in the first simulation if `same` is None, else in a later one.
+    message
+        What went wrong, as a verb with its object, or as the first simulation's own message.
+    """
+
+    same: bool | None
+    crashed: bool = False
+    message: str = ""
+
+
+@dataclass(frozen=True)
 class RepeatabilityTest:
     """A test of the first worker: the first task again after the others."""
 
@@ -83,15 +103,28 @@ class RepeatabilityTest:
         values = space.physical(space.start)[:, : len(problem.model.parameters)]
         return cls(tuple(Task(i, e, values[e]) for i, e in enumerate(asked)))
 
-    def ask(self, executor: WorkerPool) -> bool | None:
-        """Return whether the answers are the same bits; None if that cannot be found out."""
+    def ask(self, executor: WorkerPool) -> RepeatabilityAnswer:
+        """Ask the first worker, each task once."""
         (first,) = executor.first_worker(self.tasks[:1]) or (None,)
         if first is None or not first.ok:
-            return None
+            crashed = first is not None and first.status is Status.CRASH
+            return RepeatabilityAnswer(None, crashed, first.message if first is not None else "")
         rest = executor.first_worker(self.tasks[1:])
+        if any(outcome.status is Status.CRASH for outcome in rest[:-1]):
+            # the last one began in a new process, and says nothing of a reset
+            rest = executor.first_worker(self.tasks[:1])
         if not rest or rest[-1].status in NO_ANSWER:
-            return None
-        return rest[-1].ok and _bits(rest[-1]) == _bits(first)
+            return RepeatabilityAnswer(None)
+        last = rest[-1]
+        if last.ok and _bits(last) == _bits(first):
+            return RepeatabilityAnswer(True)
+        if last.ok:
+            return RepeatabilityAnswer(False, message="keeps something through a reset")
+        crashed = last.status is Status.CRASH
+        what = "crashes" if crashed else "fails"
+        return RepeatabilityAnswer(
+            False, crashed, f"{what} in a simulation after a reset ({last.message})"
+        )
 
 
 class _Start(Protocol):
@@ -131,20 +164,7 @@ def open_with_reset(
         known = ResetDecision(declared, said, plain=True)
     if known is not None:
         return start(resources.executor, known.renew, resources.workers), known
-    executor = start(resources.executor, "reset", resources.workers)
-    try:
-        question = RepeatabilityTest.of(problem)
-        same = question.ask(executor)
-    except BaseException:
-        executor.close()
-        raise
-    if same is None:
-        return executor, ResetDecision("reset", _UNKNOWN, plain=True)
-    if same:
-        said = "a reset instance is as good as a new one"
-        return executor, ResetDecision("reset", said, plain=True)
-    executor.close()
-    return _other_way(problem.model.name, resources, question, start)
+    return _find_policy(problem, resources, start)
 
 
 _UNKNOWN = (
@@ -153,40 +173,82 @@ _UNKNOWN = (
 )
 
 
-def _other_way(
-    file: str, resources: Resources, question: RepeatabilityTest, start: _Start
+def _find_policy(
+    problem: Problem, resources: Resources, start: _Start
 ) -> tuple[WorkerPool, ResetDecision]:
-    """The least that lets the question have one answer; a reset if nothing does."""
-    name, workers = resources.executor, resources.workers
-    for renew in WAYS[1:]:
-        elsewhere = renew == "process" and name == "local"
+    """Find the least policy with which the test has one answer; a reset if there is none.
+
+    For "local", an FMU that this machine does not know is tried in a process of its own: it may
+    crash.
+    """
+    file, local = problem.model.name, resources.executor == "local"
+    apart = local and not has_survived(problem.model)
+    question = RepeatabilityTest.of(problem)
+    answers: dict[ResetPolicy, RepeatabilityAnswer] = {}
+    for policy in WAYS:
+        elsewhere = apart or (local and policy == "process")
         try:
-            executor = start("processes" if elsewhere else name, renew, 1 if elsewhere else workers)
+            pool = (
+                start("processes", policy, 1)
+                if elsewhere
+                else start(resources.executor, policy, resources.workers)
+            )
         except ModelError:
+            if policy == "reset":
+                raise
             continue
         try:
-            same = question.ask(executor)
+            answers[policy] = question.ask(pool)
+            decision = _decide(file, answers)
         except BaseException:
-            executor.close()
+            pool.close()
             raise
-        if same and not elsewhere:
-            said = (
-                f"{file} keeps something through a reset: each simulation begins with "
-                f"{BEGINS[renew]}"
-            )
-            return executor, ResetDecision(renew, said)
-        executor.close()
-        if same:
-            raise ExecutorError(
-                f"executor.name: {file} keeps something from one simulation to the next, even in "
-                'a new instance, so each needs a process of its own, but "local" has one for all; '
-                'choose "processes" or "ray", or set model.reset = "reset" if that does not matter'
-            )
+        if decision is not None and not elsewhere:
+            return pool, decision
+        pool.close()
+        if decision is not None:
+            if local:
+                _refuse_here(file, policy, answers[policy])
+            if policy == "reset" and answers[policy].same:
+                remember_survival(problem.model)
+            return start(resources.executor, decision.renew, resources.workers), decision
+    safe = [policy for policy, answer in answers.items() if not answer.crashed] or ["reset"]
     said = (
         f"{file} does not repeat itself: the same simulation gives other results each time, even "
         "in a new process, and so may this run"
     )
-    return start(name, "reset", workers), ResetDecision("reset", said)
+    decision = ResetDecision(safe[0], said)
+    return start(resources.executor, decision.renew, resources.workers), decision
+
+
+def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> ResetDecision | None:
+    """Return the decision that the answers so far allow; None if another policy must be tried."""
+    policy, answer = list(answers.items())[-1]
+    if policy == "reset":
+        if answer.same is None:
+            return ResetDecision("reset", _UNKNOWN, plain=True)
+        said = "a reset instance is as good as a new one"
+        return ResetDecision("reset", said, plain=True) if answer.same else None
+    if not answer.same:
+        return None
+    said = f"{file} {answers['reset'].message}: each simulation begins with {BEGINS[policy]}"
+    return ResetDecision(policy, said)
+
+
+def _refuse_here(file: str, policy: ResetPolicy, answer: RepeatabilityAnswer) -> None:
+    """Refuse to run an FMU in this process that would take it along, or spoil what comes next."""
+    if answer.same is None and answer.crashed:
+        raise ExecutorError(
+            f"executor.name: {file} must survive its first simulation to be run in this process, "
+            f'but it does not ({answer.message}); choose "processes" or "ray", where only the '
+            "simulations that crash are lost"
+        )
+    if policy == "process":
+        raise ExecutorError(
+            f"executor.name: {file} keeps something from one simulation to the next, even in "
+            'a new instance, so each needs a process of its own, but "local" has one for all; '
+            'choose "processes" or "ray", or set model.reset = "reset" if that does not matter'
+        )
 
 
 def _set_by(experiment: Experiment) -> set[str]:

@@ -199,8 +199,9 @@ def _variables(description: ModelDescription, site: EffectSite, interface: Inter
     if interface == "model_exchange" or site.kind == "output":
         names = [*description.states, *names]
     if site.kind == "output":
-        names += [v.name for v in description.variables.values() if v.causality == "output"]
-    return names
+        outputs = [v.name for v in description.variables.values() if v.causality == "output"]
+        names += [*outputs, site.target]
+    return list(dict.fromkeys(names))
 
 
 def _placeholders(

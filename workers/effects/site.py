@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import combinations
 
 from workers.effects.kinds import SiteKind
 from workers.errors import EffectError
 from workers.fmu.description import ModelDescription, nearest
+from workers.fmu.variable import ModelVariable
 from workers.messages import Interface
 
 _PATTERNS: dict[SiteKind, str] = {
@@ -73,15 +75,31 @@ def parse_site(text: str, where: str) -> EffectSite:
     )
 
 
-def open_sites(description: ModelDescription, interface: Interface) -> list[EffectSite]:
-    """Return every site that an FMU offers; none at state derivatives in co-simulation."""
+def open_sites(
+    description: ModelDescription, interface: Interface, measured: Collection[str] = ()
+) -> list[EffectSite]:
+    """Return every site that an FMU offers; none at state derivatives in co-simulation.
+
+    A sensor sits on what is measured, so `measured` variables are outputs here, whatever causality
+    the FMU declares for them.
+    """
     variables = [v for v in description.variables.values() if v.alias_of is None]
     exchange = interface == "model_exchange"
     sites = [EffectSite("derivative", name) for name in description.states] if exchange else []
     sites += [EffectSite("input", v.name) for v in variables if v.causality == "input"]
-    sites += [EffectSite("output", v.name) for v in variables if v.causality == "output"]
+    sites += [
+        EffectSite("output", v.name)
+        for v in variables
+        if v.causality == "output" or (v.name in measured and is_computed(v))
+    ]
     sites += [EffectSite("parameter", v.name) for v in variables if v.tunable]
     return sites
+
+
+def is_computed(variable: ModelVariable) -> bool:
+    """Return whether an FMU computes a number for a variable while it runs."""
+    known = variable.causality in ("parameter", "structuralParameter", "input", "independent")
+    return variable.kind in ("real", "integer", "boolean") and not known
 
 
 def open_pairs(description: ModelDescription, interface: Interface) -> list[EffectSite]:
@@ -108,7 +126,7 @@ def check_site(
     EffectError
         With the sites of that kind that it does offer.
     """
-    offered = open_sites(description, interface)
+    offered = open_sites(description, interface, description.variables)
     parts = [EffectSite("derivative", s) for s in site.targets] if site.kind == "pair" else [site]
     missing = [part for part in parts if part not in offered]
     if not missing:

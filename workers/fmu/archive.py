@@ -51,8 +51,7 @@ def unpack(name: str, archive: bytes, archive_hash: str) -> Path:
         If it is no zip file, if a path in it leaves the folder, if it is suspiciously large, or if
         the cache folder cannot be written.
     """
-    home = Path(os.environ.get("CLUSTER_EST_CACHE") or platformdirs.user_cache_dir("cluster-est"))
-    target = home / "fmus" / archive_hash
+    target = unpacked_folder(archive_hash)
     if target.is_dir():
         return target
     with open_archive(name, archive) as opened:
@@ -66,6 +65,12 @@ def unpack(name: str, archive: bytes, archive_hash: str) -> Path:
             ) from error
         _extract(name, opened, private, target)
     return target
+
+
+def unpacked_folder(archive_hash: str) -> Path:
+    """Return the folder that an FMU is unpacked into on this machine."""
+    home = Path(os.environ.get("CLUSTER_EST_CACHE") or platformdirs.user_cache_dir("cluster-est"))
+    return home / "fmus" / archive_hash
 
 
 def _extract(name: str, opened: zipfile.ZipFile, private: Path, target: Path) -> None:

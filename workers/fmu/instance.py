@@ -35,7 +35,7 @@ _TERMINATED, _LAST_SUCCESSFUL_TIME = 3, 2
 """Kinds of status of FMI 2.0's co-simulation."""
 _NO_RESET = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p)(lambda _handle: 0)
 _NO_RESET_AT = ctypes.cast(_NO_RESET, c_void_p).value or 0
-"""What stands for the reset of an instance that has just been made."""
+"""What stands for the reset of an instance that is new."""
 
 _load_lock = threading.Lock()
 _instance_count = 0
@@ -71,8 +71,23 @@ class FmuInstance:
         self._fmu = self._load()
         self.component = self._functions.component()
 
-    def fresh(self) -> FmiComponent:
-        """Return an instance that has simulated nothing yet, and needs no reset.
+    @property
+    def is_new(self) -> bool:
+        """True until a simulation begins with it."""
+        return not self._is_used
+
+    def begin(self) -> FmiComponent:
+        """Return the instance for a simulation, the first of which needs no reset.
+
+        The standard allows a reset of an instance that was never initialised, but hardly any tool
+        does it, and some FMUs crash in it or compute nonsense afterwards.
+        """
+        component = self.component._replace(reset=_NO_RESET_AT) if self.is_new else self.component
+        self._is_used = True
+        return component
+
+    def begin_anew(self) -> FmiComponent:
+        """Return an instance with which nothing was simulated.
 
         Raises
         ------
@@ -82,8 +97,7 @@ class FmuInstance:
         if self._is_used:
             self.free()
             self.replace()
-        self._is_used = True
-        return self.component._replace(reset=_NO_RESET_AT)
+        return self.begin()
 
     def replace(self) -> None:
         """Replace the instance by a fresh one: all that is left after a fatal error.

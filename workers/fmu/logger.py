@@ -37,6 +37,8 @@ def log_message_3(name: str) -> Callable[[object, int, bytes, bytes], None]:
 def _append(name: str, status: int, message: bytes) -> None:
     text = (message or b"").decode(errors="replace").strip()
     log = _logs.get(name.strip())
+    if log is None and len(_logs) == 1:  # some FMUs name no instance, or another one
+        log = next(iter(_logs.values()), None)
     if log is not None and status > 0:
         log.append(text)
     if name in _shown:

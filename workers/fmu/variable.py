@@ -85,6 +85,11 @@ class ModelVariable:
     description: str = ""
 
     @property
+    def is_tool_setting(self) -> bool:
+        """True for an option of the tool that exported the FMU: _nle_tolerance, $solver.step."""
+        return any(part.startswith(("_", "$")) for part in self.name.split("."))
+
+    @property
     def is_continuous(self) -> bool:
         """True if it may change between events."""
         return self.kind == "real" and self.variability == "continuous"

@@ -26,11 +26,17 @@ BATCH_SIZE = 5
 
 def difference(found: FloatArray, truth: FloatArray) -> float:
     """Return the largest difference of two tables of outputs, each over the size of its output."""
+    return float(differences(found, truth).max(initial=0.0))
+
+
+def differences(found: FloatArray, truth: FloatArray) -> FloatArray:
+    """Return the largest difference of each output of two tables, over its size."""
     if found.tobytes() == truth.tobytes():
-        return 0.0
+        return np.zeros(truth.shape[1])
     with np.errstate(all="ignore"):
         sizes = np.maximum(np.abs(truth).max(axis=0), np.finfo(np.float64).tiny)
-        return float((np.abs(found - truth).max(axis=0) / sizes).max(initial=0.0))
+        far: FloatArray = np.abs(found - truth).max(axis=0, initial=0.0) / sizes
+        return far
 
 
 @dataclass(frozen=True)
@@ -208,19 +214,19 @@ class MovementProbe(FmuProbe):
 
 @dataclass(frozen=True)
 class SolverProbe(FmuProbe):
-    """Asks how far another solver, or other settings of it, come from the model's."""
+    """Asks how far another solver, or other settings of it, take each output from the model's."""
 
     experiment: int
     point: FloatArray
     reset: ResetPolicy
     solver: Solver
 
-    def answer(self, evaluator: Evaluator) -> float:
+    def answer(self, evaluator: Evaluator) -> FloatArray:
         model = replace(evaluator.model, solver=self.solver, reset=self.reset)
         other = _simulator_of(evaluator, model, evaluator.experiments[self.experiment])
         usual = _simulator_with_reset(evaluator, self.experiment, self.reset)
         base = _outputs(usual.run(0, self.point[None]))
-        return difference(base, _outputs(other.run(0, self.point[None])))
+        return differences(base, _outputs(other.run(0, self.point[None])))
 
 
 @dataclass(frozen=True)

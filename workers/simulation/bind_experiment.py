@@ -14,7 +14,7 @@ from workers.fmu.variable import ModelVariable
 from workers.grid import SignalGrid, build_grid
 from workers.kernels.fmi.component import StartValues, VariableReferences
 from workers.messages import Experiment, FloatArray, Input, IntArray, Model
-from workers.simulation.fixed_step import CommunicationPoints, communication_points
+from workers.simulation.fixed_step import CommunicationPoints, communication_points, step_lengths
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,9 @@ def bind_experiment(
         experiment, inputs=tuple(_held_if_discrete(description, each) for each in experiment.inputs)
     )
     grid = build_grid(experiment, outputs)
+    if model.interface == "co_simulation":
+        own_step = description.fixed_internal_step or description.default_step
+        grid = grid._replace(intervals=step_lengths(grid.times, own_step))
     starts, known_values, string_memory = _start_values(model, description, experiment)
     array_starts = partial(_array_starts, description)
     inputs = [description.variable(each.variable, where) for each in experiment.inputs]

@@ -14,6 +14,8 @@ from workers.messages import Experiment, FloatArray, IntArray, Model
 
 ON_GRID = 1e-6
 """Of a step: a time that is nearer to a communication point than this stands on it."""
+ROUNDING = 2.0 * float(np.finfo(np.float64).eps)
+"""Of the largest time: what rounding may change in the difference of two."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,25 @@ def communication_points(
         fractions=np.where(on_point, 0.0, elapsed_steps - first),
         linear=np.array([_is_continuous(description, name) for name in recorded], np.bool_),
     )
+
+
+def step_lengths(times: FloatArray, own_step: float | None) -> FloatArray:
+    """Return the intervals between times without the rounding of their differences.
+
+    0.15 - 0.1 is 0.04999999999999999, and some FMUs refuse such a step. Of the numbers that a
+    difference of rounded times may stand for, this takes a multiple of the FMU's own step if one is
+    among them, else the one with the fewest digits.
+    """
+    lengths, positions = np.unique(np.diff(times), return_inverse=True)
+    room = ROUNDING * float(np.abs(times).max())
+    found = [_shortest(length, room, own_step) for length in lengths.tolist()]
+    return np.append(np.array(found, np.float64)[positions], 0.0)
+
+
+def _shortest(length: float, room: float, own_step: float | None) -> float:
+    candidates = [own_step * round(length / own_step)] if own_step else []
+    candidates += [float(f"{length:.{digits}g}") for digits in range(1, 16)]
+    return next((each for each in candidates if each > 0.0 and abs(each - length) <= room), length)
 
 
 def communication_notes(

@@ -155,7 +155,7 @@ class FmuIntegrator:
         """Compile the loop, or read it from disk, before there is an FMU to run it on."""
         nothing = np.empty((0, len(self._model.parameters)))
         run = _BatchRun.of(self.batch, bound, nothing, no_hooks(0), 0)
-        self._simulate(run, nothing_loaded(self._description.version), 0)
+        self._simulate(run, nothing_loaded(self._description.version), slice(0))
 
     def run(
         self,
@@ -188,6 +188,12 @@ class FmuIntegrator:
             return replace(run.result, outputs=bound.communication.interpolate(run.result.outputs))
         return run.result
 
+    def starts(self, instance: FmuInstance, bound: BoundExperiment, point: FloatArray) -> bool:
+        """Start a new instance, which can be reset from then on; False if that does not work."""
+        run = _BatchRun.of(self.batch, _start_alone(bound), point[None], no_hooks(1), 0)
+        self._simulate(run, instance.begin(), slice(1))
+        return int(run.result.codes[0]) == failure.FINISHED
+
     def find_jacobian(self, bound: BoundExperiment) -> None:
         """Let CVODE use the FMU's directional derivatives, if they are right at the start.
 
@@ -197,9 +203,8 @@ class FmuIntegrator:
             return
         self._checks_jacobian = False
         known = self._description.variables
-        start = replace(bound, grid=bound.grid._replace(times=bound.grid.times[:1]))
         values = np.array([[known[name].start or 0.0 for name in self._model.parameters]])
-        if self.run(start, values, no_hooks(1)).codes[0] != failure.FINISHED:
+        if self.run(_start_alone(bound), values, no_hooks(1)).codes[0] != failure.FINISHED:
             return
         jacobian = directional_jacobian(self._description)
         try:
@@ -216,7 +221,7 @@ class FmuIntegrator:
 
     def component(self) -> FmiComponent:
         """Return the instance for the next simulation."""
-        return self.instance.fresh() if self._new_instance_each else self.instance.component
+        return self.instance.begin_anew() if self._new_instance_each else self.instance.begin()
 
     def settings(self, n_effect_states: int = 0) -> SolverSettings:
         """Return the solver settings, with tolerances of the effects' states."""
@@ -260,13 +265,16 @@ class FmuIntegrator:
     def _simulate_from(self, run: _BatchRun, first: int) -> int:
         """Simulate points from the first to one that fails; returns the next one to simulate."""
         self.instance.log.clear()
+        alone = self._new_instance_each or self.instance.is_new
         try:
             component = self.component()
         except ModelError as error:
             run.result.codes[first] = failure.INITIALISATION
             run.result.messages[first] = str(error)
             return first + 1
-        following = first + self._simulate(run, component, first)
+        following = first + self._simulate(
+            run, component, slice(first, first + 1 if alone else None)
+        )
         last = following - 1
         code = int(run.result.codes[last])
         if code == failure.FINISHED:
@@ -282,13 +290,12 @@ class FmuIntegrator:
             self.instance.replace()
         return following
 
-    def _simulate(self, run: _BatchRun, component: FmiComponent, first: int) -> int:
-        """Simulate points from the first to one that fails; returns how many."""
-        remaining = slice(first, first + 1 if self._new_instance_each else None)
+    def _simulate(self, run: _BatchRun, component: FmiComponent, points: slice) -> int:
+        """Simulate points, up to one that fails; returns how many."""
         settings = self.settings(run.n_effect_states)
         work = self.workspace(run.bound, run.hooks, run.n_effect_states)
         try:
-            return run.batch(run.arguments(remaining, component, settings, work))
+            return run.batch(run.arguments(points, component, settings, work))
         finally:
             self._progress[RUNNING] = 0
 
@@ -299,6 +306,11 @@ class FmuIntegrator:
         if code in failure.SUGGEST_STIFFNESS and self._model.solver.name == "dormand_prince":
             message += '; if the model is stiff, model.solver = "cvode" goes on in long steps'
         return f"{message}; it said: {log}" if log else message
+
+
+def _start_alone(bound: BoundExperiment) -> BoundExperiment:
+    """Return an experiment that ends where it starts."""
+    return replace(bound, grid=bound.grid._replace(times=bound.grid.times[:1]))
 
 
 def _may_use_jacobian(model: Model, description: ModelDescription) -> bool:

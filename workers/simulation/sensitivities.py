@@ -81,6 +81,10 @@ class SensitivitySource:
     def unavailable_reason(self, bound: BoundExperiment) -> str:
         """Return why an experiment has none; "" where it may have them."""
         known, solver = self._description.variables, self._model.solver.name
+        if self._model.reset in ("instance", "process"):
+            return (
+                f"they need an instance that can be reset, but each has a new {self._model.reset}"
+            )
         if self._model.interface != "model_exchange":
             return "sensitivities need the states, which an FMU gives in model exchange only"
         if not self._description.offer("model_exchange").provides_directional_derivatives:
@@ -188,7 +192,7 @@ class SensitivitySource:
             result = np.zeros(len(unknowns) + 1)
             known = np.array([variable.reference], np.uint32)
             code, status = is_known(
-                instance.component, bound.references, bound.starts, settings, hooks, bound.grid,
+                instance.begin(), bound.references, bound.starts, settings, hooks, bound.grid,
                 values, work, unknowns, known, result,
             )  # fmt: skip
             if max(status, 4 if code >= FATAL else 0) >= 4:
@@ -198,6 +202,11 @@ class SensitivitySource:
             kinds[p] = KNOWN if status < DISCARD else self._add_perturbed_instances()
         self._kinds = kinds
         return kinds
+
+    @property
+    def perturbed_instances(self) -> tuple[FmuInstance, ...]:
+        """The instances that are kept for differences."""
+        return tuple(self._perturbed)
 
     def replace_perturbed_instances(self) -> None:
         """Replace the perturbed instances after a fatal error."""

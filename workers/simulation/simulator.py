@@ -197,6 +197,9 @@ class Simulator:
         )  # fmt: skip
         if isinstance(kinds, str):
             return None, kinds
+        for instance in (self.instance, *self._sensitivity_source.perturbed_instances):
+            if instance.is_new and not self._integrator.starts(instance, bound, point):
+                return None, "an instance could not be started"
         sensitivity_pass = self._sensitivity_source.prepare_pass(
             bound, point, kinds, self.instance.component.handle
         )

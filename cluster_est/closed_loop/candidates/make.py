@@ -147,17 +147,17 @@ def _sites(
     measured = {output.variable for e in train for output in e.outputs}
     estimated = {p.target for p in problem.parameters if not p.fixed}
     moving = set(description.states) - kinematic_states(trajectories, thresholds.kinematic)
-    for site in open_sites(description, interface):
+    for site in open_sites(description, interface, measured):
         wanted = {
             "derivative": moving,
             "input": driven,
             "parameter": estimated - set(description.states),
+            "output": set(),
         }
-        if site.kind != "output" and site.target in wanted[site.kind]:
+        if site.target in wanted[site.kind]:
             yield site
     for name in sorted(measured):
-        if description.variables[name].causality == "output":  # no local variable that is measured
-            yield EffectSite("output", name)
+        yield EffectSite("output", name)
     for site in open_pairs(description, interface):
         if set(site.targets) <= moving:
             yield site

@@ -26,7 +26,7 @@ def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
     thresholds = workbench.settings.thresholds.verdict
     lack, excess = _lack(workbench, found)
     if not found.current.added:
-        return _nothing_added(found, lack, workbench.settings)
+        return _nothing_added(found, lack, excess, workbench.settings)
     training, predicted = _closed(workbench, found)
     closed = min(training, predicted)
     tables = any(c.form.free for c in found.current.added)
@@ -56,9 +56,24 @@ def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
     )
 
 
-def _nothing_added(found: SelectionResult, lack: bool, settings: LoopSettings) -> ReasonedVerdict:
+def _nothing_added(
+    found: SelectionResult, lack: bool, excess: float, settings: LoopSettings
+) -> ReasonedVerdict:
     why = found.last.why
     screening = found.last.screening
+    if why == RejectionReason.NO_CANDIDATE:
+        nowhere = (
+            "no effect could be tried: no measured output, no input that the data drive, no "
+            "estimated parameter that may change and no state derivative is open to the forms and "
+            "sites of closed_loop"
+        )
+        if not lack:
+            return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {nowhere}")
+        return ReasonedVerdict(
+            Verdict.UNEXPLAINED,
+            f"something is missing (residual {np.sqrt(1 + excess):.2f} times the noise), but "
+            f"{nowhere}",
+        )
     if why == RejectionReason.NOT_SIGNIFICANT:
         if lack and screening.omnibus_white.p > settings.significance:
             return ReasonedVerdict(

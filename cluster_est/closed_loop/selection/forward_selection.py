@@ -93,17 +93,25 @@ def forward_selection(
     )
 
 
+def _reason_to_stop(workbench: LoopWorkbench, begun: _RoundStart) -> RejectionReason | None:
+    """Return why nothing need be refitted; None if something may be missing."""
+    settings, screening = workbench.settings, begun.screening
+    if not screening.trials:
+        return RejectionReason.NO_CANDIDATE
+    if screening.p > settings.significance:
+        return RejectionReason.NOT_SIGNIFICANT
+    if screening.p_white > settings.significance:
+        return RejectionReason.COLOURED_NOISE
+    if len(begun.model.added) >= settings.max_effects:
+        return RejectionReason.LIMIT_OF_EFFECTS
+    return None
+
+
 def _round(workbench: LoopWorkbench, begun: _RoundStart) -> _RoundEnd:
     """Try to add something to a model."""
     settings, screening = workbench.settings, begun.screening
     known = len(begun.model.added)
-    stop = None
-    if screening.p > settings.significance:
-        stop = RejectionReason.NOT_SIGNIFICANT
-    elif screening.p_white > settings.significance:
-        stop = RejectionReason.COLOURED_NOISE
-    elif known >= settings.max_effects:
-        stop = RejectionReason.LIMIT_OF_EFFECTS
+    stop = _reason_to_stop(workbench, begun)
     if stop is not None:
         return _RoundEnd(SelectionRound(screening, (), stop))
     contenders = refit(workbench, begun.model, screening, begun.floor)

@@ -18,6 +18,7 @@ from cluster_est.closed_loop.workbench import FittedModel
 class RejectionReason(enum.StrEnum):
     """The reason why a round added nothing; its text is what the summary says."""
 
+    NO_CANDIDATE = "no effect could be tried"
     NOT_SIGNIFICANT = "nothing significant"
     COLOURED_NOISE = "coloured noise"
     LIMIT_OF_EFFECTS = "limit of effects"

@@ -105,6 +105,8 @@ bool model_step_completed(Model *m);
 double model_partial(Model *m, unsigned unknown, unsigned known);
 /* The nominal value of a state (its place among the states). */
 double model_nominal(Model *m, size_t state);
+/* Says whether event indicators are returned as they are, without being computed. */
+bool model_is_lazy(void);
 /* Refuses an instance by returning ERROR. */
 int model_accept(Model *m);
 /* Called when initialisation ends. */

@@ -286,7 +286,7 @@ int core_get_nominals(Model *m, const char *function, double x[], size_t n)
 int core_get_indicators(Model *m, const char *function, double z[], size_t n)
 {
     if (require(m, RUNNING & ~(unsigned)STEPPING, function) != OK ||
-        check_size(m, n, N_INDICATORS, function) != OK || refresh(m) != OK)
+        check_size(m, n, N_INDICATORS, function) != OK || (!model_is_lazy() && refresh(m) != OK))
         return ERROR;
     size_t count;
     for (size_t i = 0; i < n; i++)

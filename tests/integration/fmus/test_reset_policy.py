@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import json
 import math
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -15,6 +18,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from cluster_est.cli import main
+from cluster_est.cli.crash_observer import SENTENCE
+from cluster_est.executors import processes
 from cluster_est.running import reset_policy as renewal
 from workers.messages import Outcome, Status, Task
 
@@ -158,7 +163,7 @@ class HourLong:
 def test_it_is_tried_however_long_it_takes() -> None:
     worker = HourLong()
     question = renewal.RepeatabilityTest((Task(0, 0, np.zeros(1)), Task(1, 0, np.zeros(1))))
-    assert question.ask(worker) is False  # type: ignore[arg-type]
+    assert question.ask(worker).same is False  # type: ignore[arg-type]
     assert worker.asked == 2
 
 
@@ -172,4 +177,47 @@ def test_a_simulation_without_an_answer_says_nothing_of_a_reset(status: Status) 
             return [Outcome(task.id, status, message="it ended") for task in tasks]
 
     question = renewal.RepeatabilityTest((Task(0, 0, np.zeros(1)), Task(1, 0, np.zeros(1))))
-    assert question.ask(Dies()) is None  # type: ignore[arg-type]
+    assert question.ask(Dies()).same is None  # type: ignore[arg-type]
+
+
+@BOTH
+@pytest.mark.parametrize("executor", ["local", "processes"])
+def test_a_reset_that_crashes_is_found_out_in_another_process(
+    fitted: Fit, tmp_path: Path, fmi: int, executor: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fitted("reset_crashes", fmi, f"executor.name={executor}") == 0
+
+    assert chosen(tmp_path) == "instance"
+    said = capsys.readouterr().err
+    assert "crashes in a simulation after a reset" in said
+    assert "each simulation begins with a new instance" in said
+    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+
+
+def test_an_fmu_that_crashes_at_once_does_not_take_the_fit_along(
+    fitted: Fit, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fitted("crashes_at_start", 2) == 2
+    said = capsys.readouterr().err
+    assert "crashes_at_start_fmi2.fmu must survive its first simulation" in said
+    assert '(SIGSEGV)); choose "processes" or "ray"' in said
+
+
+def test_an_fmu_that_has_survived_is_not_tried_apart_again(
+    fitted: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert fitted("dahlquist", 2, "--overwrite") in (0, 1)
+    monkeypatch.setattr(
+        processes.ProcessExecutor, "open", lambda *_: pytest.fail("it is tried apart again")
+    )
+    assert fitted("dahlquist", 2, "--overwrite") in (0, 1)
+
+
+def test_a_process_that_dies_leaves_a_sentence(fitted: Fit, tmp_path: Path) -> None:
+    """One insists on the reset that crashes, in the process of the command."""
+    fitted("reset_crashes", 2)
+    command = [sys.executable, "-c", "from cluster_est.cli import run; run()", "fit"]
+    command += [str(tmp_path / "config.toml"), "--out", str(tmp_path / "dies"), "model.reset=reset"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == -signal.SIGSEGV
+    assert ended.stderr.strip().splitlines()[-1] == SENTENCE

@@ -7,9 +7,9 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from fmu_trials.curve import compare_curves, trial
 from scipy.integrate import solve_ivp
 from support.third_party import third_party_fmus
-from try_fmus import attempt, trial
 
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe
@@ -62,7 +62,7 @@ def test_every_interface_agrees_with_fmpy_also_after_a_reset(fmus: Path, name: s
     expected = ("co_simulation",) if name == "FMU3Model" else INTERFACES
     assert description.interfaces == expected
     for interface in expected:
-        assert attempt(trial(file, description, interface, 101), 60.0).startswith("agrees: ")
+        assert compare_curves(trial(file, description, interface, 101), 60.0).startswith("agrees: ")
 
 
 @pytest.mark.parametrize("interface", INTERFACES)

@@ -106,6 +106,24 @@ def get_values(c, access, row, buffer):  # type: ignore[no-untyped-def]
     return status
 
 
+@inlined
+def get_first(c, access, buffer):  # type: ignore[no-untyped-def]
+    """Get the first variable of a row into `buffer`. Returns the status."""
+    if len(access.reals) > 0:
+        return get_reals(c, access.reals[:1], buffer)
+    if len(access.elements) > 0:
+        return _get_first_element(
+            2 if is_fmi_2(c) else 3, c.handle, c.accessors, access.elements, buffer
+        )
+    return 0
+
+
+@kernel
+def _get_first_element(version, handle, accessors, elements, buffer):  # type: ignore[no-untyped-def]
+    function = accessors[0, elements[0, CODE]]
+    return _call(version, handle, function, elements, 0, elements[0, SIZE], buffer)
+
+
 @kernel
 def _set_elements(version, handle, accessors, elements, row, buffer):  # type: ignore[no-untyped-def]
     status, first = 0, 0

@@ -25,7 +25,7 @@ from workers.kernels.fmi.functions import (
     update_discrete_states,
 )
 from workers.kernels.fmi.hooks import interpolate_inputs, modify_inputs
-from workers.kernels.fmi.values import DISCARD, set_values
+from workers.kernels.fmi.values import DISCARD, get_first, set_values
 from workers.kernels.model_exchange.evaluation import set_time_inputs_and_states
 
 MAX_EVENT_ITERATIONS = 100
@@ -112,14 +112,28 @@ def handle_event(  # type: ignore[no-untyped-def]
             set_time_inputs_and_states(c, references, hooks, grid, i, time, work.states, work),
         )
     if status < DISCARD:
-        status = max(status, store_event_indicators(c, work))
+        status = max(status, store_event_indicators(c, references, work))
     return FINISHED if status < DISCARD else failed(EVENT, status)
 
 
 @inlined
-def store_event_indicators(c, work):  # type: ignore[no-untyped-def]
+def store_event_indicators(c, references, work):  # type: ignore[no-untyped-def]
     """Store the present event indicators."""
-    return get_event_indicators(c, work.indicators[0]) if c.n_indicators > 0 else 0
+    return _indicators_now(c, references, work, 0) if c.n_indicators > 0 else 0
+
+
+@inlined
+def _indicators_now(c, references, work, row):  # type: ignore[no-untyped-def]
+    """Get the event indicators of what the FMU is set to, into a row of `work.indicators`.
+
+    Some FMUs compute nothing while they are set, nor when they are asked for indicators, which are
+    then those of an earlier time (some of OpenModelica's without states). All do when a variable is
+    got, so an output is got first.
+    """
+    status = get_first(c, references.outputs, work.buffer)
+    return (
+        max(status, get_event_indicators(c, work.indicators[row])) if status < DISCARD else status
+    )
 
 
 @inlined
@@ -149,7 +163,7 @@ def find_event(  # type: ignore[no-untyped-def]
         Which part of the step is left of the event: at most 1 if there is one, else 2. If there is
         one, `work.trial` is the state just after it, which the FMU is set to.
     """
-    status = get_event_indicators(c, work.indicators[2])
+    status = _indicators_now(c, references, work, 2)
     if status >= DISCARD or not _sign_changed(work):
         if status < DISCARD:
             for j in range(len(work.indicators[0])):
@@ -226,4 +240,4 @@ def dense_output(_time, step, part, coefficients, work):  # type: ignore[no-unty
 def _evaluate_indicators(c, references, hooks, grid, i, time, work):  # type: ignore[no-untyped-def]
     """Set the states in `work.trial` and get the event indicators. Returns the worst status."""
     status = set_time_inputs_and_states(c, references, hooks, grid, i, time, work.trial, work)
-    return max(status, get_event_indicators(c, work.indicators[2])) if status < DISCARD else status
+    return max(status, _indicators_now(c, references, work, 2)) if status < DISCARD else status

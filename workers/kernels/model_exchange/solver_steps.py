@@ -37,7 +37,7 @@ def start_simulation(c, references, starts, settings, hooks, grid, point, work):
         status = max(status, get_continuous_states(c, work.states))
     start_effect_states(hooks, grid.times[0], work)
     if status < DISCARD:
-        status = max(status, store_event_indicators(c, work))
+        status = max(status, store_event_indicators(c, references, work))
     return FINISHED if status < DISCARD else failed(INITIALISATION, status)
 
 

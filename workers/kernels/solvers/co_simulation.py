@@ -96,7 +96,7 @@ def _step_through_grid(c, references, settings, grid, work, outputs):  # type: i
             return failed(OUTPUT, status), times[i]
         if i + 1 == len(times):
             break
-        steps = n_steps(times[i + 1] - times[i], settings.step, steps_left)
+        steps = n_steps(grid.intervals[i], settings.step, steps_left)
         if steps > steps_left:
             return TOO_MANY_STEPS, times[i]
         steps_left -= steps
@@ -120,7 +120,7 @@ def _step_through_grid_with_effects(c, references, settings, hooks, grid, work, 
             return failed(OUTPUT, status), times[i]
         if i + 1 == len(times):
             break
-        steps = n_steps(times[i + 1] - times[i], settings.step, steps_left)
+        steps = n_steps(grid.intervals[i], settings.step, steps_left)
         if steps > steps_left:
             return TOO_MANY_STEPS, times[i]
         steps_left -= steps
@@ -147,7 +147,7 @@ def _advance_to_next_time(c, references, settings, grid, i, steps, work):  # typ
     An FMU that interpolates its inputs is told their slopes. Any other holds each at what it is at
     the start of a step: where that is too coarse, `Solver.step` shortens the steps.
     """
-    step = settings.fixed or (grid.times[i + 1] - grid.times[i]) / steps
+    step = settings.fixed or grid.intervals[i] / steps
     status = 0
     for s in range(steps):
         if has_terminated(c, work.info):
@@ -172,7 +172,7 @@ def _advance_to_next_time(c, references, settings, grid, i, steps, work):  # typ
 @kernel
 def _advance_to_next_time_with_effects(c, references, settings, hooks, grid, i, steps, work):  # type: ignore[no-untyped-def]
     """Do the same where effects change inputs or parameters, which are linear within a step."""
-    step = settings.fixed or (grid.times[i + 1] - grid.times[i]) / steps
+    step = settings.fixed or grid.intervals[i] / steps
     status = 0
     for s in range(steps):
         time = grid.times[i] + s * step

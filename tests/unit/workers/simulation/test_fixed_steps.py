@@ -12,7 +12,7 @@ from workers.errors import ModelError
 from workers.fmu.description import describe
 from workers.messages import Experiment, Input, Model, Output, Solver
 from workers.simulation.bind_experiment import bind_experiment
-from workers.simulation.fixed_step import communication_notes
+from workers.simulation.fixed_step import communication_notes, step_lengths
 
 DESCRIPTION = replace(
     describe(FMU.name, FMU.read_bytes()), variable_steps=False, fixed_internal_step=None
@@ -123,3 +123,29 @@ def test_a_user_is_told_which_experiments_are_interpolated():
     assert "every 0.1 s; experiment 'e' has times between them" in said
     (said,) = communication_notes(model(0.1), SILENT, [runs[0], replace(runs[0], id="f")])
     assert "2 experiments have times between them" in said
+
+
+@pytest.mark.parametrize("start", [0.0, 100.0, 1e4])
+@pytest.mark.parametrize("step", [0.05, 0.001, 1.0 / 3.0, 0.02])
+@pytest.mark.parametrize("own_step", [None, 0.01])
+def test_equal_steps_have_equal_lengths(start: float, step: float, own_step: float | None) -> None:
+    times = start + step * np.arange(1000)
+    lengths = step_lengths(times, own_step)
+    uneven = np.unique(np.diff(times))
+    assert step != 0.05 or len(uneven) > 1
+    np.testing.assert_allclose(lengths[:-1], np.diff(times), rtol=0, atol=1e-15 * times[-1])
+    if step != 1.0 / 3.0:
+        assert set(lengths[:-1]) == {step}
+    assert lengths[-1] == 0.0
+
+
+def test_times_that_are_uneven_stay_so() -> None:
+    times = np.cumsum(np.random.default_rng(3).uniform(0.01, 0.02, 50))
+    np.testing.assert_allclose(step_lengths(times, None)[:-1], np.diff(times), rtol=0, atol=1e-15)
+
+
+def test_a_multiple_of_the_own_step_is_taken() -> None:
+    assert step_lengths(np.array([0.3, 0.4]), 0.1).tolist() == [0.1, 0.0]
+    own = 1.0 / 128.0 + 2.0**-60
+    times = np.array([3.0, 3.0 + 5 * own])
+    assert step_lengths(times, own)[0] == 5 * own
