@@ -22,6 +22,7 @@ from workers.fmu.description import ModelDescription
 from workers.fmu.functions import FunctionTable
 from workers.fmu.logger import CALLBACKS, log_message_3, open_log
 from workers.fmu.platforms import binary_path
+from workers.fmu.signal_handlers import kept_signal_handlers
 from workers.kernels.fmi.component import FmiComponent
 from workers.messages import Model
 
@@ -154,7 +155,7 @@ class FmuInstance:
             name = f"{identifier}-{_instance_count}"
         open_log(name, self.log, shown=self._model.logging_on)
         try:
-            with _load_lock, _unchanged_working_folder():
+            with _load_lock, _unchanged_working_folder(), kept_signal_handlers():
                 fmu = model_class(
                     guid=self._description.guid,
                     modelIdentifier=identifier,

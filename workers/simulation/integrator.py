@@ -10,6 +10,7 @@ import numpy as np
 from workers.errors import ModelError
 from workers.fmu.description import ModelDescription
 from workers.fmu.instance import FmuInstance
+from workers.fmu.signal_handlers import kept_signal_handlers
 from workers.kernels import linearise
 from workers.kernels.fmi import failure
 from workers.kernels.fmi.arguments import KernelArguments
@@ -272,9 +273,9 @@ class FmuIntegrator:
             run.result.codes[first] = failure.INITIALISATION
             run.result.messages[first] = str(error)
             return first + 1
-        following = first + self._simulate(
-            run, component, slice(first, first + 1 if alone else None)
-        )
+        points = slice(first, first + 1 if alone else None)
+        with kept_signal_handlers():
+            following = first + self._simulate(run, component, points)
         last = following - 1
         code = int(run.result.codes[last])
         if code == failure.FINISHED:

@@ -20,6 +20,7 @@ OPTIONAL double model_partial(Model *m, unsigned unknown, unsigned known)
     return 0.0;
 }
 OPTIONAL bool model_is_lazy(void) { return false; }
+OPTIONAL double model_step_unit(void) { return 0.0; }
 OPTIONAL int model_accept(Model *m) { (void)m; return OK; }
 OPTIONAL void model_start(Model *m) { (void)m; }
 OPTIONAL void model_reset(Model *m, const Values *before) { (void)m, (void)before; }

@@ -107,6 +107,8 @@ double model_partial(Model *m, unsigned unknown, unsigned known);
 double model_nominal(Model *m, size_t state);
 /* Says whether event indicators are returned as they are, without being computed. */
 bool model_is_lazy(void);
+/* The number of which communication steps must be exact multiples; 0 for any step. */
+double model_step_unit(void);
 /* Refuses an instance by returning ERROR. */
 int model_accept(Model *m);
 /* Called when initialisation ends. */

@@ -99,6 +99,10 @@ static int check_step(const Model *m, const char *function, double point, double
         return error(m, "%s: the step size must be positive, is %g", function, step);
     if (FIXED_STEP > 0.0 && fabs(step - FIXED_STEP) > 1e-9 * FIXED_STEP)
         return error(m, "%s: the step size must be %g, is %g", function, FIXED_STEP, step);
+    const double unit = model_step_unit();
+    if (unit > 0.0 && step != unit * round(step / unit))
+        return error(m, "%s: the step size must be a multiple of %g, is %.17g", function, unit,
+                     step);
     if (!(fabs(point - M(time)) <= 1e-8 * (1.0 + fabs(M(time)))))
         return error(m, "%s: the step begins at %g, the model is at %g", function, point, M(time));
     if (earlier(m->state.stop, point + step))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -316,6 +317,21 @@ def test_co_simulation_closes_the_sites_at_derivatives():
         define(Effect("e", "der(v)", "coulomb"), description, "co_simulation")
     with pytest.raises(EffectError, match=r"pair x,v is closed.*keeps its states"):
         define(Effect("e", "pair x,v", "gap"), description, "co_simulation")
+
+
+@pytest.mark.parametrize("solver", [EXACT, CO_SIMULATION], ids=["exact", "co_simulation"])
+def test_a_sensor_at_a_variable_that_is_no_output(solver):
+    """The state x is what the output y shows."""
+    output = Output("x", TIMES, np.zeros(len(TIMES)))
+    run = replace(experiment(), outputs=(output,))
+    effect = Effect("sensor", "output x", "gain")
+    evaluator = Evaluator(model(solver), (run,), "w")
+    values = np.array([M, K, C, 0.25])
+    (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, values, "trajectory", (effect,))]))
+    evaluator.close()
+    assert outcome.ok, outcome.message
+    plain_outputs = simulated((), (), solver)
+    np.testing.assert_allclose(outcome.trajectory.values[:, 0], 1.25 * plain_outputs, rtol=1e-12)
 
 
 def test_an_effect_that_divides_by_zero_ends_its_simulation_with_a_reason():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -78,3 +80,35 @@ def test_a_new_instance_is_not_reset(own_fmu: Give, fmi: int, name: str, interfa
     for outcome, rate in zip(outcomes, rates, strict=True):
         truth = [math.exp(-rate * t) for t in TIMES]
         np.testing.assert_allclose(found(outcome), truth, rtol=1e-5)
+
+
+@VERSIONS
+def test_communication_steps_are_exact_multiples(own_fmu: Give, fmi: int) -> None:
+    """From 100 s on, differences of times are 0.04999999999999716 and the like."""
+    fmu = own_fmu("needs_multiples", fmi)
+    times = 100.0 + 0.05 * np.arange(40)
+    assert len(np.unique(np.diff(times))) > 1
+    for step in (None, 0.01):
+        model = Model(fmu.name, fmu.read_bytes(), "co_simulation", Solver("fmu", step), ("k",))
+        run = Experiment("e", 100.0, float(times[-1]), (), (Output("y", times, 0.0 * times),))
+        evaluator = Evaluator(model, [run], "w")
+        (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, np.array([0.7]), "residuals")]))
+        evaluator.close()
+        np.testing.assert_allclose(found(outcome), np.exp(-0.7 * (times - 100.0)), rtol=1e-5)
+
+
+@VERSIONS
+def test_signals_stay_with_the_process(own_fmu: Give, fmi: int) -> None:
+    """Otherwise Ctrl-C would do nothing any more."""
+    received: list[int] = []
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        for number in before:
+            signal.signal(number, lambda number, _frame: received.append(number))
+        simulate(own_fmu("takes_signals", fmi), "model_exchange", Solver("rk4", 0.05), (1.0, 2.0))
+        for number in before:
+            os.kill(os.getpid(), number)
+        assert received == [signal.SIGINT, signal.SIGTERM]
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

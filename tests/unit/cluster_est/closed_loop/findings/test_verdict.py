@@ -61,7 +61,7 @@ class Case:
 
 
 CLEAN, LITTLE = RejectionReason.NOT_SIGNIFICANT, RejectionReason.LITTLE_EXPLAINED
-NOISE = RejectionReason.COLOURED_NOISE
+NOISE, NOWHERE = RejectionReason.COLOURED_NOISE, RejectionReason.NO_CANDIDATE
 CASES = {
     "nothing is missing": (
         Case(1.0, 1.0, CLEAN, families=()), Verdict.NONE, "no candidate is significant"),
@@ -84,6 +84,10 @@ CASES = {
         Case(1.01, 1.01, LITTLE, families=()), Verdict.NONE, LITTLE),
     "nothing explains it": (
         Case(4.0, 4.0, LITTLE, STRUCTURED, ()), Verdict.UNEXPLAINED, LITTLE),
+    "there was nowhere to look": (
+        Case(4.0, 4.0, NOWHERE, STRUCTURED, ()), Verdict.UNEXPLAINED, "no effect could be tried"),
+    "there was nowhere to look, and nothing to see": (
+        Case(1.0, 1.0, NOWHERE, families=()), Verdict.NONE, "no effect could be tried"),
     "all is explained": (Case(9.0, 1.0, CLEAN), Verdict.FOUND, "close 100%"),
     "nearly all is explained": (Case(101.0, 1.5, LITTLE, STRUCTURED), Verdict.FOUND, "close 100%"),
     "just less than nearly all": (
