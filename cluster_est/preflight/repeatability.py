@@ -58,7 +58,8 @@ def _not_repeatable(subject: CheckSubject, one: FloatArray, other: FloatArray) -
         'no differences, such as "pattern_search"'
     )
     if len(differing) < len(names):
-        do = f"leave {'it' if len(differing) == 1 else 'them'} out: all other outputs repeat"
+        they = "it counts" if len(differing) == 1 else "they count"
+        do = f"leave out what is not measured (perhaps {they} processor time); else {do}"
     return CheckFinding(CheckVerdict.PROBLEM, "repeatable", said, do)
 
 

@@ -2,7 +2,9 @@
 
 Each runs with its start values, twice in one process, without inputs. All of its numeric outputs
 are recorded, or some local variables if it has none. For co-simulation fmpy takes the same
-communication points, for model exchange its CVODE at a relative tolerance of 1e-8.
+communication points, for model exchange its CVODE; the relative tolerance is 1e-8. Where the two
+differ in co-simulation, a plain loop over fmpy's calls decides, which makes the very same steps:
+fmpy's own loop adds the steps up, and an event that falls upon one is then before it or after it.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
 from workers.messages import Experiment, Interface, Limits, Model, Outcome, Output, Solver, Task
 from workers.process.supervisor import SupervisedEvaluator
+from workers.simulation.fixed_step import step_lengths
 from workers.wire import TaskBatch
 
 Array = NDArray[np.float64]
@@ -80,18 +83,30 @@ def compare_curves(given: Trial, seconds: float) -> str:
     reference = referred(given, seconds)
     if isinstance(reference, str):
         return f"alone: fmpy says: {reference}"
+    text = _difference(given, first, reference)
+    if text.startswith("differs") and given.interface == "co_simulation":
+        plain = stepped(given, seconds)
+        if not isinstance(plain, str):
+            text = f"{_difference(given, first, plain)} from a plain loop"
+    if text.startswith("differs"):
+        return text
+    if isinstance(second, str):
+        return f"no reset: {text}; after a reset: {second}"
+    if first.tobytes() != second.tobytes():
+        far = np.abs(first - second).max()
+        return f"no reset: {text}; after a reset it is {far:.1e} away"
+    return text
+
+
+def _difference(given: Trial, found: Array, reference: Array) -> str:
     scales = np.maximum(np.abs(reference).max(axis=0), 1e-12)
-    difference = np.abs(first - reference) / scales
+    difference = np.abs(found - reference) / scales
     far = (~(difference <= CLOSE[given.interface])).any(axis=1)
     text = f"largest difference {np.nanmax(difference):.1e} in {len(given.outputs)} outputs"
-    if far.any():
-        worst = given.outputs[int(np.nanargmax(difference.max(axis=0)))]
-        return f"differs at {far.sum()} of {len(far)} times, most in {worst!r}; {text}"
-    if isinstance(second, str):
-        return f"differs after reset: {second}"
-    if first.tobytes() != second.tobytes():
-        return f"differs after reset by {np.abs(first - second).max():.1e}; {text}"
-    return f"agrees: {text}"
+    if not far.any():
+        return f"agrees: {text}"
+    worst = given.outputs[int(np.nanargmax(difference.max(axis=0)))]
+    return f"differs at {far.sum()} of {len(far)} times, most in {worst!r}; {text}"
 
 
 def simulated(given: Trial, seconds: float) -> tuple[Array | str, Array | str]:
@@ -102,7 +117,7 @@ def simulated(given: Trial, seconds: float) -> tuple[Array | str, Array | str]:
     run = Experiment("e", given.times[0], given.times[-1], (), outputs)
     found: list[Array | str] = []
     for name in ("dormand_prince", "cvode") if exchange else ("fmu",):
-        solver = Solver(name, rtol=TOLERANCE, atol=TOLERANCE) if exchange else Solver("fmu")
+        solver = Solver(name, rtol=TOLERANCE, atol=TOLERANCE if exchange else None)
         model = Model(given.file.name, given.file.read_bytes(), given.interface, solver, ())
         try:
             guard = SupervisedEvaluator(model, (run,), "w", Limits(seconds))
@@ -133,12 +148,29 @@ def referred(given: Trial, seconds: float, values: dict[str, float] | None = Non
         "start_time": given.times[0],
         "stop_time": given.times[-1],
         "output_interval": float(given.times[1] - given.times[0]) if exchange else given.step,
-        "relative_tolerance": TOLERANCE if exchange else None,
+        "relative_tolerance": TOLERANCE,
         "start_values": values or {},
         "output": list(dict.fromkeys(_whole(variables[name]) for name in given.outputs)),
     }
     columns = [(_whole(variables[name]), variables[name].element) for name in given.outputs]
-    command = [sys.executable, "-c", REFERENCE, json.dumps([asked, columns])]
+    table = _answer(REFERENCE, [asked, columns], seconds)
+    return table if isinstance(table, str) else on_times(table, given)
+
+
+def stepped(given: Trial, seconds: float) -> Array | str:
+    """(times, outputs) of a plain loop over fmpy's calls; only for scalars of FMI 2.0."""
+    variables = [given.description.variables[name] for name in given.outputs]
+    if given.description.version != "2.0":
+        return "of FMI 3.0"
+    lengths = step_lengths(given.times, given.description.default_step)
+    outputs = [(v.reference, v.kind) for v in variables]
+    asked = [str(given.file), given.times.tolist(), lengths.tolist(), outputs, TOLERANCE]
+    return _answer(PLAIN_LOOP, asked, seconds)
+
+
+def _answer(program: str, asked: object, seconds: float) -> Array | str:
+    """Return the table that a program prints, or what it says."""
+    command = [sys.executable, "-c", program, json.dumps(asked)]
     try:
         ended = subprocess.run(command, capture_output=True, timeout=2.0 * seconds, check=False)
     except subprocess.TimeoutExpired:
@@ -148,7 +180,7 @@ def referred(given: Trial, seconds: float, values: dict[str, float] | None = Non
     if ended.returncode != 0 or not answers:
         said = ended.stderr.decode(errors="replace").strip().splitlines()
         return said[-1] if said else f"exit code {ended.returncode}"
-    return on_times(np.array(json.loads(answers[-1])), given)
+    return np.array(json.loads(answers[-1]))
 
 
 def _whole(variable: ModelVariable) -> str:
@@ -182,4 +214,25 @@ found = simulate_fmu(**asked, validate=False, record_events=False, timeout=1e9)
 columns = [np.asarray(found[name], np.float64).reshape(len(found), -1)[:, element]
            for name, element in [("time", 0), *columns]]
 print("\\n" + json.dumps(np.column_stack(columns).tolist()))
+"""
+
+PLAIN_LOOP = """
+import json, sys
+from fmpy import extract, read_model_description
+from fmpy.fmi2 import FMU2Slave
+file, times, lengths, outputs, tolerance = json.loads(sys.argv[1])
+description = read_model_description(file, validate=False)
+fmu = FMU2Slave(guid=description.guid, modelIdentifier=description.coSimulation.modelIdentifier,
+                unzipDirectory=extract(file), instanceName="plain")
+fmu.instantiate()
+fmu.setupExperiment(tolerance=tolerance, startTime=times[0])
+fmu.enterInitializationMode()
+fmu.exitInitializationMode()
+get = {"real": fmu.getReal, "integer": fmu.getInteger, "boolean": fmu.getBoolean}
+rows = []
+for time, length in zip(times, lengths):
+    rows.append([float(get[kind]([reference])[0]) for reference, kind in outputs])
+    if length > 0.0:
+        fmu.doStep(time, length)
+print("\\n" + json.dumps(rows))
 """
