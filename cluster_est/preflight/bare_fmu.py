@@ -47,8 +47,9 @@ def _parameters(description: ModelDescription) -> list[ModelVariable]:
         for v in description.variables.values()
         if v.causality == "parameter" and v.kind == "real" and v.settable and v.start is not None
     ]
+    constants = {v.name for v in description.variables.values() if v.variability == "constant"}
     own = [v for v in found if v.alias_of is None and not v.is_tool_setting]
-    return own[:MOST_PARAMETERS]
+    return [v for v in own if constants.isdisjoint(v.aliases)][:MOST_PARAMETERS]
 
 
 def _parameter(variable: ModelVariable) -> Parameter:
@@ -56,12 +57,13 @@ def _parameter(variable: ModelVariable) -> Parameter:
 
 
 def _experiment(description: ModelDescription) -> Experiment:
-    names = [*description.outputs, *description.states]
-    numbers = [n for n in dict.fromkeys(names) if _is_number(description.variables[n])]
+    names = dict.fromkeys([*description.outputs, *description.states])
+    numbers = [n for n in names if description.variables[n].is_computed]
+    numbers = numbers or _moving(description)
     if not numbers:
         raise ModelError(
-            f"{description.file}: must have an output or a state that is a number, to be looked "
-            "at, but has none; name what is measured in a config"
+            f"{description.file}: must have an output, a state or another variable that is a "
+            "number and moves, to be looked at, but has none; name what is measured in a config"
         )
     start = description.default_start or 0.0
     stop = description.default_stop
@@ -77,5 +79,8 @@ def _experiment(description: ModelDescription) -> Experiment:
     return Experiment("default", start, stop, (), outputs)
 
 
-def _is_number(variable: ModelVariable) -> bool:
-    return variable.kind in ("real", "integer", "boolean")
+def _moving(description: ModelDescription) -> list[str]:
+    """Return what an FMU computes without calling it an output, and that may change."""
+    moves = ("continuous", "discrete")
+    own = [v for v in description.variables.values() if v.alias_of is None and v.is_computed]
+    return [v.name for v in own if v.variability in moves and not v.is_tool_setting]

@@ -10,7 +10,6 @@ from itertools import combinations
 from workers.effects.kinds import SiteKind
 from workers.errors import EffectError
 from workers.fmu.description import ModelDescription, nearest
-from workers.fmu.variable import ModelVariable
 from workers.messages import Interface
 
 _PATTERNS: dict[SiteKind, str] = {
@@ -90,16 +89,10 @@ def open_sites(
     sites += [
         EffectSite("output", v.name)
         for v in variables
-        if v.causality == "output" or (v.name in measured and is_computed(v))
+        if v.causality == "output" or (v.name in measured and v.is_computed)
     ]
     sites += [EffectSite("parameter", v.name) for v in variables if v.tunable]
     return sites
-
-
-def is_computed(variable: ModelVariable) -> bool:
-    """Return whether an FMU computes a number for a variable while it runs."""
-    known = variable.causality in ("parameter", "structuralParameter", "input", "independent")
-    return variable.kind in ("real", "integer", "boolean") and not known
 
 
 def open_pairs(description: ModelDescription, interface: Interface) -> list[EffectSite]:

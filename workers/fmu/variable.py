@@ -85,6 +85,12 @@ class ModelVariable:
     description: str = ""
 
     @property
+    def is_computed(self) -> bool:
+        """True for a number that the FMU computes while it runs."""
+        given = self.causality in ("parameter", "structuralParameter", "input", "independent")
+        return self.kind in ("real", "integer", "boolean") and not given
+
+    @property
     def is_tool_setting(self) -> bool:
         """True for an option of the tool that exported the FMU: _nle_tolerance, $solver.step."""
         return any(part.startswith(("_", "$")) for part in self.name.split("."))
