@@ -107,7 +107,9 @@ def _tables(layout: WrapperLayout) -> dict[str, object]:
         "NOMINALS": _list(map(_number, nominals)),
         "INPUT_MEMORIES": _list(_memory(layout, i) for i in layout.memories),
         "OUTPUT_EFFECTS": _list(_output(layout, i) for i in layout.outputs),
-        "SPECIALS": _list(f"{{{s.reference}, {s.kind}, {s.index}}}" for s in layout.answered),
+        "SPECIALS": _list(
+            f"{{{s.reference}, {s.kind}, {s.index}, {s.start}}}" for s in layout.answered
+        ),
     }
 
 

@@ -42,11 +42,15 @@ class AddedVariable:
 
 @dataclass(frozen=True)
 class AnsweredReference:
-    """A reference of a real variable that the wrapper answers for."""
+    """A reference of a real variable that the wrapper answers for.
+
+    `start` is the index of its start value among those of the run; -1 if it has none there.
+    """
 
     reference: int
     kind: Kind
     index: int
+    start: int = -1
 
 
 @dataclass(frozen=True)
@@ -275,10 +279,15 @@ def _answered(layout: WrapperLayout) -> tuple[tuple[AnsweredReference, ...], tup
     for i, name in enumerate(layout.equations.parameters):
         add(layout.reference(name), "BASE", i)
     for i, start in enumerate(layout.starts):
-        add(layout.reference(start.name), "START", i)
-    for i in layout.outputs:
+        reference = layout.reference(start.name)
+        found.setdefault(reference, AnsweredReference(reference, "START", i, i))
+    for i in layout.outputs:  # which may be a state whose start value is known
         target = layout.effect(i).site.target
-        add(layout.reference(target), "OUTPUT", layout.row.index(target))
+        reference, row = layout.reference(target), layout.row.index(target)
+        start = found[reference].start if reference in found else -1
+        if start >= 0:
+            del found[reference]
+        found.setdefault(reference, AnsweredReference(reference, "OUTPUT", row, start))
     rate_targets = [t for i in layout.inner if layout.effect(i).site.at_rates
              for t in layout.effect(i).site.targets]  # fmt: skip
     for variable in description.variables.values():

@@ -55,6 +55,7 @@ def build(name: str, fmi: int, out: Path) -> Path:
         "modelDescription.xml": model_description(model),
         f"binaries/{platform}/{name}{suffix}": compile_model(model),
     }
+    files |= {f"{folder}/": b"" for folder in model.spec.get("folders", [])}
     path = out / f"{name}_fmi{fmi}.fmu"
     write_archive(path, files)
     return path

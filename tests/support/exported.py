@@ -62,7 +62,10 @@ def unpacked(repair: RepairedModel, folder: Path) -> Path:
     for name, content in archive_files(lay_out(repair), COMPILER).items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+        if name.endswith("/"):
+            path.mkdir(exist_ok=True)
+        else:
+            path.write_bytes(content)
     return folder
 
 

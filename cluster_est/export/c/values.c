@@ -11,6 +11,7 @@ typedef struct {
     fmi2ValueReference reference;
     Kind kind;
     int index;
+    int start; /* index among the start values, or -1 */
 } Special;
 
 /* In the order of their references. */
@@ -23,7 +24,7 @@ static int compare(const void *one, const void *other) {
 }
 
 static const Special *find(fmi2ValueReference reference) {
-    Special wanted = {reference, INPUT, 0};
+    Special wanted = {reference, INPUT, 0, -1};
     return bsearch(&wanted, specials, N_SPECIALS, sizeof *specials, compare);
 }
 #endif
@@ -96,9 +97,10 @@ static fmi2Status set_special(Instance *c, const Special *special, double value)
             c->now.dirty = 1;
             if (c->now.phase == RUNNING) return fmi2OK;
             return c->original.SetReal(c->original.handle, &reference, 1, &value);
-        case START: {
+        case START:
+        case OUTPUT: {
             fmi2Status status = open_for_discrete(c);
-            c->now.starts[special->index] = value;
+            if (special->start >= 0) c->now.starts[special->start] = value;
             if (AT_LEAST_DISCARD(status)) return status;
             return c->original.SetReal(c->original.handle, &reference, 1, &value);
         }

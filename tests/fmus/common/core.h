@@ -7,8 +7,8 @@
 /* Each version of the API defines how a message reaches the caller. */
 void log_error(const Model *m, const char *message);
 
-Model *core_new(const char *name, const char *token, bool co_simulation, const void *callbacks,
-                void *environment);
+Model *core_new(const char *name, const char *token, const char *resources, bool co_simulation,
+                const void *callbacks, void *environment);
 void core_free(Model *m);
 int core_reset(Model *m);
 

@@ -26,8 +26,8 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid,
                               fmi2String resources, const fmi2CallbackFunctions *callbacks,
                               fmi2Boolean visible, fmi2Boolean logging_on)
 {
-    (void)resources, (void)visible, (void)logging_on;
-    return core_new(name, guid, type == fmi2CoSimulation, callbacks, NULL);
+    (void)visible, (void)logging_on;
+    return core_new(name, guid, resources, type == fmi2CoSimulation, callbacks, NULL);
 }
 
 void fmi2FreeInstance(fmi2Component c) { core_free(c); }

@@ -22,12 +22,13 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n,
     return fmi3OK;
 }
 
-static fmi3Instance instantiate(fmi3String name, fmi3String token, bool co_simulation,
-                                fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
+static fmi3Instance instantiate(fmi3String name, fmi3String token, fmi3String resources,
+                                bool co_simulation, fmi3InstanceEnvironment environment,
+                                fmi3LogMessageCallback log)
 {
     const void *callbacks;
     memcpy(&callbacks, &log, sizeof callbacks);
-    return core_new(name, token, co_simulation, callbacks, environment);
+    return core_new(name, token, resources, co_simulation, callbacks, environment);
 }
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
@@ -35,8 +36,8 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi
                                           fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback log)
 {
-    (void)resources, (void)visible, (void)logging_on;
-    return instantiate(name, token, false, environment, log);
+    (void)visible, (void)logging_on;
+    return instantiate(name, token, resources, false, environment, log);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(
@@ -46,9 +47,9 @@ fmi3Instance fmi3InstantiateCoSimulation(
     fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
     fmi3IntermediateUpdateCallback intermediate_update)
 {
-    (void)resources, (void)visible, (void)logging_on, (void)early_return_allowed;
+    (void)visible, (void)logging_on, (void)early_return_allowed;
     (void)intermediate, (void)intermediate_update;
-    Model *m = instantiate(name, token, true, environment, log);
+    Model *m = instantiate(name, token, resources, true, environment, log);
     if (m == NULL || (!event_mode_used && n_intermediate == 0))
         return m;
     error(m, "%s: event mode and intermediate variables are not offered", __func__);

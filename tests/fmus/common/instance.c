@@ -21,6 +21,11 @@ OPTIONAL double model_partial(Model *m, unsigned unknown, unsigned known)
 }
 OPTIONAL bool model_is_lazy(void) { return false; }
 OPTIONAL double model_step_unit(void) { return 0.0; }
+OPTIONAL int model_resources(Model *m, const char *location)
+{
+    (void)m, (void)location;
+    return OK;
+}
 OPTIONAL int model_accept(Model *m) { (void)m; return OK; }
 OPTIONAL void model_start(Model *m) { (void)m; }
 OPTIONAL void model_reset(Model *m, const Values *before) { (void)m, (void)before; }
@@ -87,8 +92,8 @@ static void begin(Model *m)
     m->state.stop = INFINITY;
 }
 
-Model *core_new(const char *name, const char *token, bool co_simulation, const void *callbacks,
-                void *environment)
+Model *core_new(const char *name, const char *token, const char *resources, bool co_simulation,
+                const void *callbacks, void *environment)
 {
     Model *m = calloc(1, sizeof *m);
     if (m == NULL)
@@ -100,7 +105,7 @@ Model *core_new(const char *name, const char *token, bool co_simulation, const v
     begin(m);
     if (token == NULL || strcmp(token, MODEL_TOKEN) != 0)
         error(m, "instantiation: the GUID or token differs from " MODEL_TOKEN);
-    else if (model_accept(m) == OK)
+    else if (model_accept(m) == OK && model_resources(m, resources) == OK)
         return m;
     free(m->instance_name);
     free(m);

@@ -109,6 +109,8 @@ double model_nominal(Model *m, size_t state);
 bool model_is_lazy(void);
 /* The number of which communication steps must be exact multiples; 0 for any step. */
 double model_step_unit(void);
+/* Refuses an instance by returning ERROR, for what is at the location of its resources. */
+int model_resources(Model *m, const char *location);
 /* Refuses an instance by returning ERROR. */
 int model_accept(Model *m);
 /* Called when initialisation ends. */

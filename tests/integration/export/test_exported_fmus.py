@@ -195,6 +195,37 @@ def test_other_events_pass_through(own_fmu, tmp_path, name, fmi):
     np.testing.assert_allclose(found, truth, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_empty_folder_of_the_original_goes_along(own_fmu, tmp_path, fmi):
+    archive = own_fmu("needs_resources", fmi)
+    output = Output("y", TIMES, np.zeros(len(TIMES)))
+    measured = Experiment("e", 0.0, float(TIMES[-1]), (), (output,))
+    of = Model(archive.name, archive.read_bytes(), "model_exchange", EXACT, ("k",))
+    drag = Effect("drag", "der(x)", "quadratic")
+    write_fmu(repair_of(of, measured, (0.7,), (drag,), (0.5,)), tmp_path / "decay.fmu")
+    found = simulate_fmu(
+        str(tmp_path / "decay.fmu"), stop_time=float(TIMES[-1]), output_interval=float(TIMES[1]),
+        fmi_type="CoSimulation",
+    )  # fmt: skip
+    truth = simulated(of, measured, (0.7, 0.5), (drag,))[:, 0]
+    np.testing.assert_allclose(found["y"][: len(TIMES)], truth, rtol=1e-6)
+
+
+def test_a_sensor_at_a_state_goes_along(tmp_path):
+    output = Output("x", TIMES, np.zeros(len(TIMES)))
+    measured = replace(experiment(), outputs=(output,))
+    sensor = Effect("slow", "output x", "lag")
+    repair = repair_of(model(), measured, (M, K, C), (sensor,), (0.04,))
+    exported = Exported(unpacked(repair, tmp_path))
+    exported.begin({"F": FORCE[0], "x": START[0]})
+    found = co_simulated(exported, TIMES, {"F": FORCE}, "x")
+    exported.close()
+    truth = simulated(model(), measured, (M, K, C, 0.04), (sensor,))[:, 0]
+    np.testing.assert_allclose(found, truth, atol=1e-6)
+    plain_outputs = simulated(model(), measured, (M, K, C))[:, 0]
+    assert np.abs(truth - plain_outputs).max() > 1e-3
+
+
 def test_a_measured_signal_that_an_effect_needs_becomes_an_input(tmp_path):
     wind = np.cos(3.0 * TIMES)
     measured = replace(experiment(), signals=(Input("wind", TIMES, wind),))
