@@ -278,16 +278,16 @@ def _answered(layout: WrapperLayout) -> tuple[tuple[AnsweredReference, ...], tup
         add(variable.reference, "INPUT", i)
     for i, name in enumerate(layout.equations.parameters):
         add(layout.reference(name), "BASE", i)
-    for i, start in enumerate(layout.starts):
-        reference = layout.reference(start.name)
+    for i, known in enumerate(layout.starts):
+        reference = layout.reference(known.name)
         found.setdefault(reference, AnsweredReference(reference, "START", i, i))
-    for i in layout.outputs:  # which may be a state whose start value is known
+    for i in layout.outputs:
         target = layout.effect(i).site.target
         reference, row = layout.reference(target), layout.row.index(target)
-        start = found[reference].start if reference in found else -1
-        if start >= 0:
-            del found[reference]
-        found.setdefault(reference, AnsweredReference(reference, "OUTPUT", row, start))
+        before = found.get(reference)
+        if before is not None and before.kind == "START":  # a state that a sensor shows
+            found[reference] = replace(before, kind="OUTPUT", index=row)
+        add(reference, "OUTPUT", row)
     rate_targets = [t for i in layout.inner if layout.effect(i).site.at_rates
              for t in layout.effect(i).site.targets]  # fmt: skip
     for variable in description.variables.values():
