@@ -19,6 +19,8 @@ from workers.process.trial import NoAnswer
 FACTOR = 1.37
 """Of every value, to see whether it survives a reset: no round number."""
 MOST_NAMED = 5
+TRIED: tuple[tuple[ResetPolicy, ...], ...] = (("reset", "instance"), ("instance",), ())
+"""What is tried, one after the other, as long as the process crashes."""
 
 
 def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy | None]:
@@ -26,8 +28,13 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy |
 
     Returns also the reset policy for all further checks; None if no policy helps.
     """
-    probe = RepeatProbe(subject.experiment, subject.start)
-    found = subject.ask(probe, 2)
+    crash = ""
+    for policies in TRIED:
+        probe = RepeatProbe(subject.experiment, subject.start, policies)
+        found = subject.ask(probe, 2)
+        if not isinstance(found, NoAnswer) or found.late:
+            break
+        crash = crash or found.message
     if isinstance(found, NoAnswer):
         return [unanswered("repeatable", found)], "reset"
     again = subject.trajectory
@@ -40,7 +47,7 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy |
         return [_not_repeatable(subject, again, found.first)], None
     same = CheckFinding(CheckVerdict.OK, "repeatable", "two fresh processes give the same bits")
     policy: ResetPolicy = "reset" if found.reset == 0.0 else "instance"
-    lines = [same, _reset(subject, found)]
+    lines = [same, _reset(subject, found, crash)]
     return lines + (_leftovers(subject) if policy == "reset" else []), policy
 
 
@@ -63,12 +70,12 @@ def _not_repeatable(subject: CheckSubject, one: FloatArray, other: FloatArray) -
     return CheckFinding(CheckVerdict.PROBLEM, "repeatable", said, do)
 
 
-def _reset(subject: CheckSubject, found: RepetitionResult) -> CheckFinding:
+def _reset(subject: CheckSubject, found: RepetitionResult, crash: str) -> CheckFinding:
     if found.reset == 0.0:
         return CheckFinding(
             CheckVerdict.OK, "reset", "a reset instance gives the same bits as a fresh one"
         )
-    how = "a simulation after a reset fails"
+    how = f"a simulation after a reset fails{f': {crash}' if crash else ''}"
     if found.reset is not None:
         how = f"a reset instance is {found.reset:.2g} of the outputs' size away from a fresh one"
     if found.instance == 0.0:

@@ -62,7 +62,8 @@ class RepetitionResult:
         In a process and an instance that nothing had been simulated with.
     reset, instance
         After a reset, and in a new instance of the same process; 0 for the same bits, None where
-        it could not be simulated. The latter is only tried where the first is not 0.
+        it could not be simulated, or was not asked for. The latter is only tried where the first is
+        not 0.
     """
 
     first: FloatArray = field(repr=False)
@@ -72,19 +73,24 @@ class RepetitionResult:
 
 @dataclass(frozen=True)
 class RepeatProbe(FmuProbe):
-    """Asks whether a simulation can be repeated in a process."""
+    """Asks whether a simulation can be repeated in a process.
+
+    `policies` are those that are tried: a reset may crash.
+    """
 
     experiment: int
     point: FloatArray
+    policies: tuple[ResetPolicy, ...] = ("reset", "instance")
 
     def answer(self, evaluator: Evaluator) -> RepetitionResult:
         model, experiment = evaluator.model, evaluator.experiments[self.experiment]
         fresh = _simulator_of(evaluator, replace(model, reset="instance"), experiment)
         reset = _simulator_of(evaluator, replace(model, reset="reset"), experiment)
         first = _outputs(fresh.run(0, self.point[None]))
-        after = _distance(reset, self.point, first)
-        again = after if after == 0.0 else _distance(fresh, self.point, first)
-        return RepetitionResult(first, after, again)
+        after = _distance(reset, self.point, first) if "reset" in self.policies else None
+        if after == 0.0 or "instance" not in self.policies:
+            return RepetitionResult(first, after, after)
+        return RepetitionResult(first, after, _distance(fresh, self.point, first))
 
 
 @dataclass(frozen=True)

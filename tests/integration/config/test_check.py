@@ -60,6 +60,7 @@ def test_a_good_fmu(examined: Examine, name: str, fmi: int) -> None:
     ("name", "fmi", "check", "verdict", "found", "do"),
     [
         ("reset_keeps_state", 2, "reset", "note", "0.035 of the outputs' size", "model.reset"),
+        ("reset_crashes", 2, "reset", "note", "its process crashed (SIGSEGV)", "model.reset"),
         ("fails_to_reset", 3, "values", "note", "survive a reset", "model.reset"),
         ("random_output", 2, "repeatable", "problem", "two fresh processes differ", "method.name"),
         ("once_per_process", 3, "instances", "note", "and says so", "executor.name"),
