@@ -10,6 +10,7 @@ two or three simulations beside hundreds; `model.reset` in the config saves them
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -182,17 +183,14 @@ def _find_policy(
     crash.
     """
     file, local = problem.model.name, resources.executor == "local"
-    apart = local and not has_survived(problem.model)
+    apart = local and hasattr(os, "fork") and not has_survived(problem.model)
     question = RepeatabilityTest.of(problem)
     answers: dict[ResetPolicy, RepeatabilityAnswer] = {}
     for policy in WAYS:
         elsewhere = apart or (local and policy == "process")
+        where = ("processes", 1) if elsewhere else (resources.executor, resources.workers)
         try:
-            pool = (
-                start("processes", policy, 1)
-                if elsewhere
-                else start(resources.executor, policy, resources.workers)
-            )
+            pool = start(where[0], policy, where[1])
         except ModelError:
             if policy == "reset":
                 raise
@@ -212,12 +210,7 @@ def _find_policy(
             if policy == "reset" and answers[policy].same:
                 remember_survival(problem.model)
             return start(resources.executor, decision.renew, resources.workers), decision
-    safe = [policy for policy, answer in answers.items() if not answer.crashed] or ["reset"]
-    said = (
-        f"{file} does not repeat itself: the same simulation gives other results each time, even "
-        "in a new process, and so may this run"
-    )
-    decision = ResetDecision(safe[0], said)
+    decision = _never_the_same(file, answers)
     return start(resources.executor, decision.renew, resources.workers), decision
 
 
@@ -233,6 +226,16 @@ def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> Re
         return None
     said = f"{file} {answers['reset'].message}: each simulation begins with {BEGINS[policy]}"
     return ResetDecision(policy, said)
+
+
+def _never_the_same(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> ResetDecision:
+    """Return the least policy that does not crash, for an FMU that does not repeat itself."""
+    safe = [policy for policy, answer in answers.items() if not answer.crashed]
+    said = (
+        f"{file} does not repeat itself: the same simulation gives other results each time, even "
+        "in a new process, and so may this run"
+    )
+    return ResetDecision(safe[0] if safe else "reset", said)
 
 
 def _refuse_here(file: str, policy: ResetPolicy, answer: RepeatabilityAnswer) -> None:
