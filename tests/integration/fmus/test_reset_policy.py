@@ -221,3 +221,27 @@ def test_a_process_that_dies_leaves_a_sentence(fitted: Fit, tmp_path: Path) -> N
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == -signal.SIGSEGV
     assert ended.stderr.strip().splitlines()[-1] == SENTENCE
+
+
+@BOTH
+@pytest.mark.parametrize("executor", ["local", "processes"])
+def test_a_file_that_is_opened_by_a_relative_path_lies_in_the_working_folder(
+    fitted: Fit, tmp_path: Path, fmi: int, executor: str,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    assert fitted("reads_file", fmi, f"executor.name={executor}") == 1
+    assert "the file gain.txt cannot be read" in " ".join(capsys.readouterr().out.split())
+    (folder / "gain.txt").write_text("1.0\n", encoding="ascii")
+    assert fitted("reads_file", fmi, f"executor.name={executor}", "--overwrite") == 0
+    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+
+
+@BOTH
+def test_what_an_fmu_writes_into_its_folder_and_reads_again_is_found_out(
+    fitted: Fit, fmi: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fitted("writes_folder", fmi, "executor.name=processes", "budget.evaluations=3")
+    assert "does not repeat itself" in capsys.readouterr().err
