@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -91,13 +91,14 @@ class LoopResult:
     curves: tuple[EffectCurve, ...] = field(default=(), repr=False)
     errors_over: ErrorScale = ErrorScale.SIGMA
 
-    def rms(self, role: Role, when: str) -> float:
-        """Root mean square of the normalised errors "before" or "after"; NaN without any."""
+    def rms(self, role: Role, when: Literal["before", "after"]) -> float:
+        """Root mean square of the normalised errors before or after; NaN without any."""
         rows = [e for e in self.errors if e.role == role]
         if not rows:
             return np.nan
         samples = np.array([e.samples for e in rows], np.float64)
-        values = np.array([getattr(e, f"normalised_{when}") for e in rows])
+        before = when == "before"
+        values = np.array([e.normalised_before if before else e.normalised_after for e in rows])
         return float(np.sqrt((samples * values**2).sum() / samples.sum()))
 
     @property
@@ -190,7 +191,7 @@ class LoopResult:
             "effects": [tables.effect_facts(effect) for effect in self.effects],
             "rejected": [tables.effect_facts(effect) for effect in self.rejected],
             "errors": {
-                role: {when: self.rms(role, when) for when in ("before", "after")}
+                role: {"before": self.rms(role, "before"), "after": self.rms(role, "after")}
                 for role in ("train", "test")
             },
             "errors_by_output": tables.errors_by_output(self.errors),
