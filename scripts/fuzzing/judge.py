@@ -74,9 +74,9 @@ def judge(given: Input, folder: Path) -> Verdict:
 
 
 def _strays() -> str:
-    """What an archive wrote outside its own folder, which is named by a hash."""
+    """What an archive wrote outside its own folder, which is named by a hash, as its mark is."""
     home = Path(os.environ["CLUSTER_EST_CACHE"])
-    found = [p for p in (*home.glob("*"), *home.glob("fmus/*")) if len(p.name) != 64]
+    found = [p for p in (*home.glob("*"), *home.glob("fmus/*")) if len(p.stem) != 64]
     strays = [str(p) for p in found if p != home / "fmus"]
     return f"written outside of an FMU's folder: {', '.join(strays)}" if strays else ""
 

@@ -112,17 +112,27 @@ def step_lengths(times: FloatArray, own_step: float | None) -> FloatArray:
 
     0.15 - 0.1 is 0.04999999999999999, and some FMUs refuse such a step. Of the numbers that a
     difference of rounded times may stand for, this takes a multiple of the FMU's own step if one is
-    among them, else the one with the fewest digits.
+    among them, else the one with the fewest digits, unless a step of that length would end before
+    the next time: an event at that time would come too late.
     """
-    lengths, positions = np.unique(np.diff(times), return_inverse=True)
+    differences = np.diff(times)
+    lengths, positions = np.unique(differences, return_inverse=True)
     room = ROUNDING * float(np.abs(times).max())
-    found = [_shortest(length, room, own_step) for length in lengths.tolist()]
-    return np.append(np.array(found, np.float64)[positions], 0.0)
+    multiples = np.array([_multiple(each, room, own_step) for each in lengths.tolist()])[positions]
+    shortest = np.array([_shortest(each, room) for each in lengths.tolist()])[positions]
+    plain = np.where(times[:-1] + shortest >= times[1:], shortest, differences)
+    return np.append(np.where(multiples > 0.0, multiples, plain), 0.0)
 
 
-def _shortest(length: float, room: float, own_step: float | None) -> float:
-    candidates = [own_step * round(length / own_step)] if own_step else []
-    candidates += [float(f"{length:.{digits}g}") for digits in range(1, 16)]
+def _multiple(length: float, room: float, own_step: float | None) -> float:
+    """Return the multiple of a step that a length may stand for, or 0."""
+    found = own_step * round(length / own_step) if own_step else 0.0
+    return found if abs(found - length) <= room else 0.0
+
+
+def _shortest(length: float, room: float) -> float:
+    """Return the number with the fewest digits that a length may stand for."""
+    candidates = (float(f"{length:.{digits}g}") for digits in range(1, 16))
     return next((each for each in candidates if each > 0.0 and abs(each - length) <= room), length)
 
 

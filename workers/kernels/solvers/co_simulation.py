@@ -165,8 +165,16 @@ def _advance_to_next_time(c, references, settings, grid, i, steps, work):  # typ
             )
         count_call(work)
         if status < DISCARD:
-            status = do_step(c, grid.times[i] + s * step, step, work.info)
+            status = do_step(c, _communication_point(grid, i, s, steps, step), step, work.info)
     return status
+
+
+@inlined
+def _communication_point(grid, i, s, steps, step):  # type: ignore[no-untyped-def]
+    """Return the begin of step s; the last of several ends at the next time itself."""
+    if 0 < s == steps - 1:
+        return grid.times[i + 1] - step
+    return grid.times[i] + s * step
 
 
 @kernel
@@ -191,7 +199,7 @@ def _advance_to_next_time_with_effects(c, references, settings, hooks, grid, i, 
             )
         count_call(work)
         if status < DISCARD:
-            status = do_step(c, time, step, work.info)
+            status = do_step(c, _communication_point(grid, i, s, steps, step), step, work.info)
     return status
 
 
