@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cluster_est.results.output_errors import Simulation
@@ -59,3 +60,12 @@ class CheckPage:
     def good(self) -> bool:
         """True if there are no problems."""
         return not any(each.verdict is CheckVerdict.PROBLEM for each in self.findings)
+
+
+MOST_LISTED = 5
+
+
+def listed(texts: Sequence[str]) -> str:
+    """Return the first of some texts in a row, and how many more there are."""
+    more = len(texts) - MOST_LISTED
+    return ", ".join(texts[:MOST_LISTED]) + (f" and {more} more" if more > 0 else "")

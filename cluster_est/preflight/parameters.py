@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.methods.derivatives.differences import relative_noise
-from cluster_est.preflight.findings import CheckFinding, CheckVerdict
+from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.unknown import Unknown
@@ -24,7 +24,6 @@ FAINT = 1e-9
 """An effect of less, of the outputs' size, drowns in rounding."""
 STEPS = tuple(10.0**-k for k in range(3, 9))
 """Relative steps of differences that are tried."""
-MOST_NAMED = 5
 AGREEMENT = 0.02
 """Largest relative difference of derivatives that count as the same."""
 
@@ -107,18 +106,15 @@ def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
             CheckFinding(CheckVerdict.PROBLEM, f"parameter {name}", said, do.format(name))
             for name in names
         ]
+    if not names:
+        return []
     given = {each.variable for each in subject.problem.experiments[subject.experiment].inputs}
     idle = [v.name for v in subject.description.inputs() if v.name not in given]
     do = "they may act once the inputs are driven, as a config's data do"
     if not idle:
         do = "what the FMU shows in its default experiment does not determine them"
-    if not names:
-        return []
-    some = ", ".join(names[:MOST_NAMED])
-    more = len(names) - MOST_NAMED
-    some += f" and {more} more" if more > 0 else ""
-    said = f"the outputs do not depend on {some} at the start values"
-    said += f", with nothing at the inputs {', '.join(idle[:MOST_NAMED])}" if idle else ""
+    said = f"the outputs do not depend on {listed(names)} at the start values"
+    said += f", with nothing at the inputs {listed(idle)}" if idle else ""
     return [CheckFinding(CheckVerdict.NOTE, "dead parameters", said, do)]
 
 

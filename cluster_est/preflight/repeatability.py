@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.preflight.findings import CheckFinding, CheckVerdict
+from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from workers.messages import FloatArray, ResetPolicy
 from workers.probes.probes import (
@@ -18,7 +18,6 @@ from workers.process.trial import NoAnswer
 
 FACTOR = 1.37
 """Of every value, to see whether it survives a reset: no round number."""
-MOST_NAMED = 5
 TRIED: tuple[tuple[ResetPolicy, ...], ...] = (("reset", "instance"), ("instance",), ())
 """What is tried, one after the other, as long as the process crashes."""
 
@@ -55,11 +54,8 @@ def _not_repeatable(subject: CheckSubject, one: FloatArray, other: FloatArray) -
     names = subject.problem.experiments[subject.experiment].recorded
     far = dict(zip(names, differences(one, other).tolist(), strict=True))
     differing = [name for name in names if not far[name] <= 0.0]
-    said = "no: two fresh processes differ in " + ", ".join(
-        f"{name} (by {far[name]:.2g} of its size)" for name in differing[:MOST_NAMED]
-    )
-    more = len(differing) - MOST_NAMED
-    said += f" and {more} more outputs" if more > 0 else ""
+    sizes = [f"{name} (by {far[name]:.2g} of its size)" for name in differing]
+    said = f"no: two fresh processes differ in {listed(sizes)}"
     do = (
         "export it without a random generator or clock; else choose a method.name that takes "
         'no differences, such as "pattern_search"'

@@ -205,8 +205,7 @@ def _find_policy(
             return pool, decision
         pool.close()
         if decision is not None:
-            if local:
-                _refuse_here(file, policy, answers[policy])
+            _refuse_here(file, policy, answers[policy])
             if policy == "reset" and answers[policy].same:
                 remember_survival(problem.model)
             return start(resources.executor, decision.renew, resources.workers), decision
