@@ -136,7 +136,7 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Loo
             everything=everything,
             meter=meter,
             sites=_sites(problem, description),
-            notes=_notes(problem),
+            notes=_notes(problem, description),
         )
 
 
@@ -194,6 +194,11 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
             )
     offered = _sites(problem, description)
     for site in settings.sites:
+        if site in {f"parameter {name}" for name in closed_parameters(problem, description)}:
+            raise ProblemError(
+                f"closed_loop.sites: {site!r} is closed, because {description.file} does not allow "
+                "it to change while it runs; export it with variability tunable, or leave it out"
+            )
         if site not in offered:
             raise ProblemError(
                 f"closed_loop.sites: {description.file} does not offer the site {site!r}"
@@ -244,8 +249,30 @@ def _sites(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     return tuple(str(site) for site in [*sites, *pairs])
 
 
-def _notes(problem: Problem) -> tuple[str, ...]:
+def closed_parameters(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
+    """Return the estimated parameters that the FMU does not allow to change while it runs.
+
+    No effect can act there: a parameter that varies with a state, an input or time stays unseen.
+    """
+    known = description.variables
+    targets = dict.fromkeys(p.target for p in problem.parameters if not p.fixed)
+    return tuple(
+        name
+        for name in targets
+        if name in known and known[name].causality == "parameter" and not known[name].tunable
+    )
+
+
+def _notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     notes = list(problem.notes())
+    closed = closed_parameters(problem, description)
+    if closed:
+        notes.append(
+            f"closed to effects: {', '.join(closed)}, because {description.file} does not allow "
+            f"{'it' if len(closed) == 1 else 'them'} to change while it runs; something missing "
+            "that makes such a parameter vary cannot be seen as that; export with variability "
+            "tunable to open the site"
+        )
     if not problem.indices("test"):
         notes.append(
             'no experiment has role = "test": nothing could veto what was found, and the errors '

@@ -117,10 +117,13 @@ def make(scenario: Scenario) -> Data:
 
 
 def draw_noise(shape: tuple[int, ...], noise: Noise, random: np.random.Generator) -> Array:
-    """Draw noise of unit variance, white or AR(1) in time."""
+    """Draw noise of unit variance, white or AR(1) in time, but for its outliers."""
     wave, rho = random.normal(size=shape), noise.correlation
     for n in range(1, len(wave)):
         wave[n] = rho * wave[n - 1] + np.sqrt(1.0 - rho**2) * wave[n]
+    if noise.outliers > 0.0:
+        off = random.choice([-1.0, 1.0], shape) * random.uniform(8.0, 20.0, shape)
+        wave += np.where(random.uniform(size=shape) < noise.outliers, off, 0.0)
     return wave
 
 

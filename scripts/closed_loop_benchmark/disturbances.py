@@ -26,13 +26,14 @@ class Disturbance:
     size
         Of the push, in units of the rate.
     shape
-        A few short "kicks", smooth "gusts", or long stretches of "presence" and absence.
+        A few short "kicks", smooth "gusts", long stretches of "presence" and absence, or "white"
+        noise, held for a sample.
     """
 
     label: str
     state: str
     size: float
-    shape: Literal["kicks", "gusts", "presence"]
+    shape: Literal["kicks", "gusts", "presence", "white"]
 
 
 DISTURBANCES: dict[str, tuple[Disturbance, ...]] = {
@@ -59,14 +60,41 @@ DISTURBANCES: dict[str, tuple[Disturbance, ...]] = {
     "battery": (Disturbance("hidden_consumer", "soc", -2e-5, "presence"),),
     "stirred_tank_reactor": (Disturbance("steam", "T", 0.03, "gusts"),),
     "thermal_two_node": (Disturbance("draught", "T_case", 0.01, "gusts"),),
+    "gantry_crane": (Disturbance("wind", "w", 1.0, "gusts"),),
+    "kiln": (Disturbance("opened_door", "T_charge", -0.15, "presence"),),
+    "pharmacokinetics": (Disturbance("meals", "gut", 4e-3, "presence"),),
+    "chemostat": (Disturbance("contamination", "X", -1e-5, "gusts"),),
+    "hydraulic_cylinder": (Disturbance("stick", "v", 3.0, "kicks"),),
+    "resonant_circuit": (Disturbance("consumer", "u", 1500.0, "presence"),),
 }
+
+PROCESS_NOISE: dict[str, Disturbance] = {
+    "mass_spring_damper": Disturbance("process", "v", 0.15, "white"),
+    "pendulum": Disturbance("process", "speed", 0.3, "white"),
+    "quarter_car": Disturbance("process", "v_body", 0.1, "white"),
+    "dc_motor": Disturbance("process", "w", 12.0, "white"),
+    "dc_motor_belt": Disturbance("process", "w_load", 12.0, "white"),
+    "two_mass_drive": Disturbance("process", "w_load", 1.0, "white"),
+    "cascaded_tanks": Disturbance("process", "h1", 4e-3, "white"),
+    "room": Disturbance("process", "T_room", 1.5e-5, "white"),
+    "battery": Disturbance("process", "v1", 2e-5, "white"),
+    "stirred_tank_reactor": Disturbance("process", "T", 0.02, "white"),
+    "thermal_two_node": Disturbance("process", "T_case", 5e-3, "white"),
+    "gantry_crane": Disturbance("process", "v", 0.25, "white"),
+    "kiln": Disturbance("process", "T_charge", 0.05, "white"),
+    "pharmacokinetics": Disturbance("process", "central", 5e-4, "white"),
+    "chemostat": Disturbance("process", "X", 4e-6, "white"),
+    "hydraulic_cylinder": Disturbance("process", "v", 0.8, "white"),
+    "resonant_circuit": Disturbance("process", "u", 250.0, "white"),
+}
+"""A random walk in a state: some two or three times the noise of the sensors, at the outputs."""
 
 
 def push(
     disturbance: Disturbance, system: System, runs: Sequence[Run], random: np.random.Generator
 ) -> Push:
     """Draw a disturbance for every run of a system."""
-    shapes = {"kicks": _kicks, "gusts": _gusts, "presence": _presence}
+    shapes = {"kicks": _kicks, "gusts": _gusts, "presence": _presence, "white": _white}
     columns = [shapes[disturbance.shape](system.times, random) for _ in runs]
     return Push(disturbance.state, disturbance.size * np.column_stack(columns))
 
@@ -90,3 +118,8 @@ def _gusts(time: Array, random: np.random.Generator) -> Array:
 def _presence(time: Array, random: np.random.Generator) -> Array:
     """Return about eight stretches of either one or zero."""
     return np.asarray(waveforms.binary(time, random, time[-1] / 8.0) > 0, dtype=float)
+
+
+def _white(time: Array, random: np.random.Generator) -> Array:
+    """Return independent normal values."""
+    return random.normal(size=time.size)

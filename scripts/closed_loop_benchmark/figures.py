@@ -90,6 +90,16 @@ def any_site(score: Score) -> bool:
     return all(score.any_site or [])
 
 
+def place(score: Score) -> bool:
+    """Tell whether something was named at a site of each effect, of the variable it has there."""
+    return all(score.place or [])
+
+
+def near_truth(score: Score) -> bool:
+    """Tell whether the held-out error is at most 1.5 times that of the truth."""
+    return score.after <= 1.5 * score.oracle
+
+
 def found(score: Score) -> bool:
     """Tell whether the verdict is "found"."""
     return score.verdict == "found"

@@ -75,7 +75,7 @@ def make_hooks(system: System, effects: Sequence[Effect]) -> list[Hook]:
 def acts_inside(effect: Effect) -> bool:
     """Tell whether an effect depends on the states or changes their equations."""
     return effect.kind in ("der", "pair", "parameter") or (
-        effect.kind == "input" and effect.form == "product"
+        effect.kind == "input" and bool(effect.variable)
     )
 
 

@@ -26,6 +26,8 @@ class Match:
         the information criterion, or by 10.
     site, any_site
         Whether something was named at its site; at the site of any of its names.
+    place
+        Whether something was named at a site of its names, of the variable that it has there.
     """
 
     exact: bool
@@ -35,6 +37,7 @@ class Match:
     plausible: bool
     site: bool
     any_site: bool
+    place: bool
 
 
 def normal(form: str, site: str, variables: Sequence[str] = ()) -> Name:
@@ -93,6 +96,7 @@ def compare(
         plausible=bool(everything & plausible),
         site=first.site in {n.site for n in named},
         any_site=bool({n.site for n in right} & {n.site for n in named}),
+        place=bool({(n.site, n.variable) for n in right} & {(n.site, n.variable) for n in named}),
     )
 
 

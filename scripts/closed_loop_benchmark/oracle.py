@@ -145,7 +145,7 @@ def ask(data: Data, problem: Problem) -> Oracle:
         Without a fit for effects outside the library and for disturbances.
     """
     truth, effects = _noise(data), data.scenario.effects
-    if data.scenario.disturbance is not None:
+    if data.scenario.disturbance is not None and not effects:
         return Oracle(None, truth, reason="a disturbance has no structure")
     try:
         added = [translate(effect, n) for n, effect in enumerate(effects)]

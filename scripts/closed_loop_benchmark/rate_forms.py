@@ -33,6 +33,26 @@ def _stribeck(a: Numbers, v: Value) -> Value:
     return a[0] * np.tanh(v / a[1]) * (1.0 + a[3] * np.exp(-((v / a[2]) ** 2)))
 
 
+def _two_levels(a: Numbers, v: Value) -> Value:
+    """Level forwards, sharpness, and the level backwards over that forwards."""
+    switch = np.tanh(v / a[1])
+    return a[0] * np.where(v > 0.0, switch, a[2] * switch)
+
+
+def _bell(a: Numbers, v: Value) -> Value:
+    """Height, centre and width."""
+    return a[0] * np.exp(-(((v - a[1]) / a[2]) ** 2))
+
+
+def _haldane(a: Numbers, v: Value) -> Value:
+    """What inhibition by the substrate takes from growth after Monod.
+
+    The share of it that acts, the half-saturation constant, the constant of inhibition.
+    """
+    plain = a[1] + v
+    return a[0] * (plain / (plain + v**2 / a[2]) - 1.0)
+
+
 RATE_LAWS: dict[str, Law] = {
     "constant": lambda a, t, v, w, z: a[0],
     "drift": lambda a, t, v, w, z: a[0] * t,
@@ -60,6 +80,16 @@ RATE_LAWS: dict[str, Law] = {
     "wave": lambda a, t, v, w, z: a[0] * np.sin(a[1] * v),
     "bristle": lambda a, t, v, w, z: a[0] * z * (1.0 + a[2] * np.exp(-((v / a[3]) ** 2))),
     "one_way": lambda a, t, v, w, z: a[0] * np.maximum(v, 0.0) * np.tanh(v / a[1]),
+    # What follows is from textbooks of physics; see `closed_loop_benchmark.effects`.
+    "power": lambda a, t, v, w, z: a[0] * np.sign(v) * np.abs(v) ** a[1],
+    "contact": lambda a, t, v, w, z: a[0] * np.maximum(v - a[1], 0.0) ** 1.5,
+    "saturating": lambda a, t, v, w, z: a[0] * v / (a[1] + v),
+    "exponential": lambda a, t, v, w, z: a[0] * (np.exp((v - a[2]) / a[1]) - 1.0),
+    "fourth_powers": lambda a, t, v, w, z: a[0] * (v**4 - w**4),
+    "periodic": lambda a, t, v, w, z: a[0] * np.sin(a[1] * v + a[2]),
+    "pressed_friction": lambda a, t, v, w, z: a[0] * np.abs(w) * np.tanh(v / a[1]),
+    "two_levels": lambda a, t, v, w, z: _two_levels(a, v),
+    "constant_power": lambda a, t, v, w, z: a[0] * v / (v**2 + a[1] ** 2),
 }
 
 MEMORIES: dict[str, Memory] = {
@@ -80,5 +110,12 @@ PARAMETER_LAWS: dict[str, Law] = {
     # What follows is in no library of forms.
     "wave": lambda a, t, v, w, z: a[0] * np.sin(a[1] * v),
     "switch": lambda a, t, v, w, z: a[0] * float(t > a[1]),
+    # What follows is from textbooks of physics.
+    "periodic_time": lambda a, t, v, w, z: a[0] * np.sin(2.0 * np.pi * a[1] * t + a[2]),
+    "saturating": lambda a, t, v, w, z: a[0] * v / (a[1] + v),
+    "saturating_square": lambda a, t, v, w, z: a[0] * v**2 / (a[1] ** 2 + v**2),
+    "inverse": lambda a, t, v, w, z: a[0] / (a[1] + np.abs(v)),
+    "bell": lambda a, t, v, w, z: _bell(a, v),
+    "haldane": lambda a, t, v, w, z: _haldane(a, v),
 }
 """Relative changes of a parameter, about the point where it has its true value."""

@@ -15,13 +15,24 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from closed_loop_benchmark.disturbances import DISTURBANCES, Disturbance
+from closed_loop_benchmark.disturbances import DISTURBANCES, PROCESS_NOISE, Disturbance
 from closed_loop_benchmark.effect import Effect, Name, names
-from closed_loop_benchmark.effects import OUTSIDE, PAIRS, SINGLE
+from closed_loop_benchmark.effects import OUTSIDE, PAIRS, SINGLE, TEXTBOOK, TRIPLES
 from closed_loop_benchmark.system import Split
 from closed_loop_benchmark.systems import SYSTEMS
 
-Kind = Literal["single", "pair", "clean", "coloured", "outside", "disturbance"]
+Kind = Literal[
+    "single",
+    "pair",
+    "triple",
+    "clean",
+    "coloured",
+    "outside",
+    "textbook",
+    "disturbance",
+    "process noise",
+    "outliers",
+]
 SIZES = (0.05, 0.25, 1.0)
 """The smallest leaves some effects close to the noise, or lost in it."""
 
@@ -36,10 +47,13 @@ class Noise:
         Standard deviation, as a share of that of the output over all training runs.
     correlation
         Between one sample and the next: 0 is white noise, else AR(1).
+    outliers
+        Share of the samples that are off by 8 to 20 standard deviations more.
     """
 
     share: float
     correlation: float = 0.0
+    outliers: float = 0.0
 
 
 WHITE = (Noise(0.01), Noise(0.02))
@@ -59,7 +73,10 @@ class Scenario:
     kind
         "single" and "pair": effects that a library should have, in white noise. "coloured": one of
         those in AR(1) noise. "clean": nothing is missing, the noise white or not. "outside": an
-        effect that no library has. "disturbance": a push that nothing measured explains.
+        effect that no library has. "textbook": one from a book of physics, whether a library has it
+        or not. "triple": three effects. "disturbance": a push that nothing measured explains.
+        "process noise": white noise on a rate, with an effect or without. "outliers": one sample in
+        a hundred is far off, with an effect or without.
     effects
         What the FMU lacks, at its full size.
     accepted
@@ -116,7 +133,7 @@ def pairs(sizes: Iterable[float] = (1.0,)) -> list[Scenario]:
     """Two effects at once."""
     found = []
     for system, labels in PAIRS.items():
-        effects = {effect.label: effect for effect in SINGLE[system]}
+        effects = {effect.label: effect for effect in listed(system)}
         for two in labels:
             both = [effects[label] for label in two]
             found += [
@@ -146,13 +163,64 @@ def outside(sizes: Iterable[float] = (1.0,)) -> list[Scenario]:
     ]
 
 
-def disturbed() -> list[Scenario]:
-    """Pushes that nobody measures."""
+def textbook(sizes: Iterable[float] = (0.25, 1.0)) -> list[Scenario]:
+    """Effects that were chosen by physics, not from a library."""
     return [
+        scenario(system, "textbook", f"{effect.label} x{size}", WHITE[n % 2], [effect], size)
+        for system, effects in TEXTBOOK.items()
+        for n, effect in enumerate(effects)
+        for size in sizes
+    ]
+
+
+def triples() -> list[Scenario]:
+    """Three effects at once."""
+    found = []
+    for system, labels in TRIPLES.items():
+        effects = {effect.label: effect for effect in listed(system)}
+        found += [
+            scenario(system, "triple", "+".join(three), WHITE[0], [effects[e] for e in three])
+            for three in labels
+        ]
+    return found
+
+
+def listed(system: str) -> tuple[Effect, ...]:
+    """Return all effects that have a right name or place, of a system."""
+    return (*SINGLE.get(system, ()), *TEXTBOOK.get(system, ()))
+
+
+def disturbed(repeats: int = 6) -> list[Scenario]:
+    """Strong pushes that nobody measures: each once, and those of some sorts again and again."""
+    found = [
         scenario(system, "disturbance", one.label, WHITE[0], disturbance=one)
         for system, disturbances in DISTURBANCES.items()
         for one in disturbances
     ]
+    return found + [
+        scenario(system, "disturbance", f"{one.label} {number}", WHITE[0], disturbance=one)
+        for system, disturbances in DISTURBANCES.items()
+        for one in disturbances[:1]
+        for number in range(1, repeats)
+    ]
+
+
+def noisy(repeats: int = 2) -> list[Scenario]:
+    """Noise that is not what the methods assume, with every fifth effect and without any."""
+    found = []
+    for system in SYSTEMS:
+        process, outlying = PROCESS_NOISE[system], Noise(0.01, outliers=0.01)
+        for number in range(repeats):
+            label = f"nothing {number}"
+            found.append(scenario(system, "process noise", label, WHITE[0], disturbance=process))
+            found.append(scenario(system, "outliers", label, outlying))
+        for effect in listed(system)[::5]:
+            own = [effect]
+            found += [
+                scenario(system, "process noise", effect.label, WHITE[0], own, disturbance=process),
+                scenario(system, "outliers", effect.label, outlying, own),
+            ]
+    return found
 
 
 def clean(repeats: int = 7) -> list[Scenario]:
@@ -167,7 +235,17 @@ def clean(repeats: int = 7) -> list[Scenario]:
 
 def all_scenarios() -> list[Scenario]:
     """Return the whole benchmark."""
-    return [*singles(), *pairs(), *coloured(), *outside(), *disturbed(), *clean()]
+    return [
+        *singles(),
+        *pairs(),
+        *triples(),
+        *coloured(),
+        *outside(),
+        *textbook(),
+        *disturbed(),
+        *noisy(),
+        *clean(),
+    ]
 
 
 SUBSET = (

@@ -38,7 +38,7 @@ class Score:
         Names, in words; each true effect by its canonical one.
     verdict, detected
         What was said, and whether that something is missing.
-    exact, alias, form_and_site, tied, plausible, site, any_site
+    exact, alias, form_and_site, tied, plausible, site, any_site, place
         See `closed_loop_benchmark.naming.Match`.
     numerical
         Whether the structure as a whole is the same model on the data, whatever it is called: it
@@ -87,6 +87,7 @@ class Score:
     plausible: list[bool] | None = None
     site: list[bool] | None = None
     any_site: list[bool] | None = None
+    place: list[bool] | None = None
     numerical: bool = False
     distance: float = np.nan
     distance_without: float = np.nan

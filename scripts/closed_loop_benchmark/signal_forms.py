@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy.linalg import expm
 
 from closed_loop_benchmark.system import Array
 
@@ -60,6 +61,29 @@ def hysteresis(time: Array, signal: Array, width: float) -> Array:
     return out
 
 
+def mode(time: Array, signal: Array, frequency: float, damping: float) -> Array:
+    """Return a signal behind an oscillator with two states, at rest at the first value.
+
+    Exact for straight lines between the samples: on those, the oscillator settles to a straight
+    line, and what is left of its state rotates and decays.
+    """
+    rate, step = 2.0 * np.pi * frequency, time[1] - time[0]
+    system = np.array([[0.0, 1.0], [-(rate**2), -2.0 * damping * rate]])
+    keep, late = expm(system * step), 2.0 * damping / rate
+    out = np.empty_like(signal)
+    left = np.zeros((2, signal.shape[1]))
+    slopes = np.diff(signal, axis=0) / step
+    before = np.zeros(signal.shape[1])
+    for n, slope in enumerate(slopes):
+        out[n] = signal[n] - late * before + left[0]
+        # the line to settle to changes: y = u - late u', y' = u'
+        left = left - np.stack([late * (before - slope), slope - before])
+        left = keep @ left
+        before = slope
+    out[-1] = signal[-1] - late * before + left[0]
+    return out
+
+
 def _sine(a: Numbers, time: Array) -> Array:
     return np.asarray(a[0] * np.sin(2.0 * np.pi * a[1] * time + a[2]))[:, None]
 
@@ -88,6 +112,9 @@ INPUT_FORMS: dict[str, Form] = {
     "quantisation": lambda a, t, u, v: a[0] * np.round(u / a[0]),
     "sample_hold": lambda a, t, u, v: _hold(t, u, a[0]),
     "ripple": lambda a, t, u, v: u * (1.0 + _sine(a, t)),
+    # What follows is from textbooks of physics.
+    "mode": lambda a, t, u, v: mode(t, u, a[1] / a[0], a[2]),
+    "power": lambda a, t, u, v: u * np.abs(u / a[1]) ** a[0],
 }
 
 OUTPUT_FORMS: dict[str, Form] = {
@@ -114,4 +141,8 @@ OUTPUT_FORMS: dict[str, Form] = {
             for share, longer in ((0.5, 1.0), (0.75, 5.0), (1.0, 20.0))
         )
     ),
+    # What follows is from textbooks of physics.
+    "cubic": lambda a, t, y, v: y + a[0] * y**3,
+    "saturating": lambda a, t, y, v: y / (1.0 + a[0] * y),
+    "mode": lambda a, t, y, v: mode(t, y, a[1] / a[0], a[2]),
 }

@@ -1,4 +1,4 @@
-"""A battery cell."""
+"""A battery cell, and a resonant circuit."""
 
 from __future__ import annotations
 
@@ -52,4 +52,48 @@ BATTERY = System(
     excitation=cell_runs,
     unknown_starts=("soc",),
     start_error=0.05,
+)
+
+
+def circuit_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
+    """Kirchhoff's laws for the loop and for the node."""
+    (current, voltage), (source,), (resistance, inductance, capacitance, load) = x, u, p
+    return (
+        (source - voltage - resistance * current) / inductance,
+        (current - load * voltage) / capacitance,
+    )
+
+
+def circuit_readings(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
+    """Measure current and voltage."""
+    return x[0], x[1]
+
+
+def circuit_runs(time: Array, random: np.random.Generator) -> list[Run]:
+    """Drive below and around the resonance at 160 Hz."""
+    rest = {"i": 0.0, "u": 0.0}
+    return [
+        make_run("multisine", "train", [10.0 * wave.multisine(time, random, 20.0, 250.0)], rest),
+        make_run("held steps", "train", [11.0 * wave.held(time, random, 6e-3)], rest),
+        make_run("binary", "train", [5.0 * wave.binary(time, random, 2e-3)], rest),
+        make_run("noise", "train", [9.0 * wave.noise(time, random, 100.0)], rest),
+        make_run("triangle", "test", [11.0 * wave.triangle(time, 0.023)], rest),
+        make_run("chirp", "test", [7.0 * wave.chirp(time, 20.0, 250.0)], rest),
+    ]
+
+
+RESONANT_CIRCUIT = System(
+    name="resonant_circuit",
+    interface="model_exchange",
+    split="report",
+    states=("i", "u"),
+    inputs=("e",),
+    outputs=("current", "voltage"),
+    parameters={"R": 0.8, "L": 2e-3, "C": 5e-4, "G": 0.15},
+    rates=circuit_rates,
+    readings=circuit_readings,
+    interval=2e-4,
+    samples=500,
+    excitation=circuit_runs,
+    drives=(("e", "i"),),
 )

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import json
+import re
+import zipfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from support.problems.springs import FMU
 from support.truth.springs_with_friction import FRICTION, write_config
 
 import cluster_est as ce
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
+from cluster_est.errors import ProblemError
 
 SETTINGS = ce.LoopSettings(
     forms=("coulomb", "cubic", "constant"), sites=("der(v)",), draws=400, max_effects=1, pairs=False
 )
+
+TUNABLE_MASS = re.compile(rb'(name="m"[^>]*variability=")tunable')
 
 
 def read(folder, **options):
@@ -107,3 +115,36 @@ def test_the_public_names_are_few_and_there():
     assert all(getattr(ce, name) is not None for name in ce.__all__)
     with pytest.raises(AttributeError, match="no attribute 'colse_loop'"):
         _ = ce.colse_loop
+
+
+@pytest.fixture
+def fixed_mass(tmp_path):
+    """A problem whose FMU does not allow its mass to change while it runs."""
+    source, changed = Path(FMU), tmp_path / "fixed_mass.fmu"
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(changed, "w") as new:
+        for entry in old.infolist():
+            content = old.read(entry)
+            if entry.filename == "modelDescription.xml":
+                content, count = TUNABLE_MASS.subn(rb"\1fixed", content)
+                assert count == 1
+            new.writestr(entry, content)
+    config = write_config(tmp_path)
+    text = config.read_text(encoding="utf-8")
+    assert json.dumps(str(source)) in text
+    config.write_text(text.replace(json.dumps(str(source)), '"fixed_mass.fmu"'), encoding="utf-8")
+    return ce.build_problem(ce.read_config(config), tmp_path)
+
+
+def test_a_parameter_that_the_fmu_declares_fixed_is_said_to_be_closed(problem, fixed_mass):
+    with open_workbench(LoopRequest(fixed_mass, settings=SETTINGS)) as workbench:
+        (note,) = (n for n in workbench.notes if n.startswith("closed to effects"))
+        assert "closed to effects: m, because" in note
+        assert "parameter m" not in workbench.sites
+        assert "parameter c" in workbench.sites
+    with open_workbench(LoopRequest(problem, settings=SETTINGS)) as workbench:
+        assert not any("closed to effects" in note for note in workbench.notes)
+
+
+def test_a_closed_site_that_was_asked_for_is_refused_with_the_cause(fixed_mass):
+    with pytest.raises(ProblemError, match=r"'parameter m' is closed, because .* tunable"):
+        ce.detect(fixed_mass, settings=replace(SETTINGS, sites=("parameter m",)))

@@ -117,6 +117,68 @@ def stirred_tank_reactor(x: Array, u: list[float], p: list[float]) -> list[float
     ]
 
 
+def gantry_crane(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (_, v, phi, w), (trolley, load, rope, friction, damping) = x, p
+    sine, cosine = np.sin(phi), np.cos(phi)
+    # both accelerations at once, from Lagrange's equations
+    inertia = np.array(
+        [[trolley + load, load * rope * cosine], [load * rope * cosine, load * rope**2]]
+    )
+    forces = [
+        u[0] - friction * v + load * rope * w**2 * sine,
+        -damping * w - load * 9.81 * rope * sine,
+    ]
+    trolley_rate, rope_rate = np.linalg.solve(inertia, forces)
+    return [v, float(trolley_rate), w, float(rope_rate)]
+
+
+def kiln(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (plate, charge), (power, ambient) = x, u
+    c_plate, c_charge, between, to_plate, to_charge = p
+    heat = power - to_plate * (plate - ambient), to_charge * (ambient - charge)
+    passed = between * (plate - charge)
+    return [(heat[0] - passed) / c_plate, (heat[1] + passed) / c_charge]
+
+
+def pharmacokinetics(x: Array, u: list[float], p: list[float]) -> list[float]:
+    k_a, k_e, k_12, k_21, _, _ = p
+    exchange = np.array([[-k_a, 0.0, 0.0], [k_a, -k_e - k_12, k_21], [0.0, k_12, -k_21]])
+    return (exchange @ x + np.array([u[0], u[1], 0.0])).tolist()
+
+
+def plasma_level(x: Array, u: list[float], p: list[float]) -> float:
+    return float(x[1] / p[4])
+
+
+def tissue_level(x: Array, u: list[float], p: list[float]) -> float:
+    return float(x[2] / p[5])
+
+
+def hydraulic_cylinder(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (position, v, pressure), (opening, load) = x, u
+    mass, friction, spring, oil, gain, area, supply = p
+    drop = supply - pressure if opening > 0.0 else supply + pressure
+    return [
+        v,
+        (area * pressure * 1e6 - friction * v - spring * position - load) / mass,
+        oil * (gain * opening * np.sqrt(drop) - area * v),
+    ]
+
+
+def chemostat(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (biomass, substrate), (dilution, feed), (fastest, half, gained) = x, u, p
+    rate = fastest / (half / substrate + 1.0)
+    return [
+        biomass * (rate - dilution),
+        dilution * (feed - substrate) - biomass * rate / gained,
+    ]
+
+
+def resonant_circuit(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (current, voltage), (r, inductance, c, g) = x, p
+    return [(u[0] - r * current - voltage) / inductance, (current - g * voltage) / c]
+
+
 def silverbox(x: Array, u: list[float], p: list[float]) -> list[float]:
     mass, damping, stiffness = p
     return [x[1], (u[0] - damping * x[1] - stiffness * x[0]) / mass]
@@ -284,6 +346,69 @@ SCENARIOS = {
         {"flow": (1.6e-3, 4e-4), "T_coolant": (324.0, 5.0)},
         {"concentration": 0, "temperature": 1},
         5.0,
+    ),
+    "gantry_crane": Scenario(
+        gantry_crane,
+        {"m_trolley": 7.0, "m_load": 3.0, "l_rope": 0.9, "b_trolley": 6.0, "d_pivot": 0.1},
+        {"x": 0.1, "v": -0.2, "phi": 0.3, "w": 0.5},
+        {"F": (2.0, 12.0)},
+        {"position": 0, "angle": 2},
+        0.02,
+    ),
+    "kiln": Scenario(
+        kiln,
+        {"C_plate": 350.0, "C_charge": 1000.0, "G_between": 5.0, "G_plate": 3.0, "G_charge": 1.5},
+        {"T_plate": 350.0, "T_charge": 320.0},
+        {"power": (900.0, 600.0), "T_ambient": (295.0, 4.0)},
+        {"plate": 0, "charge": 1},
+        10.0,
+    ),
+    "pharmacokinetics": Scenario(
+        pharmacokinetics,
+        {
+            "k_a": 2.5e-4,
+            "k_e": 9e-5,
+            "k_12": 1.2e-4,
+            "k_21": 8e-5,
+            "volume": 18.0,
+            "tissue_volume": 35.0,
+        },
+        {"gut": 40.0, "central": 20.0, "tissue": 10.0},
+        {"oral": (0.02, 0.02), "infusion": (0.01, 0.005)},
+        {"plasma_level": plasma_level, "tissue_level": tissue_level},
+        360.0,
+    ),
+    "hydraulic_cylinder": Scenario(
+        hydraulic_cylinder,
+        {
+            "mass": 45.0,
+            "b": 900.0,
+            "k": 1.5e4,
+            "E": 1.1e5,
+            "q": 1.6e-4,
+            "area": 1.1e-3,
+            "p_supply": 8.0,
+        },
+        {"x": 0.01, "v": 0.05, "p": 0.4},
+        {"u": (0.3, 0.2), "F_load": (100.0, 200.0)},
+        {"position": 0, "pressure": 2},
+        5e-3,
+    ),
+    "chemostat": Scenario(
+        chemostat,
+        {"mu_max": 1.4e-4, "K_s": 0.5, "yield": 0.45},
+        {"X": 2.5, "S": 0.8},
+        {"D": (6e-5, 3e-5), "S_in": (8.0, 3.0)},
+        {"biomass": 0, "substrate": 1},
+        360.0,
+    ),
+    "resonant_circuit": Scenario(
+        resonant_circuit,
+        {"R": 0.9, "L": 2.5e-3, "C": 4e-4, "G": 0.1},
+        {"i": 1.0, "u": 3.0},
+        {"e": (2.0, 8.0)},
+        {"current": 0, "voltage": 1},
+        2e-4,
     ),
     "silverbox": Scenario(
         silverbox,

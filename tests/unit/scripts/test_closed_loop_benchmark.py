@@ -14,20 +14,23 @@ import numpy as np
 import pytest
 from closed_loop_benchmark.data import draw_noise, make
 from closed_loop_benchmark.effect import Effect, Name, names
-from closed_loop_benchmark.effects import OUTSIDE, PAIRS, SINGLE
+from closed_loop_benchmark.effects import OUTSIDE, PAIRS, SINGLE, TEXTBOOK, TRIPLES
 from closed_loop_benchmark.rate_forms import PARAMETER_LAWS, RATE_LAWS
-from closed_loop_benchmark.scenarios import Noise, Scenario, all_scenarios, singles
-from closed_loop_benchmark.signal_forms import backlash, delay, hysteresis, lag, rate_limit
+from closed_loop_benchmark.scenarios import Noise, Scenario, all_scenarios, listed, singles
+from closed_loop_benchmark.signal_forms import backlash, delay, hysteresis, lag, mode, rate_limit
 from closed_loop_benchmark.system import Array, Run, System
 from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.truth import integrate, lay_out, simulate
 from fmpy.fmi2 import FMU2Slave
+from scipy.signal import lsim
 
 MODELS = Path(__file__).resolve().parents[3] / "configs" / "models"
 
 LABELLED = [(system, e) for system, effects in SINGLE.items() for e in effects]
 OUTER = [(system, e) for system, effects in OUTSIDE.items() for e in effects]
+BOOKS = [(system, e) for system, effects in TEXTBOOK.items() for e in effects]
 TIME = np.arange(0.0, 1.0, 1e-3)
+FRICTIONS = ("coulomb", "stribeck", "two_levels", "pressed_friction")
 
 
 @pytest.fixture(params=SYSTEMS)
@@ -125,9 +128,9 @@ def signal_to_noise(name: str, effect: Effect) -> float:
     return float(np.sqrt(np.mean((change / deviation) ** 2)))
 
 
-@pytest.mark.parametrize("field", ["inside", "outside"])
-def test_effects_are_visible(field: str) -> None:
-    found = [signal_to_noise(*one) for one in (LABELLED if field == "inside" else OUTER)]
+@pytest.mark.parametrize("effects", [LABELLED, OUTER, BOOKS], ids=["inside", "outside", "books"])
+def test_effects_are_visible(effects: list[tuple[str, Effect]]) -> None:
+    found = [signal_to_noise(*one) for one in effects]
     assert np.isfinite(found).all()
     assert min(found) > 0.1
     assert np.mean(np.array(found) > 2.0) > 0.9
@@ -144,13 +147,13 @@ def test_friction_is_sharper_than_one_percent(system: System) -> None:
     course = lay_out(system, runs, (), ())
     values = [*system.parameters.values(), *system.constants.values()]
     states, _, _ = integrate(system, runs, (), course, values)
-    for effect in (e for e in SINGLE[system.name] if e.form in ("coulomb", "stribeck")):
+    for effect in (e for e in listed(system.name) if e.form in FRICTIONS):
         speed = states[:, system.states.index(effect.variable)]
         assert effect.numbers[1] < 0.005 * np.sqrt(np.mean(speed**2))
 
 
 def test_names_are_canonical_first(system: System) -> None:
-    for effect in (*SINGLE[system.name], *OUTSIDE[system.name]):
+    for effect in (*listed(system.name), *OUTSIDE.get(system.name, ())):
         first, *_ = found = names(effect, system)
         assert (first.form, first.site) == (effect.form, effect.site)
         assert len(set(found)) == len(found)
@@ -196,19 +199,38 @@ def test_counts() -> None:
     assert kinds["single"] == 3 * len(LABELLED)
     assert len({case.name for case in cases}) == len({case.seed for case in cases}) == len(cases)
     assert {case.split for case in cases} == {"tune", "report"}
-    assert set(SINGLE) == set(PAIRS) == set(OUTSIDE) == set(SYSTEMS)
+    assert set(SINGLE) == set(OUTSIDE)
+    assert set(PAIRS) == set(SYSTEMS) == {*SINGLE, *TEXTBOOK}
+    assert set(SINGLE).isdisjoint(TEXTBOOK)
+
+
+def test_half_of_what_is_from_textbooks_is_only_reported_on() -> None:
+    splits = Counter(SYSTEMS[name].split for name, _ in BOOKS)
+    assert len(TEXTBOOK) >= 6
+    assert len(BOOKS) >= 80
+    assert splits["report"] >= splits["tune"]
+
+
+def test_noise_and_combinations_are_many_enough() -> None:
+    cases = all_scenarios()
+    kinds = Counter(case.kind for case in cases)
+    colours = Counter(case.noise.correlation > 0.0 for case in cases if case.kind == "clean")
+    assert min(colours.values()) >= 100
+    assert kinds["disturbance"] >= 100
+    assert kinds["triple"] == sum(map(len, TRIPLES.values())) >= 15
+    assert kinds["process noise"] == kinds["outliers"] >= 60
 
 
 def test_effects_name_what_their_system_has(system: System) -> None:
-    listed = {
+    known = {
         "der": system.states,
         "pair": system.states,
         "input": system.inputs,
         "output": system.outputs,
         "parameter": tuple(system.parameters),
     }
-    for effect in (*SINGLE[system.name], *OUTSIDE[system.name]):
-        assert set(effect.targets) <= set(listed[effect.kind])
+    for effect in (*listed(system.name), *OUTSIDE.get(system.name, ())):
+        assert set(effect.targets) <= set(known[effect.kind])
     assert set(system.unknown_starts) <= set(system.states)
 
 
@@ -246,6 +268,25 @@ def test_noise_has_its_correlation(rho: float) -> None:
     wave = draw_noise((20000, 1), Noise(0.01, rho), np.random.default_rng(1))[:, 0]
     assert wave.std() == pytest.approx(1.0, rel=0.03)
     assert np.corrcoef(wave[1:], wave[:-1])[0, 1] == pytest.approx(rho, abs=0.03)
+
+
+def test_one_sample_in_a_hundred_is_far_off() -> None:
+    noise = Noise(0.01, outliers=0.01)
+    wave = draw_noise((50000, 1), noise, np.random.default_rng(1))[:, 0]
+    assert np.mean(np.abs(wave) > 5.0) == pytest.approx(0.01, rel=0.15)
+    plain = draw_noise((50000, 1), Noise(0.01), np.random.default_rng(1))[:, 0]
+    same = np.abs(wave) < 5.0
+    np.testing.assert_array_equal(wave[same], plain[same])
+
+
+def test_mode_is_an_oscillator() -> None:
+    random = np.random.default_rng(3)
+    signal = np.cumsum(random.normal(size=(TIME.size, 2)), axis=0)
+    rate, damping = 2.0 * np.pi * 7.0, 0.3
+    for column, found in zip(signal.T, mode(TIME, signal, 7.0, damping).T, strict=True):
+        system = ([rate**2], [1.0, 2.0 * damping * rate, rate**2])
+        _, expected, _ = lsim(system, column - column[0], TIME)
+        np.testing.assert_allclose(found, column[0] + expected, atol=1e-9 * np.ptp(signal))
 
 
 def test_lag_answers_a_ramp() -> None:
