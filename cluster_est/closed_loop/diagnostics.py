@@ -144,6 +144,7 @@ def add_effect(
     name: str = "",
     *,
     start: Mapping[str, float] | None = None,
+    reaction: str = "",
 ) -> Problem:
     """Add an effect to a problem, with its coefficients as parameters.
 
@@ -165,6 +166,8 @@ def add_effect(
         Of the effect; the form if empty.
     start
         Values of coefficients to start from, by name; every one of an equation of your own.
+    reaction
+        Of an equation at a pair: what is added to the derivative of its second state.
 
     Raises
     ------
@@ -183,7 +186,7 @@ def add_effect(
         for key, value in starts.items()
     }
     effect, parameters = make_effect(
-        DeclaredEffect(name, site, form, equation, tuple(variables), coefficients)
+        DeclaredEffect(name, site, form, equation, tuple(variables), coefficients, reaction)
     )
     grown = replace(
         problem,

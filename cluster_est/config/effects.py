@@ -44,4 +44,5 @@ def _declared(section: EffectSection) -> DeclaredEffect:
             )
             for name, chosen in section.parameters.items()
         },
+        section.reaction,
     )

@@ -31,9 +31,13 @@ def effect_equation(effect: EffectDefinition) -> str:
     """The equation as a person reads it."""
     if not effect.effect.equation:
         return equation_text(effect.effect, effect.form, effect.site)
+    own = effect.effect
+    if effect.site.other:
+        first, second = effect.site.targets
+        return f"der({first}) += {own.equation}, der({second}) += {own.reaction}"
     sign = "+=" if effect.site.at_rates else "->"
     left = str(effect.site) if effect.site.at_rates else effect.site.target
-    return f"{left} {sign} {effect.effect.equation}"
+    return f"{left} {sign} {own.equation}"
 
 
 def _line(found: EstimatedValue, prefix: str = "") -> str:

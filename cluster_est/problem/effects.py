@@ -54,6 +54,8 @@ class DeclaredEffect:
         Arguments of the form; empty for the state of der(STATE).
     coefficients
         Those of which something is declared, by name.
+    reaction
+        Of an equation at a pair: what is added to the second state's derivative.
     """
 
     name: str
@@ -62,6 +64,7 @@ class DeclaredEffect:
     equation: str = ""
     variables: tuple[str, ...] = ()
     coefficients: Mapping[str, DeclaredCoefficient] = field(default_factory=dict)
+    reaction: str = ""
 
 
 def make_effect(declared: DeclaredEffect) -> tuple[Effect, tuple[Parameter, ...]]:
@@ -85,7 +88,15 @@ def make_effect(declared: DeclaredEffect) -> tuple[Effect, tuple[Parameter, ...]
         raise ConfigError("effects: one with an equation must have a name; add name")
     given = declared.coefficients
     own = tuple((n, c.neutral) for n, c in given.items()) if declared.equation else ()
-    effect = Effect(name, declared.site, declared.form, declared.variables, declared.equation, own)
+    effect = Effect(
+        name,
+        declared.site,
+        declared.form,
+        declared.variables,
+        declared.equation,
+        own,
+        declared.reaction,
+    )
     known = coefficients(effect, where)
     names = [c.name for c in known]
     for unknown in (n for n in given if n not in names):

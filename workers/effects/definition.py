@@ -175,19 +175,27 @@ def coefficients(effect: Effect, where: str) -> tuple[FormCoefficient, ...]:
 
 def _chosen(effect: Effect, site: EffectSite, where: str) -> EffectForm:
     """Return the form that an effect names, or that of its own equation."""
+    if effect.reaction and (site.kind != "pair" or not effect.equation):
+        raise EffectError(
+            f"{where}: reaction: must stand beside an equation at a pair, but site is "
+            f"{effect.site!r} and {'form is ' + repr(effect.form) if effect.form else 'no pair'}; "
+            "leave it out"
+        )
     if not effect.equation:
         return form(site.kind, effect.form, where)
-    if site.kind == "pair":
+    if site.kind == "pair" and not effect.reaction:
         raise EffectError(
-            f"{where}: equation: must be a form at a pair but is an equation of your own; write "
-            "two effects, one at each der(STATE)"
+            f"{where}: reaction: must be what is added to der({site.other}), where equation is "
+            f"added to der({site.target}), but is missing; add reaction"
         )
     return _own_form(effect, site)
 
 
 def _own_form(effect: Effect, site: EffectSite) -> EffectForm:
     own = tuple(FormCoefficient(name, is_neutral) for name, is_neutral in effect.coefficients)
-    return EffectForm("expression", "own", (site.kind,), effect.equation, own)
+    return EffectForm(
+        "expression", "own", (site.kind,), effect.equation, own, reaction=effect.reaction
+    )
 
 
 def _variables(description: ModelDescription, site: EffectSite, interface: Interface) -> list[str]:

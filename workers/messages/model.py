@@ -82,6 +82,9 @@ class Effect:
     coefficients
         (name, neutral value) of the own equation's coefficients; the neutral value is None for a
         shape parameter.
+    reaction
+        At a pair: what is added to the second state's derivative, where `equation` is added to the
+        first's.
     """
 
     name: str
@@ -90,6 +93,7 @@ class Effect:
     variables: tuple[str, ...] = ()
     equation: str = ""
     coefficients: tuple[tuple[str, float | None], ...] = ()
+    reaction: str = ""
 
     def __post_init__(self) -> None:
         check_name(self.name, "effect.name", EffectError)

@@ -23,6 +23,7 @@ def config_block(effect: NamedEffect) -> str:
         *([f"form = {inline(effect.form)}"] if effect.form else []),
         *([f"variables = {inline(list(effect.variables))}"] if effect.variables else []),
         *([f"equation = {inline(known.equation)}"] if known.equation else []),
+        *([f"reaction = {inline(known.reaction)}"] if known.reaction else []),
         "[effects.parameters]",
     ]
     neutral = dict(known.coefficients)

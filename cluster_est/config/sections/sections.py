@@ -109,6 +109,10 @@ class EffectSection(ConfigSection):
         '"x - z"; default: the state of der(STATE), or the difference of a pair',
     )
     equation: str = Field("", description="instead of form: an equation in the FMU's names")
+    reaction: str = Field(
+        "",
+        description="of an equation at a pair: what is added to the second state's derivative",
+    )
     parameters: dict[str, CoefficientSection] = Field(
         default_factory=dict, description="its coefficients = { start, bounds, ... }"
     )

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from support.problems.springs import ROOT
 
+from cluster_est.export.text import effect_equation
 from workers.effects.definition import define
 from workers.effects.site import open_pairs, parse_site
 from workers.effects.units import coefficient_units
@@ -60,6 +61,14 @@ def simulated(effect, coefficients):
 
 
 TRAVEL = ("z_body - z_wheel",)
+DEPTH = "max(z_wheel - z_body - at, 0)"
+STOP = Effect(
+    "stop",
+    "pair v_body,v_wheel",
+    equation=f"k * {DEPTH}",
+    coefficients=(("k", 0.0), ("back", 0.0), ("at", None)),
+    reaction=f"-back * {DEPTH}",
+)
 FORMS = {
     "joint": ((30.0, 220.0, 0.01), TRAVEL, lambda v: np.clip(v, -0.01, 0.01)),
     "gap": ((30.0, 220.0, 0.01), TRAVEL, lambda v: v - np.clip(v, -0.01, 0.01)),
@@ -90,6 +99,26 @@ def test_a_force_between_two_states(form):
     assert np.abs(truth - without).max() > 3e-4
     effect = Effect("e", "pair v_body,v_wheel", form, variables)
     np.testing.assert_allclose(simulated(effect, coefficients), truth, atol=1e-6)
+
+
+def test_an_equation_of_ones_own_with_a_reaction():
+    """A one-sided stop between two masses, which pushes both apart."""
+
+    def force(x):
+        push = 4e4 * max(0.0, x[2] - x[0] - 0.01)
+        return push / M_BODY, -push / M_WHEEL
+
+    truth = solved(force)
+    assert np.abs(truth - solved(lambda x: (0.0, 0.0))).max() > 3e-3
+    coefficients = (4e4 / M_BODY, 4e4 / M_WHEEL, 0.01)
+    np.testing.assert_allclose(simulated(STOP, coefficients), truth, atol=2e-5)
+
+
+def test_an_equation_with_a_reaction_is_read_as_two():
+    definition = define(STOP, describe(FMU.name, FMU.read_bytes()), "model_exchange")
+    assert effect_equation(definition) == (
+        f"der(v_body) += k * {DEPTH}, der(v_wheel) += -back * {DEPTH}"
+    )
 
 
 def test_the_pairs_that_a_search_should_try_have_one_unit():

@@ -44,6 +44,13 @@ site = "der(v)"
 equation = "-k * tanh(v / 0.01)"
 parameters = { k = { start = 0.1, neutral = 0.0 } }
 """
+OWN_PAIR = """
+name = "friction"
+site = "pair x,v"
+equation = "0"
+reaction = "-k * tanh(v / 0.01)"
+parameters = { k = { start = 0.1, neutral = 0.0 } }
+"""
 
 
 @pytest.fixture
@@ -60,7 +67,7 @@ def write(tmp_path):
     return config
 
 
-@pytest.mark.parametrize("effect", [FRICTION, OWN])
+@pytest.mark.parametrize("effect", [FRICTION, OWN, OWN_PAIR])
 def test_a_named_effect_is_fitted(write, tmp_path, effect):
     assert main(["fit", write(effect), "--out", str(tmp_path / "run")]) == 0
     rows = pq.read_table(tmp_path / "run" / "parameters.parquet").to_pylist()
