@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -17,6 +16,7 @@ from cluster_est.preflight.subject import CheckSubject, TimeBudget
 from cluster_est.problem.problem import Problem
 from cluster_est.results.output_errors import Simulation
 from cluster_est.running.resources import Resources
+from workers.kernels.fmi.failure import MESSAGES, TERMINATED
 from workers.messages import Outcome, Status, Task
 from workers.probes.probes import CompileProbe, SimulationProbe
 from workers.process.trial import NoAnswer, ProbeBench
@@ -153,20 +153,25 @@ def _simulation_findings(
             )
         elif not outcome.ok:
             said = f"at the start values: {outcome.status}: {outcome.message}"
-            lines.append(CheckFinding(CheckVerdict.PROBLEM, name, said, _ADVICE[outcome.status]))
+            lines.append(CheckFinding(CheckVerdict.PROBLEM, name, said, _advice(outcome)))
     if successful:
         said = f"{len(successful)} of {len(simulations)} experiments, at the start values"
         lines.append(CheckFinding(CheckVerdict.OK, "simulates", said))
     return lines
 
 
+def _advice(outcome: Outcome) -> str:
+    """Return what to do about a simulation that failed, by the way it ended."""
+    if outcome.message.startswith(MESSAGES[TERMINATED]):
+        return "a config whose experiment has a stop before that time"
+    if 'model.solver = "cvode"' in outcome.message:
+        return 'model.solver = "cvode" in a config, or other start values'
+    return _ADVICE.get(outcome.status, "other start values")
+
+
 _MORE = "give it more time with --seconds"
-_ADVICE = defaultdict(
-    lambda: "other start values; a stop before that time, if the FMU ends there by itself",
-    {
-        Status.CRASH: "simulate it in another tool: if it crashes there too, ask whoever exported "
-        "it, and look for files, libraries or a licence that it needs",
-        Status.OUT_OF_MEMORY: "raise executor.memory",
-    },
-)
-"""What to do about a simulation that failed, by the way it ended."""
+_ADVICE = {
+    Status.CRASH: "simulate it in another tool: if it crashes there too, ask whoever exported "
+    "it, and look for files, libraries or a licence that it needs",
+    Status.OUT_OF_MEMORY: "raise executor.memory",
+}

@@ -166,3 +166,16 @@ def test_a_config_whose_parameter_is_dead(
     said = capsys.readouterr().out
     assert "parameter dead" in said
     assert "1 of 2 act on the outputs" in said
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_fmu_that_ends_by_itself_is_to_be_stopped_before(own_fmu: Give, fmi: int) -> None:
+    problem = bare_problem(own_fmu("stair", fmi))
+    (run,) = problem.experiments
+    page = run_checks(
+        replace(problem, experiments=(replace(run, stop=12.0),)), Resources(), MINUTE
+    )
+
+    ended = line(page, "experiment default")
+    assert "the FMU ended the simulation by itself at t = 9 s" in ended.found
+    assert ended.do == "a config whose experiment has a stop before that time"
