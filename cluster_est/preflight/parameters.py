@@ -33,6 +33,9 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
     unknowns = _unknowns(subject)
     if not unknowns:
         return []
+    if not subject.repeats:
+        said = "not moved: one simulation after the other differs, whatever is moved"
+        return [CheckFinding(CheckVerdict.NOT_DONE, "parameters", said)]
     points = np.array([_moved(subject, column, CHANGE) for column, _ in unknowns])
     probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 2.0, 0.1))
     found = subject.ask(probe, 2, subject.budget.left)
@@ -54,7 +57,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
         said += f"{most} changes them by {alive[most]:.2g} of theirs"
         said += f", {least} by {alive[least]:.2g}" if least != most else ""
         lines.append(CheckFinding(CheckVerdict.OK, "parameters", said))
-        lines += _steps(subject, unknowns[names.index(most)][0]) if subject.repeats else []
+        lines += _steps(subject, unknowns[names.index(most)][0])
     if len(found) < len(names):
         left = f"{len(names) - len(found)} of {len(names)} were not moved"
         lines.append(unanswered("parameters", NoAnswer(left, late=True)))

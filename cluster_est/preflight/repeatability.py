@@ -25,7 +25,8 @@ TRIED: tuple[tuple[ResetPolicy, ...], ...] = (("reset", "instance"), ("instance"
 def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy | None]:
     """Compare a reset instance with a fresh one, and two fresh processes with each other.
 
-    Returns also the reset policy for all further checks; None if no policy helps.
+    Returns also the reset policy for all further checks; None if none makes simulations in one
+    process the same.
     """
     crash = ""
     for policies in TRIED:
@@ -45,9 +46,10 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy |
     if again.tobytes() != found.first.tobytes():
         return [_not_repeatable(subject, again, found.first)], None
     same = CheckFinding(CheckVerdict.OK, "repeatable", "two fresh processes give the same bits")
-    policy: ResetPolicy = "reset" if found.reset == 0.0 else "instance"
     lines = [same, _reset(subject, found, crash)]
-    return lines + (_leftovers(subject) if policy == "reset" else []), policy
+    if found.reset == 0.0:
+        return lines + _leftovers(subject), "reset"
+    return lines, "instance" if found.instance == 0.0 else None
 
 
 def _not_repeatable(subject: CheckSubject, one: FloatArray, other: FloatArray) -> CheckFinding:

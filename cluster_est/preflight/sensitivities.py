@@ -24,6 +24,7 @@ def sensitivities(subject: CheckSubject) -> list[CheckFinding]:
     unknowns = len(subject.space.acting[subject.experiment])
     offered = subject.description.offer(model.interface).provides_directional_derivatives
     choice = offered and model.interface == "model_exchange" and not subject.problem.effects
+    choice = choice and subject.repeats and subject.reset_policy == "reset"
     if not choice or unknowns == 0:
         return []
     found = subject.ask(SensitivityCostProbe(subject.experiment, subject.start), SIMULATIONS)

@@ -19,6 +19,8 @@ from workers.simulation.jacobian import MAX_JACOBIAN_ERROR
 
 TIGHTER = 100.0
 LEAST_RTOL = 1e-13
+COUNTING = 0.3
+"""Relative change above which an output may count the steps, however it is declared."""
 GOOD, BAD = 1e-5, 1e-2
 """Relative changes of the outputs below which all is well, and above which there is a problem."""
 
@@ -53,7 +55,8 @@ def _judged(subject: CheckSubject, found: FloatArray, how: str, key: str) -> lis
         said = f"with {how} {name} changes by {far:.2g} of its size, and no output by more"
         verdict = CheckVerdict.PROBLEM if far > BAD else CheckVerdict.NOTE
         fine = CheckFinding(CheckVerdict.OK, "accuracy", said)
-        lines.append(fine if far < GOOD else CheckFinding(verdict, "accuracy", said, key))
+        do = key if far < COUNTING else f"{key}; nothing, if it counts steps or calls"
+        lines.append(fine if far < GOOD else CheckFinding(verdict, "accuracy", said, do))
     name, far = max(others, key=_far, default=("", 0.0))
     if not far < GOOD:
         said = f"with {how} {name}, which is no continuous output, changes by {far:.2g} of its size"

@@ -78,6 +78,7 @@ class RunFolder:
         overwrite: bool = False,
     ) -> None:
         check_free(path, overwrite=overwrite or logged is not None)
+        path = path.absolute()  # while an FMU is being loaded, the working folder is another one
         self.path = path
         self._identity, self._problem = identity, identity.problem
         self._config_hash = identity.config_hash

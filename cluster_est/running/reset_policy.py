@@ -22,11 +22,12 @@ from cluster_est.problem.space import make_space
 from cluster_est.running.known_fmus import has_survived, remember_survival
 from cluster_est.running.resources import Resources
 from workers.errors import ModelError
-from workers.messages import Experiment, Outcome, ResetPolicy, Status, Task
+from workers.messages import Experiment, Limits, Outcome, ResetPolicy, Status, Task
 
 WAYS: tuple[ResetPolicy, ...] = ("reset", "instance", "process")
 NO_ANSWER = (Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY)
 """Ends of a simulation that say nothing of what it would have given."""
+NO_LIMITS = Limits(*[float("inf")] * 4)
 BEGINS = {
     "reset": "a reset of the instance",
     "instance": "a new instance",
@@ -111,11 +112,11 @@ class RepeatabilityTest:
             crashed = first is not None and first.status is Status.CRASH
             return RepeatabilityAnswer(None, crashed, first.message if first is not None else "")
         rest = executor.first_worker(self.tasks[1:])
-        if any(outcome.status is Status.CRASH for outcome in rest[:-1]):
-            # the last one began in a new process, and says nothing of a reset
+        if not all(outcome.ok for outcome in rest[:-1]):
+            # the last one may have begun with a new instance or in a new process: no reset yet
             rest = executor.first_worker(self.tasks[:1])
         if not rest or rest[-1].status in NO_ANSWER:
-            return RepeatabilityAnswer(None)
+            return RepeatabilityAnswer(None, message=rest[-1].message if rest else "")
         last = rest[-1]
         if last.ok and _bits(last) == _bits(first):
             return RepeatabilityAnswer(True)
@@ -156,8 +157,11 @@ def open_with_reset(
 
     def start(kind: str, renew: ResetPolicy, count: int | None) -> WorkerPool:
         model = replace(problem.model, reset=renew)
-        where = count, resources.address, resources.limits
-        return executor_class(kind).open(model, problem.experiments, *where)
+        # what is tried apart for "local" has no more limits than there
+        limits = resources.limits if kind == resources.executor else NO_LIMITS
+        return executor_class(kind).open(
+            model, problem.experiments, count, resources.address, limits
+        )
 
     declared = problem.model.reset
     if known is None and declared != "auto":
@@ -169,8 +173,8 @@ def open_with_reset(
 
 
 _UNKNOWN = (
-    "it could not be tried whether a reset instance is as good as a new one, because the first "
-    "simulation failed"
+    "each simulation begins with a reset, but it could not be tried whether a reset instance is as "
+    "good as a new one, because a simulation at the start values gave no result"
 )
 
 
@@ -183,10 +187,11 @@ def _find_policy(
     crash.
     """
     file, local = problem.model.name, resources.executor == "local"
-    apart = local and hasattr(os, "fork") and not has_survived(problem.model)
+    forks = hasattr(os, "fork")
+    apart = local and forks and not has_survived(problem.model)
     question = RepeatabilityTest.of(problem)
     answers: dict[ResetPolicy, RepeatabilityAnswer] = {}
-    for policy in WAYS:
+    for policy in WAYS if forks or not local else WAYS[:-1]:
         elsewhere = apart or (local and policy == "process")
         where = ("processes", 1) if elsewhere else (resources.executor, resources.workers)
         try:
@@ -218,7 +223,8 @@ def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> Re
     policy, answer = list(answers.items())[-1]
     if policy == "reset":
         if answer.same is None:
-            return ResetDecision("reset", _UNKNOWN, plain=True)
+            said = f"{_UNKNOWN} ({answer.message})" if answer.message else _UNKNOWN
+            return ResetDecision("reset", said)
         said = "a reset instance is as good as a new one"
         return ResetDecision("reset", said, plain=True) if answer.same else None
     if not answer.same:
@@ -232,7 +238,7 @@ def _never_the_same(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer
     safe = [policy for policy, answer in answers.items() if not answer.crashed]
     said = (
         f"{file} does not repeat itself: the same simulation gives other results each time, even "
-        "in a new process, and so may this run"
+        f"in a new {'process' if 'process' in answers else 'instance'}, and so may this run"
     )
     return ResetDecision(safe[0] if safe else "reset", said)
 

@@ -82,7 +82,14 @@ class FmuInstance:
 
         The standard allows a reset of an instance that was never initialised, but hardly any tool
         does it, and some FMUs crash in it or compute nonsense afterwards.
+
+        Raises
+        ------
+        ModelError
+            If it was freed, and the FMU cannot be instantiated again.
         """
+        if self._is_freed:
+            self.replace()
         component = self.component._replace(reset=_NO_RESET_AT) if self.is_new else self.component
         self._is_used = True
         return component
@@ -103,10 +110,11 @@ class FmuInstance:
     def replace(self) -> None:
         """Replace the instance by a fresh one: all that is left after a fatal error.
 
-        The old one is not freed, because the standard forbids any further call to it. It is kept,
-        because it may still call its logger.
+        The old one is not freed here, because the standard forbids any further call to it. Unless
+        it was freed before it is kept, because it may still call its logger.
         """
-        _abandoned.append(self._fmu)
+        if not self._is_freed:
+            _abandoned.append(self._fmu)
         self._fmu = self._load()
         self._is_freed = self._is_used = False
         self.component = self._functions.component()
@@ -142,7 +150,8 @@ class FmuInstance:
         with _load_lock:
             if not self._is_freed:
                 self._is_freed = True
-                self._fmu.freeInstance()
+                with kept_signal_handlers():
+                    self._fmu.freeInstance()
 
     def _load(self) -> Any:
         """Load it with fmpy's class for its version and interface."""

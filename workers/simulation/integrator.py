@@ -193,25 +193,36 @@ class FmuIntegrator:
         """Start a new instance, which can be reset from then on; False if that does not work."""
         run = _BatchRun.of(self.batch, _start_alone(bound), point[None], no_hooks(1), 0)
         self._simulate(run, instance.begin(), slice(1))
-        return int(run.result.codes[0]) == failure.FINISHED
+        code = int(run.result.codes[0])
+        if code >= failure.FATAL:
+            instance.replace()
+        return code == failure.FINISHED
 
     def find_jacobian(self, bound: BoundExperiment) -> None:
         """Let CVODE use the FMU's directional derivatives, if they are right at the start.
 
-        That is at the FMU's own start values, so that all workers find the same.
+        That is at the FMU's own start values, so that all workers find the same, and in an instance
+        of its own: the other one must be new when its first simulation begins.
         """
         if not self._checks_jacobian or not isinstance(self.batch, CvodeBatch):
             return
         self._checks_jacobian = False
         known = self._description.variables
-        values = np.array([[known[name].start or 0.0 for name in self._model.parameters]])
-        if self.run(_start_alone(bound), values, no_hooks(1)).codes[0] != failure.FINISHED:
-            return
+        values = np.array([known[name].start or 0.0 for name in self._model.parameters])
         jacobian = directional_jacobian(self._description)
         try:
-            found = compare_with_differences(self.instance.fmu, self._description.version, jacobian)
+            apart = FmuInstance(self._model, self._description)
         except ModelError:
             return
+        try:
+            if not self.starts(apart, bound, values):
+                return
+            with kept_signal_handlers():
+                found = compare_with_differences(apart.fmu, self._description.version, jacobian)
+        except ModelError:
+            return
+        finally:
+            apart.free()
         if found.error <= MAX_JACOBIAN_ERROR:  # zeros in place of derivatives are an error of 1
             self.batch.jacobian = jacobian
 
@@ -274,8 +285,7 @@ class FmuIntegrator:
             run.result.messages[first] = str(error)
             return first + 1
         points = slice(first, first + 1 if alone else None)
-        with kept_signal_handlers():
-            following = first + self._simulate(run, component, points)
+        following = first + self._simulate(run, component, points)
         last = following - 1
         code = int(run.result.codes[last])
         if code == failure.FINISHED:
@@ -296,7 +306,8 @@ class FmuIntegrator:
         settings = self.settings(run.n_effect_states)
         work = self.workspace(run.bound, run.hooks, run.n_effect_states)
         try:
-            return run.batch(run.arguments(points, component, settings, work))
+            with kept_signal_handlers():
+                return run.batch(run.arguments(points, component, settings, work))
         finally:
             self._progress[RUNNING] = 0
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from workers.effects.definition import EffectDefinition, define
+from workers.errors import ModelError
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
 from workers.kernels.fmi.arguments import KernelArguments
-from workers.kernels.fmi.failure import FINISHED
+from workers.kernels.fmi.component import FmiComponent
+from workers.kernels.fmi.failure import FINISHED, INITIALISATION
 from workers.kernels.fmi.hooks import EffectHooks
 from workers.kernels.linearise import (
     ADAPTIVE,
@@ -55,10 +57,16 @@ class PreparedExperiment:
     with_offsets: BoundEffects | None
     n_coefficients: int
 
-    def at(self, point: FloatArray, cvode: CvodeBatch | None = None) -> LinearisationPass:
+    def at(
+        self,
+        point: FloatArray,
+        component: Callable[[], FmiComponent],
+        cvode: CvodeBatch | None = None,
+    ) -> LinearisationPass:
         """Prepare the linearisation at one point: values of parameters, then coefficients.
 
-        `cvode` is the solver, if the model names that one.
+        `component` gives the FMU for one more simulation; `cvode` is the solver, if the model names
+        that one.
         """
         effects, count = self.effects, len(self.model.parameters)
         values, coefficients = point[None, :count], point[None, count:]
@@ -79,7 +87,16 @@ class PreparedExperiment:
         perturbed = self._perturbed_variables(values[0])
         arrays = _allocate(perturbed, len(bound.grid.times), len(bound.outputs))
         return LinearisationPass(
-            self, bound, values, coefficients[0], hooks, with_offsets, perturbed, arrays, cvode
+            self,
+            bound,
+            values,
+            coefficients[0],
+            hooks,
+            with_offsets,
+            perturbed,
+            arrays,
+            component,
+            cvode,
         )
 
     @property
@@ -129,6 +146,7 @@ class LinearisationPass:
     with_offsets: EffectHooks
     perturbed: PerturbedVariables
     arrays: LinearisationArrays
+    component: Callable[[], FmiComponent]
     cvode: CvodeBatch | None
 
     def __call__(self, arguments: KernelArguments) -> int:
@@ -140,6 +158,11 @@ class LinearisationPass:
             stepping = PRECOMPUTED
             self.cvode(arguments, self.arrays.states)
             if arguments.codes[0] != FINISHED:
+                return 1
+            try:
+                arguments = arguments._replace(c=self.component())
+            except ModelError:
+                arguments.codes[0] = INITIALISATION
                 return 1
         arguments.codes[0], arguments.stopped_at[0] = linearise(
             stepping, *arguments[:5], self.with_offsets, arguments.grid, arguments.points[0],

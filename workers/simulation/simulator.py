@@ -145,13 +145,14 @@ class Simulator:
                 f"{self._model.name}: has events, across which solver cvode cannot be linearised; "
                 'set model.solver to "dormand_prince" or "rk4"'
             )
+        self._integrator.find_jacobian(self._bound[0])
         without_effects = self._bound[experiment]
         batch = SimulationBatch.empty(
             len(points), len(without_effects.grid.times), len(without_effects.outputs)
         )
         for p, point in enumerate(points):
             prepared = self._bindings.prepare(experiment, point, effects)
-            one = prepared.at(point, cvode)
+            one = prepared.at(point, self._integrator.component, cvode)
             n_effect_states = len(prepared.effect_states)
             run = self._integrator.run(one.bound, one.values, one.hooks, n_effect_states, one)
             batch.codes[p], batch.messages[p] = run.codes[0], run.messages[0]

@@ -14,7 +14,7 @@ from cluster_est.cli import main
 from cluster_est.preflight import CheckFinding, CheckPage, bare_problem, run_checks
 from cluster_est.problem.parameter import Parameter
 from cluster_est.running.resources import Resources
-from workers.messages import Solver
+from workers.messages import Effect, Solver
 
 Give = Callable[[str, int], Path]
 Examine = Callable[..., CheckPage]
@@ -168,13 +168,39 @@ def test_a_config_whose_parameter_is_dead(
     assert "1 of 2 act on the outputs" in said
 
 
+def test_an_effect_does_not_make_a_check_reset_the_instance(own_fmu: Give) -> None:
+    """It simulates twice, because an effect is compiled at first: the second time in a new one."""
+    problem = bare_problem(own_fmu("reset_crashes", 2))
+    gain = Effect("gain", "output y", "gain")
+    strength = Parameter("gain.k", 0.1, -1.0, 1.0)
+    whole = replace(problem, effects=(gain,), parameters=(*problem.parameters, strength))
+    page = run_checks(whole, Resources(), MINUTE)
+
+    assert line(page, "simulates").verdict == "ok"
+    assert line(page, "reset").verdict == "note"
+    assert page.good
+
+
+def test_what_one_process_cannot_repeat_is_not_compared_in_one(examined: Examine) -> None:
+    page = examined("static_counter")
+
+    assert "new process for each simulation" in line(page, "reset").do
+    assert line(page, "parameters").verdict == "not done"
+    assert not [each for each in page.findings if each.check in ("accuracy", "dead parameters")]
+
+
+def test_sensitivities_are_not_offered_where_a_reset_spoils_them(examined: Examine) -> None:
+    page = examined("reset_spoils_directional")
+
+    assert line(page, "reset").verdict == "note"
+    assert not [each for each in page.findings if each.check == "sensitivities"]
+
+
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_fmu_that_ends_by_itself_is_to_be_stopped_before(own_fmu: Give, fmi: int) -> None:
     problem = bare_problem(own_fmu("stair", fmi))
     (run,) = problem.experiments
-    page = run_checks(
-        replace(problem, experiments=(replace(run, stop=12.0),)), Resources(), MINUTE
-    )
+    page = run_checks(replace(problem, experiments=(replace(run, stop=12.0),)), Resources(), MINUTE)
 
     ended = line(page, "experiment default")
     assert "the FMU ended the simulation by itself at t = 9 s" in ended.found

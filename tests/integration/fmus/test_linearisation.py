@@ -56,6 +56,21 @@ def linearised(model, experiment, values, effects=()):
     return found.linearisation
 
 
+@pytest.mark.parametrize("solver", [ADAPTIVE, FIXED, STIFF])
+@pytest.mark.parametrize("reset", ["reset", "instance"])
+def test_the_first_thing_that_an_instance_is_asked_for(solver, reset):
+    """A linearisation with CVODE simulates twice, each time from a beginning of its own."""
+    model = replace(spring(solver), reset=reset)
+    experiment = spring_experiment()
+    evaluator = Evaluator(model, (experiment,), "w")
+    first, again = (ask(evaluator, SPRING) for _ in range(2))
+    plainly = ask(evaluator, SPRING, "trajectory")
+    evaluator.close()
+    assert first.ok, first.message
+    assert first.linearisation.A.tobytes() == again.linearisation.A.tobytes()
+    assert first.residuals.tobytes() == again.residuals.tobytes() == plainly.residuals.tobytes()
+
+
 def each(times, rows):
     """A matrix for each time, of entries that are numbers or a number for each time."""
     return np.moveaxis(

@@ -74,6 +74,45 @@ def test_a_state_that_survives_a_reset(
     assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
 
 
+@BOTH
+@pytest.mark.parametrize("solver", ["dormand_prince", "cvode"])
+def test_what_a_solver_asks_beforehand_does_not_use_up_the_new_instance(
+    fitted: Fit, tmp_path: Path, fmi: int, solver: str
+) -> None:
+    """CVODE looks at the directional derivatives first; after that, all began with a reset."""
+    name = "reset_spoils_directional"
+    assert fitted(name, fmi, f"model.solver={solver}", "model.rtol=1e-8") == 0
+
+    assert chosen(tmp_path) == "instance"
+    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+
+
+@pytest.mark.parametrize("between", [Status.TIMEOUT, Status.OUT_OF_MEMORY, Status.SOLVER_FAILURE])
+def test_a_reset_is_tried_again_where_the_one_between_may_have_left_a_new_instance(
+    between: Status,
+) -> None:
+    """After it, the last answer begins with no reset: it is the first one's for that reason."""
+    new, after = np.array([1.0]), np.array([2.0])
+    task = Task(0, 0, np.zeros(0))
+
+    class Pool:
+        fresh = True
+
+        def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
+            return [self._answer(t) for t in tasks]
+
+        def _answer(self, asked: Task) -> Outcome:
+            if asked.experiment == 1:
+                self.fresh = True
+                return Outcome(asked.id, between, message="ended")
+            residuals, self.fresh = new if self.fresh else after, False
+            return Outcome(asked.id, Status.OK, residuals=residuals)
+
+    other = Task(1, 1, np.zeros(0))
+    found = renewal.RepeatabilityTest((task, other, task)).ask(Pool())  # type: ignore[arg-type]
+    assert found.same is False
+
+
 def test_it_spoils_the_estimate_if_one_insists(fitted: Fit, tmp_path: Path) -> None:
     fitted("reset_keeps_state", 2, "model.reset=reset")
 
@@ -178,6 +217,17 @@ def test_a_simulation_without_an_answer_says_nothing_of_a_reset(status: Status) 
 
     question = renewal.RepeatabilityTest((Task(0, 0, np.zeros(1)), Task(1, 0, np.zeros(1))))
     assert question.ask(Dies()).same is None  # type: ignore[arg-type]
+
+
+def test_chance_is_named_where_there_are_no_processes_to_be_copied(
+    fitted: Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(renewal.os, "fork")
+    fitted("random_output", 2, "budget.evaluations=3")
+
+    assert chosen(tmp_path) == "reset"
+    assert "does not repeat itself" in (said := capsys.readouterr().err)
+    assert "even in a new instance" in said
 
 
 @BOTH

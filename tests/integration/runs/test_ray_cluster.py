@@ -54,7 +54,7 @@ def test_a_lost_node_and_a_new_one_change_no_bit(cluster, monkeypatch):
 
     with RayPool.open(problem.model, problem.experiments, None, cluster.address) as executor:
         begin = time.monotonic()
-        while time.monotonic() - begin < 120.0:  # a new worker stands ready after some seconds
+        while time.monotonic() - begin < 900.0:  # some seconds on an idle machine
             found = Runner(executor, record=disturb).run(requests)
             assert [s.x.tobytes() for s in found] == [s.x.tobytes() for s in expected]
             if len(seen) >= 3:
