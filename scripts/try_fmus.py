@@ -10,7 +10,8 @@ Folders in FOLDER are the sources that the table at the end counts by. For each 
   fit finds out; ``differs``, at how many of the times; ``refused``, with the sentence that a user
   would see; ``alone``, where fmpy cannot simulate it, with what that says;
 - for each interface and the executors `local` and `processes`, a fit back to a value that was
-  planted in a curve of fmpy's: ``returned``, ``elsewhere``, ``refused`` or ``not tried``.
+  planted in a curve of fmpy's: ``returned``, ``elsewhere``, ``out of time``, ``refused`` or
+  ``not tried``.
 
 What must never happen is in capitals: ``HANGS``, ``TRACEBACK``, ``DIES IN SILENCE``. The exit code
 is 1 if any of these happened or a curve differs. All runs are in processes of their own.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,8 @@ CHANGE = 1.1
 MOST_TRIED, MOST_OUTPUTS = 6, 5
 VISIBLE = 1e-4
 """Of an output's size: what a planted value must change."""
+BUDGET = 0.4
+"""Share of its time after which a fit is to end by itself: one that does not is no slow one."""
 RETURNED = 1e-3
 """Relative distance from the planted value of a fit that has returned to it."""
 
@@ -78,14 +81,18 @@ def _write(
 def _fit(config: Path, executor: str, name: str, planted: float, seconds: float) -> str:
     out = config.parent / executor
     arguments = ["fit", str(config), "--out", str(out), "--no-report", f"executor.name={executor}"]
-    ended = run_command(arguments, config.parent, seconds)
+    budget = BUDGET * seconds
+    begin = time.monotonic()
+    ended = run_command([*arguments, f"budget.seconds={budget}"], config.parent, seconds)
     if ended.fault:
         return f"{ended.fault}: {ended.last_sentence}"
     found = _estimate(out, name)
     if found is None:
         return _no_estimate(ended)
     far = abs(found / planted - 1.0)
-    return f"{'returned' if far <= RETURNED else 'elsewhere'}: {name} {far:.1e} from the truth"
+    late = time.monotonic() - begin > budget
+    what = "returned" if far <= RETURNED else "out of time" if late else "elsewhere"
+    return f"{what}: {name} {far:.1e} from the truth"
 
 
 def _estimate(out: Path, name: str) -> float | None:

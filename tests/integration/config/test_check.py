@@ -182,7 +182,7 @@ def test_an_effect_does_not_make_a_check_reset_the_instance(own_fmu: Give) -> No
 
 
 def test_what_one_process_cannot_repeat_is_not_compared_in_one(examined: Examine) -> None:
-    page = examined("static_counter")
+    page = examined("process_counter")
 
     assert "new process for each simulation" in line(page, "reset").do
     assert line(page, "parameters").verdict == "not done"
