@@ -193,8 +193,9 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
                 f"closed_loop.effects: there is no form {name!r}{nearest(name, known)}"
             )
     offered = _sites(problem, description)
+    closed = {f"parameter {name}" for name in _closed_parameters(problem, description)}
     for site in settings.sites:
-        if site in {f"parameter {name}" for name in closed_parameters(problem, description)}:
+        if site in closed:
             raise ProblemError(
                 f"closed_loop.sites: {site!r} is closed, because {description.file} does not allow "
                 "it to change while it runs; export it with variability tunable, or leave it out"
@@ -249,7 +250,7 @@ def _sites(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     return tuple(str(site) for site in [*sites, *pairs])
 
 
-def closed_parameters(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
+def _closed_parameters(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     """Return the estimated parameters that the FMU does not allow to change while it runs.
 
     No effect can act there: a parameter that varies with a state, an input or time stays unseen.
@@ -265,7 +266,7 @@ def closed_parameters(problem: Problem, description: ModelDescription) -> tuple[
 
 def _notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     notes = list(problem.notes())
-    closed = closed_parameters(problem, description)
+    closed = _closed_parameters(problem, description)
     if closed:
         notes.append(
             f"closed to effects: {', '.join(closed)}, because {description.file} does not allow "
