@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,8 @@ import pyarrow.parquet as pq
 import tomli_w
 
 from cluster_est.drafting.candidates import candidates
+from cluster_est.methods.base import Ending
+from cluster_est.run_folder.reading import read_facts
 from fmu_trials.commands import CommandEnd, run_command
 from fmu_trials.curve import Array, Trial, referred
 
@@ -81,16 +82,15 @@ def _write(
 def _fit(config: Path, executor: str, name: str, planted: float, seconds: float) -> str:
     out = config.parent / executor
     arguments = ["fit", str(config), "--out", str(out), "--no-report", f"executor.name={executor}"]
-    budget = BUDGET * seconds
-    begin = time.monotonic()
-    ended = run_command([*arguments, f"budget.seconds={budget}"], config.parent, seconds)
+    arguments.append(f"budget.seconds={BUDGET * seconds}")
+    ended = run_command(arguments, config.parent, seconds)
     if ended.fault:
         return f"{ended.fault}: {ended.last_sentence}"
     found = _estimate(out, name)
     if found is None:
         return _no_estimate(ended)
     far = abs(found / planted - 1.0)
-    late = time.monotonic() - begin > budget
+    late = read_facts(out).get("ending") == Ending.BUDGET.name.lower()
     what = "returned" if far <= RETURNED else "out of time" if late else "elsewhere"
     return f"{what}: {name} {far:.1e} from the truth"
 
