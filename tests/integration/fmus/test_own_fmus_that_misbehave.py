@@ -120,7 +120,7 @@ def test_leaks(own_fmu: Give, tmp_path: Path, fmi: int, name: str) -> None:
 
     growth = float(run_alone(script, own_fmu(name, fmi), tmp_path).stdout.split()[-1])
 
-    assert growth > 30.0  # of 40 MiB, less what the process had free
+    assert growth > 36.0  # of 40 MiB, less what the process had free
 
 
 @BOTH
