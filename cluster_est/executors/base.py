@@ -59,6 +59,9 @@ class WorkerPool(Executor):
     name: ClassVar[str]
     """What the config calls it."""
 
+    in_process: ClassVar[bool]
+    """Whether simulations run in this process, which an FMU that crashes takes along."""
+
     @classmethod
     @abstractmethod
     def open(

@@ -9,7 +9,6 @@ from typing import ClassVar, Protocol, Self
 
 from typing_extensions import override
 
-from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import TaskBacklog
 from cluster_est.executors.base import WorkerPool
 from workers.evaluate import Evaluator
@@ -41,6 +40,7 @@ class LocalExecutor(WorkerPool):
     """
 
     name: ClassVar[str] = "local"
+    in_process: ClassVar[bool] = True
 
     def __init__(self, evaluators: Sequence[_EvaluatorProtocol]) -> None:
         self.workers = len(evaluators)
@@ -62,11 +62,6 @@ class LocalExecutor(WorkerPool):
         address: str | None,
         limits: Limits | None = None,
     ) -> Self:
-        if model.reset == "process":
-            raise ExecutorError(
-                'model.reset: "process" needs workers that are processes of their own but '
-                'executor.name is "local"; choose "processes" or "ray" there'
-            )
         count = workers or 1
         if count > 1 and describe_model(model).once_per_process:
             count = 1

@@ -22,6 +22,7 @@ class ProcessExecutor(WorkerPool):
     """
 
     name: ClassVar[str] = "processes"
+    in_process: ClassVar[bool] = False
 
     def __init__(self, guards: Sequence[SupervisedEvaluator]) -> None:
         self.workers = len(guards)

@@ -54,6 +54,7 @@ class RayPool(WorkerPool):
     """A pool of Ray actors. For slow or dangerous FMUs, many cores, and clusters."""
 
     name: ClassVar[str] = "ray"
+    in_process: ClassVar[bool] = False
 
     def __init__(
         self,

@@ -80,7 +80,7 @@ def _reset(subject: CheckSubject, found: RepetitionResult, crash: str) -> CheckF
         do = 'model.reset = "auto" sees to it: a new instance for each simulation'
         return _reset_advice(subject, "instance", how, do)
     do = 'model.reset = "auto" sees to it: a new process for each simulation'
-    if subject.executor == "local":
+    if subject.in_process:
         do = 'executor.name = "processes", for a new process for each simulation'
         return CheckFinding(CheckVerdict.PROBLEM, "reset", how, do)
     return _reset_advice(subject, "process", how, do)
@@ -126,8 +126,8 @@ def instances(subject: CheckSubject) -> CheckFinding:
     if count > 1:
         says = "as it says, though more could be made"
     do = 'for several workers: executor.name = "processes" or "ray"'
-    local = subject.executor == "local" and _several(subject)
-    verdict = CheckVerdict.PROBLEM if local else CheckVerdict.NOTE
+    several = subject.in_process and _several(subject)
+    verdict = CheckVerdict.PROBLEM if several else CheckVerdict.NOTE
     return CheckFinding(verdict, "instances", f"one in a process, {says}", do)
 
 

@@ -45,8 +45,8 @@ def _time(subject: CheckSubject, seconds: float, count: int) -> CheckFinding:
         said += f"; a worker gets up to {together} at a time"
     if seconds < SHORT:
         said += "; too short to be worth the way to another process"
-        do = "" if subject.executor == "local" else 'executor.name = "local" is enough'
-    elif subject.executor == "local" and cores > 1:
+        do = "" if subject.in_process else 'executor.name = "local" is enough'
+    elif subject.in_process and cores > 1:
         do = f'executor.name = "processes" and executor.workers = {cores}, or "ray" for a cluster'
     else:
         do = ""
@@ -69,7 +69,7 @@ def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
         return CheckFinding(CheckVerdict.OK, "memory", f"no leak in {found.count} simulations")
     said = f"leaks {found.leak / 1024:.3g} kB a simulation"
     lasts = subject.growth / found.leak
-    if subject.executor == "local":
+    if subject.in_process:
         do = 'executor.name = "processes", whose processes are replaced as they grow'
         return CheckFinding(CheckVerdict.NOTE, "memory", said, do)
     said += f"; its process is replaced after about {lasts:.3g} of them (executor.growth)"

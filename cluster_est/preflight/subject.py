@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cluster_est.executors import executor_class
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
@@ -76,6 +77,11 @@ class CheckSubject:
     repeats: bool = True
     declared: bool = True
     trajectory: FloatArray | None = None
+
+    @property
+    def in_process(self) -> bool:
+        """True if the executor runs simulations in this process."""
+        return executor_class(self.executor).in_process
 
     @property
     def probe_arguments(self) -> tuple[int, FloatArray, ResetPolicy]:

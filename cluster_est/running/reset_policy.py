@@ -157,11 +157,15 @@ def open_with_reset(
 
     def start(kind: str, renew: ResetPolicy, count: int | None) -> WorkerPool:
         model = replace(problem.model, reset=renew)
-        # what is tried apart for "local" has no more limits than there
+        # what is tried apart for an executor in this process has no more limits than there
         limits = resources.limits if kind == resources.executor else NO_LIMITS
-        return executor_class(kind).open(
-            model, problem.experiments, count, resources.address, limits
-        )
+        pool = executor_class(kind)
+        if renew == "process" and pool.in_process:
+            raise ExecutorError(
+                'model.reset: "process" needs workers that are processes of their own but '
+                f'executor.name is "{kind}"; choose "processes" or "ray" there'
+            )
+        return pool.open(model, problem.experiments, count, resources.address, limits)
 
     declared = problem.model.reset
     if known is None and declared != "auto":
@@ -183,16 +187,16 @@ def _find_policy(
 ) -> tuple[WorkerPool, ResetDecision]:
     """Find the least policy with which the test has one answer; a reset if there is none.
 
-    For "local", an FMU that this machine does not know is tried in a process of its own: it may
-    crash.
+    For an executor in this process, an FMU that this machine does not know is tried in a process of
+    its own: it may crash.
     """
-    file, local = problem.model.name, resources.executor == "local"
+    file, here = problem.model.name, executor_class(resources.executor).in_process
     forks = hasattr(os, "fork")
-    apart = local and forks and not has_survived(problem.model)
+    apart = here and forks and not has_survived(problem.model)
     question = RepeatabilityTest.of(problem)
     answers: dict[ResetPolicy, RepeatabilityAnswer] = {}
-    for policy in WAYS if forks or not local else WAYS[:-1]:
-        elsewhere = apart or (local and policy == "process")
+    for policy in WAYS if forks or not here else WAYS[:-1]:
+        elsewhere = apart or (here and policy == "process")
         where = ("processes", 1) if elsewhere else (resources.executor, resources.workers)
         try:
             pool = start(where[0], policy, where[1])
@@ -210,7 +214,7 @@ def _find_policy(
             return pool, decision
         pool.close()
         if decision is not None:
-            _refuse_here(file, policy, answers[policy])
+            _refuse_here(file, resources.executor, policy, answers[policy])
             if policy == "reset" and answers[policy].same:
                 remember_survival(problem.model)
             return start(resources.executor, decision.renew, resources.workers), decision
@@ -243,7 +247,9 @@ def _never_the_same(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer
     return ResetDecision(safe[0] if safe else "reset", said)
 
 
-def _refuse_here(file: str, policy: ResetPolicy, answer: RepeatabilityAnswer) -> None:
+def _refuse_here(
+    file: str, executor: str, policy: ResetPolicy, answer: RepeatabilityAnswer
+) -> None:
     """Refuse to run an FMU in this process that would take it along, or spoil what comes next."""
     if answer.same is None and answer.crashed:
         raise ExecutorError(
@@ -254,8 +260,8 @@ def _refuse_here(file: str, policy: ResetPolicy, answer: RepeatabilityAnswer) ->
     if policy == "process":
         raise ExecutorError(
             f"executor.name: {file} keeps something from one simulation to the next, even in "
-            'a new instance, so each needs a process of its own, but "local" has one for all; '
-            'choose "processes" or "ray", or set model.reset = "reset" if that does not matter'
+            f'a new instance, so each needs a process of its own, but "{executor}" has one for '
+            'all; choose "processes" or "ray", or set model.reset = "reset" if that does not matter'
         )
 
 

@@ -6,14 +6,18 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 import ray
 from support.truth.example_models import MODELS, REFERENCES, sampled_experiment
 
+from cluster_est import Parameter, Problem
+from cluster_est.errors import ExecutorError
 from cluster_est.executors import EXECUTORS, Executor, executor_class
+from cluster_est.running.reset_policy import open_with_reset
+from cluster_est.running.resources import Resources
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.messages import Experiment, Input, Model, Outcome, Output, Solver, Status, Task, Want
@@ -128,6 +132,16 @@ def check(outcomes: dict[int, Outcome], tasks: Sequence[Task]) -> None:
 
 def test_every_executor_is_tested() -> None:
     assert {name for name, _ in OPENERS.values()} == set(EXECUTORS), "add a line to OPENERS"
+
+
+def test_a_process_for_each_simulation_is_refused_where_there_is_but_this_one() -> None:
+    parameters = tuple(Parameter(p, 1.0, 0.1, 100.0) for p in SPRING.parameters)
+    problem = Problem(replace(SPRING, reset="process"), parameters, EXPERIMENTS[:1])
+    here = [name for name in EXECUTORS if executor_class(name).in_process]
+    assert "local" in here
+    for name in here:
+        with pytest.raises(ExecutorError, match=rf'own but executor.name is "{name}"; choose'):
+            open_with_reset(problem, Resources(executor=name))
 
 
 class TestContract:

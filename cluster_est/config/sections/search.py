@@ -16,7 +16,9 @@ from cluster_est.config.sections.types import (
     Pair,
     Positive,
     Samples,
+    one_of,
 )
+from cluster_est.costs import COSTS
 from cluster_est.running.multistart import Multistart, Sampler
 from cluster_est.uncertainty import UncertaintySettings
 
@@ -38,7 +40,7 @@ Name = Annotated[str, Field(min_length=1)]
 class CostSection(ConfigSection):
     """Keys of the cost."""
 
-    name: str = Field("sse", description="sse, sae, huber, soft_l1, cauchy, likelihood or total")
+    name: str = Field("sse", description=one_of(COSTS))
     options: dict[str, Any] = Field(default_factory=dict, description="of the cost")
     function: str = Field(
         "",

@@ -15,7 +15,8 @@ from cluster_est.config.sections.search import (
     MultistartSection,
     UncertaintySection,
 )
-from cluster_est.config.sections.types import LARGEST, ConfigSection, Count, Finite, Known
+from cluster_est.config.sections.types import LARGEST, ConfigSection, Count, Finite, Known, one_of
+from cluster_est.executors import EXECUTORS
 from cluster_est.running.resources import Resources
 
 
@@ -159,7 +160,7 @@ class ClosedLoopSection(ConfigSection):
 class ExecutorSection(ConfigSection):
     """Keys of the executor and its limits."""
 
-    name: str = Field(_RESOURCES.executor, description="local, processes or ray")
+    name: str = Field(_RESOURCES.executor, description=one_of(EXECUTORS))
     workers: Count | None = Field(
         None, gt=0, description="default: every core of the cluster for ray, else 1"
     )

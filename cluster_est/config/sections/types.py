@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, Strict
@@ -54,3 +55,9 @@ class ConfigSection(BaseModel):
     """A section of a config file: strict, frozen, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+def one_of(names: Iterable[str]) -> str:
+    """Return the description of a key that takes one of some names."""
+    *first, last = names
+    return f"{', '.join(first)} or {last}"

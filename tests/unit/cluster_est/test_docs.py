@@ -39,3 +39,14 @@ def test_every_method_is_in_the_page_that_helps_to_choose():
     page = (ROOT / "cluster_est" / "docs" / "which_method.md").read_text(encoding="utf-8")
     missing = [name for name in METHODS if f"`{name}`" not in page]
     assert missing == [], "add a row to cluster_est/docs/which_method.md"
+
+
+def test_every_plug_in_that_a_config_can_choose_is_in_the_reference():
+    from cluster_est.costs import COSTS
+    from cluster_est.executors import EXECUTORS
+    from cluster_est.methods import METHODS
+
+    reference = (ROOT / "configs" / "reference.toml").read_text(encoding="utf-8")
+    names = [*METHODS, *COSTS, *EXECUTORS]
+    missing = [name for name in names if not re.search(rf"\b{name}\b", reference)]
+    assert missing == [], "add the name to configs/reference.toml"
