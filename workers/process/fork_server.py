@@ -32,7 +32,7 @@ FORK, FORK_FOR_EFFECTS = "fork", "fork for effects"
 def main(descriptor: int, shared: int) -> None:
     """Fork and wait as told: `FORK` and a connection's handle, or the id of an ended process.
 
-    `shared` is the descriptor of the counters that all processes advance, one at a time.
+    `shared` is the descriptor of the progress that all processes note, one at a time.
     """
     orders = Connection(descriptor)
     installation = orders.recv()

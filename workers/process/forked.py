@@ -35,7 +35,7 @@ class ForkClient:
     def __init__(self, installation: tuple[Any, ...]) -> None:
         self._installation = installation
         self._shared = SharedProgress()
-        self.progress = self._shared.counters
+        self.progress = self._shared.progress
         self._start()
 
     def fork(self, *, effects: bool = False) -> tuple[int, Connection]:

@@ -1,7 +1,7 @@
 """Telling a process that stands still from one that waits for its turn on a busy machine.
 
-A process that is simulated in advances counters in memory that it shares with the one that waits
-for it. While they do not move, the time counts in which it could have moved them: the processor
+A process that is simulated in notes its progress in memory that it shares with the one that waits
+for it. While nothing is noted, the time counts in which something could have been: the processor
 time that it was given, and the time that it slept of its own accord. While it is ready to run and
 others are running, or somebody has stopped it, no time passes for it.
 """
@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from workers.kernels.fmi.progress import RUNNING, SIMULATIONS, no_watcher
+from workers.kernels.fmi.progress import CALLED, RUNNING, SIMULATIONS, no_watcher
 from workers.messages import IntArray
 
 LATE_SECONDS = 1.0
@@ -28,20 +28,20 @@ for a disk, as on a machine whose memory is short. `executor.timeout` ends it al
 
 
 class SharedProgress:
-    """Counters in memory that this process and those that are given its descriptor share.
+    """Progress in memory that this process and those that are given its descriptor share.
 
     Attributes
     ----------
     descriptor
         Of the memory, to be mapped by `map_progress`.
-    counters
+    progress
         See `workers.kernels.fmi.progress`.
     """
 
     def __init__(self) -> None:
         self.descriptor = _anonymous_file()
         os.ftruncate(self.descriptor, mmap.PAGESIZE)
-        self.counters = map_progress(self.descriptor)
+        self.progress = map_progress(self.descriptor)
 
     def close(self) -> None:
         """Give the descriptor back. Again does nothing."""
@@ -51,7 +51,7 @@ class SharedProgress:
 
 
 def map_progress(descriptor: int) -> IntArray:
-    """The counters in memory that another process has made."""
+    """The progress in memory that another process has made."""
     memory = mmap.mmap(descriptor, mmap.PAGESIZE)
     return np.frombuffer(memory, np.int64, count=len(no_watcher()))
 
@@ -92,8 +92,8 @@ class ProgressWatch:
     ----------
     process
         Its id.
-    counters
-        That it advances.
+    progress
+        That it notes; a look erases that there was a call.
 
     Attributes
     ----------
@@ -101,31 +101,32 @@ class ProgressWatch:
         Seconds for which it has stood still.
     """
 
-    def __init__(self, process: int, counters: IntArray) -> None:
-        self._process, self._counters = process, counters
-        self._seen = counters.tobytes()
+    def __init__(self, process: int, progress: IntArray) -> None:
+        self._process, self._progress = process, progress
+        self._begun = progress[SIMULATIONS:].tobytes()
         self._looked = time.monotonic()
         self._activity = ProcessActivity.of(process)
-        self._simulation = int(counters[SIMULATIONS])
+        self._simulation = int(progress[SIMULATIONS])
         self.still = 0.0
         self._simulated = 0.0
 
     def look(self) -> None:
         """Count the time since the last look."""
         now, activity = time.monotonic(), ProcessActivity.of(self._process)
-        if int(self._counters[SIMULATIONS]) != self._simulation:
-            self._simulation, self._simulated = int(self._counters[SIMULATIONS]), 0.0
+        if int(self._progress[SIMULATIONS]) != self._simulation:
+            self._simulation, self._simulated = int(self._progress[SIMULATIONS]), 0.0
         else:  # who looks so rarely was kept from looking, and so was the simulation
             self._simulated += min(now - self._looked, LATE_SECONDS)
-        seen = self._counters.tobytes()
+        called, begun = self._progress[CALLED] != 0, self._progress[SIMULATIONS:].tobytes()
+        self._progress[CALLED] = 0
         passed = self._passed(now - self._looked, activity)
-        self.still = self.still + passed if seen == self._seen else 0.0
-        self._seen, self._looked, self._activity = seen, now, activity
+        self.still = 0.0 if called or begun != self._begun else self.still + passed
+        self._begun, self._looked, self._activity = begun, now, activity
 
     @property
     def simulates(self) -> bool:
         """True while a simulation is under way; else it prepares one, or compares what it gave."""
-        return bool(self._counters[RUNNING])
+        return bool(self._progress[RUNNING])
 
     @property
     def simulated(self) -> float:

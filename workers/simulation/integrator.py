@@ -124,7 +124,7 @@ class FmuIntegrator:
     model, description
         The FMU; the description must be of the same archive.
     progress
-        Counters that the loop advances; see `workers.kernels.fmi.progress`.
+        Progress that the loop notes; see `workers.kernels.fmi.progress`.
     """
 
     instance: FmuInstance

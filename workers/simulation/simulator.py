@@ -38,7 +38,7 @@ class Simulator:
     experiments
         Those that `run` refers to by index.
     progress
-        Counters that simulations advance; see `workers.kernels.fmi.progress`.
+        Progress that simulations note; see `workers.kernels.fmi.progress`.
 
     Raises
     ------

@@ -5,14 +5,14 @@ from __future__ import annotations
 from workers.kernels.fmi.calling import inlined, kernel
 from workers.kernels.fmi.functions import get_derivatives, set_continuous_states, set_time
 from workers.kernels.fmi.hooks import add_derivatives, interpolate_inputs, modify_inputs
-from workers.kernels.fmi.progress import count_call
+from workers.kernels.fmi.progress import note_call
 from workers.kernels.fmi.values import DISCARD, get_values, set_reals, set_values
 
 
 @inlined
 def set_time_and_states(c, references, hooks, time, states, work):  # type: ignore[no-untyped-def]
     """Set time, states, and the inputs in `work`. Returns the worst status."""
-    count_call(work)
+    note_call(work)
     status = set_time(c, time)
     if status < DISCARD and c.n_states > 0:
         status = max(status, set_continuous_states(c, states))

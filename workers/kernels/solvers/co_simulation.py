@@ -28,7 +28,7 @@ from workers.kernels.fmi.hooks import (
     start_effect_states,
 )
 from workers.kernels.fmi.initialise import initialise, n_steps
-from workers.kernels.fmi.progress import count_call
+from workers.kernels.fmi.progress import note_call
 from workers.kernels.fmi.values import DISCARD, get_values, set_reals, set_values
 
 
@@ -163,7 +163,7 @@ def _advance_to_next_time(c, references, settings, grid, i, steps, work):  # typ
             status = set_real_input_derivatives(
                 c, references.inputs.reals, work.derivative_orders, grid.slopes[i]
             )
-        count_call(work)
+        note_call(work)
         if status < DISCARD:
             status = do_step(c, _communication_point(grid, i, s, steps, step), step, work.info)
     return status
@@ -197,7 +197,7 @@ def _advance_to_next_time_with_effects(c, references, settings, hooks, grid, i, 
             status = set_real_input_derivatives(
                 c, references.inputs.reals, work.derivative_orders, work.input_slopes
             )
-        count_call(work)
+        note_call(work)
         if status < DISCARD:
             status = do_step(c, _communication_point(grid, i, s, steps, step), step, work.info)
     return status

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from workers.kernels.fmi.progress import CALLS, RUNNING, SIMULATIONS, no_watcher
+from workers.kernels.fmi.progress import CALLED, RUNNING, SIMULATIONS, no_watcher
 from workers.process import watch
 from workers.process.watch import ProcessActivity, ProgressWatch, SharedProgress, map_progress
 
@@ -17,7 +17,7 @@ Passed = Callable[[float, ProcessActivity | None], None]
 
 
 @pytest.fixture
-def counters():
+def progress():
     return no_watcher()
 
 
@@ -35,53 +35,56 @@ def let_pass(monkeypatch: pytest.MonkeyPatch) -> Passed:
     return then
 
 
-def test_ready_to_run_but_not_let_run(counters, let_pass: Passed) -> None:
+def test_ready_to_run_but_not_let_run(progress, let_pass: Passed) -> None:
     """A busy machine gives it 0.2 s in an hour."""
-    seen = ProgressWatch(1, counters)
+    seen = ProgressWatch(1, progress)
     for hour in range(3):
         let_pass(3600.0, ProcessActivity(waiting=True, seconds=5.0 + 0.2 * (hour + 1)))
         seen.look()
     assert seen.still == pytest.approx(0.6)
 
 
-def test_busy_without_a_step(counters, let_pass: Passed) -> None:
-    seen = ProgressWatch(1, counters)
+def test_busy_without_a_step(progress, let_pass: Passed) -> None:
+    seen = ProgressWatch(1, progress)
     let_pass(10.0, ProcessActivity(waiting=True, seconds=14.0))
     seen.look()
     assert seen.still == pytest.approx(9.0)
 
 
-def test_asleep_of_its_own_accord(counters, let_pass: Passed) -> None:
-    seen = ProgressWatch(1, counters)
+def test_asleep_of_its_own_accord(progress, let_pass: Passed) -> None:
+    seen = ProgressWatch(1, progress)
     for _ in range(20):
         let_pass(0.5, ProcessActivity(waiting=False, seconds=5.0))
         seen.look()
     assert seen.still == pytest.approx(10.0)
 
 
-def test_who_looks_was_asleep_itself(counters, let_pass: Passed) -> None:
-    seen = ProgressWatch(1, counters)
+def test_who_looks_was_asleep_itself(progress, let_pass: Passed) -> None:
+    seen = ProgressWatch(1, progress)
     let_pass(3600.0, ProcessActivity(waiting=False, seconds=5.0))
     seen.look()
     assert seen.still == watch.LATE_SECONDS
 
 
-@pytest.mark.parametrize("which", [CALLS, SIMULATIONS])
-def test_a_step_begins_it_anew(counters, let_pass: Passed, which: int) -> None:
-    seen = ProgressWatch(1, counters)
+@pytest.mark.parametrize("which", [CALLED, SIMULATIONS])
+def test_a_step_begins_it_anew(progress, let_pass: Passed, which: int) -> None:
+    seen = ProgressWatch(1, progress)
     let_pass(10.0, ProcessActivity(waiting=True, seconds=14.0))
     seen.look()
-    counters[which] += 1
+    progress[which] += 1
     seen.look()
     assert seen.still == 0.0
+    let_pass(10.0, ProcessActivity(waiting=True, seconds=20.0))
+    seen.look()
+    assert seen.still == pytest.approx(6.0)
 
 
-def test_each_simulation_has_the_time_for_itself(counters, let_pass: Passed) -> None:
-    seen = ProgressWatch(1, counters)
-    counters[:] = 1, 1, 1
+def test_each_simulation_has_the_time_for_itself(progress, let_pass: Passed) -> None:
+    seen = ProgressWatch(1, progress)
+    progress[:] = 1, 1, 1
     for _ in range(4):
         let_pass(2.0, None)
-        counters[SIMULATIONS] += 1
+        progress[SIMULATIONS] += 1
         seen.look()
     for _ in range(6):
         let_pass(0.5, None)
@@ -90,11 +93,11 @@ def test_each_simulation_has_the_time_for_itself(counters, let_pass: Passed) -> 
     let_pass(3600.0, None)  # the whole machine was suspended
     seen.look()
     assert seen.simulated == pytest.approx(4.0)
-    counters[RUNNING] = 0
+    progress[RUNNING] = 0
     assert seen.simulated == 0.0
 
 
-def test_counters_are_seen_by_another_process() -> None:
+def test_progress_is_seen_by_another_process() -> None:
     shared = SharedProgress()
     code = (
         "import sys; from workers.process.watch import map_progress; "
@@ -102,7 +105,7 @@ def test_counters_are_seen_by_another_process() -> None:
     )
     command = [sys.executable, "-c", code, str(shared.descriptor)]
     subprocess.run(command, pass_fds=[shared.descriptor], check=True)
-    assert shared.counters.tolist() == [7, 8, 9]
+    assert shared.progress.tolist() == [7, 8, 9]
     assert map_progress(shared.descriptor).tolist() == [7, 8, 9]
     shared.close()
     shared.close()
