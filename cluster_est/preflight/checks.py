@@ -25,6 +25,8 @@ SECONDS = 4.0
 """Time for all checks, once there is a process for them."""
 COMPILE_SECONDS = 120.0
 """For a loop that only checks need; read from disk ever after."""
+MOVING = 0.01
+"""Share of its largest range by which an output must move to tell something of the parameters."""
 LOADING, FIRST_SIMULATION = 0.6, 0.6
 """Shares of the time left for loading the FMU, and for one simulation."""
 
@@ -90,12 +92,12 @@ def run_checks(
 
 
 def _probe_findings(subject: CheckSubject, simulations: list[Simulation]) -> list[CheckFinding]:
-    """Run all checks on the quickest experiment that could be simulated."""
+    """Run all checks on one of the experiments that could be simulated."""
     successful = [s for s in simulations if s.outcome.ok]
     if not successful:
         late = any(s.outcome.status is Status.TIMEOUT for s in simulations)
         return [] if late else stiffness(subject)
-    first = min(successful, key=lambda s: s.outcome.seconds)
+    first = _most_telling(successful)
     seen = first.outcome.trajectory
     subject = replace(
         subject,
@@ -108,6 +110,23 @@ def _probe_findings(subject: CheckSubject, simulations: list[Simulation]) -> lis
     for check in CHECKS:
         findings += check(subject)
     return findings
+
+
+def _most_telling(simulations: list[Simulation]) -> Simulation:
+    """Return the shortest of the simulations in which the most outputs move.
+
+    Shortest by its samples, not by the clock, or each check would say something else.
+    """
+    seen = [simulation.outcome.trajectory for simulation in simulations]
+    ranges = [
+        {} if one is None else dict(zip(one.variables, np.ptp(one.values, axis=0), strict=True))
+        for one in seen
+    ]
+    largest = {name: max(own.get(name, 0.0) for own in ranges) for own in ranges for name in own}
+    moving = [sum(own[name] > MOVING * largest[name] for name in own) for own in ranges]
+    samples = [0 if one is None else len(one.times) for one in seen]
+    order = zip(moving, samples, range(len(simulations)), strict=True)
+    return simulations[min(order, key=lambda each: (-each[0], *each[1:]))[2]]
 
 
 def _not_loaded(stopped: NoAnswer) -> CheckFinding:

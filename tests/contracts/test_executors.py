@@ -16,6 +16,7 @@ from support.truth.example_models import MODELS, REFERENCES, sampled_experiment
 from cluster_est import Parameter, Problem
 from cluster_est.errors import ExecutorError
 from cluster_est.executors import EXECUTORS, Executor, executor_class
+from cluster_est.executors.base import WorkerPool
 from cluster_est.running.reset_policy import open_with_reset
 from cluster_est.running.resources import Resources
 from workers.errors import ModelError
@@ -186,6 +187,31 @@ class TestContract:
             found += len(setup.executor.completed())
         assert setup.executor.busy == 0
 
+    def test_what_has_not_begun_can_be_taken_back(self, setup: Setup) -> None:
+        tasks = make_tasks(2000)
+        setup.executor.submit(tasks)
+        taken = setup.executor.cancel({task.id for task in tasks[1000:]})
+        assert taken, "2000 tasks cannot all have begun"
+        assert set(taken) <= {task.id for task in tasks[1000:]}
+        outcomes: list[Outcome] = []
+        while some := setup.executor.completed():
+            outcomes += some
+        left = [task for task in tasks if task.id not in set(taken)]
+        assert Counter(o.task for o in outcomes) == Counter(task.id for task in left)
+        check({outcome.task: outcome for outcome in outcomes}, left)
+        assert setup.executor.cancel([tasks[0].id]) == []
+        assert setup.executor.busy == 0
+
+    def test_one_worker_answers_what_it_is_asked_in_turn(self, setup: Setup) -> None:
+        tasks = make_tasks(6)
+        assert isinstance(setup.executor, WorkerPool)
+        outcomes = setup.executor.first_worker(tasks)
+        assert [outcome.task for outcome in outcomes] == [task.id for task in tasks]
+        check({outcome.task: outcome for outcome in outcomes}, tasks)
+        again = setup.executor.first_worker(tasks)
+        assert all(same(one, other) for one, other in zip(outcomes, again, strict=True))
+        assert setup.executor.completed() == []
+
     def test_close_forgets_what_is_queued_and_may_be_called_twice(self, setup: Setup) -> None:
         with setup.open(SPRING, EXPERIMENTS[:1]) as executor:
             executor.submit([Task(i, 0, np.array([1.0, 30.0])) for i in range(50)])
@@ -209,7 +235,10 @@ class TestContract:
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("setup", ["processes-1", "processes-2", "ray-2"], indirect=True)
+ELSEWHERE = [key for key, (name, _) in OPENERS.items() if not executor_class(name).in_process]
+
+
+@pytest.mark.parametrize("setup", ELSEWHERE, indirect=True)
 def test_task_that_aborts_its_process_is_a_crash_and_spares_all_others(
     setup: Setup, built_fmu: Callable[[str], bytes]
 ) -> None:

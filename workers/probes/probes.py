@@ -30,11 +30,15 @@ def difference(found: FloatArray, truth: FloatArray) -> float:
 
 
 def differences(found: FloatArray, truth: FloatArray) -> FloatArray:
-    """Return the largest difference of each output of two tables, over its size."""
+    """Return the largest difference of each output of two tables, over its size.
+
+    That of an output which stays at 0 is 1, the nominal value of a variable that declares none.
+    """
     if found.tobytes() == truth.tobytes():
         return np.zeros(truth.shape[1])
     with np.errstate(all="ignore"):
-        sizes = np.maximum(np.abs(truth).max(axis=0), np.finfo(np.float64).tiny)
+        sizes = np.abs(truth).max(axis=0)
+        sizes[sizes == 0.0] = 1.0
         far: FloatArray = np.abs(found - truth).max(axis=0, initial=0.0) / sizes
         return far
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.problems.springs import ROOT
 
 from cluster_est import Problem
 from cluster_est.cli import main
@@ -166,6 +167,16 @@ def test_a_config_whose_parameter_is_dead(
     said = capsys.readouterr().out
     assert "parameter dead" in said
     assert "1 of 2 act on the outputs" in said
+
+
+def test_an_experiment_at_rest_tells_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing moves in exp5: its start is 0, and so is its force."""
+    assert (
+        main(["check", str(ROOT / "configs" / "mass_spring_damper.toml"), "--seconds", "60"]) == 0
+    )
+    said = capsys.readouterr().out
+    assert "3 of 3 act on the outputs" in said
+    assert "y changes by 0 of its size" not in said
 
 
 def test_an_effect_does_not_make_a_check_reset_the_instance(own_fmu: Give) -> None:
