@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cluster_est.executors import executor_class
 from cluster_est.preflight.findings import CheckFinding, CheckPage, CheckVerdict
 from cluster_est.preflight.parameters import bounds, corners, effects
 from cluster_est.preflight.repeatability import instances, repeatable
@@ -65,6 +66,8 @@ def run_checks(
     if seconds == 0.0:
         description.check_platform(problem.model.interface)
         return CheckPage((), ())
+    # before the time of the checks begins: Ray takes a second to import
+    in_process = executor_class(resources.executor).in_process
     with ProbeBench(problem.model, problem.experiments) as bench:
         loaded = bench.ask(None, 1e4 if seconds == np.inf else max(seconds, 1.0) * LOADING)
         if isinstance(loaded, NoAnswer):
@@ -76,7 +79,7 @@ def run_checks(
             description,
             bench,
             TimeBudget.of(seconds),
-            resources.executor,
+            in_process,
             resources.workers,
             resources.limits.growth,
             declared=declared,
@@ -122,11 +125,11 @@ def _most_telling(simulations: list[Simulation]) -> Simulation:
         {} if one is None else dict(zip(one.variables, np.ptp(one.values, axis=0), strict=True))
         for one in seen
     ]
-    largest = {name: max(own.get(name, 0.0) for own in ranges) for own in ranges for name in own}
+    names = {name for own in ranges for name in own}
+    largest = {name: max(own.get(name, 0.0) for own in ranges) for name in names}
     moving = [sum(own[name] > MOVING * largest[name] for name in own) for own in ranges]
     samples = [0 if one is None else len(one.times) for one in seen]
-    order = zip(moving, samples, range(len(simulations)), strict=True)
-    return simulations[min(order, key=lambda each: (-each[0], *each[1:]))[2]]
+    return simulations[min(range(len(seen)), key=lambda i: (-moving[i], samples[i]))]
 
 
 def _not_loaded(stopped: NoAnswer) -> CheckFinding:

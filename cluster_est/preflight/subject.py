@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from cluster_est.executors import executor_class
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
@@ -46,8 +45,8 @@ class CheckSubject:
 
     Attributes
     ----------
-    executor, workers
-        Name and number of workers in the config.
+    in_process, workers
+        Whether the executor of the config runs simulations in this process, and its workers.
     growth
         Bytes after which its processes are replaced.
     simulation_seconds
@@ -68,7 +67,7 @@ class CheckSubject:
     description: ModelDescription
     bench: ProbeBench
     budget: TimeBudget
-    executor: str = "local"
+    in_process: bool = True
     workers: int | None = None
     growth: float = 256.0 * 2**20
     simulation_seconds: float = 0.0
@@ -77,11 +76,6 @@ class CheckSubject:
     repeats: bool = True
     declared: bool = True
     trajectory: FloatArray | None = None
-
-    @property
-    def in_process(self) -> bool:
-        """True if the executor runs simulations in this process."""
-        return executor_class(self.executor).in_process
 
     @property
     def probe_arguments(self) -> tuple[int, FloatArray, ResetPolicy]:

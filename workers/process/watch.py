@@ -103,22 +103,21 @@ class ProgressWatch:
 
     def __init__(self, process: int, progress: IntArray) -> None:
         self._process, self._progress = process, progress
-        self._begun = progress[SIMULATIONS:].tobytes()
+        self._begun = progress[SIMULATIONS:].tolist()
         self._looked = time.monotonic()
         self._activity = ProcessActivity.of(process)
-        self._simulation = int(progress[SIMULATIONS])
         self.still = 0.0
         self._simulated = 0.0
 
     def look(self) -> None:
         """Count the time since the last look."""
         now, activity = time.monotonic(), ProcessActivity.of(self._process)
-        if int(self._progress[SIMULATIONS]) != self._simulation:
-            self._simulation, self._simulated = int(self._progress[SIMULATIONS]), 0.0
+        called, *begun = self._progress.tolist()
+        self._progress[CALLED] = 0
+        if begun[0] != self._begun[0]:
+            self._simulated = 0.0
         else:  # who looks so rarely was kept from looking, and so was the simulation
             self._simulated += min(now - self._looked, LATE_SECONDS)
-        called, begun = self._progress[CALLED] != 0, self._progress[SIMULATIONS:].tobytes()
-        self._progress[CALLED] = 0
         passed = self._passed(now - self._looked, activity)
         self.still = 0.0 if called or begun != self._begun else self.still + passed
         self._begun, self._looked, self._activity = begun, now, activity

@@ -171,9 +171,8 @@ def test_a_config_whose_parameter_is_dead(
 
 def test_an_experiment_at_rest_tells_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     """Nothing moves in exp5: its start is 0, and so is its force."""
-    assert (
-        main(["check", str(ROOT / "configs" / "mass_spring_damper.toml"), "--seconds", "60"]) == 0
-    )
+    config = ROOT / "configs" / "mass_spring_damper.toml"
+    assert main(["check", str(config), "--seconds", "60"]) == 0
     said = capsys.readouterr().out
     assert "3 of 3 act on the outputs" in said
     assert "y changes by 0 of its size" not in said
