@@ -41,6 +41,10 @@ class TestCost:
         small, large = kind().value(size, outputs), kind().value(factor * size, outputs)
         assert small <= large or small == pytest.approx(large, rel=1e-12)
 
+    def test_residuals_twice_as_large_cost_strictly_more(self, kind):
+        size = np.abs(NORMAL)
+        assert kind().value(2.0 * size, OUTPUTS) > kind().value(size, OUTPUTS)
+
     def test_weights_give_the_gradient(self, kind):
         weights = kind().weights(NORMAL, OUTPUTS)
         if weights is None:
