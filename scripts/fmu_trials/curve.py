@@ -89,7 +89,9 @@ def compare_curves(given: Trial, seconds: float) -> str:
         if not isinstance(plain, str):
             text = f"{_difference(given, first, plain)} from a plain loop"
     if text.startswith("differs"):
-        return text
+        again, _ = simulated(given, seconds)
+        same = not isinstance(again, str) and again.tobytes() == first.tobytes()
+        return text if same else "not repeatable: two fresh processes differ"
     if isinstance(second, str):
         return f"no reset: {text}; after a reset: {second}"
     if first.tobytes() != second.tobytes():

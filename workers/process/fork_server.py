@@ -20,6 +20,8 @@ import sys
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
 
+import numpy as np
+
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.messages import Experiment, IntArray, Model
@@ -49,6 +51,7 @@ def main(descriptor: int, shared: int) -> None:
                 child = os.fork()
                 if child == 0:
                     orders.close()
+                    draw_anew()
                     serve(Connection(handle), evaluator)
                     os._exit(0)
                 os.close(handle)
@@ -61,6 +64,16 @@ def main(descriptor: int, shared: int) -> None:
     for child in running:
         with contextlib.suppress(ProcessLookupError):
             os.kill(child, signal.SIGKILL)
+
+
+def draw_anew() -> None:
+    """Give a forked process a random state of its own.
+
+    An FMU in Python shares this interpreter. With the state that all forks inherit it would draw
+    the same numbers in each, and what never repeats would seem to. Python's `random` does the same
+    by itself.
+    """
+    np.random.seed()
 
 
 def _keep_apart(model: Model) -> None:
