@@ -7,8 +7,9 @@ Folders in FOLDER are the sources that the table at the end counts by. For each 
 - ``check`` of the FMU alone: ``clean``, ``problems`` or ``refused``, with the sentences;
 - for each interface its curve against that of fmpy: ``agrees``, with the largest difference over
   the largest value of that output; ``no reset``, where that holds for a new instance alone, which a
-  fit finds out; ``differs``, at how many of the times; ``refused``, with the sentence that a user
-  would see; ``alone``, where fmpy cannot simulate it, with what that says;
+  fit finds out; ``differs``, at how many of the times; ``not repeatable``, where two new processes
+  differ, which `check` says too; ``refused``, with the sentence that a user would see; ``alone``,
+  where fmpy cannot simulate it, with what that says;
 - for each interface and the executors `local` and `processes`, a fit back to a value that was
   planted in a curve of fmpy's: ``returned``, ``elsewhere``, ``out of time``, ``refused`` or
   ``not tried``.
