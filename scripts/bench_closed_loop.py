@@ -32,6 +32,7 @@ from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.table import one_line, page
 
 from cluster_est.closed_loop.loop import close_loop
+from cluster_est.closed_loop.settings import LoopSettings
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -46,9 +47,9 @@ def main() -> None:
         done = {name: known for name, known in done.items() if not known.error}
     cases = [case for case in choose(options) if case.name not in done]
     print(f"{len(cases)} cases to run, {len(done)} in {options.out} already", flush=True)
-    deadline = time.time() + options.seconds
+    plan = Plan(time.time() + options.seconds, LoopSettings(beam=options.beam))
     with options.out.open("a", encoding="utf-8") as file:
-        for one in run(cases, options.processes, deadline):
+        for one in run(cases, options.processes, plan):
             file.write(one.to_json() + "\n")
             file.flush()
             print(one_line(one), flush=True)
@@ -64,6 +65,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--every", type=int, default=1, help="of the cases, spread over all sorts")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then start no case")
+    parser.add_argument("--beam", type=int, default=LoopSettings.beam, help="closed_loop.beam")
     parser.add_argument("--again", action="store_true", help="repeat cases that failed")
     return parser.parse_args()
 
@@ -104,6 +106,14 @@ def choose(options: argparse.Namespace) -> list[Scenario]:
 
 
 @dataclass(frozen=True)
+class Plan:
+    """When no case begins any more, and the settings of every loop."""
+
+    deadline: float
+    settings: LoopSettings
+
+
+@dataclass(frozen=True)
 class Report:
     """What a process says: that it begins with a case, or what came of it."""
 
@@ -112,7 +122,7 @@ class Report:
     score: Score | None = None
 
 
-def run(cases: Sequence[Scenario], processes: int, deadline: float) -> Iterator[Score]:
+def run(cases: Sequence[Scenario], processes: int, plan: Plan) -> Iterator[Score]:
     """Run cases in some processes, and give the score of each as it ends.
 
     All cases of a system run in one process, which keeps what it has compiled for them. A case in
@@ -123,7 +133,7 @@ def run(cases: Sequence[Scenario], processes: int, deadline: float) -> Iterator[
     # Simple ones send at once: what a process says before it dies must not be lost.
     portions, reports = context.SimpleQueue(), context.SimpleQueue()
     workers: dict[int, BaseProcess] = {
-        n: context.Process(target=work, args=(n, portions, reports, deadline), daemon=True)
+        n: context.Process(target=work, args=(n, portions, reports, plan), daemon=True)
         for n in range(processes)
     }
     for worker in workers.values():
@@ -150,14 +160,14 @@ def divide(cases: Sequence[Scenario], processes: int) -> list[list[Scenario]]:
     return sorted((p for p in portions if p), key=len, reverse=True)
 
 
-def work(number: int, portions: Any, reports: Any, deadline: float) -> None:
+def work(number: int, portions: Any, reports: Any, plan: Plan) -> None:
     """Run portion after portion, until an empty one."""
     while portion := portions.get():
         for case in portion:
-            if time.time() > deadline:
+            if time.time() > plan.deadline:
                 return
             reports.put(Report(number, case))
-            reports.put(Report(number, case, run_case(case)))
+            reports.put(Report(number, case, run_case(case, plan.settings)))
 
 
 def gather(workers: dict[int, BaseProcess], reports: Any) -> Iterator[Score]:
@@ -179,12 +189,12 @@ def gather(workers: dict[int, BaseProcess], reports: Any) -> Iterator[Score]:
         yield blank(make(case), f"the process died with exit code {workers[number].exitcode}")
 
 
-def run_case(case: Scenario) -> Score:
+def run_case(case: Scenario, settings: LoopSettings) -> Score:
     """Close the loop on a case and score it."""
     data = make(case)
     try:
         problem = make_problem(data)
-        result = close_loop(problem)
+        result = close_loop(problem, settings=settings)
         return score(data, result, ask(data, problem))
     except Exception:  # one bad case must not end the others, and its traceback is kept
         return blank(data, traceback.format_exc())

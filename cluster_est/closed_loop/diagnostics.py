@@ -131,7 +131,7 @@ def locate(
         As `close_loop`.
     """
     with _screened(problem, resources, settings, seed) as (_, fitted, screening):
-        found = findings(screening, fitted, 1).values()
+        found = findings(screening.ranking, fitted, 1).values()
         return tuple(sorted(found, key=lambda f: (f.stage is CandidateStage.SET_ASIDE, f.log_p)))
 
 

@@ -18,7 +18,7 @@ from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
-from cluster_est.closed_loop.selection.forward_selection import forward_selection
+from cluster_est.closed_loop.selection.beam_search import beam_search
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
@@ -83,7 +83,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
     given = any(o.sigma != 1.0 for e in request.problem.experiments for o in e.outputs)
     over = ErrorScale.SIGMA if given else ErrorScale.ESTIMATED_NOISE
     with open_workbench(request) as workbench:
-        found = forward_selection(workbench, FitStart(workbench.problem, {}))
+        found = beam_search(workbench, FitStart(workbench.problem, {}))
         report = _report(workbench, found, over, begin)
     return replace(report, seconds=time.monotonic() - begin)
 
@@ -119,6 +119,7 @@ def _report(
         seconds=0.0,
         curves=curves,
         errors_over=errors_over,
+        structures=found.path,
     )
 
 

@@ -32,6 +32,9 @@ class LoopSettings:
         Starts of the declared fit, if it does not reach the noise from its own.
     least_gain
         Share of the gap between error and noise that an effect must close.
+    beam
+        Structures that each round grows, where more than noise is left. Above 1 a structure is also
+        refitted from other starts, and two of its effects may be replaced by one.
     pairs
         Try two effects at once where no single one explains the residual.
     thresholds
@@ -47,6 +50,7 @@ class LoopSettings:
     refits: int = field(default=12, metadata={"least": 1})
     starts: int = field(default=8, metadata={"least": 1})
     least_gain: float = field(default=0.2, metadata={"least": 0.0})
+    beam: int = field(default=1, metadata={"least": 1})
     pairs: bool = True
     thresholds: LoopThresholds = field(default_factory=LoopThresholds, repr=False)
 
@@ -55,7 +59,7 @@ class LoopSettings:
             raise ProblemError(
                 f"closed_loop.significance: must lie between 0 and 1 but is {self.significance:g}"
             )
-        for name in ("max_effects", "trials", "refits", "starts"):
+        for name in ("max_effects", "trials", "refits", "starts", "beam"):
             if getattr(self, name) < 1:
                 raise ProblemError(
                     f"closed_loop.{name}: must be at least 1 but is {getattr(self, name)}"

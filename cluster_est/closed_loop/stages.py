@@ -32,6 +32,7 @@ class LoopStage(enum.Enum):
     REFITS = "candidate", "refitting candidates"
     ENLARGED_INPUTS = "enlarged", "simulating with larger inputs"
     DECLARED_AGAIN = "return", "fitting the declared model again"
+    OTHER_STARTS = "other starts", "refitting from other starts"
     SWAP = "swap", "revising the effects"
     DROP = "drop", "revising the effects"
     FINAL = "final", "the final fits"

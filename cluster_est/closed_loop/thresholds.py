@@ -121,6 +121,33 @@ class ScreeningThresholds:
 
 
 @dataclass(frozen=True)
+class PlaceThresholds:
+    """Thresholds of the ranking of places, where there are too many candidates to look at each.
+
+    Attributes
+    ----------
+    most_candidates
+        Candidates above which only those at leading places are looked at. Memory: see `most_rows`.
+    leading
+        Places that are looked at. Benchmark.
+    hats
+        Coefficients of the curve that stands for every form. Benchmark.
+    weightings
+        Random weightings that estimate the size of a direction. Theory: the relative error of a
+        squared length is the square root of 2 over their number.
+    price
+        Rise of the statistic that each further coefficient must bring; see `column_penalty`.
+        Benchmark.
+    """
+
+    most_candidates: int = 1500
+    leading: int = 40
+    hats: int = 9
+    weightings: int = 96
+    price: float = 8.0
+
+
+@dataclass(frozen=True)
 class RefinementThresholds:
     """Thresholds of the simulations and refits of leading candidates.
 
@@ -178,6 +205,20 @@ class PairThresholds:
     leaders: int = 90
     alike: float = 0.98
     fitted: int = 8
+
+
+@dataclass(frozen=True)
+class BeamThresholds:
+    """Thresholds of the beam: the structures that each round grows.
+
+    Attributes
+    ----------
+    alike
+        Cosine between the changes of two structures' predictions above which they count as one.
+        Benchmark.
+    """
+
+    alike: float = 0.98
 
 
 @dataclass(frozen=True)
@@ -315,8 +356,10 @@ class LoopThresholds:
     declared_model: DeclaredModelThresholds = field(default_factory=DeclaredModelThresholds)
     candidates: CandidateThresholds = field(default_factory=CandidateThresholds)
     screening: ScreeningThresholds = field(default_factory=ScreeningThresholds)
+    places: PlaceThresholds = field(default_factory=PlaceThresholds)
     refinement: RefinementThresholds = field(default_factory=RefinementThresholds)
     pairs: PairThresholds = field(default_factory=PairThresholds)
+    beam: BeamThresholds = field(default_factory=BeamThresholds)
     revision: RevisionThresholds = field(default_factory=RevisionThresholds)
     selection: SelectionThresholds = field(default_factory=SelectionThresholds)
     acceptance: AcceptanceThresholds = field(default_factory=AcceptanceThresholds)

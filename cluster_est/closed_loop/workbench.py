@@ -52,6 +52,11 @@ class FittedModel:
         return self.space.problem
 
     @property
+    def structure(self) -> frozenset[str]:
+        """Names of the effects that were added, whatever their order."""
+        return frozenset(candidate.effect.name for candidate in self.added)
+
+    @property
     def start(self) -> FitStart:
         """The same model, to be fitted again from here."""
         return FitStart(self.problem, self.estimates, self.added)

@@ -1,6 +1,6 @@
 """TOML to the objects of a fit: the only reader of config files.
 
-Its keys stand in `sections.py`; an unknown key is an error that names the nearest known one.
+Its keys stand in `config/sections/`; an unknown key is an error that names the nearest known one.
 """
 
 from __future__ import annotations

@@ -20,7 +20,8 @@ RUNNING = "running"
 """The status in run.json of a run that has not ended."""
 SMALL = (
     "parameters", "errors", "constraints", "starts", "minima", "front", "correlations",
-    "directions", "profiles", "intervals", "searches", "workers", "findings", "shapes",
+    "directions", "profiles", "intervals", "searches", "workers", "findings", "structures",
+    "shapes",
 )  # fmt: skip
 
 

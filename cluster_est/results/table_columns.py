@@ -354,6 +354,33 @@ TABLES = (
         ),
     ),
     TableMeaning(
+        "structures",
+        "set of effects that was refitted",
+        IN_LOOPS,
+        (
+            ColumnDescription("step", WHOLE, "", "the round of the search that refitted it"),
+            ColumnDescription("effects", TEXTS, "", 'such as "coulomb at der(v)"'),
+            ColumnDescription(
+                "criterion", NUMBER, "", "information criterion, less the declared model's"
+            ),
+            ColumnDescription(
+                "closed", NUMBER, "", "share of the gap between error and noise, in training"
+            ),
+            ColumnDescription(
+                "converged",
+                TRUTH,
+                "",
+                "whether its refit went on to convergence; the others fell behind",
+            ),
+            ColumnDescription(
+                "accepted",
+                TRUTH,
+                "",
+                "whether it passed every gate, or came from such a one by revision",
+            ),
+        ),
+    ),
+    TableMeaning(
         "shapes",
         "effect that was added, and place where it acts",
         IN_LOOPS,

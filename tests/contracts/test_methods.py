@@ -13,8 +13,10 @@ from support.problems.functions import PROBLEMS, FunctionProblem, rosenbrock
 from support.problems.method_entries import CASES, ENTRIES, EQUALITY, INEQUALITY, boxed, excuse
 from support.problems.nist import MODELS, read
 
+from cluster_est.errors import ProblemError
 from cluster_est.methods import METHODS
 from cluster_est.methods.base import Ending, Points, Solution
+from cluster_est.methods.given_points import GivenPoints
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.methods.least_squares.scipy_least_squares import ScipyLeastSquares
 from cluster_est.methods.populations.nsga2 import Nsga2
@@ -136,6 +138,18 @@ class TestSearch:
         scaled = replace(plain, residuals=lambda x: 2.0**20 * rosenbrock(x))
         expected = plain.solve(entry.method).x
         np.testing.assert_allclose(scaled.solve(entry.method).x, expected, rtol=1e-9)
+
+    def test_without_bounds_it_refuses_or_finds_something_finite(self, entry):
+        """A method that spreads points between bounds must say in `check` that it needs them."""
+        unbounded = replace(ROSENBROCK, lower=None, upper=None)
+        if getattr(entry.method, "needs_bounds", False):
+            with pytest.raises(ProblemError, match="bounds: must be finite"):
+                unbounded.solve(entry.method)
+            return
+        found = unbounded.solve(entry.method)
+        start = GivenPoints(np.array([ROSENBROCK.start]), "start")
+        assert np.isfinite(found.x).all()
+        assert found.cost <= unbounded.solve(start).cost
 
 
 def chosen(entry, problem):

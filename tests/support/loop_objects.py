@@ -16,6 +16,7 @@ from support.problems.springs import FMU
 from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.directions import CandidatePoint
+from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.screening.screen import ScreeningResult
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.rounds import (
@@ -25,7 +26,7 @@ from cluster_est.closed_loop.selection.rounds import (
 )
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.statistics.omnibus import OmnibusTest
-from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
+from cluster_est.closed_loop.statistics.projection import OrthogonalProjection, ProjectedResidual
 from cluster_est.closed_loop.statistics.records import make_records
 from cluster_est.closed_loop.statistics.score import score
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench, SimulationMeter
@@ -116,6 +117,28 @@ def made_candidate(name: str, family: str = "friction") -> EffectCandidate:
     )
 
 
+def made_ranking(
+    matrix: FloatArray,
+    residuals: FloatArray,
+    columns: Sequence[FloatArray],
+    candidates: Sequence[EffectCandidate],
+) -> CandidateRanking:
+    """These candidates' directions against a residual; whitening changes nothing."""
+    projection = OrthogonalProjection(matrix)
+    scores = score(projection, residuals, columns)
+    residual = ProjectedResidual(projection, residuals)
+    return CandidateRanking(
+        trials=tuple(CandidatePoint(c, c.grid[0]) for c in candidates),
+        columns=tuple(columns),
+        rows=np.arange(len(residuals)),
+        records=make_records(made_problem(len(residuals)).experiments),
+        plain=scores,
+        white=scores,
+        residual=residual,
+        residual_white=residual,
+    )
+
+
 def made_screening(
     matrix: FloatArray,
     residuals: FloatArray,
@@ -127,14 +150,9 @@ def made_screening(
     p: float = 0.2,
     p_white: float = 0.3,
 ) -> ScreeningResult:
-    """These candidates' directions against a residual; whitening changes nothing."""
-    scores = score(OrthogonalProjection(matrix), residuals, columns)
+    """A ranking, and what the tests of it said."""
     return ScreeningResult(
-        trials=tuple(CandidatePoint(c, c.grid[0]) for c in candidates),
-        columns=tuple(columns),
-        rows=np.arange(len(residuals)),
-        plain=scores,
-        white=scores,
+        made_ranking(matrix, residuals, columns, candidates),
         omnibus=omnibus,
         omnibus_white=omnibus_white or omnibus,
         p=p,

@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Collection, Container, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.arguments import (
+    CandidatePlace,
+    open_arguments,
+    variables_of,
+)
 from cluster_est.closed_loop.candidates.equation import equation_text
 from cluster_est.closed_loop.candidates.scales import SignalScales
 from cluster_est.closed_loop.candidates.shapes import shape_of
+from cluster_est.closed_loop.candidates.sites import candidate_sites, forms_at, single_sites
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.thresholds import CandidateThresholds
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import (
     FORMS,
     EffectForm,
     FormCoefficient,
-    FormCondition,
     GridScale,
     positive,
 )
-from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
+from workers.effects.site import EffectSite, parse_site
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect
 
@@ -88,6 +92,7 @@ def make_candidates(
     trajectories: Sequence[LinearisedTrajectory],
     frequencies: Sequence[float],
     settings: LoopSettings,
+    places: Collection[CandidatePlace] | None = None,
 ) -> list[EffectCandidate]:
     """List the candidates that the data can say something about.
 
@@ -101,26 +106,36 @@ def make_candidates(
         Angular frequencies of peaks in the residuals' spectra, for periodic effects.
     settings
         Forms and sites to try, and thresholds.
+    places
+        Where functions of a variable are tried; None for everywhere.
     """
     thresholds = settings.thresholds.candidates
     scales = SignalScales(trajectories, frequencies, thresholds)
-    exchange = problem.model.interface == "model_exchange"
+    arguments = open_arguments(problem, description, trajectories)
     known = {_identity(effect) for effect in problem.effects if effect.form}
     taken = {effect.name for effect in problem.effects}
+    leading = None if places is None else _by_site(places)
+    if leading is None:
+        sites = candidate_sites(problem, description, trajectories, settings)
+    else:
+        sites = single_sites(problem, description, trajectories, settings)
+        sites += [site for site in leading if site.kind == "pair"]
     found = []
-    for site in _sites(problem, description, trajectories, thresholds):
-        if settings.sites and str(site) not in settings.sites:
-            continue
-        for form in (f for (kind, _), f in FORMS.items() if kind == site.kind):
-            if settings.forms and form.name not in settings.forms:
-                continue
-            if form.memory and not exchange and not description.variable_steps:
-                continue  # it has kinks between the samples, where such an FMU cannot stop
-            for variables in _variables(form, site, problem, description, trajectories):
+    for site in sites:
+        names = None if leading is None else leading.get(site, [])
+        for form in forms_at(site, problem, description, settings):
+            for variables in variables_of(form, site, arguments, names):
                 candidate = _candidate(form, site, variables, scales, taken)
                 if candidate and _identity(candidate.effect) not in known:
                     taken.add(candidate.effect.name)
                     found.append(candidate)
+    return found
+
+
+def _by_site(places: Collection[CandidatePlace]) -> dict[EffectSite, list[str]]:
+    found: dict[EffectSite, list[str]] = {}
+    for place in places:
+        found.setdefault(place.site, []).append(place.argument)
     return found
 
 
@@ -131,112 +146,6 @@ def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:
     own = (" - ".join(site.targets),) if form.variables == 1 and site.at_rates else ()
     variables = effect.variables or own
     return str(site), form.name, tuple(sorted(variables))  # those of two are products
-
-
-def _sites(
-    problem: Problem,
-    description: ModelDescription,
-    trajectories: Sequence[LinearisedTrajectory],
-    thresholds: CandidateThresholds,
-) -> Iterator[EffectSite]:
-    """Sites where something could be missing and would be seen."""
-    interface = problem.model.interface
-    train = [problem.experiments[e] for e in problem.indices("train")]
-    driven = {given.variable for e in train for given in e.inputs}
-    driven = {name for name in driven if all(trajectory.has(name) for trajectory in trajectories)}
-    measured = {output.variable for e in train for output in e.outputs}
-    estimated = {p.target for p in problem.parameters if not p.fixed}
-    moving = set(description.states) - kinematic_states(trajectories, thresholds.kinematic)
-    for site in open_sites(description, interface, measured):
-        wanted = {
-            "derivative": moving,
-            "input": driven,
-            "parameter": estimated - set(description.states),
-            "output": set(),
-        }
-        if site.target in wanted[site.kind]:
-            yield site
-    for name in sorted(measured):
-        yield EffectSite("output", name)
-    for site in open_pairs(description, interface):
-        if set(site.targets) <= moving:
-            yield site
-            yield EffectSite("pair", *reversed(site.targets))
-
-
-def kinematic_states(
-    trajectories: Sequence[LinearisedTrajectory],
-    tolerance: float = CandidateThresholds.kinematic,
-) -> set[str]:
-    """States whose derivative is another state: nothing can be missing there."""
-    found: set[str] = set()
-    for trajectory in trajectories[:1]:
-        linear = trajectory.linear
-        if linear is None:
-            continue
-        for i, name in enumerate(linear.state_names):
-            j = int(np.argmax(linear.A[0, i]))
-            row = np.abs(linear.A[:, i] - np.eye(len(linear.state_names))[j]).max()
-            driven = np.abs(linear.B[:, i]).max(initial=0.0)
-            size = np.abs(linear.derivatives[:, i]).max()
-            gap = np.abs(linear.derivatives[:, i] - linear.states[:, j]).max()
-            if i != j and gap <= tolerance * size and max(row, driven) < 1e-4:
-                found.add(name)
-    return found
-
-
-def _variables(
-    form: EffectForm,
-    site: EffectSite,
-    problem: Problem,
-    description: ModelDescription,
-    trajectories: Sequence[LinearisedTrajectory],
-) -> Iterator[tuple[str, ...]]:
-    """Variables that a form at a site may be a function of."""
-    if form.variables == 0:
-        yield ()
-        return
-    exchange = problem.model.interface == "model_exchange"
-    states = [s for s in description.states if exchange]
-    common = [
-        n for n in trajectories[0].signals if all(trajectory.has(n) for trajectory in trajectories)
-    ]
-    signals = [{s.variable for s in e.signals} for e in problem.experiments]
-    lacking = {n for own in signals for n in own if not all(n in others for others in signals)}
-    driven = [n for n in common if n not in (*states, *trajectories[0].names, *lacking)]
-    if site.kind == "pair":
-        yield from _of_pair(form, site, states, description)
-        return
-    outputs = [n for n in trajectories[0].names if n in common and n not in states]
-    names = [*states, *driven, *(outputs if site.kind == "output" else [])]
-    if FormCondition.DRIVEN in form.when:
-        names = driven
-    if FormCondition.OWN in form.when:
-        names = [site.target]
-    if site.kind in ("input", "output"):
-        names = [n for n in names if n != site.target]
-    if form.variables == 1:
-        yield from ((name,) for name in names)
-    else:
-        yield from itertools.combinations(names, 2)
-
-
-def _of_pair(
-    form: EffectForm, site: EffectSite, states: Sequence[str], description: ModelDescription
-) -> Iterator[tuple[str, ...]]:
-    """Differences of states of one unit, and single states: the twist of a shaft may be one.
-
-    A difference points from the second state to the first, so one order of the pair is enough.
-    """
-    if FormCondition.FIRST in form.when:
-        yield (site.targets[0],)
-        return
-    if states.index(site.targets[0]) < states.index(site.targets[1]):
-        for first, second in itertools.combinations(states, 2):
-            units = [description.variables[n].unit for n in (first, second)]
-            if units[0] == units[1]:
-                yield (f"{first} - {second}",)
-    yield from ((name,) for name in states if name not in site.targets)
 
 
 def _candidate(

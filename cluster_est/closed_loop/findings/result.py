@@ -20,6 +20,7 @@ from cluster_est.closed_loop.findings.effects import (
     Verdict,
 )
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
+from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display
 from cluster_est.results import actions
 from cluster_est.results.display_tables import fit_tables
@@ -70,6 +71,8 @@ class LoopResult:
         Of the effects that were added.
     errors_over
         The divisor of the normalised errors.
+    structures
+        Every set of effects that was refitted: the path of the search.
     """
 
     verdict: Verdict
@@ -90,6 +93,7 @@ class LoopResult:
     seconds: float
     curves: tuple[EffectCurve, ...] = field(default=(), repr=False)
     errors_over: ErrorScale = ErrorScale.SIGMA
+    structures: tuple[ComparedStructure, ...] = field(default=(), repr=False)
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
         """Root mean square of the normalised errors before or after; NaN without any."""
@@ -154,7 +158,7 @@ class LoopResult:
     @property
     def tables(self) -> tuple[str, ...]:
         """Names of its tables, those of a run folder's files."""
-        return ("effects", "findings", "shapes", *self.after.tables)
+        return ("effects", "findings", "structures", "shapes", *self.after.tables)
 
     def table(self, name: str) -> pa.Table:
         """Return one of `tables`, with the columns that it has in a run folder.
@@ -168,6 +172,8 @@ class LoopResult:
             return tables.effect_table(self.effects)
         if name == "findings":
             return tables.finding_table(self.findings)
+        if name == "structures":
+            return tables.structure_table(self.structures)
         if name == "shapes":
             return tables.curve_table(self.curves)
         if name == "parameters":

@@ -12,6 +12,7 @@ import pyarrow as pa
 from cluster_est.closed_loop.findings.config_block import config_block
 from cluster_est.closed_loop.findings.effects import EffectCurve, ErrorChange, NamedEffect
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
+from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.results.output_errors import OutputError
 from cluster_est.results.row_types import Estimate
 
@@ -39,6 +40,14 @@ FINDINGS = pa.schema(
         ("stage", pa.string()),
         ("criterion", pa.float64()),
         ("imitated_by", pa.string()),
+    ]
+)
+STRUCTURES = pa.schema(
+    [
+        ("step", pa.int64()),
+        ("effects", pa.list_(pa.string())),
+        *((name, pa.float64()) for name in ("criterion", "closed")),
+        *((name, pa.bool_()) for name in ("converged", "accepted")),
     ]
 )
 SHAPES = pa.schema(
@@ -112,6 +121,12 @@ def finding_table(findings: Sequence[CandidateEvidence]) -> pa.Table:
         for finding in findings
     ]
     return pa.Table.from_pylist(rows, schema=FINDINGS)
+
+
+def structure_table(path: Sequence[ComparedStructure]) -> pa.Table:
+    """Make a row for every set of effects that was refitted."""
+    rows = [dataclasses.asdict(each) | {"effects": list(each.effects)} for each in path]
+    return pa.Table.from_pylist(rows, schema=STRUCTURES)
 
 
 def effect_facts(effect: NamedEffect) -> Row:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.closed_loop.screening.screen import ScreeningResult
+from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.selection.refine import (
     RefittedCandidate,
     joint_step,
@@ -21,24 +21,24 @@ from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkben
 
 
 def refit_pairs(
-    workbench: LoopWorkbench, current: FittedModel, screening: ScreeningResult
+    workbench: LoopWorkbench, current: FittedModel, ranking: CandidateRanking
 ) -> list[RefittedCandidate]:
     """Refit the best pairs; the best first. A contender's last two effects are the pair."""
     thresholds = workbench.thresholds
-    found = best_pairs(screening, thresholds.pairs)
-    starts = [_start(current, screening, pair, thresholds.refinement) for pair in found]
+    found = best_pairs(ranking, thresholds.pairs)
+    starts = [_start(current, ranking, pair, thresholds.refinement) for pair in found]
     return successive_halving(workbench, starts) if starts else []
 
 
 def best_pairs(
-    screening: ScreeningResult, thresholds: PairThresholds | None = None
+    ranking: CandidateRanking, thresholds: PairThresholds | None = None
 ) -> list[tuple[int, int]]:
     """Pairs of trials of different candidates by the share of the residual that they carry."""
     thresholds = thresholds or PairThresholds()
-    scores = screening.plain
+    scores = ranking.plain
     usable = [
         i for i in np.argsort(-scores.statistics, kind="stable").tolist()
-        if scores.df[i] == 1 and not screening.trials[i].candidate.form.free
+        if scores.df[i] == 1 and not ranking.trials[i].candidate.form.free
     ][: thresholds.leaders]  # fmt: skip
     if len(usable) < 2:
         return []
@@ -54,7 +54,7 @@ def best_pairs(
     seen: set[frozenset[str]] = set()
     for k in np.argsort(-carried, kind="stable").tolist():
         i, j = usable[a[k]], usable[b[k]]
-        names = frozenset(screening.trials[m].candidate.effect.name for m in (i, j))
+        names = frozenset(ranking.trials[m].candidate.effect.name for m in (i, j))
         if len(names) < 2 or names in seen or carried[k] <= 0.0:
             continue
         seen.add(names)
@@ -66,14 +66,14 @@ def best_pairs(
 
 def _start(
     current: FittedModel,
-    screening: ScreeningResult,
+    ranking: CandidateRanking,
     pair: tuple[int, int],
     thresholds: RefinementThresholds,
 ) -> FitStart:
     """Both effects, with the strengths of the joint linear step."""
-    _, strengths = joint_step(current, screening, pair)
+    _, strengths = joint_step(current, ranking, pair)
     start = current.start
     for m, own in zip(pair, strengths, strict=True):
-        trial = screening.trials[m]
+        trial = ranking.trials[m]
         start = start.plus(trial.candidate, values_at(trial, own, thresholds))
     return start

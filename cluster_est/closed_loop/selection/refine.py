@@ -6,16 +6,17 @@ the step of all parameters that the linear model asks for, simulated, and the be
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.directions import CandidatePoint
-from cluster_est.closed_loop.screening.screen import ScreeningResult
+from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.statistics.score import ScoreTests
 from cluster_est.closed_loop.thresholds import RefinementThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
@@ -40,13 +41,18 @@ class RefittedCandidate:
         return self.fitted.added[-1]
 
 
+Rivals = Mapping[str, tuple[RefittedCandidate, list[RefittedCandidate]]]
+"""For each effect, by name, the model that brought it in and those that it won against."""
+
+
 def refit(
     workbench: LoopWorkbench,
     current: FittedModel,
-    screening: ScreeningResult,
+    ranking: CandidateRanking,
     floor: float,
     *,
     wide: bool = True,
+    known: Collection[frozenset[str]] = (),
 ) -> list[RefittedCandidate]:
     """Refit the leading candidates; the best first.
 
@@ -54,28 +60,38 @@ def refit(
     ----------
     current
         The model that they are added to.
-    screening
+    ranking
         Of all candidates at that model.
     floor
         Sum of squares that the noise alone would leave.
     wide
         Go on to candidates further back where the first do not close the gap to it: the larger an
         effect, the less the score of a small one says. Without, only half as many are refitted.
+    known
+        Structures that need no refit, because they were reached from another one.
     """
     thresholds = workbench.thresholds.refinement
     count, trials = workbench.settings.refits, workbench.settings.trials
     if not wide:
         count = (count + 1) // 2
-    leaders = screening.leaders(screening.plain, 2 * trials)
-    white = screening.leaders(screening.white, thresholds.white_leaders)
+    own = current.structure
+
+    def leading(scores: ScoreTests, most: int) -> list[int]:
+        ranked = ranking.leaders(scores, most + len(known))
+        names = [ranking.trials[i].candidate.effect.name for i in ranked]
+        new = [i for i, name in zip(ranked, names, strict=True) if own | {name} not in known]
+        return new[:most]
+
+    leaders = leading(ranking.plain, 2 * trials)
+    white = leading(ranking.white, thresholds.white_leaders)
     first = list(dict.fromkeys([*leaders[:trials], *white]))
-    starts = _first_steps(workbench, current, screening, first)
+    starts = _first_steps(workbench, current, ranking, first)
     chosen, left = _mixed(starts, count)
     contenders = successive_halving(workbench, chosen)
     if not wide or _closes(current, contenders, floor, thresholds.closes):
         return contenders
     later = [i for i in leaders[trials:] if i not in first]
-    left += _first_steps(workbench, current, screening, later)
+    left += _first_steps(workbench, current, ranking, later)
     left.sort(key=lambda pair: pair[0])
     contenders += successive_halving(workbench, [start for _, start in left[:count]])
     return sorted(contenders, key=lambda c: c.criterion)
@@ -121,21 +137,34 @@ def plainest(
     return min(equal, key=lambda c: (c.candidate.form.order, c.criterion))
 
 
-def alternatives(
+def rivals_of(
+    won: RefittedCandidate,
     contenders: Sequence[RefittedCandidate],
-    chosen: RefittedCandidate,
     thresholds: RefinementThresholds,
-) -> list[RefittedCandidate]:
-    """The contenders that the data leave possible beside the chosen one, each effect once."""
-    seen = {chosen.candidate.effect.name}
-    found = []
-    for contender in contenders:
-        name = contender.candidate.effect.name
-        worse = contender.criterion - contenders[0].criterion
-        if worse <= thresholds.alternative and name not in seen:
-            seen.add(name)
-            found.append(contender)
+) -> Rivals:
+    """For each effect of a structure, those that the data leave possible in its place."""
+    best = min((c.criterion for c in contenders), default=won.criterion)
+    possible = [c for c in contenders if c.criterion - best <= thresholds.alternative]
+    found: dict[str, tuple[RefittedCandidate, list[RefittedCandidate]]] = {}
+    for effect in won.fitted.added:
+        others = won.fitted.structure - {effect.effect.name}
+        own: dict[str, RefittedCandidate] = {}
+        for contender in possible:
+            instead = sorted(contender.fitted.structure - others)
+            if len(instead) == 1 and others < contender.fitted.structure:
+                own.setdefault(instead[0], _ending_with(contender, instead[0]))
+        own.pop(effect.effect.name, None)
+        found[effect.effect.name] = (won, list(own.values()))
     return found
+
+
+def _ending_with(contender: RefittedCandidate, name: str) -> RefittedCandidate:
+    """The same structure, with one of its effects counted last."""
+    added = contender.fitted.added
+    if added[-1].effect.name == name:
+        return contender
+    ordered = sorted(added, key=lambda candidate: candidate.effect.name == name)
+    return replace(contender, fitted=replace(contender.fitted, added=tuple(ordered)))
 
 
 def _mixed(
@@ -151,7 +180,7 @@ def _mixed(
 def _first_steps(
     workbench: LoopWorkbench,
     current: FittedModel,
-    screening: ScreeningResult,
+    ranking: CandidateRanking,
     leaders: Sequence[int],
 ) -> list[tuple[float, FitStart]]:
     """Simulate the first step of each leader: its cost, and a start from the best point."""
@@ -160,9 +189,9 @@ def _first_steps(
     begun: list[FitStart] = []
     owners: list[int] = []
     for owner, leader in enumerate(leaders):
-        for i in _grid_points(screening, leader)[: thresholds.points_of_grid]:
-            trial = screening.trials[i]
-            step, (strengths,) = joint_step(current, screening, [i])
+        for i in _grid_points(ranking, leader)[: thresholds.points_of_grid]:
+            trial = ranking.trials[i]
+            step, (strengths,) = joint_step(current, ranking, [i])
             start = current.start.plus(trial.candidate, values_at(trial, strengths, thresholds))
             space = workbench.space(start)
             asked.append((space, _points(current, space, trial, step, thresholds)))
@@ -178,26 +207,26 @@ def _first_steps(
     return [best[owner] for owner in range(len(leaders)) if owner in best]
 
 
-def _grid_points(screening: ScreeningResult, leader: int) -> list[int]:
+def _grid_points(ranking: CandidateRanking, leader: int) -> list[int]:
     """The points of a leader's grid, the best score first."""
-    name = screening.trials[leader].candidate.effect.name
-    own = [i for i, t in enumerate(screening.trials) if t.candidate.effect.name == name]
-    own.sort(key=lambda i: -screening.plain.statistics[i])
+    name = ranking.trials[leader].candidate.effect.name
+    own = [i for i, t in enumerate(ranking.trials) if t.candidate.effect.name == name]
+    own.sort(key=lambda i: -ranking.plain.statistics[i])
     return own
 
 
 def joint_step(
-    current: FittedModel, screening: ScreeningResult, trials: Sequence[int]
+    current: FittedModel, ranking: CandidateRanking, trials: Sequence[int]
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Gauss-Newton step of all unknowns, and how strong each trial is to be, on the screened rows.
 
     A limit cannot be made stronger or weaker in proportion: it is switched on as it is, the other
     unknowns make room for it, and it has no strengths.
     """
-    matrix = current.jacobian[screening.rows]
-    residuals = current.residuals[screening.rows]
-    columns = [screening.columns[i] for i in trials]
-    scaled = [_proportional(screening.trials[i]) for i in trials]
+    matrix = current.jacobian[ranking.rows]
+    residuals = current.residuals[ranking.rows]
+    columns = [ranking.columns[i] for i in trials]
+    scaled = [_proportional(ranking.trials[i]) for i in trials]
     for column, free in zip(columns, scaled, strict=True):
         if not free:
             residuals = residuals + column[:, 0]

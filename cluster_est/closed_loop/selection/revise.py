@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
-from cluster_est.closed_loop.screening.screen import screen
+from cluster_est.closed_loop.screening.ranking import rank
 from cluster_est.closed_loop.selection.accept import stays_bounded
 from cluster_est.closed_loop.selection.refine import (
     FULL,
     RefittedCandidate,
-    alternatives,
+    Rivals,
     plainest,
     refit,
+    rivals_of,
 )
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-
-Rivals = dict[str, tuple[RefittedCandidate, list[RefittedCandidate]]]
-"""For each added effect, by name, the model that brought it in and those that it won against."""
 
 
 def revise(
@@ -26,53 +26,92 @@ def revise(
     count: int,
     floor: float,
     rivals: Rivals,
-) -> FittedModel:
-    """Replace earlier effects that others are better than now, and drop those not needed."""
+) -> tuple[FittedModel, Rivals]:
+    """Replace earlier effects that others are better than now, and drop those not needed.
+
+    Parameters
+    ----------
+    grown
+        The structure, fitted.
+    count
+        Candidates that it was chosen among.
+    floor
+        Sum of squares that the noise alone would leave.
+    rivals
+        Of its effects.
+
+    Returns
+    -------
+    FittedModel
+        The structure that is left.
+    Rivals
+        Of its effects; those of others may be among them.
+    """
     thresholds = workbench.thresholds.revision
+    saved = thresholds.drop_price * float(np.log(count))  # by an effect less
     for sweep in range(thresholds.sweeps):
         before = grown
         for position in range(len(grown.added) - (sweep == 0)):
-            grown = _swap(workbench, grown, position, floor, rivals)
+            found = _instead(workbench, grown, (position,), floor, -thresholds.swap)
+            if found is not None:
+                # in its old place, so that the other positions still mean the same effects
+                grown, rivals = found[0].fitted.moved(position), {**rivals, **found[1]}
         if grown is before:
             break
+    if workbench.settings.beam > 1:
+        grown, rivals = _merged(workbench, grown, saved, floor, rivals)
+    return _without_needless(workbench, grown, saved), rivals
+
+
+def _merged(
+    workbench: LoopWorkbench, grown: FittedModel, saved: float, floor: float, rivals: Rivals
+) -> tuple[FittedModel, Rivals]:
+    """The structure with one effect in the place of two, as long as that pays."""
+    for pair in combinations(range(len(grown.added)), 2):
+        found = _instead(workbench, grown, pair, floor, saved)
+        if found is not None:
+            return _merged(workbench, found[0].fitted, saved, floor, {**rivals, **found[1]})
+    return grown, rivals
+
+
+def _without_needless(workbench: LoopWorkbench, grown: FittedModel, saved: float) -> FittedModel:
+    """The structure without the effects that do not pay for themselves; one is left at least."""
     for position in reversed(range(len(grown.added))):
         if len(grown.added) < 2:
             break
         (rest,) = workbench.fit(LoopStage.DROP, [grown.start.minus(position)], FULL)
-        price = thresholds.drop_price * np.log(count)
-        if (
-            rest is not None
-            and rest.criterion(workbench.records) < grown.criterion(workbench.records) + price
+        if rest is not None and (
+            rest.criterion(workbench.records) < grown.criterion(workbench.records) + saved
         ):
             grown = rest
     return grown
 
 
-def _swap(
+def _instead(
     workbench: LoopWorkbench,
     grown: FittedModel,
-    position: int,
+    positions: tuple[int, ...],
     floor: float,
-    rivals: Rivals,
-) -> FittedModel:
-    """The model with a better effect in the place of one, if there is a better one."""
-    (rest,) = workbench.fit(LoopStage.SWAP, [grown.start.minus(position)], FULL)
+    rise: float,
+) -> tuple[RefittedCandidate, Rivals] | None:
+    """The best effect in the place of some, with its rivals.
+
+    None if the criterion would rise by more than what it may, or the outputs run away.
+    """
+    start = grown.start
+    for position in reversed(positions):
+        start = start.minus(position)
+    (rest,) = workbench.fit(LoopStage.SWAP, [start], FULL)
     if rest is None:
-        return grown
-    screening = screen(workbench, rest, 50 + position)
-    contenders = [
-        c for c in refit(workbench, rest, screening, floor, wide=False)
-        if not c.candidate.form.free
-    ]  # fmt: skip
-    swap = workbench.thresholds.revision.swap
-    if not contenders or contenders[0].criterion >= grown.criterion(workbench.records) - swap:
-        return grown
-    won = plainest(contenders, workbench.thresholds.refinement)
+        return None
+    refitted = refit(workbench, rest, rank(workbench, rest), floor, wide=False)
+    contenders = [c for c in refitted if not c.candidate.form.free]
+    thresholds = workbench.thresholds.refinement
+    most = grown.criterion(workbench.records) + rise
+    if not contenders or contenders[0].criterion >= most:
+        return None
+    won = plainest(contenders, thresholds)
+    name = won.candidate.effect.name
     if not stays_bounded(workbench, won.fitted, rest):
-        return grown
-    rivals[won.candidate.effect.name] = (
-        won,
-        alternatives(contenders, won, workbench.thresholds.refinement),
-    )
-    # in its old place, so that the other positions still mean the same effects
-    return won.fitted.moved(position)
+        return None
+    return won, {name: rivals_of(won, contenders, thresholds)[name]}

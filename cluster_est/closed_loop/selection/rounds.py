@@ -1,4 +1,4 @@
-"""The rounds of a forward selection, and its result."""
+"""The rounds of a beam search, and its result."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.screening.screen import ScreeningResult
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.refine import RefittedCandidate
-from cluster_est.closed_loop.selection.revise import Rivals
+from cluster_est.closed_loop.selection.refine import RefittedCandidate, Rivals
 from cluster_est.closed_loop.workbench import FittedModel
 
 
@@ -44,8 +43,79 @@ class SelectionRound:
 
 
 @dataclass(frozen=True)
+class RoundStart:
+    """The structure that a round must improve on, and those that it grows from.
+
+    Attributes
+    ----------
+    model, prediction
+        The accepted structure, fitted, and its leave-one-out prediction.
+    screening
+        Of all candidates at that model.
+    floor
+        Sum of squares that the noise alone would leave.
+    beside
+        The structures that it was compared with in the round before.
+    """
+
+    model: FittedModel = field(repr=False)
+    prediction: LeaveOneOutPrediction = field(repr=False)
+    screening: ScreeningResult = field(repr=False)
+    floor: float
+    beside: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+
+
+@dataclass(frozen=True)
+class RoundEnd:
+    """The end of a round.
+
+    Attributes
+    ----------
+    seen
+        What it looked at, and the reason why nothing was added.
+    won, prediction
+        The structure that passed, and its prediction; None where nothing was added.
+    compared
+        All structures that were refitted.
+    """
+
+    seen: SelectionRound
+    won: RefittedCandidate | None = None
+    prediction: LeaveOneOutPrediction | None = None
+    compared: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+
+
+@dataclass(frozen=True)
+class ComparedStructure:
+    """A set of effects that was refitted: a row of structures.parquet.
+
+    Attributes
+    ----------
+    step
+        The round that refitted it.
+    effects
+        "coulomb at der(v)", in the order in which they were added.
+    criterion
+        Bayesian information criterion, less that of the declared model.
+    closed
+        Share of the gap between error and noise that it closes on the training experiments.
+    converged
+        It was refitted to convergence; the others fell behind before.
+    accepted
+        It passed every gate, or is what revision made of one that did.
+    """
+
+    step: int
+    effects: tuple[str, ...]
+    criterion: float
+    closed: float
+    converged: bool
+    accepted: bool
+
+
+@dataclass(frozen=True)
 class SelectionResult:
-    """The end of a forward selection.
+    """The end of a beam search.
 
     Attributes
     ----------
@@ -59,6 +129,8 @@ class SelectionResult:
         Of all rounds.
     noise
         Of each output, in units of its residual.
+    path
+        The structures that were compared, in the order of the rounds, the best of each first.
     """
 
     base: FittedModel = field(repr=False)
@@ -69,6 +141,7 @@ class SelectionResult:
     steps: tuple[SelectionRound, ...] = field(repr=False)
     findings: tuple[CandidateEvidence, ...] = field(repr=False)
     noise: np.ndarray
+    path: tuple[ComparedStructure, ...] = field(default=(), repr=False)
 
     @property
     def last(self) -> SelectionRound:

@@ -5,6 +5,8 @@ Symbols: P the projection, Q the orthonormal basis of what it takes out.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from workers.messages import FloatArray
@@ -56,3 +58,11 @@ class OrthogonalProjection:
         """P a, of a vector (n,) or of the columns of a matrix (n, m)."""
         left: FloatArray = a - self.basis @ (self.basis.T @ a)
         return left
+
+
+@dataclass(frozen=True)
+class ProjectedResidual:
+    """A residual, and the projection that takes the declared parameters out of it."""
+
+    projection: OrthogonalProjection = field(repr=False)
+    residuals: FloatArray = field(repr=False)

@@ -151,6 +151,9 @@ class ClosedLoopSection(ConfigSection):
         ge=0.0,
         description="share of the gap to the noise that an effect must close",
     )
+    beam: Count = Field(
+        _LOOP.beam, gt=0, description="structures that each round grows; above 1 a wider search"
+    )
     pairs: bool = Field(
         _LOOP.pairs, description="try two effects at once where no single one is enough"
     )

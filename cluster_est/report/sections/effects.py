@@ -132,7 +132,29 @@ def candidates(run: ReportedRun) -> ReportSection:
     for step in sorted({row["step"] for row in rows}):
         own = sorted((row for row in rows if row["step"] == step), key=_rank)
         blocks.append(_ranked(step, own))
+    blocks += _compared(run)
     return ReportSection("candidates", "Candidates", tuple(blocks))
+
+
+def _compared(run: ReportedRun) -> list[Block]:
+    """The structures that each step refitted, the best first."""
+    names = columns("structure", "#gap closed", "#criterion", "")
+    blocks: list[Block] = []
+    for step in sorted({row["step"] for row in run.tables["structures"]}):
+        own = [row for row in run.tables["structures"] if row["step"] == step]
+        lines = [
+            cells(
+                TableCell(" + ".join(row["effects"]), code=True),
+                f"{100.0 * row['closed']:.1f}\u2009%",
+                digits(row["criterion"], 4),
+                TableCell("accepted", "good") if row["accepted"]
+                else TableCell("" if row["converged"] else "fell behind", "faint"),
+            )
+            for row in own
+        ]  # fmt: skip
+        caption = f"Step {step}: {len(own)} sets of effects refitted"
+        blocks.append(TableBlock(names, tuple(lines), caption, folded=True))
+    return blocks
 
 
 STAGES = tuple(reversed(CandidateStage))

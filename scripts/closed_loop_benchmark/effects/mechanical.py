@@ -92,7 +92,12 @@ SINGLE: dict[str, tuple[Effect, ...]] = {
 
 PAIRS: dict[str, tuple[tuple[str, str], ...]] = {
     "mass_spring_damper": (("coulomb", "stiffening"), ("drag", "sensor_lag"), ("load", "end_stop")),
-    "pendulum": (("coulomb", "sensor_bias"), ("drag", "delay"), ("end_stop", "unbalance")),
+    "pendulum": (
+        ("coulomb", "sensor_bias"),
+        ("coulomb", "drag"),
+        ("drag", "delay"),
+        ("end_stop", "unbalance"),
+    ),
     "quarter_car": (("bump_stop", "velocity_lag"), ("slow_leak", "travel_bias")),
 }
 

@@ -93,6 +93,10 @@ def test_every_candidate_and_every_coefficient_has_a_row(closed):
     assert {row["site"] for row in findings} == {"der(v)"}
     accepted = [row["form"] for row in findings if row["stage"] == "accepted"]
     assert accepted == ["coulomb"]
+    structures = [row for row in rows(closed[1], "structures") if row["step"] == 1]
+    assert [row["effects"] for row in structures if row["accepted"]] == [["coulomb at der(v)"]]
+    assert structures == sorted(structures, key=lambda row: row["criterion"])
+    assert all(row["closed"] < 1.1 for row in structures)
     assert (closed[1] / "trajectories.parquet").is_file()
 
 

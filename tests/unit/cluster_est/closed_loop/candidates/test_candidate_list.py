@@ -10,7 +10,8 @@ from support.truth.systems_with_missing_effects import missing_effect_problem, o
 
 from cluster_est import Parameter
 from cluster_est.closed_loop.candidates.equation import equation_text
-from cluster_est.closed_loop.candidates.make import kinematic_states, make_candidates
+from cluster_est.closed_loop.candidates.make import make_candidates
+from cluster_est.closed_loop.candidates.sites import kinematic_states
 from cluster_est.closed_loop.settings import LoopSettings
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.loop_objects import made_candidate, made_screening
+from support.loop_objects import made_candidate, made_ranking
 
 from cluster_est.closed_loop.selection.pairs import best_pairs
 from cluster_est.closed_loop.thresholds import PairThresholds
@@ -19,7 +19,7 @@ COLUMNS = [GENERATOR.standard_normal((N, 1)) for _ in range(COUNT)]
 
 def screened(residuals, columns, candidates=None):
     made = candidates or [made_candidate(f"e{i}") for i in range(len(columns))]
-    return made_screening(MATRIX, residuals, columns, made)
+    return made_ranking(MATRIX, residuals, columns, made)
 
 
 def left(residuals, *columns):

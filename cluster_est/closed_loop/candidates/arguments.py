@@ -1,0 +1,121 @@
+"""The arguments that an effect at a site may be a function of."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.problem.problem import Problem
+from workers.effects.forms import EffectForm, FormCondition
+from workers.effects.site import EffectSite
+from workers.fmu.description import ModelDescription
+
+
+@dataclass(frozen=True)
+class CandidatePlace:
+    """A site, and the argument of a function that may be missing there."""
+
+    site: EffectSite
+    argument: str
+
+
+@dataclass(frozen=True)
+class OpenArguments:
+    """Everything that an effect may be a function of, in the data at hand.
+
+    Attributes
+    ----------
+    states
+        Of the FMU; none in co-simulation.
+    driven
+        Inputs and measured signals that every experiment has.
+    outputs
+        Measured ones that are no states.
+    units
+        Of the states.
+    """
+
+    states: tuple[str, ...]
+    driven: tuple[str, ...]
+    outputs: tuple[str, ...]
+    units: Mapping[str, str]
+
+    def at(self, site: EffectSite) -> list[str]:
+        """Return the arguments of functions of one variable at a site.
+
+        At a pair of states these are the first of them, differences of states of one unit and
+        single other states: the twist of a shaft may be one. A difference points from the second
+        state to the first, so one order of the pair is enough.
+        """
+        if site.kind == "pair":
+            first, second = (self.states.index(name) for name in site.targets)
+            differences = [f"{a} - {b}" for a, b in self._of_one_unit()] if first < second else []
+            others = [name for name in self.states if name not in site.targets]
+            return [site.targets[0], *differences, *others]
+        names = [*self.states, *self.driven, *(self.outputs if site.kind == "output" else ())]
+        return [n for n in names if site.kind not in ("input", "output") or n != site.target]
+
+    @cached_property
+    def differences(self) -> int:
+        """Number of differences of states of one unit."""
+        return len(self._of_one_unit())
+
+    def _of_one_unit(self) -> list[tuple[str, str]]:
+        pairs = itertools.combinations(self.states, 2)
+        return [(a, b) for a, b in pairs if self.units[a] == self.units[b]]
+
+    def takes(self, form: EffectForm, site: EffectSite, argument: str) -> bool:
+        """Return whether a form of one variable at a site may be a function of an argument."""
+        if site.kind == "pair":
+            return (argument == site.targets[0]) is (FormCondition.FIRST in form.when)
+        if FormCondition.DRIVEN in form.when:
+            return argument in self.driven
+        return FormCondition.OWN not in form.when or argument == site.target
+
+
+def open_arguments(
+    problem: Problem, description: ModelDescription, trajectories: Sequence[LinearisedTrajectory]
+) -> OpenArguments:
+    """Return what an effect may be a function of: what all training experiments have."""
+    exchange = problem.model.interface == "model_exchange"
+    states = tuple(s for s in description.states if exchange)
+    common = [
+        n for n in trajectories[0].signals if all(trajectory.has(n) for trajectory in trajectories)
+    ]
+    signals = [{s.variable for s in e.signals} for e in problem.experiments]
+    lacking = {n for own in signals for n in own if not all(n in others for others in signals)}
+    names = trajectories[0].names
+    return OpenArguments(
+        states=states,
+        driven=tuple(n for n in common if n not in (*states, *names, *lacking)),
+        outputs=tuple(n for n in names if n in common and n not in states),
+        units={name: description.variables[name].unit for name in states},
+    )
+
+
+def variables_of(
+    form: EffectForm,
+    site: EffectSite,
+    arguments: OpenArguments,
+    leading: Collection[str] | None = None,
+) -> list[tuple[str, ...]]:
+    """Return the variables that a form at a site may be a function of.
+
+    Parameters
+    ----------
+    form, site
+        The form, and where it would act.
+    arguments
+        What the data offer.
+    leading
+        The arguments to look at there; None for all of them.
+    """
+    if form.variables == 0:
+        return [()]
+    names = arguments.at(site) if leading is None else list(leading)
+    if form.variables == 1:
+        return [(name,) for name in names if arguments.takes(form, site, name)]
+    return list(itertools.combinations(names, 2))

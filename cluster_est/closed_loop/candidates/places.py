@@ -1,0 +1,75 @@
+"""Places: sites with an argument, and how many candidates there are at all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates.arguments import CandidatePlace, OpenArguments
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from workers.effects.forms import EffectForm, FormCondition
+from workers.effects.site import EffectSite
+
+ACTS = 1e-9
+"""Share of a state's largest derivative by another state below which one does not act on it."""
+
+
+def open_places(
+    sites: Sequence[EffectSite],
+    arguments: OpenArguments,
+    trajectories: Sequence[LinearisedTrajectory],
+) -> list[CandidatePlace]:
+    """List the places at these sites that make physical sense in a model of many states.
+
+    A force between two states is looked for where one of them acts on the other already, as a
+    function of their difference, of the first of them, or of a state that acts on both.
+
+    Parameters
+    ----------
+    sites
+        In model exchange.
+    arguments
+        What the data offer.
+    trajectories
+        Of the training experiments, with linearisations.
+    """
+    acts = _acting(trajectories)
+    index = {name: i for i, name in enumerate(arguments.states)}
+    places = []
+    for site in sites:
+        names = arguments.at(site) if site.kind != "pair" else []
+        if site.kind == "pair":
+            i, j = (index[name] for name in site.targets)
+            if not (acts[i, j] or acts[j, i]):
+                continue
+            first, second = site.targets
+            both = [
+                name for name, k in index.items() if k not in (i, j) and acts[i, k] and acts[j, k]
+            ]
+            names = [first, *([f"{first} - {second}"] if i < j else []), *both]
+        places += [CandidatePlace(site, name) for name in names]
+    return places
+
+
+def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments) -> int:
+    """Return of how many variables a form at a site may be a function, without a list of them."""
+    if form.variables == 0:
+        return 1
+    n = len(arguments.states)
+    if site.kind == "pair":
+        if FormCondition.FIRST in form.when:
+            return 1
+        first, second = (arguments.states.index(name) for name in site.targets)
+        return n - 2 + (arguments.differences if first < second else 0)
+    names = arguments.at(site)
+    if form.variables == 2:
+        return len(names) * (len(names) - 1) // 2
+    return sum(arguments.takes(form, site, name) for name in names)
+
+
+def _acting(trajectories: Sequence[LinearisedTrajectory]) -> np.ndarray:
+    """(x, x) booleans: whether the second state acts on the first, anywhere along the data."""
+    linear = [each.linear for each in trajectories if each.linear is not None]
+    sizes = np.max([np.abs(each.A).max(axis=0) for each in linear], axis=0)
+    return np.asarray(sizes > ACTS * sizes.max(axis=1, keepdims=True))

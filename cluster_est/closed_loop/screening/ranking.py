@@ -1,0 +1,216 @@
+"""Ranking: the direction of every candidate against the residual, scored but not tested."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates.arguments import CandidatePlace, open_arguments
+from cluster_est.closed_loop.candidates.make import EffectCandidate, make_candidates
+from cluster_est.closed_loop.candidates.places import count_variables, open_places
+from cluster_est.closed_loop.candidates.sites import candidate_sites, forms_at
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
+from cluster_est.closed_loop.screening.places import rank_places
+from cluster_est.closed_loop.screening.probe import probe
+from cluster_est.closed_loop.statistics.projection import (
+    OrthogonalProjection,
+    ProjectedResidual,
+)
+from cluster_est.closed_loop.statistics.records import StackedRecords, thinned
+from cluster_est.closed_loop.statistics.score import ScoreTests, score
+from cluster_est.closed_loop.statistics.whitening import fit_autoregression, whiten
+from cluster_est.closed_loop.thresholds import ScreeningThresholds
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.errors import DataError
+from workers.messages import FloatArray, IntArray
+
+PLACES = 7
+"""Stream of the random generator of the places; see `LoopWorkbench.generator`."""
+
+
+@dataclass(frozen=True)
+class CandidateRanking:
+    """All candidates against the residual of a fit.
+
+    Attributes
+    ----------
+    trials
+        Candidates at the points of their grids.
+    columns
+        The direction of each trial, (kept residuals, width).
+    rows
+        Indices of the residuals that were kept.
+    records
+        Of these.
+    plain, white
+        Scores against the residual as it is, and after both were whitened by an autoregression.
+    residual, residual_white
+        What they were scored against.
+    unseen
+        Possible candidates for each that was looked at.
+    column_penalty
+        See `ScreeningThresholds`.
+    """
+
+    trials: tuple[CandidatePoint, ...]
+    columns: tuple[FloatArray, ...] = field(repr=False)
+    rows: IntArray = field(repr=False)
+    records: StackedRecords = field(repr=False)
+    plain: ScoreTests = field(repr=False)
+    white: ScoreTests = field(repr=False)
+    residual: ProjectedResidual = field(repr=False)
+    residual_white: ProjectedResidual = field(repr=False)
+    unseen: float = 1.0
+    column_penalty: float = ScreeningThresholds.column_penalty
+
+    @property
+    def count(self) -> int:
+        """Different candidates that the parameters do not confound, the unseen ones among them."""
+        kept = {t.candidate.effect for t, df in zip(self.trials, self.plain.df, strict=True) if df}
+        return max(1, round(len(kept) * self.unseen))
+
+    def leaders(self, scores: ScoreTests, most: int, *, tables: bool = True) -> list[int]:
+        """The best trial of each candidate, best candidate first."""
+        rank = scores.statistics - self.column_penalty * np.maximum(scores.df - 1, 0)
+        best: dict[str, int] = {}
+        for i in np.argsort(-rank, kind="stable").tolist():
+            trial = self.trials[i]
+            if scores.df[i] and (tables or not trial.candidate.form.free):
+                best.setdefault(trial.candidate.effect.name, i)
+        return list(best.values())[:most]
+
+
+def rank(workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
+    """Rank every candidate at a fit.
+
+    Raises
+    ------
+    DataError
+        If there are more candidates than measured values.
+    """
+    trajectories = workbench.trajectories(fitted)
+    thresholds = workbench.thresholds.screening
+    candidates, possible = _candidates(workbench, fitted, trajectories)
+    trials = tuple(CandidatePoint(c, values) for c in candidates for values in c.grid)
+    records, rows = thinned(workbench.records, thresholds.most_rows)
+    columns = tuple(column[rows] for column in _columns(workbench, fitted, trajectories, trials))
+    matrix, residuals = fitted.jacobian[rows], fitted.residuals[rows]
+    plain = ProjectedResidual(OrthogonalProjection(matrix), residuals)
+    cleaned = plain.projection.remove(residuals)
+    coefficients = fit_autoregression(cleaned, records, thresholds.autoregression)
+
+    def whitened(values: FloatArray) -> FloatArray:
+        return whiten(values, records, coefficients)
+
+    white = ProjectedResidual(OrthogonalProjection(whitened(matrix)), whitened(residuals))
+    least = thresholds.confounded
+    return CandidateRanking(
+        trials=trials,
+        columns=columns,
+        rows=rows,
+        records=records,
+        plain=score(plain.projection, plain.residuals, columns, least),
+        white=score(white.projection, white.residuals, [whitened(c) for c in columns], least),
+        residual=plain,
+        residual_white=white,
+        unseen=max(possible / max(len(candidates), 1), 1.0),
+        column_penalty=thresholds.column_penalty,
+    )
+
+
+def _candidates(
+    workbench: LoopWorkbench, fitted: FittedModel, trajectories: Sequence[LinearisedTrajectory]
+) -> tuple[list[EffectCandidate], int]:
+    """All candidates, or those at leading places where there are too many; how many there are.
+
+    Raises
+    ------
+    DataError
+        If there are more candidates than measured values.
+    """
+    description, settings = workbench.description, workbench.settings
+    frequencies = _peaks(workbench.records, fitted.residuals, workbench.thresholds.screening)
+    given = (fitted.problem, description, trajectories)
+    sites = candidate_sites(*given, settings)
+    arguments = open_arguments(*given)
+    possible = sum(
+        count_variables(form, site, arguments)
+        for site in sites
+        for form in forms_at(site, fitted.problem, description, settings)
+    )
+    few = possible <= workbench.thresholds.places.most_candidates or not workbench.exchange
+    candidates = make_candidates(*given, frequencies, settings) if few else []
+    if few and len(candidates) <= workbench.size:
+        return candidates, len(candidates)
+    if workbench.exchange:
+        places = _leading(
+            workbench, fitted, trajectories, open_places(sites, arguments, trajectories)
+        )
+        candidates = make_candidates(*given, frequencies, settings, places)
+    if len(candidates) > workbench.size:
+        raise DataError(
+            f"closed loop: the training experiments must have at least as many measured values as "
+            f"there are candidates, but have {workbench.size} for {len(candidates)}; add data, or "
+            "name fewer in closed_loop.effects or closed_loop.sites"
+        )
+    return candidates, possible
+
+
+def _leading(
+    workbench: LoopWorkbench,
+    fitted: FittedModel,
+    trajectories: Sequence[LinearisedTrajectory],
+    places: Sequence[CandidatePlace],
+) -> list[CandidatePlace]:
+    """The places at which a free curve explains the most."""
+    thresholds = workbench.thresholds.places
+    residual = ProjectedResidual(OrthogonalProjection(fitted.jacobian), fitted.residuals)
+    generator = workbench.generator(PLACES)
+    ranked = rank_places(places, trajectories, residual, generator, thresholds)
+    return [each.place for each in ranked[: thresholds.leading]]
+
+
+def _columns(
+    workbench: LoopWorkbench,
+    fitted: FittedModel,
+    trajectories: Sequence[LinearisedTrajectory],
+    trials: Sequence[CandidatePoint],
+) -> list[FloatArray]:
+    """Directions of all trials: from the linear systems, or where there are none by simulation."""
+    known = fitted.space.physical(fitted.x)
+    targets = [p.target for p in fitted.problem.parameters]
+    values = []
+    for trajectory, row in zip(trajectories, known, strict=True):
+        names = trajectory.linear.parameter_names if trajectory.linear is not None else ()
+        values.append(np.array([row[targets.index(name)] for name in names], float))
+    if workbench.exchange:
+        return directions(trajectories, trials, values)
+    outside = [t for t in trials if t.candidate.site.kind == "output"]
+    inside = [t for t in trials if t.candidate.site.kind != "output"]
+    found = dict(zip(map(id, outside), directions(trajectories, outside, values), strict=True))
+    found |= dict(zip(map(id, inside), probe(workbench, fitted, trajectories, inside), strict=True))
+    return [found[id(trial)] for trial in trials]
+
+
+def _peaks(
+    records: StackedRecords, residuals: FloatArray, thresholds: ScreeningThresholds
+) -> list[float]:
+    """Angular frequencies at which the residual of some record is strongest."""
+    best: list[tuple[float, float]] = []
+    for record in records.items:
+        part, times = residuals[record.rows], record.times
+        if len(part) < thresholds.peak_samples:
+            continue
+        step = float(np.median(np.diff(times)))
+        power = np.abs(np.fft.rfft(part - part.mean())) ** 2 / len(part)
+        rates = 2.0 * np.pi * np.fft.rfftfreq(len(part), step)
+        order = np.argsort(-power[2:])[: thresholds.peaks] + 2
+        best += [(float(power[k]), float(rates[k])) for k in order]
+    found: list[float] = []
+    for _, rate in sorted(best, reverse=True):
+        if all(abs(rate - other) > thresholds.peak_distance * other for other in found):
+            found.append(rate)
+    return found[: thresholds.peaks]

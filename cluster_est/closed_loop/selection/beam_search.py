@@ -1,0 +1,198 @@
+"""Beam search over structures: sets of effects, the best few of each size, grown by one each round.
+
+A greedy search never sees two effects that explain the residual together where neither does alone,
+or where a third one imitates both. So each round grows the accepted structure and others of its
+size (B. T. Lowerre, The HARPY Speech Recognition System, Carnegie Mellon University, 1976).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
+from cluster_est.closed_loop.screening.screen import findings, refreshed, screen
+from cluster_est.closed_loop.selection.accept import predict
+from cluster_est.closed_loop.selection.declared_model import fit_declared
+from cluster_est.closed_loop.selection.gates import (
+    best_that_passes,
+    leaves_more_than_noise,
+    reason_to_stop,
+)
+from cluster_est.closed_loop.selection.grow import best_distinct, grow
+from cluster_est.closed_loop.selection.pairs import refit_pairs
+from cluster_est.closed_loop.selection.path import compared_structure, compared_structures
+from cluster_est.closed_loop.selection.refine import RefittedCandidate, Rivals, rivals_of
+from cluster_est.closed_loop.selection.restarts import refit_from_other_starts
+from cluster_est.closed_loop.selection.revise import revise
+from cluster_est.closed_loop.selection.rounds import (
+    ComparedStructure,
+    RoundEnd,
+    RoundStart,
+    SelectionResult,
+    SelectionRound,
+)
+from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.statistics.noise import estimate_noise
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.methods.least_squares.method import LeastSquares
+
+AGAIN = LeastSquares(trials=2, max_iterations=15, ftol=1e-6, xtol=1e-7, differences="forward")
+
+
+def beam_search(
+    workbench: LoopWorkbench, declared: FitStart, *, again: bool = True
+) -> SelectionResult:
+    """Fit the declared model and add effects to it while they earn it."""
+    base = fit_declared(workbench, declared)
+    noise = estimate_noise(base.residuals, workbench.records)
+    floor = workbench.noise_floor(noise)
+    current, prediction = base, predict(workbench, base)
+    base_prediction = prediction
+    steps: list[SelectionRound] = []
+    seen: list[CandidateEvidence] = []
+    path: list[ComparedStructure] = []
+    rivals: Rivals = {}
+    beside: tuple[RefittedCandidate, ...] = ()
+    passed = {base.structure}
+    while True:
+        number = len(steps) + 1
+        screening = screen(workbench, current, number)
+        begun = RoundStart(current, prediction, screening, floor, beside)
+        end = _round(workbench, base, begun)
+        steps.append(end.seen)
+        seen += _noted(workbench, current, end, number)
+        path += compared_structures(workbench, base, end, floor, number)
+        won = end.won
+        if won is None or end.prediction is None:
+            break
+        if again and not current.added and _was_local(workbench, base, won):
+            restart = FitStart(declared.problem, _declared_only(won), declared.added)
+            return beam_search(workbench, restart, again=False)
+        found = rivals_of(won, end.seen.contenders, workbench.thresholds.refinement)
+        rivals = {**found, **rivals, **{name: own for name, own in found.items() if own[1]}}
+        grown = won.fitted
+        if _grows_several(workbench, grown, floor):
+            grown = refit_from_other_starts(workbench, base, grown)
+        if len(grown.added) > 1:
+            grown, rivals = revise(workbench, grown, screening.count, floor, rivals)
+        better = predict(workbench, grown) if grown is not won.fitted else end.prediction
+        if grown.structure != won.fitted.structure:
+            path.append(compared_structure(workbench, base, grown, floor, number))
+        if grown.structure in passed:
+            break
+        passed.add(grown.structure)
+        current, prediction, beside = grown, better, end.compared
+    return SelectionResult(
+        base, current, base_prediction, prediction, rivals, tuple(steps), tuple(seen), noise,
+        tuple(path),
+    )  # fmt: skip
+
+
+def _round(workbench: LoopWorkbench, base: FittedModel, begun: RoundStart) -> RoundEnd:
+    """Try to add something to a structure, or to others that are as large."""
+    stop = reason_to_stop(workbench, begun)
+    if stop is not None:
+        return RoundEnd(SelectionRound(begun.screening, (), stop))
+    grown = grow(workbench, begun, _parents(workbench, base, begun))
+    named = [c for c in grown if not c.candidate.form.free]
+    single = best_that_passes(workbench, begun, named)
+    if not _looks_for_two(workbench, begun, single):
+        return replace(single, compared=tuple(grown))
+    more = _two_more(workbench, base, begun, named if single.won is None else ())
+    best = _better(workbench, begun, single, best_that_passes(workbench, begun, more))
+    if best.won is None:  # a free table fits anything, so it comes last
+        tables = [c for c in grown if c.candidate.form.free]
+        best = best_that_passes(workbench, begun, tables)
+    return replace(best, compared=(*grown, *more))
+
+
+def _parents(
+    workbench: LoopWorkbench, base: FittedModel, begun: RoundStart
+) -> tuple[FittedModel, ...]:
+    """The accepted structure, and where it leaves more than noise, others as large."""
+    if not begun.beside or not _grows_several(workbench, begun.model, begun.floor):
+        return (begun.model,)
+    size = len(begun.model.added)
+    beside = [c for c in begun.beside if len(c.fitted.added) == size]
+    return best_distinct(workbench, base, beside, first=begun.model)
+
+
+def _grows_several(workbench: LoopWorkbench, fitted: FittedModel, floor: float) -> bool:
+    """Return whether the search is a wide one, and has something left to look for."""
+    return workbench.settings.beam > 1 and leaves_more_than_noise(workbench, fitted, floor)
+
+
+def _looks_for_two(workbench: LoopWorkbench, begun: RoundStart, single: RoundEnd) -> bool:
+    """Return whether two effects at once are worth a look: no single one does most of it."""
+    settings = workbench.settings
+    hard = workbench.thresholds.selection.hard
+    room = len(begun.model.added) + 2 <= settings.max_effects
+    return settings.pairs and room and not (single.won is not None and single.seen.closed >= hard)
+
+
+def _two_more(
+    workbench: LoopWorkbench,
+    base: FittedModel,
+    begun: RoundStart,
+    singles: Sequence[RefittedCandidate],
+) -> list[RefittedCandidate]:
+    """Structures of two effects more: from pairs of directions, and grown from single ones."""
+    found = {
+        c.fitted.structure: c for c in refit_pairs(workbench, begun.model, begun.screening.ranking)
+    }
+    if _grows_several(workbench, begun.model, begun.floor):
+        parents = best_distinct(workbench, base, singles)
+        for contender in grow(workbench, begun, parents, known=tuple(found)):
+            found.setdefault(contender.fitted.structure, contender)
+    return sorted(found.values(), key=lambda c: c.criterion)
+
+
+def _better(
+    workbench: LoopWorkbench, begun: RoundStart, single: RoundEnd, double: RoundEnd
+) -> RoundEnd:
+    """One effect more or two, which must pay for the choice among so many pairs."""
+    if double.won is None:
+        return single
+    price = workbench.thresholds.selection.pair_price * np.log(begun.screening.count)
+    if single.won is not None and double.won.criterion + price > single.won.criterion:
+        return single
+    return double
+
+
+def _was_local(workbench: LoopWorkbench, base: FittedModel, won: RefittedCandidate) -> bool:
+    """Return whether the declared model does as well from the new parameters."""
+    values = _declared_only(won)
+    (fit,) = workbench.fit(
+        LoopStage.DECLARED_AGAIN, [FitStart(base.problem, values, base.added)], AGAIN
+    )
+    return fit is not None and fit.sse < workbench.thresholds.selection.local_minimum * base.sse
+
+
+def _declared_only(won: RefittedCandidate) -> dict[str, float]:
+    names = [c.effect.name for c in won.fitted.added]
+    estimates = won.fitted.estimates.items()
+    return {k: v for k, v in estimates if not any(k.startswith(f"{n}.") for n in names)}
+
+
+def _noted(
+    workbench: LoopWorkbench, current: FittedModel, end: RoundEnd, number: int
+) -> list[CandidateEvidence]:
+    """The candidates of a round, with how far each came."""
+    found = findings(end.seen.screening.ranking, current, number)
+    base = current.criterion(workbench.records)
+    reached = [
+        (c, CandidateStage.REFITTED)
+        for c in end.compared
+        if c.fitted.structure - {c.candidate.effect.name} == current.structure
+    ]
+    if end.won is not None:
+        reached.append((end.won, CandidateStage.ACCEPTED))
+    for contender, stage in reached:
+        for candidate in contender.fitted.added:
+            name = candidate.effect.name
+            if name in found:
+                found[name] = refreshed(found[name], stage, contender.criterion - base)
+    return list(found.values())

@@ -1,0 +1,124 @@
+"""The gates that a larger structure must pass to take the place of the accepted one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cluster_est.closed_loop.screening.screen import screen
+from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, predict, stays_bounded
+from cluster_est.closed_loop.selection.refine import RefittedCandidate, plainest
+from cluster_est.closed_loop.selection.rounds import (
+    RejectionReason,
+    RoundEnd,
+    RoundStart,
+    SelectionRound,
+)
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+
+
+def reason_to_stop(workbench: LoopWorkbench, begun: RoundStart) -> RejectionReason | None:
+    """Return why nothing need be refitted; None if something may be missing."""
+    settings, screening = workbench.settings, begun.screening
+    if not screening.ranking.trials:
+        return RejectionReason.NO_CANDIDATE
+    if screening.p > settings.significance:
+        return RejectionReason.NOT_SIGNIFICANT
+    if screening.p_white > settings.significance:
+        return RejectionReason.COLOURED_NOISE
+    if len(begun.model.added) >= settings.max_effects:
+        return RejectionReason.LIMIT_OF_EFFECTS
+    return None
+
+
+def leaves_more_than_noise(workbench: LoopWorkbench, fitted: FittedModel, floor: float) -> bool:
+    """Return whether the residual of a fit is clearly larger than the noise."""
+    return fitted.sse > workbench.thresholds.selection.gap * floor
+
+
+def best_that_passes(
+    workbench: LoopWorkbench, begun: RoundStart, contenders: Sequence[RefittedCandidate]
+) -> RoundEnd:
+    """The best contender that stays bounded, if it passes the gates."""
+    current = begun.model
+    left = [c for c in contenders if c.criterion < current.criterion(workbench.records)]
+    while left:
+        chosen = plainest(left, workbench.thresholds.refinement)
+        if stays_bounded(workbench, chosen.fitted, current):
+            break
+        left = [c for c in left if c is not chosen]
+    if not left:
+        why = RejectionReason.NO_IMPROVEMENT
+        return RoundEnd(SelectionRound(begun.screening, tuple(contenders), why))
+    after = predict(workbench, chosen.fitted)
+    gain, closed = _gain(workbench, begun, chosen), _closed(workbench, begun, after)
+    failed = _failed_gate(workbench, begun, chosen.fitted, after, gain, closed)
+    seen = SelectionRound(begun.screening, tuple(left), failed, gain, closed)
+    return RoundEnd(seen) if failed is not None else RoundEnd(seen, chosen, after)
+
+
+def _gain(workbench: LoopWorkbench, begun: RoundStart, chosen: RefittedCandidate) -> float:
+    """Gain of the criterion, less what the choice among the candidates must pay."""
+    known = len(begun.model.added)
+    added = len(chosen.fitted.added) - known
+    price = workbench.thresholds.selection.choice_price
+    # each further effect must earn more: what the ones before leave is partly their own error
+    penalty = price * added * (1 + known) * np.log(begun.screening.count)
+    return float(begun.model.criterion(workbench.records) - chosen.criterion - penalty)
+
+
+def _closed(workbench: LoopWorkbench, begun: RoundStart, after: LeaveOneOutPrediction) -> float:
+    """Share of the gap between predictions and noise that is closed."""
+    before, floor = begun.prediction, begun.floor
+    least = workbench.thresholds.selection.least_gap * floor
+    return (before.total - after.total) / max(before.total - floor, least)
+
+
+def _failed_gate(
+    workbench: LoopWorkbench,
+    begun: RoundStart,
+    grown: FittedModel,
+    after: LeaveOneOutPrediction,
+    gain: float,
+    closed: float,
+) -> RejectionReason | None:
+    """The first gate that a grown model does not pass; None if it passes all."""
+    thresholds, current = workbench.thresholds.selection, begun.model
+    if gain <= 0.0:
+        return RejectionReason.LITTLE_GAIN
+    solo = False
+    if after.total >= begun.prediction.total:
+        few = _improved(current, grown, thresholds.solo_share) <= thresholds.minority
+        solo = gain > thresholds.solo_gain and few
+        if not solo:
+            return RejectionReason.NOT_PREDICTED
+    open_gap = leaves_more_than_noise(workbench, current, begun.floor)
+    little = open_gap and not solo and closed < workbench.settings.least_gain
+    if little and not _rest_is_coloured(workbench, begun, grown, after):
+        return RejectionReason.LITTLE_EXPLAINED
+    return None
+
+
+def _improved(current: FittedModel, grown: FittedModel, share: float) -> float:
+    """Share of the experiments that fit clearly better."""
+    better = [
+        np.sum(grown.residuals[rows] ** 2) < share * np.sum(current.residuals[rows] ** 2)
+        for rows in current.space.rows
+    ]
+    return float(np.mean(better))
+
+
+def _rest_is_coloured(
+    workbench: LoopWorkbench,
+    begun: RoundStart,
+    grown: FittedModel,
+    after: LeaveOneOutPrediction,
+) -> bool:
+    """Return whether an effect leaves only coloured noise, so that it did all it could."""
+    thresholds, current = workbench.thresholds.selection, begun.model
+    better = np.mean(after.squares < begun.prediction.squares)
+    fall = current.sse - grown.sse
+    if better < thresholds.mostly_better or fall < thresholds.least_fall * current.sse:
+        return False
+    return screen(workbench, grown, 90).p_white > workbench.settings.significance

@@ -1,0 +1,85 @@
+"""Growth of structures: one effect more for each of several."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from cluster_est.closed_loop.screening.ranking import rank
+from cluster_est.closed_loop.selection.refine import FULL, RefittedCandidate, refit
+from cluster_est.closed_loop.selection.rounds import RoundStart
+from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from workers.messages import FloatArray
+
+
+def grow(
+    workbench: LoopWorkbench,
+    begun: RoundStart,
+    parents: Sequence[FittedModel],
+    known: Collection[frozenset[str]] = (),
+) -> list[RefittedCandidate]:
+    """Refit structures with one effect more than each parent has; the best first.
+
+    A structure that several parents lead to is refitted from the first of them alone, and one that
+    is known already not at all. Free tables are only added to the accepted structure.
+    """
+    found: dict[frozenset[str], RefittedCandidate] = {}
+    for parent in parents:
+        accepted = parent is begun.model
+        ranking = begun.screening.ranking if accepted else rank(workbench, parent)
+        contenders = refit(
+            workbench, parent, ranking, begun.floor, wide=accepted, known={*known, *found}
+        )
+        for contender in contenders:
+            if accepted or not contender.candidate.form.free:
+                found.setdefault(contender.fitted.structure, contender)
+    return sorted(found.values(), key=lambda c: c.criterion)
+
+
+def best_distinct(
+    workbench: LoopWorkbench,
+    base: FittedModel,
+    contenders: Sequence[RefittedCandidate],
+    first: FittedModel | None = None,
+) -> tuple[FittedModel, ...]:
+    """The beam: the best structures whose predictions differ, refitted to convergence.
+
+    Structures that predict the same leave the same residual, and so lead to the same next effects:
+    a second name for a structure that is in the beam already would be a place lost.
+
+    Parameters
+    ----------
+    base
+        The declared model, fitted: predictions are compared by how they differ from its own.
+    contenders
+        The structures to choose from.
+    first
+        A structure that has its place in any case.
+    """
+    width = workbench.settings.beam
+    kept = [] if first is None else [first]
+    changes = [_direction(base, fitted) for fitted in kept]
+    for contender in sorted(contenders, key=lambda c: c.criterion):
+        if len(kept) >= width:
+            break
+        change = _direction(base, contender.fitted)
+        alike = [float(np.add.reduce(change * other)) for other in changes]
+        if (
+            contender.candidate.form.free
+            or max(alike, default=0.0) > workbench.thresholds.beam.alike
+        ):
+            continue
+        kept.append(contender.fitted)
+        changes.append(change)
+    rough = {id(c.fitted) for c in contenders if not c.full}
+    asked = [fitted.start for fitted in kept if id(fitted) in rough]
+    finished = iter(workbench.fit(LoopStage.REFITS, asked, FULL))
+    return tuple((next(finished) or f) if id(f) in rough else f for f in kept)
+
+
+def _direction(base: FittedModel, fitted: FittedModel) -> FloatArray:
+    """The change of the residuals from the declared model's, of length 1."""
+    change = fitted.residuals - base.residuals
+    return change / max(float(np.sqrt(np.add.reduce(change**2))), 1e-300)

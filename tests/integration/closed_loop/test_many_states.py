@@ -1,0 +1,111 @@
+"""A model of twelve states that lacks a leak at one: its candidates are looked at by their places.
+
+The data come from the matrix exponential of the rod's equations.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import cluster_est as ce
+from cluster_est.closed_loop.candidates.arguments import open_arguments
+from cluster_est.closed_loop.candidates.places import open_places
+from cluster_est.closed_loop.candidates.sites import candidate_sites
+from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
+from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.workbench import FitStart, FittedModel
+
+NODES, LEAKING, MEASURED = 12, 8, (2, 5, 8, 11)
+TRUE = {"conduction": 0.3, "loss": 0.005}
+LEAK = 0.05
+SIGMA = 0.02
+TIMES = np.arange(300) * 0.8
+NOTHING = np.zeros(0)
+ROLES = ("train", "train", "train", "test")
+
+
+def heating(number: int) -> np.ndarray:
+    """Steps of random height, each held for some seconds."""
+    random = np.random.default_rng([4, number])
+    return np.repeat(random.uniform(0.0, 3.0, len(TIMES) // 20), 20)
+
+
+def temperatures(heat: np.ndarray) -> np.ndarray:
+    """(times, nodes): exact for heating that is held between the samples."""
+    neighbours = np.eye(NODES, k=1) + np.eye(NODES, k=-1)
+    rates = TRUE["conduction"] * (neighbours - np.diag(neighbours.sum(axis=1)))
+    rates -= TRUE["loss"] * np.eye(NODES)
+    rates[LEAKING - 1, LEAKING - 1] -= LEAK
+    joined = np.zeros((NODES + 1, NODES + 1))
+    joined[:NODES, :NODES], joined[0, NODES] = rates, 1.0
+    step = expm(joined * (TIMES[1] - TIMES[0]))
+    found = np.zeros((len(TIMES), NODES))
+    for n in range(len(TIMES) - 1):
+        found[n + 1] = step[:NODES, :NODES] @ found[n] + step[:NODES, NODES] * heat[n]
+    return found
+
+
+def experiment(number: int) -> ce.Experiment:
+    random = np.random.default_rng([5, number])
+    heat = heating(number)
+    curves = temperatures(heat) + SIGMA * random.normal(size=(len(TIMES), NODES))
+    outputs = tuple(ce.Output(f"y{i}", TIMES, curves[:, i - 1], SIGMA) for i in MEASURED)
+    given = (ce.Input("heating", TIMES, heat, "hold"),)
+    return ce.Experiment(f"e{number}", 0.0, float(TIMES[-1]), given, outputs, role=ROLES[number])
+
+
+@pytest.fixture(scope="module")
+def problem(built_fmu):
+    model = ce.Model(
+        "heat_rod",
+        built_fmu("heat_rod"),
+        "model_exchange",
+        ce.Solver("dormand_prince"),
+        tuple(TRUE),
+    )
+    parameters = tuple(ce.Parameter(n, 0.8 * v, 0.1 * v, 10.0 * v) for n, v in TRUE.items())
+    return ce.Problem(model, parameters, tuple(experiment(e) for e in range(len(ROLES))))
+
+
+@pytest.fixture(scope="module")
+def closed(problem):
+    return cache(lambda: ce.close_loop(problem))
+
+
+def test_the_leak_is_found_at_its_node(closed):
+    found = closed()
+    assert found.verdict == Verdict.FOUND
+    assert [effect.site for effect in found.effects] == [f"der(T{LEAKING})"]
+    (effect,) = found.effects
+    assert effect.variables == (f"T{LEAKING}",)
+    (leak,) = (each.value for each in effect.coefficients)
+    assert leak == pytest.approx(LEAK, rel=0.05)
+
+
+def test_errors_fall_to_the_noise(closed):
+    found = closed()
+    assert found.rms("test", "before") > 2.0
+    assert found.rms("test", "after") == pytest.approx(1.0, abs=0.1)
+
+
+def test_pairs_are_those_of_neighbours(problem):
+    """No heat flows between nodes that do not touch."""
+    with open_workbench(LoopRequest(problem)) as bench:
+        space = bench.space(FitStart(bench.problem, {}))
+        trajectories = bench.trajectories(FittedModel(space, space.start, NOTHING, NOTHING))
+        given = (bench.problem, bench.description, trajectories)
+        sites = candidate_sites(*given, LoopSettings())
+        places = open_places(sites, open_arguments(*given), trajectories)
+    pairs = {place.site.targets for place in places if place.site.kind == "pair"}
+    touching = {(f"T{i}", f"T{i + 1}") for i in range(1, NODES)}
+    assert pairs == touching | {(b, a) for a, b in touching}
+
+
+def test_the_price_is_that_of_all_candidates(problem):
+    """What was not looked at for its place counts too."""
+    assert ce.detect(problem).candidates > 5_000
