@@ -95,7 +95,7 @@ def test_no_point_is_asked_for_twice(problem, basis):
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda p: p.name)
 def test_finds_the_minimum(problem):
-    solution = problem.solve(PatternSearch())
+    solution = problem.solve(PatternSearch(max_iterations=5000))
     assert solution.ending is Ending.CONVERGED
     assert solution.cost == pytest.approx(problem.minimum, rel=1e-7, abs=1e-9)
 
