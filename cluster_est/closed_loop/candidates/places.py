@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -38,18 +38,19 @@ def open_places(
     index = {name: i for i, name in enumerate(arguments.states)}
     places = []
     for site in sites:
-        names = arguments.at(site) if site.kind != "pair" else []
-        if site.kind == "pair":
-            i, j = (index[name] for name in site.targets)
-            if not (acts[i, j] or acts[j, i]):
-                continue
-            first, second = site.targets
-            both = [
-                name for name, k in index.items() if k not in (i, j) and acts[i, k] and acts[j, k]
-            ]
-            names = [first, *([f"{first} - {second}"] if i < j else []), *both]
+        names = arguments.at(site) if site.kind != "pair" else _between(site, index, acts)
         places += [CandidatePlace(site, name) for name in names]
     return places
+
+
+def _between(site: EffectSite, index: Mapping[str, int], acts: np.ndarray) -> list[str]:
+    """The arguments at a pair of states; none where neither acts on the other."""
+    first, second = site.targets
+    i, j = index[first], index[second]
+    if not (acts[i, j] or acts[j, i]):
+        return []
+    both = [name for name, k in index.items() if k not in (i, j) and acts[i, k] and acts[j, k]]
+    return [first, *([f"{first} - {second}"] if i < j else []), *both]
 
 
 def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments) -> int:

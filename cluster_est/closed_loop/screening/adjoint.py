@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
-from cluster_est.closed_loop.screening.directions import discretise
+from cluster_est.closed_loop.screening.directions import coupling, discretise
 from cluster_est.closed_loop.screening.linear_kernel import run_adjoint
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray, Linearisation
@@ -48,12 +48,7 @@ class AdjointSignals:
             if site.target not in self.names:  # not measured in this experiment
                 return np.zeros((len(linear.times), self.at_outputs.shape[2]))
             return self.at_outputs[:, self.names.index(site.target)]
-        if site.kind == "input":
-            j = linear.input_names.index(site.target)
-            into, through = linear.B[:, :, j], linear.D[:, :, j]
-        else:
-            j = linear.parameter_names.index(site.target)
-            into, through = linear.P[:, :, j], linear.Q[:, :, j]
+        into, through = coupling(linear, site)
         weighed = np.einsum("nx,nxm->nm", into, self.at_states)
         return np.asarray(weighed + np.einsum("ny,nym->nm", through, self.at_outputs))
 

@@ -23,6 +23,7 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.shapes import FormArguments, shape_of
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.screening.linear_kernel import run_linear
+from workers.effects.site import EffectSite
 from workers.messages import FloatArray, Linearisation
 
 BLOCK_VALUES = 2_000_000
@@ -156,14 +157,18 @@ def _place(
             which = slice(None) if site.kind == "derivative" else slice(i, i + 1)
             forcing[:, linear.state_names.index(target), which] += added[:, which]
         return
-    if site.kind == "input":
-        j = linear.input_names.index(site.target)
-        into, through = linear.B[:, :, j], linear.D[:, :, j]
-    else:
-        j = linear.parameter_names.index(site.target)
-        into, through = linear.P[:, :, j], linear.Q[:, :, j]
+    into, through = coupling(linear, site)
     forcing += into[:, :, None] * added[:, None, :]
     change += through[:, :, None] * added[:, None, :]
+
+
+def coupling(linear: Linearisation, site: EffectSite) -> tuple[FloatArray, FloatArray]:
+    """(n, x) and (n, y): how an input or a parameter acts on the states and on the outputs."""
+    if site.kind == "input":
+        j = linear.input_names.index(site.target)
+        return linear.B[:, :, j], linear.D[:, :, j]
+    j = linear.parameter_names.index(site.target)
+    return linear.P[:, :, j], linear.Q[:, :, j]
 
 
 @dataclass(frozen=True)

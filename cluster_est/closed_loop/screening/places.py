@@ -58,30 +58,30 @@ def rank_places(
     thresholds
         Their number, and that of a curve's coefficients.
     """
+    if not places:
+        return []
     draws = generator.standard_normal((len(residual.residuals), thresholds.weightings))
     weights = residual.projection.remove(np.column_stack([residual.residuals, draws]))
     variance = float(np.sum(weights[:, 0] ** 2)) / max(residual.projection.degrees, 1)
     sites = list(dict.fromkeys(place.site for place in places))
     names = list(dict.fromkeys(place.argument for place in places))
     knots = {name: _knots(trajectories, name, thresholds.hats) for name in names}
-    products: FloatArray | None = None
+    width = 1 + thresholds.weightings
+    ports = dict(zip(sites, pairwise(np.cumsum([0, *map(_width, sites)]).tolist()), strict=True))
+    products = np.zeros((len(names) * thresholds.hats, width * sum(map(_width, sites))))
     ends = np.cumsum([0, *(len(trajectory.rows) for trajectory in trajectories)]).tolist()
     for trajectory, (start, stop) in zip(trajectories, pairwise(ends), strict=True):
         signals = adjoint_signals(trajectory, weights[start:stop])
         hats = np.hstack([_hats(trajectory, name, knots[name], thresholds.hats) for name in names])
         acting = np.hstack([_acting(trajectory, signals, site) for site in sites])
-        own = hats.T @ acting
-        products = own if products is None else products + own
-    if products is None:
-        return []
-    shape = (len(names), thresholds.hats, -1, 1 + thresholds.weightings)
-    ports = products.reshape(shape).transpose(0, 2, 1, 3)
-    first = np.cumsum([0, *(_width(site) for site in sites)]).tolist()
+        products += hats.T @ acting
+    shape = (len(names), thresholds.hats, -1, width)
+    blocks = dict(zip(names, products.reshape(shape).transpose(0, 2, 1, 3), strict=True))
     ranks = []
     for place in places:
-        site = sites.index(place.site)
-        block = ports[names.index(place.argument), first[site] : first[site + 1]]
-        ranks.append(_rank(block.reshape(-1, block.shape[-1]), variance, thresholds.price))
+        first, last = ports[place.site]
+        block = blocks[place.argument][first:last].reshape(-1, width)
+        ranks.append(_rank(block, variance, thresholds.price))
     order = np.argsort(-np.array(ranks), kind="stable").tolist()
     return [RankedPlace(places[i], ranks[i]) for i in order]
 
@@ -131,6 +131,6 @@ def _hats(trajectory: LinearisedTrajectory, name: str, knots: FloatArray, hats: 
     if not trajectory.has(name):
         return found
     v = np.clip(trajectory.signal(name), knots[0], knots[-1])
-    for k in range(len(knots)):
-        found[:, k] = np.interp(v, knots, np.eye(len(knots))[k])
+    for k, heights in enumerate(np.eye(len(knots))):
+        found[:, k] = np.interp(v, knots, heights)
     return found
