@@ -11,6 +11,8 @@ A form of your own is one entry here, or an expression in a config.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from workers.effects.kinds import (
     EffectForm,
     FormCoefficient,
@@ -181,6 +183,26 @@ _RATES = (
     _between("leak", "leak", "sign(v) * sqrt(abs(v))", " / v^0.5"),
 )  # fmt: skip
 
+_AS_FORCES = (
+    "viscous", "quadratic", "coulomb", "stribeck", "dahl",
+    "linear", "hinge", "hinge_below", "gap", "signed_root",
+)  # fmt: skip
+
+
+def _as_force(law: EffectForm) -> EffectForm:
+    """A function of a state where it reaches all that an input acts on: a generalised force."""
+    sign = " - " if law.equation.startswith("-") else " + "
+    return replace(
+        law,
+        kinds=_IN,
+        equation=f"s{sign}{law.equation.removeprefix('-')}",
+        coefficients=tuple(replace(c, if_own=c.neutral == 0.0) for c in law.coefficients),
+        when=(*law.when, FormCondition.FORCE),
+    )
+
+
+_FORCES = tuple(_as_force(law) for law in _RATES if law.kinds == _DER and law.name in _AS_FORCES)
+
 _SIGNALS = (
     # an input that is not what was commanded, a sensor that does not show what it should
     EffectForm("bias", "offset", _SIGNAL, "s + k", (_k("site"),)),
@@ -234,7 +256,7 @@ _VARIATIONS = (
 )  # fmt: skip
 
 FORMS: dict[tuple[SiteKind, str], EffectForm] = {
-    (kind, f.name): f for f in (*_RATES, *_SIGNALS, *_VARIATIONS) for kind in f.kinds
+    (kind, f.name): f for f in (*_RATES, *_SIGNALS, *_FORCES, *_VARIATIONS) for kind in f.kinds
 }
 """By kind of site and name."""
 

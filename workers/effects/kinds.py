@@ -49,9 +49,14 @@ class FormCondition(enum.Enum):
     POSITIVE = "positive"
     """Its variable, or the signal where it has none, is never negative."""
     OWN = "own"
-    """Its variable is the state at whose derivative it acts."""
+    """Its variable is the state at whose derivative it acts, at an input one that this acts on."""
     FIRST = "first"
     """Its variable is the first state of the pair."""
+    FORCE = "force"
+    """It acts at an input that acts on the derivatives of several states; its variable is a state.
+
+    Where an input acts on one derivative alone, the same form at that derivative says the same.
+    """
     DRIVEN = "driven"
     """Its variable is an input or a measured signal."""
 
@@ -75,7 +80,8 @@ class FormCoefficient:
         Physics wants it positive.
     if_own
         That it must be positive holds only where the form's variable is the state at whose
-        derivative it acts: a drag on oneself takes energy out, one by another may push.
+        derivative it acts: a drag on oneself takes energy out, one by another may push. At an
+        input, where its variable is a state that the input pushes the same way.
     scale
         The unit of the entries of `grid`; None for a strength, which needs no grid.
     grid

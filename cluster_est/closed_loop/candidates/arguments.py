@@ -7,11 +7,16 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import EffectForm, FormCondition
 from workers.effects.site import EffectSite
 from workers.fmu.description import ModelDescription
+
+ACTS = 1e-9
+"""Share of a state's largest derivative below which something does not act on it."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +41,16 @@ class OpenArguments:
         Measured ones that are no states.
     units
         Of the states.
+    pushed
+        For each input the states whose derivatives it acts on, and which way: 1 or -1, or 0 where
+        that changes along the data.
     """
 
     states: tuple[str, ...]
     driven: tuple[str, ...]
     outputs: tuple[str, ...]
     units: Mapping[str, str]
+    pushed: Mapping[str, Mapping[str, int]]
 
     def at(self, site: EffectSite) -> list[str]:
         """Return the arguments of functions of one variable at a site.
@@ -73,7 +82,14 @@ class OpenArguments:
             return (argument == site.targets[0]) is (FormCondition.FIRST in form.when)
         if FormCondition.DRIVEN in form.when:
             return argument in self.driven
-        return FormCondition.OWN not in form.when or argument == site.target
+        pushed = self.pushed_by(site)
+        if FormCondition.FORCE in form.when and (len(pushed) < 2 or argument not in self.states):
+            return False
+        return FormCondition.OWN not in form.when or argument in pushed
+
+    def pushed_by(self, site: EffectSite) -> Mapping[str, int]:
+        """Return the states that what is added at a derivative or an input pushes, and which way."""
+        return self.pushed.get(site.target, {}) if site.kind == "input" else {site.target: 1}
 
 
 def open_arguments(
@@ -93,7 +109,26 @@ def open_arguments(
         driven=tuple(n for n in common if n not in (*states, *names, *lacking)),
         outputs=tuple(n for n in names if n in common and n not in states),
         units={name: description.variables[name].unit for name in states},
+        pushed=_pushed(trajectories, states),
     )
+
+
+def _pushed(
+    trajectories: Sequence[LinearisedTrajectory], states: Collection[str]
+) -> dict[str, dict[str, int]]:
+    """The states that each input acts on, by how much it changes their derivatives."""
+    found: dict[str, dict[str, int]] = {}
+    for linear in (each.linear for each in trajectories if each.linear is not None):
+        rates = np.abs(linear.derivatives).max(axis=0)
+        sizes = np.abs(linear.effective_inputs).max(axis=0)
+        acts = np.abs(linear.B).max(axis=0) * sizes > ACTS * rates[:, None]
+        ways = (linear.B > 0.0).all(axis=0).astype(int) - (linear.B < 0.0).all(axis=0)
+        for i, j in np.argwhere(acts).tolist():
+            state, way = linear.state_names[i], int(ways[i, j])
+            own = found.setdefault(linear.input_names[j], {})
+            if state in states:
+                own[state] = way if own.get(state, way) == way else 0
+    return found
 
 
 def variables_of(

@@ -11,6 +11,7 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.arguments import (
     CandidatePlace,
+    OpenArguments,
     open_arguments,
     variables_of,
 )
@@ -125,7 +126,7 @@ def make_candidates(
         names = None if leading is None else leading.get(site, [])
         for form in forms_at(site, problem, description, settings):
             for variables in variables_of(form, site, arguments, names):
-                candidate = _candidate(form, site, variables, scales, taken)
+                candidate = _candidate(form, site, variables, scales, taken, arguments)
                 if candidate and _identity(candidate.effect) not in known:
                     taken.add(candidate.effect.name)
                     found.append(candidate)
@@ -154,11 +155,13 @@ def _candidate(
     variables: tuple[str, ...],
     scales: SignalScales,
     taken: Container[str],
+    arguments: OpenArguments,
 ) -> EffectCandidate | None:
     """A candidate with its grid; None where the form makes no sense on this data."""
     if not scales.allow(form, site, variables):
         return None
     own = site.kind == "derivative" and variables == (site.target,)
+    way = arguments.pushed_by(site).get(variables[0], 0) if variables else 0
     name = "_".join([form.name, *site.targets, *(() if own else variables)])
     name = re.sub(r"\W+", "_", name)
     while name in taken:
@@ -171,7 +174,7 @@ def _candidate(
         )
         if not values:
             return None
-        low, high = _bounds(coefficient, own, strengths, values, scales, variables)
+        low, high = _bounds(coefficient, way, strengths, values, scales, variables)
         axes.append(values)
         lows.append(low)
         highs.append(high)
@@ -184,15 +187,17 @@ def _candidate(
 
 def _bounds(
     coefficient: FormCoefficient,
-    own: bool,
+    way: int,
     strengths: Sequence[str],
     values: Sequence[float],
     scales: SignalScales,
     variables: tuple[str, ...],
 ) -> tuple[float, float]:
-    """Bounds of a coefficient in a refit."""
+    """Bounds of a coefficient in a refit; `way` is how the effect pushes its own variable."""
     if coefficient.name in strengths:
-        return (0.0 if positive(coefficient, own=own) else -np.inf), np.inf
+        if not positive(coefficient, own=way != 0):
+            return -np.inf, np.inf
+        return (0.0, np.inf) if way >= 0 else (-np.inf, 0.0)
     if coefficient.scale is GridScale.QUANTILE_V:
         v = pooled(scales.trajectories, variables[0])  # moves, once the effect is there
         return float(2.0 * v.min() - v.max()), float(2.0 * v.max() - v.min())

@@ -6,13 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.arguments import CandidatePlace, OpenArguments
+from cluster_est.closed_loop.candidates.arguments import ACTS, CandidatePlace, OpenArguments
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from workers.effects.forms import EffectForm, FormCondition
 from workers.effects.site import EffectSite
-
-ACTS = 1e-9
-"""Share of a state's largest derivative by another state below which one does not act on it."""
 
 
 def open_places(

@@ -120,6 +120,44 @@ def test_functions_of_an_input(form, solver, bar):
     np.testing.assert_allclose(result, truth, atol=bar)
 
 
+FORCES = {
+    "viscous": ((0.5,), "v", lambda x, f: -0.5 * x[1]),
+    "quadratic": ((0.7,), "v", lambda x, f: -0.7 * x[1] * abs(x[1])),
+    "coulomb": ((0.5, 0.05), "v", lambda x, f: -0.5 * np.tanh(x[1] / 0.05)),
+    "stribeck": (
+        (0.5, 0.4, 0.1, 0.05),
+        "v",
+        lambda x, f: -(0.5 + 0.4 * np.exp(-((x[1] / 0.1) ** 2))) * np.tanh(x[1] / 0.05),
+    ),
+    "linear": ((-4.0,), "x", lambda x, f: -4.0 * x[0]),
+    "hinge": ((-50.0, 0.05), "x", lambda x, f: -50.0 * max(x[0] - 0.05, 0.0)),
+    "hinge_below": ((50.0, 0.02), "x", lambda x, f: 50.0 * max(0.02 - x[0], 0.0)),
+    "gap": (
+        (40.0, 0.04),
+        "x",
+        lambda x, f: -40.0 * (max(x[0] - 0.04, 0.0) - max(-x[0] - 0.04, 0.0)),
+    ),
+    "signed_root": ((0.5,), "F", lambda x, f: -0.5 * np.sign(f) * np.sqrt(abs(f))),
+}
+
+
+@pytest.mark.parametrize("form", FORCES)
+def test_functions_of_a_state_at_an_input(form):
+    coefficients, variable, force = FORCES[form]
+    truth = solve(lambda t, x, f: plain(t, x, f + force(x, f)))[:, 0]
+    result = simulated([Effect("e", "input F", form, (variable,))], coefficients)
+    np.testing.assert_allclose(result, truth, atol=2e-7)
+
+
+def test_dahl_friction_at_an_input():
+    def slope(t, x, force):
+        return [*plain(t, x, force - 0.5 * x[2]), (x[1] - abs(x[1]) * x[2]) / 0.02]
+
+    truth = solve(slope, (*START, 0.0))[:, 0]
+    effect = Effect("e", "input F", "dahl", ("v",))
+    np.testing.assert_allclose(simulated([effect], (0.5, 0.02)), truth, atol=1e-8)
+
+
 @pytest.mark.parametrize(("solver", "bar"), [(EXACT, 1e-9), (CO_SIMULATION, 1e-5)])
 def test_a_lag_of_an_input(solver, bar):
     def slope(t, x, force):

@@ -46,6 +46,10 @@ SYSTEMS = {
          "b_load": 0.05},
         "torque", ("motor_speed", "load_speed"), 3.0, 0.005, 0.0, 1.0,
     ),
+    "gantry_crane": System(
+        {"m_trolley": 6.0, "m_load": 2.0, "l_rope": 0.8, "b_trolley": 8.0, "d_pivot": 0.05},
+        "F", ("position", "angle"), 6.0, 0.01, 0.0, 12.0, (("phi", 0.2),),
+    ),
     "battery": System(
         {"Q": 7200.0, "R0": 0.05, "R1": 0.03, "C1": 3000.0},
         "current", ("voltage",), 2000.0, 10.0, 0.5, 1.5,

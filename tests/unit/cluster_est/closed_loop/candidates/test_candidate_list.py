@@ -39,6 +39,7 @@ def changed(problem, **changes):
         ("pendulum", {"angle"}),
         ("cascaded_tanks", set()),
         ("two_mass_drive", set()),
+        ("gantry_crane", {"x", "phi"}),
         ("battery", set()),
     ],
 )
@@ -180,3 +181,29 @@ def test_the_equation_has_the_names_of_the_fmu(site, form, variables, expected):
     place = parse_site(site, "")
     effect = Effect("e", site, form, variables)
     assert equation_text(effect, FORMS[place.kind, form], place) == expected
+
+
+def test_functions_of_states_at_an_input_that_acts_on_several_of_them():
+    """The crane's force moves the trolley and, through it, the load; friction is of what it moves.
+
+    By Newton's law it pushes the trolley its own way and the load the other way.
+    """
+    at_input = [
+        c for c in listed(missing_effect_problem("gantry_crane")) if c.effect.site == "input F"
+    ]
+    friction = {c.effect.variables[0]: c for c in at_input if c.form.name == "coulomb"}
+    assert set(friction) == {"v", "w"}
+    assert (friction["v"].lowest[0], friction["v"].highest[0]) == (0.0, np.inf)
+    assert (friction["w"].lowest[0], friction["w"].highest[0]) == (-np.inf, 0.0)
+    assert friction["v"].equation == "F -> F - k * tanh(v / width)"
+    hinges = [c for c in at_input if c.form.name == "hinge"]
+    assert {c.effect.variables[0] for c in hinges} == {"x", "v", "phi", "w"}
+    assert {(c.lowest[0], c.highest[0]) for c in hinges} == {(-np.inf, np.inf)}
+
+
+@pytest.mark.parametrize("name", ["mass_spring_damper", "pendulum", "two_mass_drive"])
+def test_no_functions_of_states_at_an_input_that_acts_on_one_of_them(name):
+    """At that state's derivative they say the same."""
+    found = [c for c in listed(missing_effect_problem(name)) if c.site.kind == "input"]
+    assert "product" in {c.form.name for c in found}
+    assert not {"coulomb", "quadratic", "hinge", "gap"} & {c.form.name for c in found}
