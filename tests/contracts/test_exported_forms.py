@@ -8,7 +8,7 @@ from support.exported import Exported, co_simulated, needs_compiler, repair_of, 
 from support.problems.springs import FMU
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M
 
-from workers.effects.forms import FORMS
+from workers.effects.forms import FORMS, FormCondition
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
 from workers.wire import TaskBatch
@@ -27,9 +27,9 @@ SITES = {
 }
 LAGGARDS = ("lag", "delay")
 CASES = [
-    (kind, late, solver)
+    (kind, group, solver)
     for kind in SITES
-    for late in ((False, True) if kind == "input" else (False,))
+    for group in (("function", "late", "force") if kind == "input" else ("function",))
     for solver in SOLVERS
     if (solver == "dormand_prince")
     or (solver == "rk4" and kind in ("derivative", "input"))
@@ -48,14 +48,18 @@ def experiment():
     return Experiment("e", 0.0, float(TIMES[-1]), inputs, (output,), (("x", START[0]),))
 
 
-def effects_of(kind, late=False):
-    """An effect of each form of a kind, and the values of their coefficients.
+def group_of(form):
+    """At inputs, where one effect enlarges how those before it are rounded, what goes together."""
+    if form.name in LAGGARDS:
+        return "late"
+    return "force" if FormCondition.FORCE in form.when else "function"
 
-    At inputs those that come late are apart: the others would enlarge how they are rounded.
-    """
+
+def effects_of(kind, group="function"):
+    """An effect of each form of a kind, and the values of their coefficients."""
     limit = 2.0 if kind == "input" else 0.05
     known = {"low": -0.5, "limit": limit, "tau": 0.03, "width": 0.05, "high": 0.5}
-    forms = [f for k, f in FORMS if k == kind and (k != "input" or (f in LAGGARDS) is late)]
+    forms = [f for k, f in FORMS if k == kind and (k != "input" or group_of(FORMS[k, f]) == group)]
     effects, values = [], []
     for number, name in enumerate(forms):
         form = FORMS[kind, name]
@@ -76,11 +80,11 @@ def simulated(solver, effects, values):
 
 
 @needs_compiler
-@pytest.mark.parametrize(("kind", "late", "name"), CASES)
-def test_every_form_is_the_same_in_c(kind, late, name, tmp_path):
+@pytest.mark.parametrize(("kind", "group", "name"), CASES)
+def test_every_form_is_the_same_in_c(kind, group, name, tmp_path):
     """All forms of a kind at one site, one after the other."""
     solver = SOLVERS[name]
-    effects, values = effects_of(kind, late)
+    effects, values = effects_of(kind, group)
     repair = repair_of(model(solver), experiment(), (M, K, C), effects, values)
     exported = Exported(unpacked(repair, tmp_path))
     exported.begin({"F": FORCE[0]})

@@ -88,7 +88,7 @@ class OpenArguments:
         return FormCondition.OWN not in form.when or argument in pushed
 
     def pushed_by(self, site: EffectSite) -> Mapping[str, int]:
-        """Return the states that what is added at a derivative or an input pushes, and which way."""
+        """Return the states that an addition at a derivative or an input pushes, and which way."""
         return self.pushed.get(site.target, {}) if site.kind == "input" else {site.target: 1}
 
 
