@@ -35,7 +35,7 @@ class Executor(ABC):
     @property
     @abstractmethod
     def busy(self) -> int:
-        """Number of workers that have something to do."""
+        """Number of workers that have something to do, also if another has answered it already."""
 
     @abstractmethod
     def close(self) -> None:

@@ -7,7 +7,7 @@ import logging
 import os
 
 import ray
-from ray.exceptions import RayError, RayTaskError
+from ray.exceptions import RayTaskError
 
 from cluster_est.errors import ExecutorError, ModelError
 
@@ -23,7 +23,7 @@ def connect(workers: int | None, address: str | None) -> bool:
     Raises
     ------
     ExecutorError
-        If no cluster answers there.
+        If no cluster answers there, or Ray does not start here.
     """
     if ray.is_initialized():
         return False
@@ -37,13 +37,22 @@ def connect(workers: int | None, address: str | None) -> bool:
             logging_level=logging.ERROR,
             log_to_driver=False,
         )
-    except (ConnectionError, RuntimeError, ValueError, RayError) as error:
+    except Exception as error:  # a start that takes too long raises no class of its own
         line = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ExecutorError(
-            f"executor.address: no Ray cluster answers at {address!r} ({line}); start one, or "
-            "remove the key to use this machine"
-        ) from error
+        raise ExecutorError(_not_connected(address, line, local=local)) from error
     return True
+
+
+def _not_connected(address: str | None, line: str, *, local: bool) -> str:
+    if local:
+        return (
+            f"executor: Ray did not start on this machine ({line}); try again when it is less "
+            'busy, or set executor.name to "processes"'
+        )
+    return (
+        f"executor.address: no Ray cluster answers at {address!r} ({line}); start one, or remove "
+        "the key to use this machine"
+    )
 
 
 def disconnect() -> None:

@@ -122,17 +122,25 @@ class RayPool(WorkerPool):
 
     def completed(self) -> list[Outcome]:
         outcomes: list[Outcome] = []
+        if not self._open and self._flying:
+            self._receive(0.0)  # the other answers to what was asked twice
         while self._open and not outcomes:
-            waiting = [*self._flying, *self._starting]
-            done, _ = ray.wait(waiting, num_returns=1, timeout=LOOK_SECONDS)
-            also, _ = ray.wait(waiting, num_returns=len(waiting), timeout=0)
-            for reference in dict.fromkeys([*done, *also]):
-                if reference in self._starting:
-                    self._join(reference)
-                else:
-                    outcomes += self._collect(reference)
+            outcomes += self._receive(LOOK_SECONDS)
             self._look()
             self._fill()
+        return outcomes
+
+    def _receive(self, seconds: float) -> list[Outcome]:
+        """Wait at most so long until something comes back; outcomes that nobody else has given."""
+        outcomes: list[Outcome] = []
+        waiting = [*self._flying, *self._starting]
+        done, _ = ray.wait(waiting, num_returns=1, timeout=seconds)
+        also, _ = ray.wait(waiting, num_returns=len(waiting), timeout=0)
+        for reference in dict.fromkeys([*done, *also]):
+            if reference in self._starting:
+                self._join(reference)
+            else:
+                outcomes += self._collect(reference)
         return outcomes
 
     def cancel(self, tasks: Collection[int]) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -83,8 +84,13 @@ def test_what_a_worker_holds_up_is_asked_elsewhere(problem, pool):
     try:
         asked = tasks(problem, 200, 1000)
         assert answers(pool, asked) == expected(problem, asked)
+        assert pool.busy == 1
     finally:
         os.kill(stopped, signal.SIGCONT)
+    deadline = time.monotonic() + 60.0
+    while pool.busy and time.monotonic() < deadline:
+        assert pool.completed() == [], "another has answered it already"
+    assert pool.busy == 0
     asked = tasks(problem, 100, 2000)
     assert answers(pool, asked) == expected(problem, asked)
 
