@@ -84,7 +84,7 @@ def test_what_a_worker_holds_up_is_asked_elsewhere(problem, pool):
     try:
         asked = tasks(problem, 200, 1000)
         assert answers(pool, asked) == expected(problem, asked)
-        assert pool.busy == 1
+        assert pool.busy <= 1  # 0 if what was stopped had not begun yet
     finally:
         os.kill(stopped, signal.SIGCONT)
     deadline = time.monotonic() + 60.0
