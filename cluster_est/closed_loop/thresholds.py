@@ -168,6 +168,10 @@ class RefinementThresholds:
         Benchmark.
     finalists
         Candidates that are refitted to convergence. Benchmark.
+    same_argument
+        Other functions of the best candidate's argument that are refitted. Benchmark.
+    imitates
+        Share of what that candidate does that they must be able to do. Benchmark.
     equal
         Difference of criteria that does not tell two candidates apart. Theory: below 2 "not worth
         more than a bare mention", R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795.
@@ -184,6 +188,8 @@ class RefinementThresholds:
     white_leaders: int = 8
     closes: float = 0.9
     finalists: int = 3
+    same_argument: int = 3
+    imitates: float = 0.8
     equal: float = 2.0
     alternative: float = 10.0
 

@@ -82,6 +82,7 @@ def _tau(*steps: float) -> FormCoefficient:
     return _shape("tau", "second", GridScale.STEP, *steps)
 
 
+_WITHIN = _at("v", GridScale.QUANTILE_V, 0.15, 0.3, 0.5, 0.7, 0.85)
 _WIDTH = FormCoefficient(
     "width", None, positive=True, scale=GridScale.RMS_V, grid=(0.004, 0.0005), held=True, unit="v"
 )
@@ -92,6 +93,8 @@ _WAVE = (
     _shape("f", "rad / second", GridScale.SPECTRUM, 1.0),
 )
 _BEYOND = _shape("at", "v", GridScale.MAX_V, 0.35, 0.55, 0.75)
+_HALF = _shape("half", "v", GridScale.MAX_V, 0.1, 0.3, 1.0)
+"""Where half of the limit is reached, as in the law of Michaelis and Menten."""
 _LATE = FormCoefficient(
     "tau", positive=True, scale=GridScale.STEP, grid=(1.0, 4.0, 12.0), unit="second"
 )
@@ -148,6 +151,10 @@ _RATES = (
          (_drag("site"), _drag("site", name="peak"), _shape("vs", "v", GridScale.RMS_V, 0.1, 0.3),
           _WIDTH),
          1, when=_OWN_OSCILLATES),
+    EffectForm("asymmetric_coulomb", "friction", _DER,
+         "-forward * max(tanh(v / width), 0) - backward * min(tanh(v / width), 0)",
+         (_drag("site", name="forward"), _drag("site", name="backward"), _WIDTH),
+         1, when=_OWN_OSCILLATES, order=0.5),
     EffectForm("dahl", "friction", _DER, "-k * z",
          (_drag("site"), _shape("x0", "travel", GridScale.TRAVEL_V, 0.02, 0.1, 0.4)), 1,
          (_BRISTLE,),
@@ -156,6 +163,8 @@ _RATES = (
     EffectForm("linear", "coupling", _DER, "k * v", (_k("site / v"),), 1, order=0.3),
     EffectForm("square", "stiffness", _DER, "k * v^2", (_k("site / v^2"),), 1, order=0.5),
     EffectForm("product", "coupling", _DER, "k * v * w", (_k("site / (v w)"),), 2, order=0.7),
+    EffectForm("saturating", "coupling", _DER, "k * v / (half + abs(v))",
+         (_k("site"), _HALF), 1, order=1.0),
     EffectForm("lagged", "coupling", _DER, "k * z", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1,
          (_LAG,),
          when=_DRIVEN, order=0.3),
@@ -173,6 +182,8 @@ _RATES = (
     # between two states
     _between("joint", "end stop", "max(min(v, at), -at)", " / v", _BEYOND),
     _between("gap", "end stop", "(max(v - at, 0) - max(-v - at, 0))", " / v", _BEYOND),
+    _between("hinge", "end stop", "max(v - at, 0)", " / v", _WITHIN, when=(), order=1.0),
+    _between("hinge_below", "end stop", "min(v - at, 0)", " / v", _WITHIN, when=(), order=1.0),
     _between("linear", "coupling", "v", " / v", when=(), order=0.3),
     _between("quadratic", "drag", "v * abs(v)", " / v^2"),
     _between("cubic", "drag", "v^3", " / v^3", when=(), order=0.5),
@@ -184,7 +195,7 @@ _RATES = (
 )  # fmt: skip
 
 _AS_FORCES = (
-    "viscous", "quadratic", "coulomb", "stribeck", "dahl",
+    "viscous", "quadratic", "coulomb", "stribeck", "asymmetric_coulomb", "dahl",
     "linear", "hinge", "hinge_below", "gap", "signed_root",
 )  # fmt: skip
 
@@ -209,7 +220,7 @@ _SIGNALS = (
     EffectForm("drift", "offset", _SIGNAL, "s + k * t", (_k("site / second"),)),
     EffectForm("gain", "gain", _SIGNAL, "s * (1 + k)", (_k("1"),)),
     EffectForm("square", "nonlinearity", _SIGNAL, "s + k * s^2", (_k("1 / site"),), order=0.5),
-    EffectForm("cubic", "nonlinearity", _IN, "s + k * s^3", (_k("1 / site^2"),), order=0.5),
+    EffectForm("cubic", "nonlinearity", _SIGNAL, "s + k * s^3", (_k("1 / site^2"),), order=0.5),
     EffectForm("asymmetry", "nonlinearity", _IN, "s + k * max(s, 0)", (_k("1"),),
          when=_OSCILLATES),
     EffectForm("dead_zone", "nonlinearity", _IN, "where(abs(s) > k, s - k * sign(s), 0)",
@@ -250,6 +261,8 @@ _VARIATIONS = (
          (_k("1 / v"), _centre("v", GridScale.MEAN_ABSOLUTE_V)), 1, when=_OSCILLATES, order=1.0),
     EffectForm("square", "variation", _PAR, "s * (1 + k * (v^2 - at))",
          (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V)), 1, order=1.0),
+    EffectForm("saturating", "variation", _PAR, "s * (1 - k * abs(v) / (half + abs(v)))",
+         (_k("1"), _HALF), 1, order=1.5),
     EffectForm("heating", "variation", _PAR, "s * (1 + k * (z - at))",
          (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V), _tau(20.0, 80.0)), 1,
          (OwnState("z", "(v^2 - z) / tau", "0"),), order=1.0),

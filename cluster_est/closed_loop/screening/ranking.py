@@ -96,7 +96,9 @@ def rank(workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
     candidates, possible = _candidates(workbench, fitted, trajectories)
     trials = tuple(CandidatePoint(c, values) for c in candidates for values in c.grid)
     records, rows = thinned(workbench.records, thresholds.most_rows)
-    columns = tuple(column[rows] for column in _columns(workbench, fitted, trajectories, trials))
+    columns = tuple(
+        column[rows] for column in candidate_columns(workbench, fitted, trajectories, trials)
+    )
     matrix, residuals = fitted.jacobian[rows], fitted.residuals[rows]
     plain = ProjectedResidual(OrthogonalProjection(matrix), residuals)
     cleaned = plain.projection.remove(residuals)
@@ -173,7 +175,7 @@ def _leading(
     return [each.place for each in ranked[: thresholds.leading]]
 
 
-def _columns(
+def candidate_columns(
     workbench: LoopWorkbench,
     fitted: FittedModel,
     trajectories: Sequence[LinearisedTrajectory],

@@ -9,6 +9,7 @@ import numpy as np
 from cluster_est.closed_loop.screening.ranking import rank
 from cluster_est.closed_loop.selection.refine import FULL, RefittedCandidate, refit
 from cluster_est.closed_loop.selection.rounds import RoundStart
+from cluster_est.closed_loop.selection.same_argument import refit_same_argument
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from workers.messages import FloatArray
@@ -32,7 +33,8 @@ def grow(
         contenders = refit(
             workbench, parent, ranking, begun.floor, wide=accepted, known={*known, *found}
         )
-        for contender in contenders:
+        contenders += refit_same_argument(workbench, parent, ranking, contenders)
+        for contender in sorted(contenders, key=lambda c: c.criterion):
             if accepted or not contender.candidate.form.free:
                 found.setdefault(contender.fitted.structure, contender)
     return sorted(found.values(), key=lambda c: c.criterion)

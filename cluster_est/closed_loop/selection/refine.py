@@ -226,7 +226,7 @@ def joint_step(
     matrix = current.jacobian[ranking.rows]
     residuals = current.residuals[ranking.rows]
     columns = [ranking.columns[i] for i in trials]
-    scaled = [_proportional(ranking.trials[i]) for i in trials]
+    scaled = [is_proportional(ranking.trials[i]) for i in trials]
     for column, free in zip(columns, scaled, strict=True):
         if not free:
             residuals = residuals + column[:, 0]
@@ -239,7 +239,7 @@ def joint_step(
     return solved[: ends[0]], [solved[a:b] for a, b in pairwise(ends)]
 
 
-def _proportional(trial: CandidatePoint) -> bool:
+def is_proportional(trial: CandidatePoint) -> bool:
     """Return whether its effect grows with a coefficient from nothing."""
     return any(c.neutral == 0.0 for c in trial.candidate.form.coefficients)
 

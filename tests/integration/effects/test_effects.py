@@ -61,7 +61,13 @@ DERIVATIVE = {
         (),
         lambda t, x, f: -(0.5 + 0.4 * np.exp(-((x[1] / 0.1) ** 2))) * np.tanh(x[1] / 0.05),
     ),
+    "asymmetric_coulomb": (
+        (0.5, 0.2, 0.05),
+        (),
+        lambda t, x, f: -(0.5 if x[1] > 0.0 else 0.2) * np.tanh(x[1] / 0.05),
+    ),
     "linear": ((-4.0,), ("x",), lambda t, x, f: -4.0 * x[0]),
+    "saturating": ((-2.0, 0.05), ("x",), lambda t, x, f: -2.0 * x[0] / (0.05 + abs(x[0]))),
     "square": ((9.0,), ("x",), lambda t, x, f: 9.0 * x[0] ** 2),
     "product": ((0.1,), ("x", "F"), lambda t, x, f: 0.1 * x[0] * f),
     "hinge": ((-50.0, 0.05), ("x",), lambda t, x, f: -50.0 * max(x[0] - 0.05, 0.0)),
@@ -129,6 +135,11 @@ FORCES = {
         "v",
         lambda x, f: -(0.5 + 0.4 * np.exp(-((x[1] / 0.1) ** 2))) * np.tanh(x[1] / 0.05),
     ),
+    "asymmetric_coulomb": (
+        (0.5, 0.2, 0.05),
+        "v",
+        lambda x, f: -(0.5 if x[1] > 0.0 else 0.2) * np.tanh(x[1] / 0.05),
+    ),
     "linear": ((-4.0,), "x", lambda x, f: -4.0 * x[0]),
     "hinge": ((-50.0, 0.05), "x", lambda x, f: -50.0 * max(x[0] - 0.05, 0.0)),
     "hinge_below": ((50.0, 0.02), "x", lambda x, f: 50.0 * max(0.02 - x[0], 0.0)),
@@ -182,6 +193,7 @@ OUTPUT = {
     "drift": ((0.02,), (), lambda y, v: y + 0.02 * TIMES),
     "gain": ((0.1,), (), lambda y, v: 1.1 * y),
     "square": ((2.0,), (), lambda y, v: y + 2.0 * y**2),
+    "cubic": ((9.0,), (), lambda y, v: y + 9.0 * y**3),
     "saturation": ((0.1,), (), lambda y, v: np.clip(y, -0.1, 0.1)),
     "clip_above": ((0.04,), (), lambda y, v: np.minimum(y, 0.04)),
     "clip_below": ((-0.03,), (), lambda y, v: np.maximum(y, -0.03)),
@@ -222,6 +234,12 @@ def test_a_parameter_that_varies(solver, bar):
     truth = solve(pushed(lambda t, x, f: -C / M * 0.8 * (t - 2.0) * x[1]))[:, 0]
     result = simulated([Effect("e", "parameter c", "drift")], (0.8, 2.0), solver)
     np.testing.assert_allclose(result, truth, atol=bar)
+
+
+def test_a_parameter_that_saturates_with_a_state():
+    truth = solve(pushed(lambda t, x, f: C / M * 0.8 * abs(x[1]) / (0.1 + abs(x[1])) * x[1]))[:, 0]
+    result = simulated([Effect("e", "parameter c", "saturating", ("v",))], (0.8, 0.1))
+    np.testing.assert_allclose(result, truth, atol=2e-8)
 
 
 def test_effects_combine():

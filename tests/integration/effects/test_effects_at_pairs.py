@@ -72,6 +72,8 @@ STOP = Effect(
 FORMS = {
     "joint": ((30.0, 220.0, 0.01), TRAVEL, lambda v: np.clip(v, -0.01, 0.01)),
     "gap": ((30.0, 220.0, 0.01), TRAVEL, lambda v: v - np.clip(v, -0.01, 0.01)),
+    "hinge": ((30.0, 220.0, 0.005), TRAVEL, lambda v: max(v - 0.005, 0.0)),
+    "hinge_below": ((30.0, 220.0, -0.005), TRAVEL, lambda v: min(v + 0.005, 0.0)),
     "linear": ((2.0, 15.0), (), lambda v: v),
     "quadratic": ((2.0, 15.0), (), lambda v: v * abs(v)),
     "cubic": ((2e3, 15e3), TRAVEL, lambda v: v**3),
