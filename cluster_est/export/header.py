@@ -153,8 +153,7 @@ def _translated(layout: WrapperLayout) -> dict[str, object]:
 def _memory(layout: WrapperLayout, index: int) -> str:
     effect = layout.effect(index)
     column = layout.columns.index(effect.site.target)
-    backlash = int(effect.form.memory == "backlash")
-    return f"{{{backlash}, {column}, {layout.repair.positions[index]}}}"
+    return f"{{{effect.form.memory.upper()}, {column}, {layout.repair.positions[index]}}}"
 
 
 def _output(layout: WrapperLayout, index: int) -> str:

@@ -12,6 +12,10 @@ from sympy.printing.str import StrPrinter
 from cluster_est.export.repair import EstimatedValue, RepairedModel
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
 
+_NO_FUNCTION = {
+    "backlash": "the play operator: no function of Modelica, see Modelica.Blocks",
+    "rate_limit": "no function of Modelica, see Modelica.Blocks.Nonlinear.SlewRateLimiter",
+}
 _FUNCTIONS = {"Abs": "abs", "sign": "sign", "Min": "min", "Max": "max", "sqrt": "sqrt"}
 
 
@@ -117,7 +121,7 @@ def _equations(effect: EffectDefinition) -> Iterator[str]:
                 yield f"  {result} = delay({target}, {size});"
             else:
                 yield f"  {result} = {effect.form.memory}({target}, {size});"
-                yield "  // the play operator: no function of Modelica, see Modelica.Blocks"
+                yield f"  // {_NO_FUNCTION[effect.form.memory]}"
         else:
             yield f"  {result} = {text(equation)};"
         if site.at_rates:

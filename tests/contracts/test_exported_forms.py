@@ -26,10 +26,11 @@ SITES = {
     "parameter": "parameter c",
 }
 LAGGARDS = ("lag", "delay")
+LIMITED = ("rate_limit",)
 CASES = [
     (kind, group, solver)
     for kind in SITES
-    for group in (("function", "late", "force") if kind == "input" else ("function",))
+    for group in (("function", "late", "limited", "force") if kind == "input" else ("function",))
     for solver in SOLVERS
     if (solver == "dormand_prince")
     or (solver == "rk4" and kind in ("derivative", "input"))
@@ -52,13 +53,15 @@ def group_of(form):
     """At inputs, where one effect enlarges how those before it are rounded, what goes together."""
     if form.name in LAGGARDS:
         return "late"
+    if form.name in LIMITED:
+        return "limited"
     return "force" if FormCondition.FORCE in form.when else "function"
 
 
 def effects_of(kind, group="function"):
     """An effect of each form of a kind, and the values of their coefficients."""
     limit = 2.0 if kind == "input" else 0.05
-    known = {"low": -0.5, "limit": limit, "tau": 0.03, "width": 0.05, "high": 0.5}
+    known = {"low": -0.5, "limit": limit, "tau": 0.03, "width": 0.05, "high": 0.5, "rate": 20.0}
     forms = [f for k, f in FORMS if k == kind and (k != "input" or group_of(FORMS[k, f]) == group)]
     effects, values = [], []
     for number, name in enumerate(forms):

@@ -31,6 +31,8 @@ class GridScale(enum.Enum):
     """99 % quantile."""
     MAX_S = "max s"
     """Largest absolute value."""
+    FASTEST_S = "fastest s"
+    """Largest rate of change; a jump counts as one from one sample to the next."""
     RANGE_S = "range s"
     """Entries are parts of the way from min s to max s."""
     STEP = "step"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
-from workers.effects.memory import MEMORIES
+from workers.effects.memory import MEMORIES, SampledSignal
 from workers.effects.source import CAssignment, EffectArray, SymbolLocations, compile_function
 from workers.grid import SignalGrid
 from workers.kernels.record import OutputHooks, OutputWorkspace, apply_to_outputs
@@ -63,8 +63,9 @@ def apply_output_effect(
     column = recorded.index(definition.site.target)
     if definition.form.memory:
         change = MEMORIES[definition.form.memory]
-        times, values = change(grid.times, outputs[:, column], float(coefficients[0]))
-        outputs[:, column] = np.interp(grid.times, times, values)
+        shown = SampledSignal(grid.times, outputs[:, column])
+        changed = change(shown, float(coefficients[0]))
+        outputs[:, column] = np.interp(grid.times, changed.times, changed.values)
         return
     compiled = _compile(definition, recorded, inputs)
     work = OutputWorkspace(

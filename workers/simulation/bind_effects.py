@@ -9,7 +9,7 @@ import numpy as np
 
 from workers.effects.compiled import InnerEffects, compile_inner
 from workers.effects.definition import EffectDefinition, define
-from workers.effects.memory import MEMORIES
+from workers.effects.memory import MEMORIES, SampledSignal
 from workers.effects.outputs import apply_output_effect
 from workers.errors import EffectError
 from workers.fmu.description import ModelDescription, nearest
@@ -83,9 +83,10 @@ class BoundEffects:
         for definition, position in zip(self.definitions, self.positions, strict=True):
             if _has_memory(definition):
                 which = self.inputs.index(definition.site.target)
-                change, signal = MEMORIES[definition.form.memory], inputs[which]
-                times, values = change(signal.times, signal.values, float(coefficients[position]))
-                inputs[which] = replace(signal, times=times, values=values)
+                change, given = MEMORIES[definition.form.memory], inputs[which]
+                signal = SampledSignal(given.times, given.values, given.interpolation)
+                changed = change(signal, float(coefficients[position]))
+                inputs[which] = replace(given, **changed._asdict())
         return replace(self.experiment, inputs=tuple(inputs))
 
     @property

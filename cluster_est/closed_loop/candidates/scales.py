@@ -62,6 +62,8 @@ class SignalScales:
             values = signal.min() + rates * (signal.max() - signal.min())
         elif scale is GridScale.TRAVEL_V:
             values = rates * self._travel(variables[0])
+        elif scale is GridScale.FASTEST_S:
+            values = rates * self._fastest(site.target)
         else:
             values = rates * _SIZES[scale or GridScale.RMS_V](signal)
         return tuple(float(x) for x in values)
@@ -85,6 +87,12 @@ class SignalScales:
 
     def _middle(self) -> float:
         return float(np.mean([0.5 * (c.times[0] + c.times[-1]) for c in self.trajectories]))
+
+    def _fastest(self, name: str) -> float:
+        """Largest rate of change of a signal, at most its range within a sampling interval."""
+        pairs = [(trajectory.signal(name), trajectory.times) for trajectory in self.trajectories]
+        largest = max(float(np.abs(np.diff(s) / np.diff(t)).max(initial=0.0)) for s, t in pairs)
+        return min(largest, float(np.ptp(pooled(self.trajectories, name))) / self._step())
 
     def _travel(self, name: str) -> float:
         """Root mean square of the integral of a signal about its mean."""
@@ -113,7 +121,7 @@ def oscillates(signal: FloatArray, share: float = CandidateThresholds.both_signs
     return bool(signal.min() < -reach and signal.max() > reach)
 
 
-_OF_SIGNAL = (GridScale.MAX_S, GridScale.RANGE_S)
+_OF_SIGNAL = (GridScale.MAX_S, GridScale.RANGE_S, GridScale.FASTEST_S)
 _ENDS = (GridScale.LOW_V, GridScale.HIGH_V)
 _SIZES: Mapping[GridScale, Callable[[FloatArray], Any]] = {
     GridScale.MEAN_V: lambda v: v.mean(),

@@ -16,7 +16,7 @@ import sympy as sp
 
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm
-from workers.effects.memory import MEMORIES
+from workers.effects.memory import MEMORIES, SampledSignal
 from workers.messages import FloatArray
 
 _ARGUMENTS = ("t", "s", "v", "w")
@@ -68,8 +68,9 @@ class ArrayForm:
         """(n, d): what is added per unit of each strength, or the whole finite change."""
         if self.form.memory:
             amount = next(iter(values.values()))
-            at, changed = MEMORIES[self.form.memory](signals.t, signals.s, amount)
-            return (np.interp(signals.t, at, changed) - signals.s)[:, None]
+            given = SampledSignal(signals.t, signals.s)
+            changed = MEMORIES[self.form.memory](given, amount)
+            return (np.interp(signals.t, changed.times, changed.values) - signals.s)[:, None]
         with np.errstate(all="ignore"):
             own = [_follow(state, signals, values) for state in self._states]
             columns = [f(*signals.arrays, *own, *values.values()) for f in self._change]

@@ -1,4 +1,4 @@
-/* Delays and backlashes: what a signal gives depends on what it was before. */
+/* Delays, backlashes and limited rates: what a signal gives depends on what it was before. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -72,7 +72,8 @@ double history_at(const History *history, double at, double now, double value) {
 }
 
 #if N_INPUT_MEMORIES > 0
-static const struct { int backlash, column, coefficient; } memories[] = INPUT_MEMORIES;
+enum { DELAY, BACKLASH, RATE_LIMIT };
+static const struct { int kind, column, coefficient; } memories[] = INPUT_MEMORIES;
 
 /* Whether a signal goes on as it did, so that nothing need be noted. */
 static int goes_on(const History *history, Segment given) {
@@ -117,6 +118,37 @@ static Segment played(double *out, Segment given, double half_width, double *nex
     }
     return found;
 }
+
+/* The signal that follows at a limited rate, until it has caught up. */
+static Segment limited(double *out, Segment given, double fastest, double *next) {
+    Segment found = given;
+    double gap = given.value - *out, way = gap > 0.0 ? 1.0 : -1.0, closing;
+    if (isinf(fastest)) {
+        *out = given.value;
+        return found;
+    }
+    if (fabs(gap) <= instant(given.since) * (fabs(given.slope) + fastest) +
+                         1e-13 * fabs(given.value)) {
+        *out = given.value;
+        if (fabs(given.slope) > fastest) found.slope = given.slope > 0.0 ? fastest : -fastest;
+        return found;
+    }
+    found.value = *out;
+    found.slope = way * fastest;
+    closing = fastest - way * given.slope;
+    if (closing > 0.0) *next = fmin(*next, given.since + fabs(gap) / closing);
+    return found;
+}
+
+/* What a backlash or a limited rate gives for a sample, from what it gave last. */
+static double sampled(const Instance *c, int j, double value) {
+    double size = c->now.coefficients[memories[j].coefficient];
+    double out = c->now.play[j], most;
+    if (!c->now.begun) return value;
+    if (memories[j].kind == BACKLASH) return fmin(fmax(out, value - size), value + size);
+    most = size * fmax(c->now.time - c->now.noted[j], 0.0);
+    return isnan(most) ? value : fmin(fmax(value, out - most), out + most);
+}
 #endif
 
 /* In co-simulation: the inputs from a time on, with their slopes, as the effects see them. Returns
@@ -133,8 +165,11 @@ double see_inputs(Instance *c, double time, double end) {
     for (j = 0; j < N_INPUT_MEMORIES; j++) {
         Segment *seen = &c->now.seen[memories[j].column];
         double size = c->now.coefficients[memories[j].coefficient];
-        *seen = memories[j].backlash ? played(&c->now.play[j], *seen, size, &next)
-                                     : delayed(&c->histories[j], *seen, size, &next);
+        switch (memories[j].kind) {
+            case BACKLASH: *seen = played(&c->now.play[j], *seen, size, &next); break;
+            case RATE_LIMIT: *seen = limited(&c->now.play[j], *seen, size, &next); break;
+            default: *seen = delayed(&c->histories[j], *seen, size, &next);
+        }
         c->now.moves[j] = seen->slope;
     }
 #endif
@@ -148,7 +183,7 @@ void pass_inputs(Instance *c, double begin, double end) {
     take_inputs(c, end, c->now.was);
 #if N_INPUT_MEMORIES > 0
     for (j = 0; j < N_INPUT_MEMORIES; j++)
-        if (memories[j].backlash) c->now.play[j] += c->now.moves[j] * (end - begin);
+        if (memories[j].kind != DELAY) c->now.play[j] += c->now.moves[j] * (end - begin);
 #endif
 }
 
@@ -164,9 +199,8 @@ void sample_inputs(Instance *c) {
     for (j = 0; j < N_INPUT_MEMORIES; j++) {
         double *value = &c->now.seen[memories[j].column].value;
         double size = c->now.coefficients[memories[j].coefficient];
-        if (memories[j].backlash)
-            *value = c->now.begun ? fmin(fmax(c->now.play[j], *value - size), *value + size)
-                                  : *value;
+        if (memories[j].kind != DELAY)
+            *value = sampled(c, j, *value);
         else
             *value = history_at(&c->histories[j], c->now.time - size, c->now.time, *value);
     }
@@ -182,9 +216,10 @@ void note_inputs(Instance *c) {
     for (j = 0; j < N_INPUT_MEMORIES; j++) {
         double *here = &value[memories[j].column];
         double size = c->now.coefficients[memories[j].coefficient], given = *here;
-        if (memories[j].backlash) {
-            if (c->now.begun) *here = fmin(fmax(c->now.play[j], given - size), given + size);
+        if (memories[j].kind != DELAY) {
+            *here = sampled(c, j, given);
             c->now.play[j] = *here;
+            c->now.noted[j] = c->now.time;
         } else {
             *here = history_at(&c->histories[j], c->now.time - size, c->now.time, given);
             history_note(&c->histories[j], c->now.time, given, 0.0);

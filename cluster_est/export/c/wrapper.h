@@ -34,12 +34,13 @@ typedef struct {
     double states[ROOM(N_ALL)];
     double raw[ROOM(N_RAW)];             /* inputs, then signals, as they were set */
     double slopes[ROOM(N_RAW)];          /* their slopes, in co-simulation */
-    Segment seen[ROOM(N_RAW)];           /* the same behind delays and backlashes */
+    Segment seen[ROOM(N_RAW)];           /* the same behind what has a memory */
     double coefficients[ROOM(N_COEFFICIENTS)];
     double base[ROOM(N_BASE)];           /* parameters that effects vary, without them */
     double starts[ROOM(N_STARTS)];       /* the estimates that this FMU begins with */
     double was[ROOM(N_RAW)];             /* what they were when the last step ended */
-    double play[ROOM(N_INPUT_MEMORIES)]; /* what backlashes have given last */
+    double play[ROOM(N_INPUT_MEMORIES)]; /* what backlashes and limited rates have given last */
+    double noted[ROOM(N_INPUT_MEMORIES)]; /* and when, in model exchange */
     double moves[ROOM(N_INPUT_MEMORIES)]; /* and how fast they move */
     double rows[ROOM(N_OUTPUT_EFFECTS)][ROOM(N_ROW)]; /* what each saw when the step began */
     double indicators[ROOM(N_INDICATORS)];
@@ -69,7 +70,7 @@ fmi2Status complain(Instance *c, fmi2Status status, const char *text);
 fmi2Status write_starts(Instance *c);
 fmi2Status write_other_starts(Instance *c);
 
-/* memory.c: delays and backlashes */
+/* memory.c: delays, backlashes and limited rates */
 void history_clear(History *history);
 int history_copy(History *to, const History *from);
 int history_note(History *history, double time, double value, double slope);

@@ -10,6 +10,7 @@ from support.problems.springs import FMU
 from support.truth.exact_linear import position
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, solve
 
+from workers.effects.memory import SampledSignal, rate_limit
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
 from workers.wire import TaskBatch
@@ -73,6 +74,45 @@ def test_a_signal_is_changed_as_a_whole_before_it_is_bent():
     effects = [Effect("a", "input F", "gain"), Effect("b", "input F", "backlash")]
     (found,) = simulated(effects, [(0.2, 0.7)], EXACT)
     np.testing.assert_allclose(found, played(0.7, gain=1.2), atol=2e-6)
+
+
+def limited(times, force, fastest):
+    """Followed in small steps, each no larger than the rate allows."""
+    out, most = [force[0]], fastest * (times[1] - times[0])
+    for target in force[1:].tolist():
+        out.append(min(max(target, out[-1] - most), out[-1] + most))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "hold"])
+@pytest.mark.parametrize("solver", [EXACT, CO_SIMULATION])
+def test_a_limited_rate_of_an_input(solver, interpolation):
+    finer = 16 * FINE  # a step of the truth is as wrong as what the signal does in it
+    times = np.linspace(TIMES[0], TIMES[-1], finer * (len(TIMES) - 1) + 1)
+    force = np.interp(times, TIMES, FORCE)
+    if interpolation == "hold":
+        force = FORCE[np.searchsorted(TIMES, times + 1e-9, side="right") - 1]
+    effect = Effect("e", "input F", "rate_limit")
+    rates = (4.0, 25.0, 0.5)
+    several = simulated([effect], [(rate,) for rate in rates], solver, FORCE, interpolation)
+    unlimited = position(times, force, M, K, C, *START)[::finer]
+    for rate, found in zip(rates, several, strict=True):
+        truth = position(times, limited(times, force, rate), M, K, C, *START)[::finer]
+        assert np.abs(truth - unlimited).max() > 1e-3
+        np.testing.assert_allclose(found, truth, atol=6e-5)
+
+
+def test_a_limited_rate_catches_up_after_the_last_sample():
+    held = SampledSignal(np.array([0.0, 1.0]), np.array([0.0, 3.0]), "hold")
+    found = rate_limit(held, 2.0)
+    np.testing.assert_array_equal(found.times, [0.0, 1.0, 2.5])
+    np.testing.assert_array_equal(found.values, [0.0, 0.0, 3.0])
+    assert found.interpolation == "linear"
+    line = SampledSignal(np.array([0.0, 1.0, 2.0]), np.array([0.0, 3.0, 3.0]))
+    followed = rate_limit(line, 2.0)
+    np.testing.assert_array_equal(followed.times, [0.0, 1.0, 1.5, 2.0])
+    np.testing.assert_array_equal(followed.values, [0.0, 2.0, 3.0, 3.0])
+    assert rate_limit(line, float("inf")) is line
 
 
 def bristle(v, x0):
