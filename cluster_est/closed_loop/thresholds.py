@@ -168,6 +168,8 @@ class RefinementThresholds:
         Benchmark.
     finalists
         Candidates that are refitted to convergence. Benchmark.
+    curves
+        Free curves that are refitted. Benchmark.
     same_argument
         Other functions of the best candidate's argument that are refitted. Benchmark.
     imitates
@@ -188,6 +190,7 @@ class RefinementThresholds:
     white_leaders: int = 8
     closes: float = 0.9
     finalists: int = 3
+    curves: int = 2
     same_argument: int = 3
     imitates: float = 0.8
     equal: float = 2.0

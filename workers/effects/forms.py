@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from workers.effects.kinds import (
+    FREE_FAMILY,
     EffectForm,
     FormCoefficient,
     FormCondition,
@@ -104,16 +105,21 @@ _RESTING = OwnState("z", "(v - z) / tau", "0")
 _BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
 
 _HATS = 7
-_TABLE = " + ".join(
-    f"k{i + 1} * max(1 - abs({_HATS - 1} * (max(min(v, high), low) - low) / (high - low) - {i}), 0)"
-    for i in range(_HATS)
-)
-"""Piecewise linear from low to high, constant outside; k1 to k7 are its values at equal steps."""
-_TABLE_COEFFICIENTS = (
-    *(FormCoefficient(f"k{i + 1}", unit="site") for i in range(_HATS)),
-    FormCoefficient("low", None, scale=GridScale.LOW_V, grid=(1.0,), held=True, unit="v"),
-    FormCoefficient("high", None, scale=GridScale.HIGH_V, grid=(1.0,), held=True, unit="v"),
-)
+
+
+def _curve(argument: str) -> str:
+    """Piecewise linear from low to high, constant outside; k1 to k7 are values at equal steps."""
+    inside = f"{_HATS - 1} * (max(min({argument}, high), low) - low) / (high - low)"
+    return " + ".join(f"k{i + 1} * max(1 - abs({inside} - {i}), 0)" for i in range(_HATS))
+
+
+def _curve_coefficients(unit: str) -> tuple[FormCoefficient, ...]:
+    """Return the coefficients of a curve; `unit` is that of its argument."""
+    return (
+        *(FormCoefficient(f"k{i + 1}", unit="site") for i in range(_HATS)),
+        FormCoefficient("low", None, scale=GridScale.LOW_V, grid=(1.0,), held=True, unit=unit),
+        FormCoefficient("high", None, scale=GridScale.HIGH_V, grid=(1.0,), held=True, unit=unit),
+    )
 
 
 def _between(
@@ -178,7 +184,7 @@ _RATES = (
          when=(FormCondition.POSITIVE,)),
     EffectForm("signed_root", "leak", _DER, "-k * sign(v) * sqrt(abs(v))",
          (_drag("site / v^0.5", if_own=True),), 1, when=_OSCILLATES),
-    EffectForm("table", "table", _DER, _TABLE, _TABLE_COEFFICIENTS, 1, order=2.0),
+    EffectForm("table", FREE_FAMILY, _DER, _curve("v"), _curve_coefficients("v"), 1, order=2.0),
     # between two states
     _between("joint", "end stop", "max(min(v, at), -at)", " / v", _BEYOND),
     _between("gap", "end stop", "(max(v - at, 0) - max(-v - at, 0))", " / v", _BEYOND),
@@ -196,7 +202,7 @@ _RATES = (
 
 _AS_FORCES = (
     "viscous", "quadratic", "coulomb", "stribeck", "asymmetric_coulomb", "dahl",
-    "linear", "hinge", "hinge_below", "gap", "signed_root",
+    "linear", "hinge", "hinge_below", "gap", "signed_root", "table",
 )  # fmt: skip
 
 
@@ -253,6 +259,8 @@ _SIGNALS = (
     EffectForm("hysteresis", "memory", _OUT, "s + k * z",
          (_k("site"), _shape("x0", "travel", GridScale.TRAVEL_V, 0.1, 0.4, 1.5)), 1, (_BRISTLE,),
          when=_DRIVEN_OSCILLATES),
+    EffectForm("characteristic", FREE_FAMILY, _SIGNAL, f"s + {_curve('s')}",
+         _curve_coefficients("site"), order=2.0),
     EffectForm("hum", "disturbance", _OUT, "s + a * sin(f * t) + b * cos(f * t)", _WAVE),
 )  # fmt: skip
 

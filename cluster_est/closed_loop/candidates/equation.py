@@ -31,7 +31,10 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
     if form.memory:
         return f"{site.target} -> {form.memory}({site.target}, {coefficients[0]})"
     if form.free:
-        return f"{site} += table of {names['v']} from low to high: {', '.join(coefficients[:-2])}"
+        added = "+=" if at_rates else f"-> {site.target} +"
+        of = names.get("v", site.target)
+        where = site if at_rates else site.target
+        return f"{where} {added} table of {of} from low to high: {', '.join(coefficients[:-2])}"
     text = named(form.equation)
     if site.kind == "pair":
         first, second = site.targets

@@ -35,7 +35,7 @@ def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
         share += f", and {max(predicted, 0.0):.0%} in records that were left out to be predicted"
     if not lack or closed > thresholds.nearly_all:
         if tables:
-            return ReasonedVerdict(Verdict.PARTIAL, f"{share}, but by a free table only", closed)
+            share += ", with a free curve: a shape that no form of the library has"
         return ReasonedVerdict(Verdict.FOUND, share, closed)
     better = np.mean(found.prediction.squares < found.base_prediction.squares)
     coloured = found.last.why == RejectionReason.COLOURED_NOISE
@@ -43,7 +43,7 @@ def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
     if noisy and not tables and better >= thresholds.mostly_better:
         rest = f"{share}; the rest is autocorrelated noise"
         return ReasonedVerdict(Verdict.FOUND, rest, closed)
-    if closed > thresholds.most and not tables:
+    if closed > thresholds.most:
         return ReasonedVerdict(
             Verdict.PARTIAL, f"{share}; structure is left in the residual", closed
         )

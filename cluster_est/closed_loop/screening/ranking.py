@@ -72,13 +72,13 @@ class CandidateRanking:
         kept = {t.candidate.effect for t, df in zip(self.trials, self.plain.df, strict=True) if df}
         return max(1, round(len(kept) * self.unseen))
 
-    def leaders(self, scores: ScoreTests, most: int, *, tables: bool = True) -> list[int]:
-        """The best trial of each candidate, best candidate first."""
+    def leaders(self, scores: ScoreTests, most: int, *, free: bool = False) -> list[int]:
+        """The best trial of each named candidate, or of each free curve; the best first."""
         rank = scores.statistics - self.column_penalty * np.maximum(scores.df - 1, 0)
         best: dict[str, int] = {}
         for i in np.argsort(-rank, kind="stable").tolist():
             trial = self.trials[i]
-            if scores.df[i] and (tables or not trial.candidate.form.free):
+            if scores.df[i] and trial.candidate.form.free is free:
                 best.setdefault(trial.candidate.effect.name, i)
         return list(best.values())[:most]
 

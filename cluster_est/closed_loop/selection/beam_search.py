@@ -16,6 +16,7 @@ from cluster_est.closed_loop.screening.evidence import CandidateEvidence, Candid
 from cluster_est.closed_loop.screening.screen import findings, refreshed, screen
 from cluster_est.closed_loop.selection.accept import predict
 from cluster_est.closed_loop.selection.declared_model import fit_declared
+from cluster_est.closed_loop.selection.free_curves import curve_instead, refit_curves
 from cluster_est.closed_loop.selection.gates import (
     best_that_passes,
     leaves_more_than_noise,
@@ -56,39 +57,61 @@ def beam_search(
     path: list[ComparedStructure] = []
     rivals: Rivals = {}
     beside: tuple[RefittedCandidate, ...] = ()
+    first: RoundStart | None = None
+    replaced = False
     passed = {base.structure}
     while True:
         number = len(steps) + 1
-        screening = screen(workbench, current, number)
-        begun = RoundStart(current, prediction, screening, floor, beside)
+        begun = RoundStart(current, prediction, screen(workbench, current, number), floor, beside)
+        first = first or begun
         end = _round(workbench, base, begun)
         steps.append(end.seen)
         seen += _noted(workbench, current, end, number)
         path += compared_structures(workbench, base, end, floor, number)
         won = end.won
         if won is None or end.prediction is None:
-            break
+            curve = None if replaced else curve_instead(workbench, first, current, prediction)
+            if curve is None:
+                break
+            replaced = True
+            won, prediction = curve
+            current, beside, rivals = won.fitted, (), {won.candidate.effect.name: (won, [])}
+            path.append(compared_structure(workbench, base, current, floor, number))
+            continue
         if again and not current.added and _was_local(workbench, base, won):
             restart = FitStart(declared.problem, _declared_only(won), declared.added)
             return beam_search(workbench, restart, again=False)
-        found = rivals_of(won, end.seen.contenders, workbench.thresholds.refinement)
-        rivals = {**found, **rivals, **{name: own for name, own in found.items() if own[1]}}
-        grown = won.fitted
-        if _grows_several(workbench, grown, floor):
-            grown = refit_from_other_starts(workbench, base, grown)
-        if len(grown.added) > 1:
-            grown, rivals = revise(workbench, grown, screening.count, floor, rivals)
-        better = predict(workbench, grown) if grown is not won.fitted else end.prediction
+        grown, rivals = _revised(workbench, base, begun, end, won, rivals)
+        prediction = predict(workbench, grown) if grown is not won.fitted else end.prediction
         if grown.structure != won.fitted.structure:
             path.append(compared_structure(workbench, base, grown, floor, number))
         if grown.structure in passed:
             break
         passed.add(grown.structure)
-        current, prediction, beside = grown, better, end.compared
+        current, beside = grown, end.compared
     return SelectionResult(
         base, current, base_prediction, prediction, rivals, tuple(steps), tuple(seen), noise,
         tuple(path),
     )  # fmt: skip
+
+
+def _revised(
+    workbench: LoopWorkbench,
+    base: FittedModel,
+    begun: RoundStart,
+    end: RoundEnd,
+    won: RefittedCandidate,
+    rivals: Rivals,
+) -> tuple[FittedModel, Rivals]:
+    """What has won a round, refitted and revised, and the rivals of its effects."""
+    found = rivals_of(won, end.seen.contenders, workbench.thresholds.refinement)
+    rivals = {**found, **rivals, **{name: own for name, own in found.items() if own[1]}}
+    grown = won.fitted
+    if _grows_several(workbench, grown, begun.floor):
+        grown = refit_from_other_starts(workbench, base, grown)
+    if len(grown.added) > 1:
+        grown, rivals = revise(workbench, grown, begun.screening.count, begun.floor, rivals)
+    return grown, rivals
 
 
 def _round(workbench: LoopWorkbench, base: FittedModel, begun: RoundStart) -> RoundEnd:
@@ -97,16 +120,17 @@ def _round(workbench: LoopWorkbench, base: FittedModel, begun: RoundStart) -> Ro
     if stop is not None:
         return RoundEnd(SelectionRound(begun.screening, (), stop))
     grown = grow(workbench, begun, _parents(workbench, base, begun))
-    named = [c for c in grown if not c.candidate.form.free]
-    single = best_that_passes(workbench, begun, named)
+    single = best_that_passes(workbench, begun, grown)
     if not _looks_for_two(workbench, begun, single):
         return replace(single, compared=tuple(grown))
-    more = _two_more(workbench, base, begun, named if single.won is None else ())
+    more = _two_more(workbench, base, begun, grown if single.won is None else ())
     best = _better(workbench, begun, single, best_that_passes(workbench, begun, more))
-    if best.won is None:  # a free table fits anything, so it comes last
-        tables = [c for c in grown if c.candidate.form.free]
-        best = best_that_passes(workbench, begun, tables)
-    return replace(best, compared=(*grown, *more))
+    curves: list[RefittedCandidate] = []
+    if best.won is None:
+        curves = refit_curves(workbench, begun.model, begun.screening.ranking)
+        curved = best_that_passes(workbench, begun, curves)
+        best = curved if curved.won is not None else best
+    return replace(best, compared=(*grown, *more, *curves))
 
 
 def _parents(

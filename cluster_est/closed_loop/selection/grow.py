@@ -24,7 +24,7 @@ def grow(
     """Refit structures with one effect more than each parent has; the best first.
 
     A structure that several parents lead to is refitted from the first of them alone, and one that
-    is known already not at all. Free tables are only added to the accepted structure.
+    is known already not at all.
     """
     found: dict[frozenset[str], RefittedCandidate] = {}
     for parent in parents:
@@ -35,8 +35,7 @@ def grow(
         )
         contenders += refit_same_argument(workbench, parent, ranking, contenders)
         for contender in sorted(contenders, key=lambda c: c.criterion):
-            if accepted or not contender.candidate.form.free:
-                found.setdefault(contender.fitted.structure, contender)
+            found.setdefault(contender.fitted.structure, contender)
     return sorted(found.values(), key=lambda c: c.criterion)
 
 

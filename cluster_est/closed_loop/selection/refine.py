@@ -85,13 +85,13 @@ def refit(
     leaders = leading(ranking.plain, 2 * trials)
     white = leading(ranking.white, thresholds.white_leaders)
     first = list(dict.fromkeys([*leaders[:trials], *white]))
-    starts = _first_steps(workbench, current, ranking, first)
+    starts = first_steps(workbench, current, ranking, first)
     chosen, left = _mixed(starts, count)
     contenders = successive_halving(workbench, chosen)
     if not wide or _closes(current, contenders, floor, thresholds.closes):
         return contenders
     later = [i for i in leaders[trials:] if i not in first]
-    left += _first_steps(workbench, current, ranking, later)
+    left += first_steps(workbench, current, ranking, later)
     left.sort(key=lambda pair: pair[0])
     contenders += successive_halving(workbench, [start for _, start in left[:count]])
     return sorted(contenders, key=lambda c: c.criterion)
@@ -177,7 +177,7 @@ def _mixed(
     return [start for _, start in chosen], rest[count - ranked :]
 
 
-def _first_steps(
+def first_steps(
     workbench: LoopWorkbench,
     current: FittedModel,
     ranking: CandidateRanking,

@@ -104,8 +104,7 @@ def _instead(
     (rest,) = workbench.fit(LoopStage.SWAP, [start], FULL)
     if rest is None:
         return None
-    refitted = refit(workbench, rest, rank(workbench, rest), floor, wide=False)
-    contenders = [c for c in refitted if not c.candidate.form.free]
+    contenders = refit(workbench, rest, rank(workbench, rest), floor, wide=False)
     thresholds = workbench.thresholds.refinement
     most = grown.criterion(workbench.records) + rise
     if not contenders or contenders[0].criterion >= most:

@@ -54,10 +54,9 @@ def refit_same_argument(
     list of RefittedCandidate
         Those that were refitted, in no order.
     """
-    named = [c for c in contenders if not c.candidate.form.free]
-    if not named or not named[0].full or not workbench.exchange:
+    if not contenders or not contenders[0].full or not workbench.exchange:
         return []
-    best = named[0]
+    best = contenders[0]
     done = {c.candidate.effect.name for c in contenders if c.full}
     trials = [trial for trial in ranking.trials if _is_rival(trial, best, done)]
     if not trials:

@@ -110,6 +110,10 @@ INPUT = {
     "gain": ((0.2,), lambda f: 1.2 * f),
     "square": ((0.1,), lambda f: f + 0.1 * f**2),
     "cubic": ((0.05,), lambda f: f + 0.05 * f**3),
+    "characteristic": (
+        (*TABLE, -4.0, 3.0),
+        lambda f: f + np.interp(f, np.linspace(-4.0, 3.0, 7), TABLE),
+    ),
     "asymmetry": ((0.3,), lambda f: f + 0.3 * max(f, 0.0)),
     "saturation": ((2.0,), lambda f: min(max(f, -2.0), 2.0)),
     "dead_zone": ((1.0,), lambda f: f - np.sign(f) if abs(f) > 1.0 else 0.0),
@@ -149,6 +153,11 @@ FORCES = {
         lambda x, f: -40.0 * (max(x[0] - 0.04, 0.0) - max(-x[0] - 0.04, 0.0)),
     ),
     "signed_root": ((0.5,), "F", lambda x, f: -0.5 * np.sign(f) * np.sqrt(abs(f))),
+    "table": (
+        (*TABLE, -0.2, 0.3),
+        "x",
+        lambda x, f: np.interp(x[0], np.linspace(-0.2, 0.3, 7), TABLE),
+    ),
 }
 
 
@@ -194,6 +203,11 @@ OUTPUT = {
     "gain": ((0.1,), (), lambda y, v: 1.1 * y),
     "square": ((2.0,), (), lambda y, v: y + 2.0 * y**2),
     "cubic": ((9.0,), (), lambda y, v: y + 9.0 * y**3),
+    "characteristic": (
+        (*TABLE, -0.2, 0.3),
+        (),
+        lambda y, v: y + np.interp(y, np.linspace(-0.2, 0.3, 7), TABLE),
+    ),
     "saturation": ((0.1,), (), lambda y, v: np.clip(y, -0.1, 0.1)),
     "clip_above": ((0.04,), (), lambda y, v: np.minimum(y, 0.04)),
     "clip_below": ((-0.03,), (), lambda y, v: np.maximum(y, -0.03)),

@@ -15,6 +15,7 @@ V = np.cos(3.0 * T) + 0.1 * T
 W = np.sin(5.0 * T + 1.0)
 SIGNALS = FormArguments(T, S, V, W)
 HATS = [np.interp(V, np.linspace(-0.9, 1.1, 7), np.eye(7)[i]) for i in range(7)]
+HATS_OF_S = [np.interp(S, np.linspace(-0.9, 1.1, 7), np.eye(7)[i]) for i in range(7)]
 OUTER = np.maximum(V - 0.4, 0) - np.maximum(-V - 0.4, 0)
 SIGNED = np.sign(V) * np.sqrt(np.abs(V))
 
@@ -61,6 +62,9 @@ LINEAR = {
     ("input", "cubic"): ([0], [S**3]),
     ("input", "asymmetry"): ([0], [np.maximum(S, 0)]),
     ("input", "product"): ([0], [S * V]),
+    ("input", "table"): ([0] * 7 + [-0.9, 1.1], HATS),
+    ("input", "characteristic"): ([0] * 7 + [-0.9, 1.1], HATS_OF_S),
+    ("output", "characteristic"): ([0] * 7 + [-0.9, 1.1], HATS_OF_S),
     ("output", "bias"): ([0], [np.ones(401)]),
     ("output", "drift"): ([0], [T]),
     ("output", "gain"): ([0], [S]),

@@ -1,0 +1,71 @@
+"""Free curves: functions of no form of the library, as pairs of places and values.
+
+A curve fits what several named effects would only patch, and explains nothing. So it is tried where
+no named effect is accepted, and at the end of a search in the place of all that was.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cluster_est.closed_loop.screening.ranking import CandidateRanking
+from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.gates import best_that_passes, leaves_more_than_noise
+from cluster_est.closed_loop.selection.refine import FULL, SHORT, RefittedCandidate, first_steps
+from cluster_est.closed_loop.selection.rounds import RoundStart
+from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+
+
+def refit_curves(
+    workbench: LoopWorkbench, current: FittedModel, ranking: CandidateRanking
+) -> list[RefittedCandidate]:
+    """Refit the leading free curves, the best of them to convergence; it comes first."""
+    thresholds = workbench.thresholds.refinement
+    leaders = ranking.leaders(ranking.plain, thresholds.curves, free=True)
+    starts = [start for _, start in first_steps(workbench, current, ranking, leaders)]
+    brief = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    brief.sort(key=lambda fitted: fitted.criterion(workbench.records))
+    finished = workbench.fit(LoopStage.REFITS, [f.start for f in brief[:1]], FULL)
+    full = [new or old for new, old in zip(finished, brief, strict=False)]
+    return [
+        RefittedCandidate(f, f.criterion(workbench.records), i == 0)
+        for i, f in enumerate([*full, *brief[1:]])
+    ]
+
+
+def curve_instead(
+    workbench: LoopWorkbench,
+    first: RoundStart,
+    current: FittedModel,
+    prediction: LeaveOneOutPrediction,
+) -> tuple[RefittedCandidate, LeaveOneOutPrediction] | None:
+    """One curve in the place of all effects that a search has added.
+
+    It takes their place where they are several, or leave more than noise, and it fits better than
+    they do by the price of a choice among all pairs, and predicts better.
+
+    Parameters
+    ----------
+    first
+        The start of the search's first round.
+    current, prediction
+        The model that the search has ended with.
+
+    Returns
+    -------
+    RefittedCandidate, LeaveOneOutPrediction
+        The declared model with the curve, and its prediction; None where the effects stay.
+    """
+    patched = len(current.added) > 1 or leaves_more_than_noise(workbench, current, first.floor)
+    if not patched or any(c.form.free for c in current.added):
+        return None
+    end = best_that_passes(
+        workbench, first, refit_curves(workbench, first.model, first.screening.ranking)
+    )
+    if end.won is None or end.prediction is None:
+        return None
+    price = workbench.thresholds.selection.pair_price * float(np.log(first.screening.count))
+    fits = end.won.criterion + price < current.criterion(workbench.records)
+    better = end.prediction.total < prediction.total
+    return (end.won, end.prediction) if fits and better else None
