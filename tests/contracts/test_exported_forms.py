@@ -30,7 +30,9 @@ LIMITED = ("rate_limit",)
 CASES = [
     (kind, group, solver)
     for kind in SITES
-    for group in (("function", "late", "limited", "force") if kind == "input" else ("function",))
+    for group in (
+        ("function", "late", "limited", "curve", "force") if kind == "input" else ("function",)
+    )
     for solver in SOLVERS
     if (solver == "dormand_prince")
     or (solver == "rk4" and kind in ("derivative", "input"))
@@ -53,6 +55,8 @@ def group_of(form):
     """At inputs, where one effect enlarges how those before it are rounded, what goes together."""
     if form.name in LAGGARDS:
         return "late"
+    if form.free:
+        return "curve"
     if form.name in LIMITED:
         return "limited"
     return "force" if FormCondition.FORCE in form.when else "function"

@@ -107,19 +107,28 @@ _BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
 _HATS = 7
 
 
-def _curve(argument: str) -> str:
-    """Piecewise linear from low to high, constant outside; k1 to k7 are values at equal steps."""
+def _curve(argument: str, values: range) -> str:
+    """Piecewise linear from low to high, constant outside, with values at equal steps, else 0."""
     inside = f"{_HATS - 1} * (max(min({argument}, high), low) - low) / (high - low)"
-    return " + ".join(f"k{i + 1} * max(1 - abs({inside} - {i}), 0)" for i in range(_HATS))
+    return " + ".join(f"k{i} * max(1 - abs({inside} - {i - 1}), 0)" for i in values)
 
 
-def _curve_coefficients(unit: str) -> tuple[FormCoefficient, ...]:
-    """Return the coefficients of a curve; `unit` is that of its argument."""
-    return (
-        *(FormCoefficient(f"k{i + 1}", unit="site") for i in range(_HATS)),
-        FormCoefficient("low", None, scale=GridScale.LOW_V, grid=(1.0,), held=True, unit=unit),
-        FormCoefficient("high", None, scale=GridScale.HIGH_V, grid=(1.0,), held=True, unit=unit),
-    )
+def _curve_coefficients(values: range, *ends: FormCoefficient) -> tuple[FormCoefficient, ...]:
+    return (*(FormCoefficient(f"k{i}", unit="site") for i in values), *ends)
+
+
+_ALL = range(1, _HATS + 1)
+_INSIDE = range(2, _HATS)
+"""Without a value at the ends a curve of a signal has neither offset nor gain, which parameters
+often imitate, and which are forms of their own."""
+_MOSTLY = (
+    FormCoefficient("low", None, scale=GridScale.LOW_V, grid=(1.0,), held=True, unit="v"),
+    FormCoefficient("high", None, scale=GridScale.HIGH_V, grid=(1.0,), held=True, unit="v"),
+)
+_WHOLLY = (
+    FormCoefficient("low", None, scale=GridScale.RANGE_S, grid=(0.0,), held=True, unit="site"),
+    FormCoefficient("high", None, scale=GridScale.RANGE_S, grid=(1.0,), held=True, unit="site"),
+)
 
 
 def _between(
@@ -184,7 +193,8 @@ _RATES = (
          when=(FormCondition.POSITIVE,)),
     EffectForm("signed_root", "leak", _DER, "-k * sign(v) * sqrt(abs(v))",
          (_drag("site / v^0.5", if_own=True),), 1, when=_OSCILLATES),
-    EffectForm("table", FREE_FAMILY, _DER, _curve("v"), _curve_coefficients("v"), 1, order=2.0),
+    EffectForm("table", FREE_FAMILY, _DER, _curve("v", _ALL),
+         _curve_coefficients(_ALL, *_MOSTLY), 1, order=2.0),
     # between two states
     _between("joint", "end stop", "max(min(v, at), -at)", " / v", _BEYOND),
     _between("gap", "end stop", "(max(v - at, 0) - max(-v - at, 0))", " / v", _BEYOND),
@@ -259,8 +269,8 @@ _SIGNALS = (
     EffectForm("hysteresis", "memory", _OUT, "s + k * z",
          (_k("site"), _shape("x0", "travel", GridScale.TRAVEL_V, 0.1, 0.4, 1.5)), 1, (_BRISTLE,),
          when=_DRIVEN_OSCILLATES),
-    EffectForm("characteristic", FREE_FAMILY, _SIGNAL, f"s + {_curve('s')}",
-         _curve_coefficients("site"), order=2.0),
+    EffectForm("characteristic", FREE_FAMILY, _SIGNAL, f"s + {_curve('s', _INSIDE)}",
+         _curve_coefficients(_INSIDE, *_WHOLLY), order=2.0),
     EffectForm("hum", "disturbance", _OUT, "s + a * sin(f * t) + b * cos(f * t)", _WAVE),
 )  # fmt: skip
 

@@ -1,7 +1,8 @@
 """Free curves: functions of no form of the library, as pairs of places and values.
 
 A curve fits what several named effects would only patch, and explains nothing. So it is tried where
-no named effect is accepted, and at the end of a search in the place of all that was.
+no named effect is accepted, and at the end of a search in the place of all that was. A search ends
+with it: what it leaves is partly its own error, which named effects would only patch.
 """
 
 from __future__ import annotations

@@ -29,6 +29,8 @@ def reason_to_stop(workbench: LoopWorkbench, begun: RoundStart) -> RejectionReas
         return RejectionReason.COLOURED_NOISE
     if len(begun.model.added) >= settings.max_effects:
         return RejectionReason.LIMIT_OF_EFFECTS
+    if any(candidate.form.free for candidate in begun.model.added):
+        return RejectionReason.FREE_CURVE
     return None
 
 

@@ -21,6 +21,7 @@ class RejectionReason(enum.StrEnum):
     NOT_SIGNIFICANT = "nothing significant"
     COLOURED_NOISE = "coloured noise"
     LIMIT_OF_EFFECTS = "limit of effects"
+    FREE_CURVE = "what a free curve leaves is partly its own error"
     NO_IMPROVEMENT = "no candidate improves the fit and stays bounded"
     LITTLE_GAIN = "the gain does not pay for the choice among so many candidates"
     NOT_PREDICTED = "left-out experiments are not predicted better"

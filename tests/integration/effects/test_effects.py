@@ -111,8 +111,8 @@ INPUT = {
     "square": ((0.1,), lambda f: f + 0.1 * f**2),
     "cubic": ((0.05,), lambda f: f + 0.05 * f**3),
     "characteristic": (
-        (*TABLE, -4.0, 3.0),
-        lambda f: f + np.interp(f, np.linspace(-4.0, 3.0, 7), TABLE),
+        (*TABLE[1:-1], -4.0, 3.0),
+        lambda f: f + np.interp(f, np.linspace(-4.0, 3.0, 7), (0.0, *TABLE[1:-1], 0.0)),
     ),
     "asymmetry": ((0.3,), lambda f: f + 0.3 * max(f, 0.0)),
     "saturation": ((2.0,), lambda f: min(max(f, -2.0), 2.0)),
@@ -204,9 +204,9 @@ OUTPUT = {
     "square": ((2.0,), (), lambda y, v: y + 2.0 * y**2),
     "cubic": ((9.0,), (), lambda y, v: y + 9.0 * y**3),
     "characteristic": (
-        (*TABLE, -0.2, 0.3),
+        (*TABLE[1:-1], -0.2, 0.3),
         (),
-        lambda y, v: y + np.interp(y, np.linspace(-0.2, 0.3, 7), TABLE),
+        lambda y, v: y + np.interp(y, np.linspace(-0.2, 0.3, 7), (0.0, *TABLE[1:-1], 0.0)),
     ),
     "saturation": ((0.1,), (), lambda y, v: np.clip(y, -0.1, 0.1)),
     "clip_above": ((0.04,), (), lambda y, v: np.minimum(y, 0.04)),

@@ -1,0 +1,72 @@
+"""An effect of a shape that no form of the library has is found as a curve, and drawn as one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.problems.springs import FMU
+from support.truth.springs_with_effects import TIMES, C, K, M, plain, solve
+
+import cluster_est as ce
+from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.settings import LoopSettings
+
+KNOTS = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0)
+GAINED = (0.0, -0.9, 1.2, -0.4, -1.6, 0.8, 0.0)
+"""What an amplifier adds: it goes up and down, as no power of the signal does."""
+NOISE = 5e-3
+ROLES = ("train", "train", "train", "test")
+
+
+def bent(force):
+    return force + np.interp(force, KNOTS, GAINED)
+
+
+@pytest.fixture(scope="module")
+def result():
+    random = np.random.default_rng(11)
+    runs = []
+    for number, role in enumerate(ROLES):
+        turns = np.linspace(TIMES[0], TIMES[-1], 14)
+        force = np.interp(TIMES, turns, random.uniform(-6.0, 6.0, len(turns)))
+        truth = solve(lambda t, x, f: plain(t, x, bent(f)), (0.1, 0.0), force=force)[:, 0]
+        measured = truth + NOISE * random.normal(size=len(TIMES))
+        runs.append(
+            ce.Experiment(
+                f"run{number}", 0.0, float(TIMES[-1]),
+                (ce.Input("F", TIMES, force),),
+                (ce.Output("y", TIMES, measured, sigma=NOISE),),
+                (("x", 0.1),),
+                role=role,
+            )
+        )  # fmt: skip
+    solver = ce.Solver("dormand_prince")
+    model = ce.Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ("m", "k", "c"))
+    parameters = (
+        ce.Parameter("m", M, fixed=True),  # or all parameters could be in proportion to the gain
+        ce.Parameter("k", 0.9 * K, 1.0, 100.0),
+        ce.Parameter("c", 1.1 * C, 0.0, 10.0),
+    )
+    problem = ce.Problem(model, parameters, tuple(runs))
+    settings = LoopSettings(sites=("input F", "der(v)", "output y"), pairs=False)
+    return ce.close_loop(problem, settings=settings)
+
+
+def test_it_is_found_as_a_curve(result):
+    assert result.verdict == Verdict.FOUND
+    (effect,) = result.effects
+    assert (effect.site, effect.form) == ("input F", "characteristic")
+    assert effect.equation.startswith("F -> F + table of F from low to high: k2, k3")
+    assert "a shape that no form of the library has" in result.summary
+
+
+def test_what_was_held_out_is_predicted(result):
+    assert result.rms("test", "before") > 10.0
+    assert result.rms("test", "after") < 1.5
+
+
+def test_it_is_drawn(result):
+    (curve,) = result.curves
+    inside = (curve.x > -5.0) & (curve.x < 5.0)
+    rise = curve.y - curve.x
+    np.testing.assert_allclose(rise[inside], np.interp(curve.x, KNOTS, GAINED)[inside], atol=0.4)
