@@ -76,6 +76,7 @@ def beam_search(
             replaced = True
             won, prediction = curve
             current, beside, rivals = won.fitted, (), {won.candidate.effect.name: (won, [])}
+            seen = _with_curve(seen, won, won.criterion - base.criterion(workbench.records))
             path.append(compared_structure(workbench, base, current, floor, number))
             continue
         if again and not current.added and _was_local(workbench, base, won):
@@ -220,3 +221,17 @@ def _noted(
             if name in found:
                 found[name] = refreshed(found[name], stage, contender.criterion - base)
     return list(found.values())
+
+
+def _with_curve(
+    seen: Sequence[CandidateEvidence], curve: RefittedCandidate, criterion: float
+) -> list[CandidateEvidence]:
+    """The candidates, with the one of the first round that took the place of all effects."""
+    own, effect = curve.candidate, curve.candidate.effect
+    place = (1, str(own.site), own.form.name, effect.variables)
+    return [
+        refreshed(each, CandidateStage.ACCEPTED, criterion)
+        if (each.step, each.site, each.form, each.variables) == place
+        else each
+        for each in seen
+    ]

@@ -57,6 +57,7 @@ def test_it_is_found_as_a_curve(result):
     (effect,) = result.effects
     assert (effect.site, effect.form) == ("input F", "characteristic")
     assert effect.equation.startswith("F -> F + table of F from low to high: k2, k3")
+    assert "criterion falls by" in effect.evidence[0]
     assert "a shape that no form of the library has" in result.summary
 
 
