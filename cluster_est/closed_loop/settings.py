@@ -50,7 +50,7 @@ class LoopSettings:
     refits: int = field(default=12, metadata={"least": 1})
     starts: int = field(default=8, metadata={"least": 1})
     least_gain: float = field(default=0.2, metadata={"least": 0.0})
-    beam: int = field(default=1, metadata={"least": 1})
+    beam: int = field(default=4, metadata={"least": 1})
     pairs: bool = True
     thresholds: LoopThresholds = field(default_factory=LoopThresholds, repr=False)
 

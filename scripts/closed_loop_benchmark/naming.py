@@ -7,7 +7,11 @@ from dataclasses import dataclass
 
 from closed_loop_benchmark.effect import Name
 
-BENCHMARK_NAMES = {"clip_above": "saturation", "signed_root": "leak"}
+BENCHMARK_NAMES = {
+    "clip_above": "saturation",
+    "signed_root": "leak",
+    "periodic_travel": "cogging",
+}
 """Forms of the library that the benchmark calls otherwise; a gap at a single rate is one more."""
 
 

@@ -29,11 +29,12 @@ Translation = Callable[[Numbers], dict[str, float]]
 LIBRARY_NAMES = {
     ("der", "end_stop"): "gap",
     ("der", "leak"): "signed_root",
+    ("der", "cogging"): "periodic_travel",
     ("output", "saturation"): "clip_above",
 }
 """Where the library calls a form otherwise than the benchmark."""
 
-SCALES = {"limit", "tau", "width", "vs", "x0", "f"}
+SCALES = {"limit", "tau", "width", "vs", "x0", "f", "n", "rate", "half"}
 """Coefficients that are positive and of unknown magnitude."""
 
 PLAYS = {"dead_zone", "backlash"}
@@ -58,16 +59,24 @@ def _wave(a: Numbers) -> dict[str, float]:
     }
 
 
+def _ripple(a: Numbers) -> dict[str, float]:
+    """Return the two parts of a wave in a state, with its phase if it has one, and its number."""
+    amplitude, number, phase = (*a, 0.0)[:3]
+    return {"a": amplitude * math.cos(phase), "b": amplitude * math.sin(phase), "n": number}
+
+
 RATE: dict[str, Translation] = {
     **dict.fromkeys(("constant", "drift", "linear", "square", "product"), _same),
     **dict.fromkeys(("viscous", "quadratic", "cubic", "square_root", "leak"), _taken),
     "sine": _wave,
+    **dict.fromkeys(("periodic", "cogging"), _ripple),
     "coulomb": lambda a: {"k": -a[0], "width": a[1]},
     "stribeck": lambda a: {"k": -a[0], "peak": -a[0] * a[3], "vs": a[2], "width": a[1]},
     "dahl": lambda a: {"k": -a[0], "x0": a[1]},
     "end_stop": lambda a: {"k": -a[0], "at": a[1]},
     "hinge": lambda a: {"k": a[0], "at": a[1]},
     "lagged": lambda a: {"k": a[0], "tau": a[1]},
+    "saturating": lambda a: {"k": a[0], "half": a[1]},
 }
 
 PAIR: dict[str, Translation] = {
@@ -81,11 +90,15 @@ INPUT: dict[str, Translation] = {
         ("bias", "gain", "drift", "square", "cubic", "asymmetry", "product", *PLAYS), _same
     ),
     "saturation": lambda a: {"limit": a[0]},
+    "periodic": _ripple,
+    "rate_limit": lambda a: {"rate": a[0]},
     **dict.fromkeys(("lag", "delay"), lambda a: {"tau": a[0]}),
 }
 
 OUTPUT: dict[str, Translation] = {
-    **dict.fromkeys(("bias", "gain", "drift", "square", "absolute", "feed_through"), _same),
+    **dict.fromkeys(
+        ("bias", "gain", "drift", "square", "cubic", "absolute", "feed_through"), _same
+    ),
     "saturation": lambda a: {"limit": a[0]},
     **dict.fromkeys(("lag", "delay"), lambda a: {"tau": a[0]}),
     "lagged_feed_through": lambda a: {"k": a[0], "tau": a[1]},
@@ -95,6 +108,7 @@ OUTPUT: dict[str, Translation] = {
 
 PARAMETER: dict[str, Translation] = {
     **dict.fromkeys(("drift", "linear", "magnitude", "square"), lambda a: {"k": a[0], "at": a[1]}),
+    "saturating": lambda a: {"k": -a[0], "half": a[1]},
     "heating": lambda a: {"k": a[0], "at": a[2], "tau": a[1]},
 }
 

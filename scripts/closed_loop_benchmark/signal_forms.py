@@ -107,7 +107,6 @@ INPUT_FORMS: dict[str, Form] = {
     "asymmetry": lambda a, t, u, v: u + a[0] * np.maximum(u, 0.0),
     "square": lambda a, t, u, v: u + a[0] * u**2,
     "cubic": lambda a, t, u, v: u + a[0] * u**3,
-    # What follows is in no library of forms.
     "rate_limit": lambda a, t, u, v: rate_limit(t, u, a[0]),
     "quantisation": lambda a, t, u, v: a[0] * np.round(u / a[0]),
     "sample_hold": lambda a, t, u, v: _hold(t, u, a[0]),
@@ -130,7 +129,6 @@ OUTPUT_FORMS: dict[str, Form] = {
     "lagged_feed_through": lambda a, t, y, v: y + a[0] * lag(t, v, a[1], start=0.0 * v[0]),
     "hysteresis": lambda a, t, y, v: y + a[0] * hysteresis(t, v, a[1]),
     "hum": lambda a, t, y, v: y + _sine(a, t),
-    # What follows is in no library of forms.
     "quantisation": lambda a, t, y, v: a[0] * np.round(y / a[0]),
     "sample_hold": lambda a, t, y, v: _hold(t, y, a[0]),
     "wave": lambda a, t, y, v: y + a[0] * np.sin(a[1] * v),

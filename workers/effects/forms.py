@@ -93,6 +93,9 @@ _WAVE = (
     FormCoefficient("b", unit="site"),
     _shape("f", "rad / second", GridScale.SPECTRUM, 1.0),
 )
+_RIPPLE = FormCoefficient("a", unit="site"), FormCoefficient("b", unit="site")
+_WAVES = tuple(0.5 * halves for halves in range(3, 33))
+"""Waves within the range of the data: in steps of a half no peak of a periodogram is missed."""
 _BEYOND = _shape("at", "v", GridScale.MAX_V, 0.35, 0.55, 0.75)
 _HALF = _shape("half", "v", GridScale.MAX_V, 0.1, 0.3, 1.0)
 """Where half of the limit is reached, as in the law of Michaelis and Menten."""
@@ -102,6 +105,7 @@ _LATE = FormCoefficient(
 _LAG = OwnState("z", "(v - z) / tau", "v")
 _RESTING = OwnState("z", "(v - z) / tau", "0")
 """A lag of something that was at rest before, like a further branch in an electrical model."""
+_TRAVEL = OwnState("z", "v", "0")
 _BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
 
 _HATS = 7
@@ -154,6 +158,13 @@ _RATES = (
     EffectForm("constant", "load", _DER, "k", (_k("site"),)),
     EffectForm("drift", "load", _DER, "k * t", (_k("site / second"),)),
     EffectForm("sine", "load", _DER, "a * sin(f * t) + b * cos(f * t)", _WAVE),
+    # of an angle or a way: cogging, eccentricity, teeth; without that state, of the way travelled
+    EffectForm("periodic", "ripple", _DER, "a * sin(n * v) + b * cos(n * v)",
+         (*_RIPPLE, _shape("n", "rad / v", GridScale.WAVES_V, *_WAVES)), 1,
+         when=(FormCondition.POSITION,), order=1.5),
+    EffectForm("periodic_travel", "ripple", _DER, "a * sin(n * z) + b * cos(n * z)",
+         (*_RIPPLE, _shape("n", "rad / travel", GridScale.WAVES_TRAVEL_V, *_WAVES)), 1,
+         (_TRAVEL,), when=(FormCondition.OWN, FormCondition.NO_POSITION), order=1.5),
     # friction and drag: they take energy out where v is a velocity
     EffectForm("viscous", "friction", _DER, "-k * v", (_drag("site / v"),), 1, when=_OWN),
     EffectForm("quadratic", "drag", _DER, "-k * v * abs(v)",
@@ -178,8 +189,9 @@ _RATES = (
     EffectForm("linear", "coupling", _DER, "k * v", (_k("site / v"),), 1, order=0.3),
     EffectForm("square", "stiffness", _DER, "k * v^2", (_k("site / v^2"),), 1, order=0.5),
     EffectForm("product", "coupling", _DER, "k * v * w", (_k("site / (v w)"),), 2, order=0.7),
+    # of an amount: with both signs it is little else than a dry friction with a soft edge
     EffectForm("saturating", "coupling", _DER, "k * v / (half + abs(v))",
-         (_k("site"), _HALF), 1, order=1.0),
+         (_k("site"), _HALF), 1, when=(FormCondition.POSITIVE,), order=1.0),
     EffectForm("lagged", "coupling", _DER, "k * z", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1,
          (_LAG,),
          when=_DRIVEN, order=0.3),
@@ -211,7 +223,7 @@ _RATES = (
 )  # fmt: skip
 
 _AS_FORCES = (
-    "viscous", "quadratic", "coulomb", "stribeck", "asymmetric_coulomb", "dahl",
+    "periodic", "viscous", "quadratic", "coulomb", "stribeck", "asymmetric_coulomb", "dahl",
     "linear", "hinge", "hinge_below", "gap", "signed_root", "table",
 )  # fmt: skip
 
@@ -285,7 +297,7 @@ _VARIATIONS = (
     EffectForm("square", "variation", _PAR, "s * (1 + k * (v^2 - at))",
          (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V)), 1, order=1.0),
     EffectForm("saturating", "variation", _PAR, "s * (1 - k * abs(v) / (half + abs(v)))",
-         (_k("1"), _HALF), 1, order=1.5),
+         (_k("1"), _HALF), 1, when=(FormCondition.POSITIVE,), order=1.5),
     EffectForm("heating", "variation", _PAR, "s * (1 + k * (z - at))",
          (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V), _tau(20.0, 80.0)), 1,
          (OwnState("z", "(v^2 - z) / tau", "0"),), order=1.0),

@@ -23,6 +23,11 @@ class GridScale(enum.Enum):
     MEAN_SQUARE_V = "mean v^2"
     TRAVEL_V = "travel v"
     """Root mean square of the integral of v about its mean."""
+    WAVES_V = "waves v"
+    """Entries are how often a wave repeats within the range of v; small whole numbers are tried too
+    where v is an angle of several turns."""
+    WAVES_TRAVEL_V = "waves travel v"
+    """The same within the range of the integral of v from the start of each experiment."""
     QUANTILE_V = "quantile v"
     """Entries are quantiles of v."""
     LOW_V = "low v"
@@ -59,6 +64,10 @@ class FormCondition(enum.Enum):
 
     Where an input acts on one derivative alone, the same form at that derivative says the same.
     """
+    POSITION = "position"
+    """Its variable is the integral, but for a factor, of a state that the effect pushes."""
+    NO_POSITION = "no position"
+    """Its variable is the derivative of no state."""
     DRIVEN = "driven"
     """Its variable is an input or a measured signal."""
 

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.kinematics import integrated_states
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import EffectForm, FormCondition
@@ -44,6 +45,8 @@ class OpenArguments:
     pushed
         For each input the states whose derivatives it acts on, and which way: 1 or -1, or 0 where
         that changes along the data.
+    speeds
+        For each state that is the integral of another one, that one.
     """
 
     states: tuple[str, ...]
@@ -51,6 +54,7 @@ class OpenArguments:
     outputs: tuple[str, ...]
     units: Mapping[str, str]
     pushed: Mapping[str, Mapping[str, int]]
+    speeds: Mapping[str, str]
 
     def at(self, site: EffectSite) -> list[str]:
         """Return the arguments of functions of one variable at a site.
@@ -85,6 +89,10 @@ class OpenArguments:
         pushed = self.pushed_by(site)
         if FormCondition.FORCE in form.when and (len(pushed) < 2 or argument not in self.states):
             return False
+        if FormCondition.POSITION in form.when and self.speeds.get(argument) not in pushed:
+            return False
+        if FormCondition.NO_POSITION in form.when and argument in self.speeds.values():
+            return False
         return FormCondition.OWN not in form.when or argument in pushed
 
     def pushed_by(self, site: EffectSite) -> Mapping[str, int]:
@@ -110,6 +118,7 @@ def open_arguments(
         outputs=tuple(n for n in names if n in common and n not in states),
         units={name: description.variables[name].unit for name in states},
         pushed=_pushed(trajectories, states),
+        speeds={x: v for x, (v, _) in integrated_states(trajectories).items()},
     )
 
 

@@ -55,18 +55,31 @@ class SignalScales:
         signal = self._signal(site) if scale in _OF_SIGNAL else self._about(site, variables)
         if signal is None:
             return ()
-        rates = np.array(grid)
-        if scale is GridScale.QUANTILE_V:
-            values = np.quantile(signal, rates)
-        elif scale is GridScale.RANGE_S:
-            values = signal.min() + rates * (signal.max() - signal.min())
-        elif scale is GridScale.TRAVEL_V:
-            values = rates * self._travel(variables[0])
-        elif scale is GridScale.FASTEST_S:
-            values = rates * self._fastest(site.target)
-        else:
-            values = rates * _SIZES[scale or GridScale.RMS_V](signal)
+        values = self._spread(scale or GridScale.RMS_V, np.array(grid), signal, site, variables)
         return tuple(float(x) for x in values)
+
+    def _spread(
+        self,
+        scale: GridScale,
+        rates: FloatArray,
+        signal: FloatArray,
+        site: EffectSite,
+        variables: tuple[str, ...],
+    ) -> FloatArray:
+        """Values of a coefficient that are spread over what a signal does."""
+        if scale is GridScale.QUANTILE_V:
+            return np.asarray(np.quantile(signal, rates))
+        if scale is GridScale.RANGE_S:
+            return np.asarray(signal.min() + rates * (signal.max() - signal.min()))
+        if scale is GridScale.TRAVEL_V:
+            return rates * self._travel(variables[0])
+        if scale is GridScale.WAVES_V:
+            return _waves(rates, float(np.ptp(signal)))
+        if scale is GridScale.WAVES_TRAVEL_V:
+            return _waves(rates, float(np.ptp(np.concatenate(self._ways(variables[0])))))
+        if scale is GridScale.FASTEST_S:
+            return rates * self._fastest(site.target)
+        return np.asarray(rates * _SIZES[scale](signal))
 
     def _about(self, site: EffectSite, variables: tuple[str, ...]) -> FloatArray | None:
         """The signal that a form bends: its variable, else that at the site."""
@@ -96,18 +109,31 @@ class SignalScales:
 
     def _travel(self, name: str) -> float:
         """Root mean square of the integral of a signal about its mean."""
-        total, count = 0.0, 0
+        ways = self._ways(name)
+        total = sum(float(((way - way.mean()) ** 2).sum()) for way in ways)
+        return float(np.sqrt(total / max(sum(map(len, ways)), 1)))
+
+    def _ways(self, name: str) -> list[FloatArray]:
+        """Integral of a signal from the start of each experiment."""
+        found = []
         for trajectory in self.trajectories:
             signal = trajectory.signal(name)
             steps = 0.5 * (signal[1:] + signal[:-1]) * np.diff(trajectory.times)
-            way = np.cumsum(steps)
-            total += float(((way - way.mean()) ** 2).sum())
-            count += len(way)
-        return float(np.sqrt(total / max(count, 1)))
+            found.append(np.cumsum(steps))
+        return found
 
 
 def _moves(signal: FloatArray) -> bool:
     return bool(np.std(signal) > 1e-9 * np.abs(signal).max())
+
+
+def _waves(repeats: FloatArray, span: float) -> FloatArray:
+    """Wave numbers that repeat so often in a span; where it is several turns also 1, 2, 3 ..."""
+    if not span > 0.0:
+        return np.zeros(0)
+    waves = 2.0 * np.pi * repeats / span
+    whole = np.arange(1.0, len(repeats) // 2 + 1.0)
+    return np.concatenate([waves, whole[whole > waves.max()]])
 
 
 def _positive(signal: FloatArray) -> bool:

@@ -131,6 +131,9 @@ def _follow(state: _OwnState, signals: FormArguments, values: Mapping[str, float
     rate = np.broadcast_to(np.asarray(state.rate(*signals.arrays, *numbers), float), size)
     start = np.broadcast_to(np.asarray(state.start(*signals.arrays, *numbers), float), size)
     h = np.diff(signals.t)
+    if not rate.any():
+        way = np.cumsum(0.5 * (drive[1:] + drive[:-1]) * h)
+        return np.asarray(np.concatenate([[0.0], way]) + start[0])
     b = 0.5 * (rate[1:] + rate[:-1])
     bh = np.maximum(b * h, 1e-9)
     decay = np.exp(-bh)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
+from cluster_est.closed_loop.candidates.kinematics import CONSTANT, integrated_states
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.thresholds import CandidateThresholds
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import FORMS, EffectForm
 from workers.effects.site import EffectSite, open_pairs, open_sites
@@ -85,26 +83,8 @@ def _moving(
     trajectories: Sequence[LinearisedTrajectory],
     settings: LoopSettings,
 ) -> set[str]:
+    """The states in whose derivative something may be missing: where dx/dt = v, nothing can be."""
     tolerance = settings.thresholds.candidates.kinematic
-    return set(description.states) - kinematic_states(trajectories, tolerance)
-
-
-def kinematic_states(
-    trajectories: Sequence[LinearisedTrajectory],
-    tolerance: float = CandidateThresholds.kinematic,
-) -> set[str]:
-    """States whose derivative is another state: nothing can be missing there."""
-    found: set[str] = set()
-    for trajectory in trajectories[:1]:
-        linear = trajectory.linear
-        if linear is None:
-            continue
-        for i, name in enumerate(linear.state_names):
-            j = int(np.argmax(linear.A[0, i]))
-            row = np.abs(linear.A[:, i] - np.eye(len(linear.state_names))[j]).max()
-            driven = np.abs(linear.B[:, i]).max(initial=0.0)
-            size = np.abs(linear.derivatives[:, i]).max()
-            gap = np.abs(linear.derivatives[:, i] - linear.states[:, j]).max()
-            if i != j and gap <= tolerance * size and max(row, driven) < 1e-4:
-                found.add(name)
-    return found
+    integrated = integrated_states(trajectories, tolerance)
+    exact = {x for x, (_, factor) in integrated.items() if abs(factor - 1.0) < CONSTANT}
+    return set(description.states) - exact

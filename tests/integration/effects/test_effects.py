@@ -66,6 +66,11 @@ DERIVATIVE = {
         (),
         lambda t, x, f: -(0.5 if x[1] > 0.0 else 0.2) * np.tanh(x[1] / 0.05),
     ),
+    "periodic": (
+        (0.3, 0.2, 40.0),
+        ("x",),
+        lambda t, x, f: 0.3 * np.sin(40.0 * x[0]) + 0.2 * np.cos(40.0 * x[0]),
+    ),
     "linear": ((-4.0,), ("x",), lambda t, x, f: -4.0 * x[0]),
     "saturating": ((-2.0, 0.05), ("x",), lambda t, x, f: -2.0 * x[0] / (0.05 + abs(x[0]))),
     "square": ((9.0,), ("x",), lambda t, x, f: 9.0 * x[0] ** 2),
@@ -103,6 +108,17 @@ def test_dahl_friction_has_a_state_of_its_own():
     truth = solve(slope, (*START, 0.0))[:, 0]
     effect = Effect("e", "der(v)", "dahl")
     np.testing.assert_allclose(simulated([effect], (0.5, 0.02)), truth, atol=1e-8)
+
+
+def test_a_ripple_of_the_way_travelled_begins_at_nought():
+    def slope(t, x, force):
+        v, dv = plain(t, x, force)
+        way = x[0] - START[0]
+        return [v, dv + 0.3 * np.sin(40.0 * way) + 0.2 * np.cos(40.0 * way)]
+
+    truth = solve(slope)[:, 0]
+    effect = Effect("e", "der(v)", "periodic_travel")
+    np.testing.assert_allclose(simulated([effect], (0.3, 0.2, 40.0)), truth, atol=1e-7)
 
 
 INPUT = {

@@ -10,8 +10,9 @@ from support.truth.systems_with_missing_effects import missing_effect_problem, o
 
 from cluster_est import Parameter
 from cluster_est.closed_loop.candidates.equation import equation_text
+from cluster_est.closed_loop.candidates.kinematics import integrated_states
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.candidates.sites import kinematic_states
+from cluster_est.closed_loop.candidates.scales import _waves
 from cluster_est.closed_loop.settings import LoopSettings
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site
@@ -45,7 +46,7 @@ def changed(problem, **changes):
 )
 def test_kinematic_states(name, kinematic):
     with opened(missing_effect_problem(name)) as bench:
-        assert kinematic_states(bench.trajectories(unfitted(bench))) == kinematic
+        assert set(integrated_states(bench.trajectories(unfitted(bench)))) == kinematic
 
 
 def test_a_kinematic_state_is_one_at_rest_too():
@@ -53,7 +54,42 @@ def test_a_kinematic_state_is_one_at_rest_too():
     still = Input("F", np.array([0.0, 6.0]), np.zeros(2))
     run = replace(problem.experiments[0], inputs=(still,), values=())
     with opened(replace(problem, experiments=(run,))) as bench:
-        assert kinematic_states(bench.trajectories(unfitted(bench))) == {"x"}
+        assert integrated_states(bench.trajectories(unfitted(bench))) == {"x": ("v", 1.0)}
+
+
+def test_a_way_is_the_integral_of_a_speed_but_for_a_radius():
+    with opened(missing_effect_problem("mass_spring_damper", experiments=1)) as bench:
+        (run,) = bench.trajectories(unfitted(bench))
+    i = run.linear.state_names.index("x")
+    geared = np.ones(2)
+    geared[i] = 0.05
+    linear = replace(
+        run.linear, A=run.linear.A * geared[:, None], derivatives=run.linear.derivatives * geared
+    )
+    assert integrated_states([replace(run, linear=linear)]) == {"x": ("v", pytest.approx(0.05))}
+
+
+def test_ripples_are_functions_of_the_position_of_what_they_push():
+    def places(name):
+        return {
+            (str(c.site), *c.effect.variables)
+            for c in listed(missing_effect_problem(name))
+            if c.form.family == "ripple"
+        }
+
+    assert places("mass_spring_damper") == {("der(v)", "x")}
+    speeds = {("der(w_motor)", "w_motor"), ("der(w_load)", "w_load")}
+    found = places("two_mass_drive")  # the twist of its shaft is the integral of neither speed
+    assert {place for place in found if place[0] != "der(twist)"} == speeds
+
+
+@pytest.mark.parametrize(("stop", "whole"), [(1.0, 0), (200.0, 15)])
+def test_waves_of_an_angle_of_many_turns_are_whole_numbers_too(stop, whole):
+    way = np.array([0.0, stop])
+    repeats = np.arange(3, 33) / 2.0
+    found = _waves(repeats, float(np.ptp(way)))
+    np.testing.assert_allclose(found[:30] * stop / (2.0 * np.pi), repeats)
+    assert found[30:].tolist() == [n for n in range(1, whole + 1) if n > found[29]]
 
 
 def test_sites_are_what_moves_is_driven_measured_or_estimated():

@@ -23,6 +23,7 @@ LINEAR = {
     ("derivative", "constant"): ([0], [np.ones(401)]),
     ("derivative", "drift"): ([0], [T]),
     ("derivative", "sine"): ([0, 0, 7.0], [np.sin(7 * T), np.cos(7 * T)]),
+    ("derivative", "periodic"): ([0, 0, 7.0], [np.sin(7 * V), np.cos(7 * V)]),
     ("derivative", "viscous"): ([0], [-V]),
     ("derivative", "quadratic"): ([0], [-V * np.abs(V)]),
     ("derivative", "cubic"): ([0], [-(V**3)]),
