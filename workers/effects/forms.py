@@ -11,6 +11,7 @@ A form of your own is one entry here, or an expression in a config.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 from workers.effects.kinds import (
@@ -111,20 +112,25 @@ _BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
 _HATS = 7
 
 
-def _curve(argument: str, values: range) -> str:
+def _curve(argument: str, values: Iterable[int]) -> str:
     """Piecewise linear from low to high, constant outside, with values at equal steps, else 0."""
     inside = f"{_HATS - 1} * (max(min({argument}, high), low) - low) / (high - low)"
     return " + ".join(f"k{i} * max(1 - abs({inside} - {i - 1}), 0)" for i in values)
 
 
-def _curve_coefficients(values: range, *ends: FormCoefficient) -> tuple[FormCoefficient, ...]:
-    return (*(FormCoefficient(f"k{i}", unit="site") for i in values), *ends)
+def _curve_coefficients(
+    values: Iterable[int], *ends: FormCoefficient, unit: str = "site"
+) -> tuple[FormCoefficient, ...]:
+    return (*(FormCoefficient(f"k{i}", unit=unit) for i in values), *ends)
 
 
 _ALL = range(1, _HATS + 1)
 _INSIDE = range(2, _HATS)
 """Without a value at the ends a curve of a signal has neither offset nor gain, which parameters
 often imitate, and which are forms of their own."""
+_AROUND = (1, 2, 3, 5, 6, 7)
+"""Without a value in the middle: there a parameter has its own, or it would hide behind the
+curve."""
 _MOSTLY = (
     FormCoefficient("low", None, scale=GridScale.LOW_V, grid=(1.0,), held=True, unit="v"),
     FormCoefficient("high", None, scale=GridScale.HIGH_V, grid=(1.0,), held=True, unit="v"),
@@ -301,6 +307,8 @@ _VARIATIONS = (
     EffectForm("heating", "variation", _PAR, "s * (1 + k * (z - at))",
          (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V), _tau(20.0, 80.0)), 1,
          (OwnState("z", "(v^2 - z) / tau", "0"),), order=1.0),
+    EffectForm("table", FREE_FAMILY, _PAR, f"s * (1 + {_curve('v', _AROUND)})",
+         _curve_coefficients(_AROUND, *_MOSTLY, unit="1"), 1, order=2.0),
 )  # fmt: skip
 
 FORMS: dict[tuple[SiteKind, str], EffectForm] = {

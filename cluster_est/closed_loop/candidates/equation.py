@@ -31,10 +31,11 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
     if form.memory:
         return f"{site.target} -> {form.memory}({site.target}, {coefficients[0]})"
     if form.free:
-        added = "+=" if at_rates else f"-> {site.target} +"
-        of = names.get("v", site.target)
-        where = site if at_rates else site.target
-        return f"{where} {added} table of {of} from low to high: {', '.join(coefficients[:-2])}"
+        table = f"table of {names.get('v', site.target)} from low to high: "
+        table += ", ".join(coefficients[:-2])
+        if site.kind == "parameter":
+            return f"{site.target} -> {site.target} * (1 + {table})"
+        return f"{site} += {table}" if at_rates else f"{site.target} -> {site.target} + {table}"
     text = named(form.equation)
     if site.kind == "pair":
         first, second = site.targets

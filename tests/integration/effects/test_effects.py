@@ -272,6 +272,17 @@ def test_a_parameter_that_saturates_with_a_state():
     np.testing.assert_allclose(result, truth, atol=2e-8)
 
 
+def test_a_parameter_that_is_a_curve_of_a_state():
+    """It is piecewise linear between seven places, and itself in the middle."""
+    values = (*TABLE[:3], 0.0, *TABLE[4:])
+    share = lambda v: np.interp(v, np.linspace(-0.2, 0.3, 7), values)  # noqa: E731
+    truth = solve(pushed(lambda t, x, f: -C / M * share(x[1]) * x[1]))[:, 0]
+    result = simulated(
+        [Effect("e", "parameter c", "table", ("v",))], (*TABLE[:3], *TABLE[4:], -0.2, 0.3)
+    )
+    np.testing.assert_allclose(result, truth, atol=1e-6)
+
+
 def test_effects_combine():
     def slope(t, x, force):
         v, dv = plain(t, x, 1.2 * (force + 0.3))

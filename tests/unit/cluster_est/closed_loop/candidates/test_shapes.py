@@ -78,6 +78,10 @@ LINEAR = {
     ("parameter", "linear"): ([0, 0.3], [S * (V - 0.3)]),
     ("parameter", "magnitude"): ([0, 0.3], [S * (np.abs(V) - 0.3)]),
     ("parameter", "saturating"): ([0, 0.4], [-S * np.abs(V) / (0.4 + np.abs(V))]),
+    ("parameter", "table"): (
+        [0, 0, 0, 0, 0, 0, -0.9, 1.1],
+        [S * HATS[i] for i in (0, 1, 2, 4, 5, 6)],
+    ),
     ("parameter", "square"): ([0, 0.3], [S * (V**2 - 0.3)]),
 }
 FINITE = {
