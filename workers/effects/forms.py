@@ -296,6 +296,9 @@ _VARIATIONS = (
     # a parameter that varies; centred, or it would hide behind the parameter itself
     EffectForm("drift", "variation", _PAR, "s * (1 + k * (t - at))",
          (_k("1 / second"), _centre("second", GridScale.MIDDLE_T)), order=1.0),
+    EffectForm("sine", "variation", _PAR, "s * (1 + a * sin(f * t) + b * cos(f * t))",
+         (FormCoefficient("a", unit="1"), FormCoefficient("b", unit="1"),
+          _shape("f", "rad / second", GridScale.SPECTRUM, 1.0)), order=1.0),
     EffectForm("linear", "variation", _PAR, "s * (1 + k * (v - at))",
          (_k("1 / v"), _centre("v", GridScale.MEAN_V)), 1, order=1.0),
     EffectForm("magnitude", "variation", _PAR, "s * (1 + k * (abs(v) - at))",

@@ -10,6 +10,7 @@ from cluster_est.closed_loop.screening.ranking import rank
 from cluster_est.closed_loop.selection.refine import FULL, RefittedCandidate, refit
 from cluster_est.closed_loop.selection.rounds import RoundStart
 from cluster_est.closed_loop.selection.same_argument import refit_same_argument
+from cluster_est.closed_loop.selection.switch_widths import refit_switch_widths
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from workers.messages import FloatArray
@@ -34,7 +35,7 @@ def grow(
             workbench, parent, ranking, begun.floor, wide=accepted, known={*known, *found}
         )
         contenders += refit_same_argument(workbench, parent, ranking, contenders)
-        for contender in sorted(contenders, key=lambda c: c.criterion):
+        for contender in refit_switch_widths(workbench, contenders, begun.floor):
             found.setdefault(contender.fitted.structure, contender)
     return sorted(found.values(), key=lambda c: c.criterion)
 

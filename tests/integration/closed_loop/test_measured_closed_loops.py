@@ -55,7 +55,9 @@ def test_the_tanks_spill_over_and_are_full_at_ten_volts(monkeypatch):
 def test_emps_has_coulomb_friction(monkeypatch):
     problem, result = closed("emps", "emps/DATA_EMPS.mat", monkeypatch)
     assert result.verdict is Verdict.PARTIAL
-    assert ("der(v)", "coulomb") in {(e.site, e.form) for e in result.effects}
+    # In the measured force the two directions differ; the model's offset acts elsewhere.
+    dry = {("der(v)", "coulomb"), ("der(v)", "asymmetric_coulomb")}
+    assert dry & {(e.site, e.form) for e in result.effects}
     assert sorted({row.role for row in result.errors}) == ["test", "train"]
     for row in result.errors:
         run = next(e for e in problem.experiments if e.id == row.experiment)

@@ -272,6 +272,13 @@ def test_a_parameter_that_saturates_with_a_state():
     np.testing.assert_allclose(result, truth, atol=2e-8)
 
 
+def test_a_parameter_with_a_rhythm():
+    rhythm = lambda t: 0.4 * np.sin(3.0 * t) - 0.2 * np.cos(3.0 * t)  # noqa: E731
+    truth = solve(pushed(lambda t, x, f: -C / M * rhythm(t) * x[1]))[:, 0]
+    result = simulated([Effect("e", "parameter c", "sine")], (0.4, -0.2, 3.0))
+    np.testing.assert_allclose(result, truth, atol=2e-8)
+
+
 def test_a_parameter_that_is_a_curve_of_a_state():
     """It is piecewise linear between seven places, and itself in the middle."""
     values = (*TABLE[:3], 0.0, *TABLE[4:])

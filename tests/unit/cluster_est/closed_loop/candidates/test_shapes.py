@@ -75,6 +75,7 @@ LINEAR = {
     ("output", "feed_through"): ([0], [V]),
     ("output", "hum"): ([0, 0, 7.0], [np.sin(7 * T), np.cos(7 * T)]),
     ("parameter", "drift"): ([0, 2.0], [S * (T - 2)]),
+    ("parameter", "sine"): ([0, 0, 7.0], [S * np.sin(7 * T), S * np.cos(7 * T)]),
     ("parameter", "linear"): ([0, 0.3], [S * (V - 0.3)]),
     ("parameter", "magnitude"): ([0, 0.3], [S * (np.abs(V) - 0.3)]),
     ("parameter", "saturating"): ([0, 0.4], [-S * np.abs(V) / (0.4 + np.abs(V))]),

@@ -1,0 +1,90 @@
+"""Widths of switches, held while candidates are compared, and fitted where that matters.
+
+A dry friction is a switch; a simulation needs it to have a width. How wide matters little where the
+friction is small against the noise, so a search holds it. Where the friction is large the width is
+seen, and what a wrong one leaves would be patched with further effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.selection.refine import FULL, RefittedCandidate
+from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
+from cluster_est.problem.parameter import Parameter
+
+
+def refit_switch_widths(
+    workbench: LoopWorkbench, contenders: Sequence[RefittedCandidate], floor: float
+) -> list[RefittedCandidate]:
+    """Refit the best contenders with the widths of their switches as unknowns.
+
+    Only those that leave more than noise, whether they converged or not; a width stays an unknown
+    where that pays.
+
+    Parameters
+    ----------
+    contenders
+        Refitted candidates, in any order.
+    floor
+        Sum of squares that the noise alone would leave.
+
+    Returns
+    -------
+    list of RefittedCandidate
+        The same structures, each once, the best first.
+    """
+    thresholds = workbench.thresholds.refinement
+    best: dict[frozenset[str], RefittedCandidate] = {}
+    for contender in sorted(contenders, key=lambda c: c.criterion):
+        best.setdefault(contender.fitted.structure, contender)
+    ranked = list(best.values())
+    asked = [
+        i
+        for i, contender in enumerate(ranked)
+        if _held(contender) and contender.fitted.sse > floor + thresholds.alternative
+    ][: thresholds.finalists]
+    fits = workbench.fit(LoopStage.REFITS, [_released(ranked[i]) for i in asked], FULL)
+    for i, fitted in zip(asked, fits, strict=True):
+        if fitted is None:
+            continue
+        criterion = fitted.criterion(workbench.records)
+        if criterion < ranked[i].criterion:
+            ranked[i] = RefittedCandidate(fitted, criterion, True)
+    return sorted(ranked, key=lambda c: c.criterion)
+
+
+def _held(contender: RefittedCandidate) -> dict[str, tuple[float, float]]:
+    """The parameters that hold widths, with the narrowest and the widest of a search."""
+    ranges = {k: v for c in contender.fitted.added for k, v in _widths(c).items()}
+    held = {p.name for p in contender.fitted.problem.parameters if p.fixed}
+    return {name: ends for name, ends in ranges.items() if name in held}
+
+
+def _widths(candidate: EffectCandidate) -> dict[str, tuple[float, float]]:
+    columns = zip(candidate.form.coefficients, zip(*candidate.grid, strict=True), strict=True)
+    return {
+        f"{candidate.effect.name}.{c.name}": (min(values), max(values))
+        for c, values in columns
+        if c.held and c.positive
+    }
+
+
+def _released(contender: RefittedCandidate) -> FitStart:
+    """A start from the contender's estimates, with its widths among the unknowns.
+
+    They start from the widest: what is too narrow to be seen gives a fit no direction.
+    """
+    start, ranges = contender.fitted.start, _held(contender)
+
+    def released(parameter: Parameter) -> Parameter:
+        if parameter.name not in ranges:
+            return parameter
+        narrowest, widest = ranges[parameter.name]
+        return replace(parameter, start=widest, fixed=False, lower=narrowest, scale="log")
+
+    parameters = tuple(released(p) for p in start.problem.parameters)
+    return FitStart(replace(start.problem, parameters=parameters), start.values, start.added)
