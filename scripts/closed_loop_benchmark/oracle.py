@@ -53,17 +53,17 @@ def _taken(a: Numbers) -> dict[str, float]:
 
 def _wave(a: Numbers) -> dict[str, float]:
     """Return the two parts of a sine with a phase, and its angular frequency."""
-    return {
-        "a": a[0] * math.cos(a[2]),
-        "b": a[0] * math.sin(a[2]),
-        "f": 2.0 * math.pi * a[1],
-    }
+    return {**_two_parts(a[0], a[2]), "f": 2.0 * math.pi * a[1]}
 
 
 def _ripple(a: Numbers) -> dict[str, float]:
     """Return the two parts of a wave in a state, with its phase if it has one, and its number."""
     amplitude, number, phase = (*a, 0.0)[:3]
-    return {"a": amplitude * math.cos(phase), "b": amplitude * math.sin(phase), "n": number}
+    return {**_two_parts(amplitude, phase), "n": number}
+
+
+def _two_parts(amplitude: float, phase: float) -> dict[str, float]:
+    return {"a": amplitude * math.cos(phase), "b": amplitude * math.sin(phase)}
 
 
 RATE: dict[str, Translation] = {

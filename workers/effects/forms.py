@@ -84,17 +84,18 @@ def _tau(*steps: float) -> FormCoefficient:
     return _shape("tau", "second", GridScale.STEP, *steps)
 
 
+def _wave(unit: str, number: FormCoefficient) -> tuple[FormCoefficient, ...]:
+    """The two parts of a wave, a for the sine and b for the cosine, and how fast it repeats."""
+    return FormCoefficient("a", unit=unit), FormCoefficient("b", unit=unit), number
+
+
+_FREQUENCY = _shape("f", "rad / second", GridScale.SPECTRUM, 1.0)
 _WITHIN = _at("v", GridScale.QUANTILE_V, 0.15, 0.3, 0.5, 0.7, 0.85)
 _WIDTH = FormCoefficient(
     "width", None, positive=True, scale=GridScale.RMS_V, grid=(0.004, 0.0005), held=True, unit="v"
 )
 """Of a switch: as narrow as a solver can still step across."""
-_WAVE = (
-    FormCoefficient("a", unit="site"),
-    FormCoefficient("b", unit="site"),
-    _shape("f", "rad / second", GridScale.SPECTRUM, 1.0),
-)
-_RIPPLE = FormCoefficient("a", unit="site"), FormCoefficient("b", unit="site")
+_WAVE = _wave("site", _FREQUENCY)
 _WAVES = tuple(0.5 * halves for halves in range(3, 33))
 """Waves within the range of the data: in steps of a half no peak of a periodogram is missed."""
 _BEYOND = _shape("at", "v", GridScale.MAX_V, 0.35, 0.55, 0.75)
@@ -166,10 +167,10 @@ _RATES = (
     EffectForm("sine", "load", _DER, "a * sin(f * t) + b * cos(f * t)", _WAVE),
     # of an angle or a way: cogging, eccentricity, teeth; without that state, of the way travelled
     EffectForm("periodic", "ripple", _DER, "a * sin(n * v) + b * cos(n * v)",
-         (*_RIPPLE, _shape("n", "rad / v", GridScale.WAVES_V, *_WAVES)), 1,
+         _wave("site", _shape("n", "rad / v", GridScale.WAVES_V, *_WAVES)), 1,
          when=(FormCondition.POSITION,), order=1.5),
     EffectForm("periodic_travel", "ripple", _DER, "a * sin(n * z) + b * cos(n * z)",
-         (*_RIPPLE, _shape("n", "rad / travel", GridScale.WAVES_TRAVEL_V, *_WAVES)), 1,
+         _wave("site", _shape("n", "rad / travel", GridScale.WAVES_TRAVEL_V, *_WAVES)), 1,
          (_TRAVEL,), when=(FormCondition.OWN, FormCondition.NO_POSITION), order=1.5),
     # friction and drag: they take energy out where v is a velocity
     EffectForm("viscous", "friction", _DER, "-k * v", (_drag("site / v"),), 1, when=_OWN),
@@ -297,8 +298,7 @@ _VARIATIONS = (
     EffectForm("drift", "variation", _PAR, "s * (1 + k * (t - at))",
          (_k("1 / second"), _centre("second", GridScale.MIDDLE_T)), order=1.0),
     EffectForm("sine", "variation", _PAR, "s * (1 + a * sin(f * t) + b * cos(f * t))",
-         (FormCoefficient("a", unit="1"), FormCoefficient("b", unit="1"),
-          _shape("f", "rad / second", GridScale.SPECTRUM, 1.0)), order=1.0),
+         _wave("1", _FREQUENCY), order=1.0),
     EffectForm("linear", "variation", _PAR, "s * (1 + k * (v - at))",
          (_k("1 / v"), _centre("v", GridScale.MEAN_V)), 1, order=1.0),
     EffectForm("magnitude", "variation", _PAR, "s * (1 + k * (abs(v) - at))",

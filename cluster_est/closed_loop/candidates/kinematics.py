@@ -39,10 +39,12 @@ def integrated_states(
     for i, name in enumerate(names):
         j = int(np.argmax(np.abs(linear.A[0, i])))
         factor = float(linear.A[0, i, j])
-        row = np.abs(linear.A[:, i] - factor * np.eye(len(names))[j]).max()
-        driven = np.abs(linear.B[:, i]).max(initial=0.0)
         size = np.abs(linear.derivatives[:, i]).max()
         gap = np.abs(linear.derivatives[:, i] - factor * linear.states[:, j]).max()
-        if i != j and gap <= tolerance * size and max(row, driven) < CONSTANT * abs(factor):
+        if i == j or gap > tolerance * size:
+            continue
+        row = np.abs(linear.A[:, i] - factor * np.eye(len(names))[j]).max()
+        driven = np.abs(linear.B[:, i]).max(initial=0.0)
+        if max(row, driven) < CONSTANT * abs(factor):
             found[name] = names[j], factor
     return found

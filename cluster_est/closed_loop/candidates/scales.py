@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.thresholds import CandidateThresholds
@@ -115,12 +116,7 @@ class SignalScales:
 
     def _ways(self, name: str) -> list[FloatArray]:
         """Integral of a signal from the start of each experiment."""
-        found = []
-        for trajectory in self.trajectories:
-            signal = trajectory.signal(name)
-            steps = 0.5 * (signal[1:] + signal[:-1]) * np.diff(trajectory.times)
-            found.append(np.cumsum(steps))
-        return found
+        return [cumulative_trapezoid(each.signal(name), each.times) for each in self.trajectories]
 
 
 def _moves(signal: FloatArray) -> bool:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
+from scipy.integrate import cumulative_trapezoid
 
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm
@@ -130,10 +131,9 @@ def _follow(state: _OwnState, signals: FormArguments, values: Mapping[str, float
     drive = np.broadcast_to(np.asarray(state.drive(*signals.arrays, *numbers), float), size)
     rate = np.broadcast_to(np.asarray(state.rate(*signals.arrays, *numbers), float), size)
     start = np.broadcast_to(np.asarray(state.start(*signals.arrays, *numbers), float), size)
-    h = np.diff(signals.t)
     if not rate.any():
-        way = np.cumsum(0.5 * (drive[1:] + drive[:-1]) * h)
-        return np.asarray(np.concatenate([[0.0], way]) + start[0])
+        return np.asarray(start[0] + cumulative_trapezoid(drive, signals.t, initial=0))
+    h = np.diff(signals.t)
     b = 0.5 * (rate[1:] + rate[:-1])
     bh = np.maximum(b * h, 1e-9)
     decay = np.exp(-bh)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.problems.springs import FMU
-from support.truth.springs_with_effects import TIMES, C, K, M, plain, solve
+from support.problems.measured_springs import measured_springs
+from support.truth.springs_with_effects import M, plain
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
@@ -14,8 +14,6 @@ from cluster_est.closed_loop.settings import LoopSettings
 KNOTS = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0)
 GAINED = (0.0, -0.9, 1.2, -0.4, -1.6, 0.8, 0.0)
 """What an amplifier adds: it goes up and down, as no power of the signal does."""
-NOISE = 5e-3
-ROLES = ("train", "train", "train", "test")
 
 
 def bent(force):
@@ -24,30 +22,14 @@ def bent(force):
 
 @pytest.fixture(scope="module")
 def result():
-    random = np.random.default_rng(11)
-    runs = []
-    for number, role in enumerate(ROLES):
-        turns = np.linspace(TIMES[0], TIMES[-1], 14)
-        force = np.interp(TIMES, turns, random.uniform(-6.0, 6.0, len(turns)))
-        truth = solve(lambda t, x, f: plain(t, x, bent(f)), (0.1, 0.0), force=force)[:, 0]
-        measured = truth + NOISE * random.normal(size=len(TIMES))
-        runs.append(
-            ce.Experiment(
-                f"run{number}", 0.0, float(TIMES[-1]),
-                (ce.Input("F", TIMES, force),),
-                (ce.Output("y", TIMES, measured, sigma=NOISE),),
-                (("x", 0.1),),
-                role=role,
-            )
-        )  # fmt: skip
-    solver = ce.Solver("dormand_prince")
-    model = ce.Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ("m", "k", "c"))
-    parameters = (
+    problem = measured_springs(
+        lambda t, x, f: plain(t, x, bent(f)),
         ce.Parameter("m", M, fixed=True),  # or all parameters could be in proportion to the gain
-        ce.Parameter("k", 0.9 * K, 1.0, 100.0),
-        ce.Parameter("c", 1.1 * C, 0.0, 10.0),
+        swing=6.0,
+        noise=5e-3,
+        random=np.random.default_rng(11),
+        roles=("train", "train", "train", "test"),
     )
-    problem = ce.Problem(model, parameters, tuple(runs))
     settings = LoopSettings(sites=("input F", "der(v)", "output y"), pairs=False)
     return ce.close_loop(problem, settings=settings)
 

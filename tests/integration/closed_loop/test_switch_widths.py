@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.problems.springs import FMU
-from support.truth.springs_with_effects import TIMES, C, K, M, plain, solve
+from support.problems.measured_springs import measured_springs
+from support.truth.springs_with_effects import M, plain
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.config_block import config_block
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.settings import LoopSettings
 
-WIDTH, STRENGTH, NOISE = 0.02, 2.0, 1e-4
-ROLES = ("train", "train", "test")
+WIDTH, STRENGTH = 0.02, 2.0
 
 
 def rubbed(t, x, force):
@@ -23,30 +22,14 @@ def rubbed(t, x, force):
 
 @pytest.fixture(scope="module")
 def result():
-    random = np.random.default_rng(3)
-    runs = []
-    for number, role in enumerate(ROLES):
-        turns = np.linspace(TIMES[0], TIMES[-1], 14)
-        force = np.interp(TIMES, turns, random.uniform(-12.0, 12.0, len(turns)))
-        truth = solve(rubbed, (0.1, 0.0), force=force)[:, 0]
-        measured = truth + NOISE * random.normal(size=len(TIMES))
-        runs.append(
-            ce.Experiment(
-                f"run{number}", 0.0, float(TIMES[-1]),
-                (ce.Input("F", TIMES, force),),
-                (ce.Output("y", TIMES, measured, sigma=NOISE),),
-                (("x", 0.1),),
-                role=role,
-            )
-        )  # fmt: skip
-    solver = ce.Solver("dormand_prince")
-    model = ce.Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ("m", "k", "c"))
-    parameters = (
+    problem = measured_springs(
+        rubbed,
         ce.Parameter("m", 1.1 * M, 0.1, 10.0),
-        ce.Parameter("k", 0.9 * K, 1.0, 100.0),
-        ce.Parameter("c", 1.1 * C, 0.0, 10.0),
+        swing=12.0,
+        noise=1e-4,
+        random=np.random.default_rng(3),
+        roles=("train", "train", "test"),
     )
-    problem = ce.Problem(model, parameters, tuple(runs))
     return ce.close_loop(problem, settings=LoopSettings(sites=("der(v)", "input F", "output y")))
 
 
