@@ -229,13 +229,14 @@ def _where_not_linear(found: Linearisation | None) -> str | None:
         return None
     derivatives = tuple(f"der({name})" for name in found.state_names)
     named = [
-        (found.A, derivatives, found.state_names),
         (found.B, derivatives, found.input_names),
         (found.P, derivatives, found.parameter_names),
         (found.C, found.output_names, found.state_names),
         (found.D, found.output_names, found.input_names),
         (found.Q, found.output_names, found.parameter_names),
     ]
+    if not np.isfinite(found.A.values).all():
+        named.insert(0, (np.asarray(found.A), derivatives, found.state_names))
     for matrix, rows, names in named:
         if not np.isfinite(matrix).all():
             at, row, column = np.argwhere(~np.isfinite(matrix))[0]

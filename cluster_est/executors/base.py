@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from types import TracebackType
 from typing import ClassVar, Self
 
@@ -61,6 +61,22 @@ class WorkerPool(Executor):
 
     in_process: ClassVar[bool]
     """Whether simulations run in this process, which an FMU that crashes takes along."""
+
+    on_cluster: ClassVar[bool] = False
+    """Whether all pools of a process run on one cluster, which is joined once: see `join`."""
+
+    @classmethod
+    def join(cls, workers: int | None, address: str | None) -> Callable[[], None]:
+        """Join the cluster for longer than one pool; return how to leave it.
+
+        `open` joins it too where that has not been done. Only asked for if `on_cluster`.
+
+        Raises
+        ------
+        ExecutorError
+            If it cannot be joined.
+        """
+        raise NotImplementedError
 
     @classmethod
     @abstractmethod

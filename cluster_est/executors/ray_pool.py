@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, ClassVar, NamedTuple, Self
 
 import ray
@@ -55,6 +55,7 @@ class RayPool(WorkerPool):
 
     name: ClassVar[str] = "ray"
     in_process: ClassVar[bool] = False
+    on_cluster: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -80,6 +81,11 @@ class RayPool(WorkerPool):
         self._ready = False
         self._looked = time.monotonic()
         self._start_missing()
+
+    @classmethod
+    def join(cls, workers: int | None, address: str | None) -> Callable[[], None]:
+        joined_here = connect(workers, address)
+        return disconnect if joined_here else lambda: None
 
     @classmethod
     def open(

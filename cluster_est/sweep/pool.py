@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
-from cluster_est.executors import WorkerPool
+from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.running.environment import WorkerSource
 from cluster_est.running.reset_policy import ResetDecision, open_with_reset
@@ -19,14 +19,14 @@ class SharedPools(WorkerSource):
 
     A pool is bound to a model and its experiments. It stays while runs agree in everything that
     matters to workers: those, the machine or cluster, the limits of a simulation and what it begins
-    with; else its workers are replaced. Ray itself is started once and stays until the end. At most
-    one pool is open at a time, so nothing waits for cores.
+    with; else its workers are replaced. A cluster is joined once, until the end. At most one pool
+    is open at a time, so nothing waits for cores.
     """
 
     def __init__(self) -> None:
         self._key: tuple[Any, ...] = ()
         self._pool: tuple[WorkerPool, ResetDecision] | None = None
-        self._connected = False
+        self._leave: Callable[[], None] | None = None
 
     @contextmanager
     def lease(
@@ -36,8 +36,9 @@ class SharedPools(WorkerSource):
         # What a run left behind, stopped by its budget, must not come back in the next one.
         if self._pool is None or key != self._key or self._pool[0].busy:
             self._drop()
-            if resources.executor == "ray":
-                self._connected |= _connect(resources)
+            kind = executor_class(resources.executor)
+            if kind.on_cluster and self._leave is None:
+                self._leave = kind.join(resources.workers, resources.address)
             self._pool = open_with_reset(problem, resources, known)
             self._key = key
         yield self._pool
@@ -48,13 +49,11 @@ class SharedPools(WorkerSource):
             pool.close()
 
     def close(self) -> None:
-        """Stop the workers, and Ray if it was started here."""
+        """Stop the workers, and leave the cluster if it was joined here."""
         self._drop()
-        if self._connected:
-            from cluster_est.executors.ray_cluster import disconnect
-
-            self._connected = False
-            disconnect()
+        if self._leave is not None:
+            leave, self._leave = self._leave, None
+            leave()
 
     def __enter__(self) -> Self:
         return self
@@ -79,9 +78,3 @@ def pool_key(problem: Problem, resources: Resources) -> tuple[Any, ...]:
         problem.model.reset,
         *((experiment.id, experiment.key) for experiment in problem.experiments),
     )
-
-
-def _connect(resources: Resources) -> bool:
-    from cluster_est.executors.ray_cluster import connect  # a second to import
-
-    return connect(resources.workers, resources.address)

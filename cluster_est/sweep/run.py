@@ -14,6 +14,7 @@ from cluster_est.configured_run import (
     do_run,
 )
 from cluster_est.errors import ExecutorError, RunFolderError
+from cluster_est.executors import executor_class
 from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.resume import check_resumable
@@ -69,8 +70,9 @@ def check_run(run: SweepRun, *, allow_code: bool) -> PlannedRun:
     resources = build_resources(config)
     budget = {k: v for k, v in config.budget.model_dump().items() if v is not None}
     pool = content_hash([repr(pool_key(identity.problem, resources))])
-    ray = (resources.workers, resources.address) if resources.executor == "ray" else None
-    return PlannedRun(run, fingerprint(identity), budget, pool, ray)
+    shared = executor_class(resources.executor).on_cluster
+    cluster = (resources.executor, resources.workers, resources.address) if shared else None
+    return PlannedRun(run, fingerprint(identity), budget, pool, cluster)
 
 
 def do_sweep_run(run: SweepRun, folder: Path, settings: SweepSettings) -> RunStatus:

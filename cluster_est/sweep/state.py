@@ -40,15 +40,15 @@ class PlannedRun:
         Its budget; a run that reached a solution does not depend on it.
     pool
         Runs with the same one share their workers.
-    ray
-        (workers, address) if it runs with Ray, which all such runs share.
+    cluster
+        (executor, workers, address) if its executor runs on a cluster, which all such runs share.
     """
 
     run: SweepRun
     fingerprint: str
     budget: dict[str, Any]
     pool: str
-    ray: tuple[int | None, str | None] | None
+    cluster: tuple[str, int | None, str | None] | None
 
 
 def fingerprint(identity: RunIdentity) -> str:

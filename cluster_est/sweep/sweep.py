@@ -155,16 +155,22 @@ def _check_all(runs: list[SweepRun], *, allow_code: bool) -> list[PlannedRun]:
 
 
 def _disagreements(plan: list[PlannedRun]) -> dict[str, list[str]]:
-    """Runs that ask for another Ray than the first one does."""
-    with_ray = [planned for planned in plan if planned.ray is not None]
-    different = [p.run.name for p in with_ray if p.ray != with_ray[0].ray]
-    if not different:
-        return {}
-    problem = (
-        "executor: workers and address must be the same in all runs with Ray, because they share "
-        f"it, but differ from those of {with_ray[0].run.name}; set them in [overrides]"
-    )
-    return {problem: different}
+    """Runs that ask for another cluster than the first one with the same executor does."""
+    first: dict[str, PlannedRun] = {}
+    wrong: dict[str, list[str]] = defaultdict(list)
+    for planned in plan:
+        if planned.cluster is None:
+            continue
+        executor = planned.cluster[0]
+        known = first.setdefault(executor, planned)
+        if planned.cluster != known.cluster:
+            problem = (
+                f'executor: workers and address must be the same in all runs with "{executor}", '
+                f"because they share it, but differ from those of {known.run.name}; set them in "
+                "[overrides]"
+            )
+            wrong[problem].append(planned.run.name)
+    return wrong
 
 
 def _listed(names: list[str]) -> str:

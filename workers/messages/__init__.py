@@ -7,6 +7,7 @@ The coordinator sends a `Model` and its `Experiment`s once to every worker, and 
 from workers.messages.comparison import Curve, SignalBound, UserFunction
 from workers.messages.experiment import Experiment
 from workers.messages.hashing import content_hash
+from workers.messages.matrix_series import MatrixSeries
 from workers.messages.model import Effect, Model, Solver
 from workers.messages.outcome import Linearisation, Outcome, Status, Trajectory
 from workers.messages.samples import Input, Output
@@ -39,6 +40,7 @@ __all__ = [
     "Interpolation",
     "Limits",
     "Linearisation",
+    "MatrixSeries",
     "Model",
     "Outcome",
     "Output",

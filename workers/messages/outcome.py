@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from workers.messages.matrix_series import MatrixSeries
 from workers.messages.types import FloatArray
 
 
@@ -74,7 +75,7 @@ class Linearisation:
     effective_inputs: FloatArray
     outputs: FloatArray
     plain_outputs: FloatArray
-    A: FloatArray
+    A: MatrixSeries
     B: FloatArray
     C: FloatArray
     D: FloatArray

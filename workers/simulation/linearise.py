@@ -31,6 +31,7 @@ from workers.messages import (
     FloatArray,
     Input,
     Linearisation,
+    MatrixSeries,
     Model,
 )
 from workers.simulation.bind_effects import BoundEffects, bind_effects
@@ -188,7 +189,7 @@ class LinearisationPass:
             effective_inputs=arrays.effective_inputs[kept],
             outputs=with_output_effects[kept, own],
             plain_outputs=outputs[kept, own],
-            A=arrays.A[kept],
+            A=MatrixSeries.of(arrays.A if len(kept) == len(arrays.A) else arrays.A[kept]),
             B=arrays.B[kept],
             C=arrays.C[kept, own],
             D=arrays.D[kept, own],

@@ -20,9 +20,13 @@ ACTS = 1e-9
 """Share of a state's largest derivative below which something does not act on it."""
 
 
+TIME = ""
+"""The argument of what depends on time alone: a constant, a drift, a wave."""
+
+
 @dataclass(frozen=True)
 class CandidatePlace:
-    """A site, and the argument of a function that may be missing there."""
+    """A site, and the argument of a function that may be missing there; `TIME` for one of time."""
 
     site: EffectSite
     argument: str
@@ -155,11 +159,13 @@ def variables_of(
     arguments
         What the data offer.
     leading
-        The arguments to look at there; None for all of them.
+        The arguments to look at there; None for all of them. What depends on time or on the signal
+        itself is looked at at every site but state derivatives, of which there are many.
     """
     if form.variables == 0:
-        return [()]
-    names = arguments.at(site) if leading is None else list(leading)
+        left_out = leading is not None and site.kind == "derivative" and TIME not in leading
+        return [] if left_out else [()]
+    names = arguments.at(site) if leading is None else [n for n in leading if n != TIME]
     if form.variables == 1:
         return [(name,) for name in names if arguments.takes(form, site, name)]
     return list(itertools.combinations(names, 2))

@@ -37,13 +37,14 @@ def integrated_states(
         return found
     names = linear.state_names
     for i, name in enumerate(names):
-        j = int(np.argmax(np.abs(linear.A[0, i])))
-        factor = float(linear.A[0, i, j])
+        own = linear.A.row(i)
+        j = int(np.argmax(np.abs(own[0])))
+        factor = float(own[0, j])
         size = np.abs(linear.derivatives[:, i]).max()
         gap = np.abs(linear.derivatives[:, i] - factor * linear.states[:, j]).max()
         if i == j or gap > tolerance * size:
             continue
-        row = np.abs(linear.A[:, i] - factor * np.eye(len(names))[j]).max()
+        row = np.abs(own - factor * np.eye(len(names))[j]).max()
         driven = np.abs(linear.B[:, i]).max(initial=0.0)
         if max(row, driven) < CONSTANT * abs(factor):
             found[name] = names[j], factor

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.arguments import ACTS, CandidatePlace, OpenArguments
+from cluster_est.closed_loop.candidates.arguments import ACTS, TIME, CandidatePlace, OpenArguments
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from workers.effects.forms import EffectForm, FormCondition
 from workers.effects.site import EffectSite
@@ -36,6 +36,7 @@ def open_places(
     places = []
     for site in sites:
         names = arguments.at(site) if site.kind != "pair" else _between(site, index, acts)
+        names = [*names, TIME] if site.kind == "derivative" else names
         places += [CandidatePlace(site, name) for name in names]
     return places
 
@@ -69,5 +70,5 @@ def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments
 def _acting(trajectories: Sequence[LinearisedTrajectory]) -> np.ndarray:
     """(x, x) booleans: whether the second state acts on the first, anywhere along the data."""
     linear = [each.linear for each in trajectories if each.linear is not None]
-    sizes = np.max([np.abs(each.A).max(axis=0) for each in linear], axis=0)
+    sizes = np.max([each.A.largest() for each in linear], axis=0)
     return np.asarray(sizes > ACTS * sizes.max(axis=1, keepdims=True))

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
-from cluster_est.closed_loop.screening.directions import coupling, discretise
-from cluster_est.closed_loop.screening.linear_kernel import run_adjoint
+from cluster_est.closed_loop.screening.directions import coupling
+from cluster_est.closed_loop.screening.linear_system import linear_system
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray, Linearisation
 
@@ -76,7 +76,5 @@ def adjoint_signals(trajectory: LinearisedTrajectory, weights: FloatArray) -> Ad
     places = (trajectory.rows, trajectory.columns)
     np.add.at(at_outputs, places, -weights / trajectory.sigmas[:, None])
     at_states = np.matmul(linear.C.transpose(0, 2, 1), at_outputs)
-    steps = discretise(linear)
-    now, after = np.zeros_like(at_states[0]), np.zeros_like(at_states[0])
-    run_adjoint(steps.keep, steps.from_first, steps.from_last, at_states, now, after)
-    return AdjointSignals(linear, trajectory.names, at_states, at_outputs)
+    weighed = linear_system(linear).weigh(at_states)
+    return AdjointSignals(linear, trajectory.names, weighed, at_outputs)

@@ -5,8 +5,7 @@ In model exchange one linear time-varying system along each experiment answers f
     d(dx)/dt = A dx + B du + P dp + f,    dy = C dx + D du + Q dp
 
 with what a candidate adds as f (state derivative), du (input) or dp (parameter). An effect at an
-output adds to y and needs nothing else. The system is integrated exactly for forcing that is linear
-between the times of the grid and A constant in between.
+output adds to y and needs nothing else.
 """
 
 from __future__ import annotations
@@ -16,18 +15,18 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
-from scipy.linalg import expm
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.shapes import FormArguments, shape_of
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
-from cluster_est.closed_loop.screening.linear_kernel import run_linear
+from cluster_est.closed_loop.screening.linear_system import (
+    FEW_VALUES,
+    Forcing,
+    LinearSystem,
+    linear_system,
+)
 from workers.effects.site import EffectSite
-from workers.messages import FloatArray, Linearisation
-
-BLOCK_VALUES = 2_000_000
-"""Forcing that is kept at once: 16 MB."""
+from workers.messages import FloatArray, IntArray, Linearisation
 
 
 @dataclass(frozen=True)
@@ -47,6 +46,7 @@ def directions(
     trajectories: Sequence[LinearisedTrajectory],
     trials: Sequence[CandidatePoint],
     known: Sequence[FloatArray],
+    rows: IntArray | None = None,
 ) -> list[FloatArray]:
     """The directions of trials, each (residuals, width), from the linearised trajectories alone.
 
@@ -58,65 +58,95 @@ def directions(
         At any sites in model exchange, at outputs in co-simulation.
     known : (parameters,) for each trajectory
         Values of the model's parameters there.
+    rows
+        The residuals that are kept, ascending; None for all of them.
     """
     if not trials:
         return []
+    stops = np.cumsum([0, *(len(trajectory.rows) for trajectory in trajectories)]).tolist()
     parts = [
-        _of_trajectory(trajectory, trials, values)
-        for trajectory, values in zip(trajectories, known, strict=True)
+        _of_trajectory(trajectory, trials, values, _within(rows, *ends))
+        for trajectory, values, ends in zip(trajectories, known, pairwise(stops), strict=True)
     ]
     joined = np.concatenate(parts)
     ends = np.cumsum([0, *(trial.width for trial in trials)])
     return [joined[:, a:b] for a, b in pairwise(ends)]
 
 
+def _within(rows: IntArray | None, start: int, stop: int) -> IntArray | slice:
+    """The rows between two, counted from the first of these."""
+    if rows is None:
+        return slice(None)
+    first, last = np.searchsorted(rows, [start, stop]).tolist()
+    return np.asarray(rows[first:last] - start)
+
+
 def _of_trajectory(
-    trajectory: LinearisedTrajectory, trials: Sequence[CandidatePoint], known: FloatArray
+    trajectory: LinearisedTrajectory,
+    trials: Sequence[CandidatePoint],
+    known: FloatArray,
+    kept: IntArray | slice,
 ) -> FloatArray:
-    """(residuals of one experiment, columns of all trials)."""
-    steps = discretise(trajectory.linear) if trajectory.linear is not None else None
-    width = len(trajectory.times) * max(trajectory.outputs.shape[1], _order(trajectory))
-    most = max(1, BLOCK_VALUES // max(1, width))
+    """(kept residuals of one experiment, columns of all trials)."""
+    system = linear_system(trajectory.linear) if trajectory.linear is not None else None
+    most = system.block if system else max(1, FEW_VALUES // max(1, trajectory.outputs.size))
     found: list[FloatArray] = []
     block: list[CandidatePoint] = []
     columns = 0
     for trial in trials:
         if block and columns + trial.width > most:
-            found.append(_of_block(trajectory, steps, block, known))
+            found.append(_of_block(trajectory, system, block, known)[kept])
             block, columns = [], 0
         block.append(trial)
         columns += trial.width
     if block:
-        found.append(_of_block(trajectory, steps, block, known))
+        found.append(_of_block(trajectory, system, block, known)[kept])
     return np.hstack(found)
-
-
-def _order(trajectory: LinearisedTrajectory) -> int:
-    return trajectory.linear.A.shape[1] if trajectory.linear is not None else 0
 
 
 def _of_block(
     trajectory: LinearisedTrajectory,
-    steps: DiscreteSystem | None,
+    system: LinearSystem | None,
     trials: Sequence[CandidatePoint],
     known: FloatArray,
 ) -> FloatArray:
     count = sum(trial.width for trial in trials)
-    n, outputs = trajectory.outputs.shape
-    forcing = np.zeros((n, _order(trajectory), count))
-    change = np.zeros((n, outputs, count))
+    change = np.zeros((*trajectory.outputs.shape, count))
+    forced = _ForcedColumns()
     first = 0
     for trial in trials:
-        part = slice(first, first + trial.width)
-        first = part.stop
+        columns = np.arange(first, first + trial.width)
+        first += trial.width
         site = trial.candidate.site
         if site.kind == "output" and site.target not in trajectory.names:
             continue  # not measured in this experiment
-        added = added_at(trajectory, trial, known)
-        _place(trajectory, trial, added, forcing[:, :, part], change[:, :, part])
-    if trajectory.linear is not None and steps is not None and forcing.any():
-        change += np.matmul(trajectory.linear.C, propagate(steps, forcing))
+        _place(trajectory, trial, added_at(trajectory, trial, known), columns, change, forced)
+    if system is not None and forced.columns:
+        change[:, :, forced.columns] += system.respond(forced.forcing())
     return trajectory.residual_change(change)
+
+
+class _ForcedColumns:
+    """Columns that act on the states, each along a direction that is kept once."""
+
+    def __init__(self) -> None:
+        self.columns: list[int] = []
+        self._amounts: list[FloatArray] = []
+        self._which: list[int] = []
+        self._directions: dict[int | str, int | FloatArray] = {}
+
+    def add(
+        self, name: int | str, direction: int | FloatArray, columns: IntArray, amounts: FloatArray
+    ) -> None:
+        """Add columns along a direction; whatever has the same name is the same direction."""
+        self._directions.setdefault(name, direction)
+        self._which += [list(self._directions).index(name)] * len(columns)
+        self.columns += columns.tolist()
+        self._amounts.append(amounts)
+
+    def forcing(self) -> Forcing:
+        which = np.array(self._which, int)
+        return Forcing(np.hstack(self._amounts), list(self._directions.values()), which)
 
 
 def added_at(
@@ -142,24 +172,26 @@ def _place(
     trajectory: LinearisedTrajectory,
     trial: CandidatePoint,
     added: FloatArray,
-    forcing: FloatArray,
+    columns: IntArray,
     change: FloatArray,
+    forced: _ForcedColumns,
 ) -> None:
-    """Let what is added act on the linear system: on its states, its outputs, or both."""
+    """Let what is added act on the states, on the outputs, or on both."""
     site, linear = trial.candidate.site, trajectory.linear
     if site.kind == "output":
-        change[:, trajectory.names.index(site.target)] += added
+        change[:, trajectory.names.index(site.target), columns] += added
         return
     if linear is None:
         raise ValueError(f"{site} has no direction without a linearisation")
     if site.kind in ("derivative", "pair"):
         for i, target in enumerate(site.targets):
             which = slice(None) if site.kind == "derivative" else slice(i, i + 1)
-            forcing[:, linear.state_names.index(target), which] += added[:, which]
+            state = linear.state_names.index(target)
+            forced.add(state, state, columns[which], added[:, which])
         return
     into, through = coupling(linear, site)
-    forcing += into[:, :, None] * added[:, None, :]
-    change += through[:, :, None] * added[:, None, :]
+    forced.add(str(site), into, columns, added)
+    change[:, :, columns] += through[:, :, None] * added[:, None, :]
 
 
 def coupling(linear: Linearisation, site: EffectSite) -> tuple[FloatArray, FloatArray]:
@@ -169,54 +201,3 @@ def coupling(linear: Linearisation, site: EffectSite) -> tuple[FloatArray, Float
         return linear.B[:, :, j], linear.D[:, :, j]
     j = linear.parameter_names.index(site.target)
     return linear.P[:, :, j], linear.Q[:, :, j]
-
-
-@dataclass(frozen=True)
-class DiscreteSystem:
-    """A linear time-varying system in discrete time, for forcing that is linear within each step.
-
-    x' = keep x + from_first f + from_last f', each (n - 1, x, x).
-    """
-
-    keep: FloatArray
-    from_first: FloatArray
-    from_last: FloatArray
-
-
-def discretise(linear: Linearisation) -> DiscreteSystem:
-    """Step matrices, exact where A is constant within each step.
-
-    C. F. Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404, doi:10.1109/TAC.1978.1101743.
-    """
-    h = np.diff(linear.times)
-    x = linear.A.shape[1]
-    mean = 0.5 * (linear.A[1:] + linear.A[:-1])
-    joined = np.zeros((len(h), 3 * x, 3 * x))
-    eye: npt.NDArray[np.float64] = np.eye(x)
-    joined[:, :x, :x] = mean * h[:, None, None]
-    joined[:, :x, x : 2 * x] = eye * h[:, None, None]
-    joined[:, x : 2 * x, 2 * x :] = eye
-    powers = expm(joined)
-    last = powers[:, :x, 2 * x :]
-    parts = powers[:, :x, :x], powers[:, :x, x : 2 * x] - last, last
-    return DiscreteSystem(*(np.ascontiguousarray(part) for part in parts))
-
-
-def propagate(steps: DiscreteSystem, forcing: FloatArray) -> FloatArray:
-    """Integrate d(dx)/dt = A dx + f from dx = 0.
-
-    Parameters
-    ----------
-    steps
-        The system.
-    forcing : (n, x, m)
-        m right-hand sides at every time of the grid, linear in between. The states take their
-        place.
-
-    Returns
-    -------
-    (n, x, m)
-    """
-    now, after = np.zeros_like(forcing[0]), np.zeros_like(forcing[0])
-    run_linear(steps.keep, steps.from_first, steps.from_last, forcing, now, after)
-    return forcing

@@ -10,13 +10,14 @@ random weightings z more: E[D'z z'D] = D'D (M. F. Hutchinson, Commun. Stat. Simu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.arguments import CandidatePlace
+from cluster_est.closed_loop.candidates.arguments import TIME, CandidatePlace
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.screening.adjoint import AdjointSignals, adjoint_signals
 from cluster_est.closed_loop.statistics.projection import ProjectedResidual
@@ -40,6 +41,7 @@ def rank_places(
     places: Sequence[CandidatePlace],
     trajectories: Sequence[LinearisedTrajectory],
     residual: ProjectedResidual,
+    frequencies: Sequence[float],
     generator: np.random.Generator,
     thresholds: PlaceThresholds,
 ) -> list[RankedPlace]:
@@ -53,6 +55,8 @@ def rank_places(
         Of the training experiments, with linearisations.
     residual
         Of the fit that they are added to.
+    frequencies
+        Angular frequencies of the waves among what depends on time alone.
     generator
         Of the random weightings.
     thresholds
@@ -63,27 +67,118 @@ def rank_places(
     draws = generator.standard_normal((len(residual.residuals), thresholds.weightings))
     weights = residual.projection.remove(np.column_stack([residual.residuals, draws]))
     variance = float(np.sum(weights[:, 0] ** 2)) / max(residual.projection.degrees, 1)
-    sites = list(dict.fromkeys(place.site for place in places))
-    names = list(dict.fromkeys(place.argument for place in places))
-    knots = {name: _knots(trajectories, name, thresholds.hats) for name in names}
-    width = 1 + thresholds.weightings
-    ports = dict(zip(sites, pairwise(np.cumsum([0, *map(_width, sites)]).tolist()), strict=True))
-    products = np.zeros((len(names) * thresholds.hats, width * sum(map(_width, sites))))
+    names = dict.fromkeys(place.argument for place in places)
+    waves = tuple(frequencies)[: (thresholds.hats - 2) // 2]
+    curves = {n: FreeCurve.over(n, trajectories, waves, thresholds.hats) for n in names}
+    groups = _grouped(places)
+    products = [np.zeros(group.shape(curves, weights.shape[1])) for group in groups]
     ends = np.cumsum([0, *(len(trajectory.rows) for trajectory in trajectories)]).tolist()
     for trajectory, (start, stop) in zip(trajectories, pairwise(ends), strict=True):
         signals = adjoint_signals(trajectory, weights[start:stop])
-        hats = np.hstack([_hats(trajectory, name, knots[name], thresholds.hats) for name in names])
-        acting = np.hstack([_acting(trajectory, signals, site) for site in sites])
-        products += hats.T @ acting
-    shape = (len(names), thresholds.hats, -1, width)
-    blocks = dict(zip(names, products.reshape(shape).transpose(0, 2, 1, 3), strict=True))
-    ranks = []
+        columns = {name: curve.columns(trajectory) for name, curve in curves.items()}
+        for group, product in zip(groups, products, strict=True):
+            drawn = np.hstack([columns[name] for name in group.names])
+            product += drawn.T @ np.hstack([_acting(trajectory, signals, s) for s in group.sites])
+    ranks = {
+        place: _rank(block, variance, thresholds.price)
+        for group, product in zip(groups, products, strict=True)
+        for place, block in group.blocks(product, weights.shape[1])
+    }
+    found = np.array([ranks[place] for place in places])
+    order = np.argsort(-found, kind="stable").tolist()
+    return [RankedPlace(places[i], float(found[i])) for i in order]
+
+
+@dataclass(frozen=True)
+class FreeCurve:
+    """A function of one argument: piecewise linear, or where that is time, a sum of waves.
+
+    Attributes
+    ----------
+    name
+        Of the argument.
+    knots
+        Of a piecewise linear function.
+    waves
+        Angular frequencies of what depends on time, beside a constant and a drift.
+    size
+        Number of its coefficients; those that it does not need have columns of zeros.
+    """
+
+    name: str
+    knots: FloatArray = field(repr=False)
+    waves: tuple[float, ...]
+    size: int
+
+    @classmethod
+    def over(
+        cls,
+        name: str,
+        trajectories: Sequence[LinearisedTrajectory],
+        waves: tuple[float, ...],
+        size: int,
+    ) -> Self:
+        """With knots half way between even ones and quantiles: where it is, and at its ends."""
+        if name == TIME:
+            return cls(name, np.zeros(0), waves, size)
+        v = pooled(trajectories, name)
+        shares = np.linspace(0.0, 1.0, size)
+        even = v.min() + shares * (v.max() - v.min())
+        return cls(name, np.unique(0.5 * (even + np.quantile(v, shares))), (), size)
+
+    def columns(self, trajectory: LinearisedTrajectory) -> FloatArray:
+        """(n, size): the function with each coefficient at 1 and all others at 0."""
+        found = np.zeros((len(trajectory.times), self.size))
+        if self.name == TIME:
+            t = trajectory.times
+            parts = [np.ones_like(t), t, *(f(w * t) for w in self.waves for f in (np.sin, np.cos))]
+            found[:, : len(parts)] = np.column_stack(parts)
+        elif trajectory.has(self.name):
+            v = np.clip(trajectory.signal(self.name), self.knots[0], self.knots[-1])
+            for k, heights in enumerate(np.eye(len(self.knots))):
+                found[:, k] = np.interp(v, self.knots, heights)
+        return found
+
+
+@dataclass(frozen=True)
+class _PlaceGroup:
+    """Sites with the same arguments, whose products are one product of matrices."""
+
+    sites: tuple[EffectSite, ...]
+    names: tuple[str, ...]
+    places: frozenset[CandidatePlace] = field(repr=False)
+
+    def shape(self, curves: Mapping[str, FreeCurve], weightings: int) -> tuple[int, int]:
+        coefficients = sum(curves[name].size for name in self.names)
+        return coefficients, weightings * sum(map(_width, self.sites))
+
+    def blocks(
+        self, product: FloatArray, weightings: int
+    ) -> Iterator[tuple[CandidatePlace, FloatArray]]:
+        """Each place with its own part, (coefficients, weightings)."""
+        by_name = product.reshape(len(self.names), -1, product.shape[1])
+        ports = weightings * np.cumsum([0, *map(_width, self.sites)])
+        for name, rows in zip(self.names, by_name, strict=True):
+            for site, (first, last) in zip(self.sites, pairwise(ports.tolist()), strict=True):
+                place = CandidatePlace(site, name)
+                if place in self.places:
+                    both = np.split(rows[:, first:last], _width(site), axis=1)
+                    yield place, np.concatenate(both)
+
+
+def _grouped(places: Sequence[CandidatePlace]) -> list[_PlaceGroup]:
+    """All sites of one variable together; each pair, which has few arguments, by itself."""
+    own: dict[EffectSite | None, list[CandidatePlace]] = {}
     for place in places:
-        first, last = ports[place.site]
-        block = blocks[place.argument][first:last].reshape(-1, width)
-        ranks.append(_rank(block, variance, thresholds.price))
-    order = np.argsort(-np.array(ranks), kind="stable").tolist()
-    return [RankedPlace(places[i], ranks[i]) for i in order]
+        own.setdefault(place.site if place.site.kind == "pair" else None, []).append(place)
+    return [
+        _PlaceGroup(
+            tuple(dict.fromkeys(place.site for place in each)),
+            tuple(dict.fromkeys(place.argument for place in each)),
+            frozenset(each),
+        )
+        for each in own.values()
+    ]
 
 
 def _rank(block: FloatArray, variance: float, price: float) -> float:
@@ -115,22 +210,3 @@ def _acting(
         return np.hstack([signals.at(site, state) for state in site.targets])
     acting = signals.at(site)
     return acting * trajectory.signal(site.target)[:, None] if site.kind == "input" else acting
-
-
-def _knots(trajectories: Sequence[LinearisedTrajectory], name: str, hats: int) -> FloatArray:
-    """Knots over an argument's range, half way to its quantiles: where it is, and at its ends."""
-    v = pooled(trajectories, name)
-    shares = np.linspace(0.0, 1.0, hats)
-    even = v.min() + shares * (v.max() - v.min())
-    return np.unique(0.5 * (even + np.quantile(v, shares)))
-
-
-def _hats(trajectory: LinearisedTrajectory, name: str, knots: FloatArray, hats: int) -> FloatArray:
-    """(n, hats): piecewise linear functions that are 1 at one knot and 0 at all others."""
-    found = np.zeros((len(trajectory.times), hats))
-    if not trajectory.has(name):
-        return found
-    v = np.clip(trajectory.signal(name), knots[0], knots[-1])
-    for k, heights in enumerate(np.eye(len(knots))):
-        found[:, k] = np.interp(v, knots, heights)
-    return found

@@ -95,10 +95,10 @@ def rank(workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
     thresholds = workbench.thresholds.screening
     candidates, possible = _candidates(workbench, fitted, trajectories)
     trials = tuple(CandidatePoint(c, values) for c in candidates for values in c.grid)
-    records, rows = thinned(workbench.records, thresholds.most_rows)
-    columns = tuple(
-        column[rows] for column in candidate_columns(workbench, fitted, trajectories, trials)
-    )
+    width = sum(trial.width for trial in trials)
+    most = min(thresholds.most_rows, thresholds.most_values // max(width, 1))
+    records, rows = thinned(workbench.records, most)
+    columns = tuple(candidate_columns(workbench, fitted, trajectories, trials, rows))
     matrix, residuals = fitted.jacobian[rows], fitted.residuals[rows]
     plain = ProjectedResidual(OrthogonalProjection(matrix), residuals)
     cleaned = plain.projection.remove(residuals)
@@ -149,7 +149,11 @@ def _candidates(
         return candidates, len(candidates)
     if workbench.exchange:
         places = _leading(
-            workbench, fitted, trajectories, open_places(sites, arguments, trajectories)
+            workbench,
+            fitted,
+            trajectories,
+            open_places(sites, arguments, trajectories),
+            frequencies,
         )
         candidates = make_candidates(*given, frequencies, settings, places)
     if len(candidates) > workbench.size:
@@ -166,12 +170,13 @@ def _leading(
     fitted: FittedModel,
     trajectories: Sequence[LinearisedTrajectory],
     places: Sequence[CandidatePlace],
+    frequencies: Sequence[float],
 ) -> list[CandidatePlace]:
     """The places at which a free curve explains the most."""
     thresholds = workbench.thresholds.places
     residual = ProjectedResidual(OrthogonalProjection(fitted.jacobian), fitted.residuals)
     generator = workbench.generator(PLACES)
-    ranked = rank_places(places, trajectories, residual, generator, thresholds)
+    ranked = rank_places(places, trajectories, residual, frequencies, generator, thresholds)
     return [each.place for each in ranked[: thresholds.leading]]
 
 
@@ -180,8 +185,12 @@ def candidate_columns(
     fitted: FittedModel,
     trajectories: Sequence[LinearisedTrajectory],
     trials: Sequence[CandidatePoint],
+    rows: IntArray | None = None,
 ) -> list[FloatArray]:
-    """Directions of all trials: from the linear systems, or where there are none by simulation."""
+    """Directions of all trials: from the linear systems, or where there are none by simulation.
+
+    `rows` are the residuals that are kept; None for all of them.
+    """
     known = fitted.space.physical(fitted.x)
     targets = [p.target for p in fitted.problem.parameters]
     values = []
@@ -189,11 +198,14 @@ def candidate_columns(
         names = trajectory.linear.parameter_names if trajectory.linear is not None else ()
         values.append(np.array([row[targets.index(name)] for name in names], float))
     if workbench.exchange:
-        return directions(trajectories, trials, values)
+        return directions(trajectories, trials, values, rows)
     outside = [t for t in trials if t.candidate.site.kind == "output"]
     inside = [t for t in trials if t.candidate.site.kind != "output"]
-    found = dict(zip(map(id, outside), directions(trajectories, outside, values), strict=True))
-    found |= dict(zip(map(id, inside), probe(workbench, fitted, trajectories, inside), strict=True))
+    kept = slice(None) if rows is None else rows
+    shown = directions(trajectories, outside, values, rows)
+    found = dict(zip(map(id, outside), shown, strict=True))
+    probed = (column[kept] for column in probe(workbench, fitted, trajectories, inside))
+    found |= dict(zip(map(id, inside), probed, strict=True))
     return [found[id(trial)] for trial in trials]
 
 

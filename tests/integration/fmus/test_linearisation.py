@@ -67,7 +67,7 @@ def test_the_first_thing_that_an_instance_is_asked_for(solver, reset):
     plainly = ask(evaluator, SPRING, "trajectory")
     evaluator.close()
     assert first.ok, first.message
-    assert first.linearisation.A.tobytes() == again.linearisation.A.tobytes()
+    assert first.linearisation.A.values.tobytes() == again.linearisation.A.values.tobytes()
     assert first.residuals.tobytes() == again.residuals.tobytes() == plainly.residuals.tobytes()
 
 

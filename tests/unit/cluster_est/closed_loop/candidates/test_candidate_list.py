@@ -16,7 +16,7 @@ from cluster_est.closed_loop.candidates.scales import _waves
 from cluster_est.closed_loop.settings import LoopSettings
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site
-from workers.messages import Effect, Input, Output
+from workers.messages import Effect, Input, MatrixSeries, Output
 
 
 def listed(problem, frequencies=(3.0,), **settings):
@@ -63,9 +63,8 @@ def test_a_way_is_the_integral_of_a_speed_but_for_a_radius():
     i = run.linear.state_names.index("x")
     geared = np.ones(2)
     geared[i] = 0.05
-    linear = replace(
-        run.linear, A=run.linear.A * geared[:, None], derivatives=run.linear.derivatives * geared
-    )
+    rates = MatrixSeries.of(np.asarray(run.linear.A) * geared[:, None])
+    linear = replace(run.linear, A=rates, derivatives=run.linear.derivatives * geared)
     assert integrated_states([replace(run, linear=linear)]) == {"x": ("v", pytest.approx(0.05))}
 
 

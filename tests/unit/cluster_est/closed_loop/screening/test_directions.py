@@ -10,15 +10,12 @@ from scipy.integrate import solve_ivp
 from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.screening import directions as module
-from cluster_est.closed_loop.screening.directions import (
-    CandidatePoint,
-    directions,
-    discretise,
-    propagate,
-)
+from cluster_est.closed_loop.screening import linear_system as module
+from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
+from cluster_est.closed_loop.screening.linear_system import propagate
+from cluster_est.closed_loop.screening.step_matrices import discretise
 from cluster_est.closed_loop.settings import LoopSettings
-from workers.messages import Linearisation
+from workers.messages import Linearisation, MatrixSeries
 
 TIMES = np.sort(np.random.default_rng(0).uniform(0.0, 3.0, 400))
 
@@ -36,7 +33,8 @@ def linear_system(times):
     nothing = np.zeros((len(times), 0))
     return Linearisation(
         times, np.zeros((len(times), 2)), np.zeros((len(times), 2)), nothing, nothing, nothing,
-        nothing, np.array([a_at(t) for t in times]), *[np.zeros((len(times), 2, 0))] * 5,
+        nothing, MatrixSeries.of(np.array([a_at(t) for t in times])),
+        *[np.zeros((len(times), 2, 0))] * 5,
         ("x", "v"), (), (), (),
     )  # fmt: skip
 
@@ -58,7 +56,9 @@ def test_it_is_the_solution_of_the_differential_equation():
 def test_a_singular_constant_system_is_exact_for_forcing_that_is_linear_in_time():
     """x' = v, v' = t from rest: v = t^2 / 2, x = t^3 / 6, also on three uneven steps."""
     times = np.array([0.0, 0.5, 2.0, 5.0])
-    system = replace(linear_system(times), A=np.tile([[0.0, 1.0], [0.0, 0.0]], (4, 1, 1)))
+    system = replace(
+        linear_system(times), A=MatrixSeries.of(np.tile([[0.0, 1.0], [0.0, 0.0]], (4, 1, 1)))
+    )
     forcing = np.column_stack([np.zeros(4), times])[:, :, None]
     found = propagate(discretise(system), forcing.copy())[:, :, 0]
     np.testing.assert_allclose(found, np.column_stack([times**3 / 6, times**2 / 2]), rtol=1e-12)
@@ -78,7 +78,7 @@ def drive():
 
 def test_blocks_make_no_difference(drive, monkeypatch):
     whole = directions(*drive)
-    monkeypatch.setattr(module, "BLOCK_VALUES", 60_000)
+    monkeypatch.setattr(module, "FEW_VALUES", 60_000)
     for one, other in zip(whole, directions(*drive), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(one).max())
 

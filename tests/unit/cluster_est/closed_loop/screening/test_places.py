@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
-from cluster_est.closed_loop.candidates.arguments import open_arguments
+from cluster_est.closed_loop.candidates.arguments import TIME, open_arguments
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.candidates.places import count_variables, open_places
 from cluster_est.closed_loop.candidates.sites import candidate_sites, forms_at
@@ -32,7 +32,9 @@ class Screened:
             self.forms = {s: forms_at(s, *given[:2], SETTINGS) for s in self.sites}
             self.places = open_places(self.sites, self.arguments, self.trajectories)
             self.candidates = make_candidates(*given, [], SETTINGS)
-            self.few = make_candidates(*given, [], SETTINGS, self.places[:5])
+            clocks = [place for place in self.places if place.argument == TIME]
+            self.chosen = [*self.places[:4], clocks[-1]]
+            self.few = make_candidates(*given, [], SETTINGS, self.chosen)
             self.size = bench.size
             self.known = [
                 np.array([fitted.estimates[n] for n in each.linear.parameter_names])
@@ -43,7 +45,8 @@ class Screened:
         (candidate,) = [
             c
             for c in self.candidates
-            if (c.form.name, c.site, c.effect.variables) == (form, place.site, (place.argument,))
+            if (c.form.name, c.site) == (form, place.site)
+            and c.effect.variables == (() if place.argument == TIME else (place.argument,))
         ]
         trial = CandidatePoint(candidate, candidate.grid[len(candidate.grid) // 2])
         return directions(self.trajectories, [trial], self.known)[0]
@@ -51,7 +54,9 @@ class Screened:
     def ranked(self, residuals, seed=0):
         residual = ProjectedResidual(OrthogonalProjection(np.zeros((self.size, 0))), residuals)
         generator = np.random.default_rng(seed)
-        return rank_places(self.places, self.trajectories, residual, generator, PlaceThresholds())
+        return rank_places(
+            self.places, self.trajectories, residual, (), generator, PlaceThresholds()
+        )
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +68,7 @@ def drive():
     ("form", "site", "argument"),
     [
         ("coulomb", "der(w_load)", "w_load"),
+        ("drift", "der(w_load)", TIME),
         ("square", "der(w_motor)", "w_load"),
         ("gap", "pair w_motor,w_load", "twist"),
         ("linear", "parameter k_shaft", "w_load"),
@@ -103,9 +109,13 @@ def test_the_count_is_that_of_the_list(drive):
 
 
 def test_functions_are_only_looked_at_where_they_lead(drive):
-    chosen = {(p.site, p.argument) for p in drive.places[:5]}
+    chosen = {(p.site, p.argument) for p in drive.chosen}
     one = [c for c in drive.few if c.form.variables == 1]
     assert {(c.site, c.effect.variables[0]) for c in one} <= chosen
     assert one
-    constants = {c.effect.name for c in drive.candidates if c.form.variables == 0}
+    constants = {
+        c.effect.name
+        for c in drive.candidates
+        if c.form.variables == 0 and (c.site.kind != "derivative" or (c.site, TIME) in chosen)
+    }
     assert {c.effect.name for c in drive.few if c.form.variables == 0} == constants
