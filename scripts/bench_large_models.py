@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -218,8 +218,8 @@ def left_and_right(equation: str) -> str:
     return f"    M({left}) = {right};"
 
 
-def measure(model: LargeModel, number: int) -> ce.Experiment:
-    """Simulate the truth with inputs that are held for a while, and add noise."""
+def simulate(model: LargeModel, number: int) -> tuple[tuple[ce.Input, ...], FloatArray]:
+    """The inputs of an experiment, held for a while, and the true outputs, (samples, outputs)."""
     random = np.random.default_rng([17, number])
     times = model.times
     given = {
@@ -240,32 +240,31 @@ def measure(model: LargeModel, number: int) -> ce.Experiment:
             atol=1e-9,
         )
         states[first : last + 1] = found.y.T
-    outputs = []
-    for name in model.outputs:
-        curve = states[:, model.states.index(name)]
-        sigma = NOISE * float(curve.std())
-        noisy = curve + sigma * random.standard_normal(SAMPLES)
-        outputs.append(ce.Output(f"y_{name}", times, noisy, sigma))
     inputs = tuple(ce.Input(name, times, values, "hold") for name, values in given.items())
-    stop = float(times[-1])
-    return ce.Experiment(f"e{number}", 0.0, stop, inputs, tuple(outputs), role=ROLES[number])
+    return inputs, states[:, [model.states.index(name) for name in model.outputs]]
 
 
 def make_problem(model: LargeModel, archive: bytes) -> ce.Problem:
-    """The declared model, its parameters some way off."""
+    """The declared model with noisy data, its parameters some way off."""
     solver = ce.Solver("dormand_prince", rtol=1e-6, atol=1e-8)
     fmu = ce.Model(model.name, archive, "model_exchange", solver, tuple(model.parameters))
     parameters = tuple(
         ce.Parameter(name, 1.15 * value, 0.1 * value, 10.0 * value)
         for name, value in model.parameters.items()
     )
-    experiments = [measure(model, number) for number in range(len(ROLES))]
-    sigmas = {o.variable: o.sigma for o in experiments[0].outputs}
-    alike = [
-        replace(e, outputs=tuple(replace(o, sigma=sigmas[o.variable]) for o in e.outputs))
-        for e in experiments
-    ]
-    return ce.Problem(fmu, parameters, tuple(alike))
+    runs = [simulate(model, number) for number in range(len(ROLES))]
+    sigmas = NOISE * np.std([curves for _, curves in runs], axis=(0, 1))
+    experiments = []
+    for number, ((inputs, curves), role) in enumerate(zip(runs, ROLES, strict=True)):
+        noise = np.random.default_rng([18, number]).standard_normal(curves.shape)
+        noisy = (curves + sigmas * noise).T
+        outputs = tuple(
+            ce.Output(f"y_{name}", model.times, values, float(sigma))
+            for name, values, sigma in zip(model.outputs, noisy, sigmas, strict=True)
+        )
+        stop = float(model.times[-1])
+        experiments.append(ce.Experiment(f"e{number}", 0.0, stop, inputs, outputs, role=role))
+    return ce.Problem(fmu, parameters, tuple(experiments))
 
 
 def try_model(name: str, *, loop: bool) -> None:

@@ -32,7 +32,7 @@ from cluster_est.running.resources import Resources
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import examine
 
-FINAL = LeastSquares(trials=4, max_iterations=50)
+FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
 
 
 def close_loop(

@@ -169,6 +169,12 @@ class RefinementThresholds:
     closes
         Share of the gap to the noise that a single effect must close, or more are tried.
         Benchmark.
+    promised
+        Share of what the linear model promises of a step that must come of it, or a shorter one is
+        tried. Theory: half of it is a good step, J. J. More, doi:10.1007/BFb0067700.
+    behind
+        Share of what the best candidate does, where that closes the gap, that another must do to
+        be refitted further. Benchmark.
     finalists
         Candidates that are refitted to convergence. Benchmark.
     curves
@@ -192,6 +198,8 @@ class RefinementThresholds:
     points_of_grid: int = 2
     white_leaders: int = 8
     closes: float = 0.9
+    promised: float = 0.5
+    behind: float = 0.25
     finalists: int = 3
     curves: int = 2
     same_argument: int = 3

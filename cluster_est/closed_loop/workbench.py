@@ -15,7 +15,7 @@ from cluster_est.closed_loop.statistics.records import StackedRecords
 from cluster_est.closed_loop.synthetic_experiments import SyntheticKind
 from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Evaluation, Method
+from cluster_est.methods.base import Ending, Evaluation, Method
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
@@ -39,6 +39,8 @@ class FittedModel:
         Of the residuals, in search coordinates.
     added
         The effects that the loop has added, in order.
+    converged
+        The fit has ended by its tolerances.
     """
 
     space: SearchSpace = field(repr=False)
@@ -46,6 +48,7 @@ class FittedModel:
     residuals: FloatArray = field(repr=False)
     jacobian: FloatArray = field(repr=False)
     added: tuple[EffectCandidate, ...] = ()
+    converged: bool = False
 
     @property
     def problem(self) -> Problem:
@@ -259,7 +262,8 @@ class LoopWorkbench:
                 fitted.append(None)
                 continue
             residuals = found.at.residuals
-            fitted.append(FittedModel(space, found.x, residuals, found.jacobian, start.added))
+            done = found.ending is Ending.CONVERGED
+            fitted.append(FittedModel(space, found.x, residuals, found.jacobian, start.added, done))
         return fitted
 
     def evaluate(

@@ -51,6 +51,33 @@ def _between(site: EffectSite, index: Mapping[str, int], acts: np.ndarray) -> li
     return [first, *([f"{first} - {second}"] if i < j else []), *both]
 
 
+def count_candidates(
+    places: Sequence[CandidatePlace],
+    forms: Mapping[EffectSite, Sequence[EffectForm]],
+    arguments: OpenArguments,
+) -> int:
+    """Return how many candidates have been looked at if all of these places have been.
+
+    A free curve at a place stands for every function of its argument; products, of which there are
+    far more, are made of leading arguments alone.
+    """
+    total = 0
+    sites = dict.fromkeys(place.site for place in places)
+    for site in sites:
+        if site.kind not in ("derivative", "pair"):
+            total += sum(form.variables == 0 for form in forms[site])
+    for place in places:
+        own = forms[place.site]
+        if place.argument == TIME:
+            total += sum(form.variables == 0 for form in own)
+        else:
+            total += sum(
+                form.variables == 1 and arguments.takes(form, place.site, place.argument)
+                for form in own
+            )
+    return total
+
+
 def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments) -> int:
     """Return of how many variables a form at a site may be a function, without a list of them."""
     if form.variables == 0:

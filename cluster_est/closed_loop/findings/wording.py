@@ -7,7 +7,7 @@ import numpy as np
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.effects import AlternativeEffect, ErrorChange, NamedEffect
 from cluster_est.closed_loop.screening.evidence import CandidateStage
-from cluster_est.closed_loop.selection.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.results.result import Result

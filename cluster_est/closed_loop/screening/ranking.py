@@ -9,7 +9,11 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.arguments import CandidatePlace, open_arguments
 from cluster_est.closed_loop.candidates.make import EffectCandidate, make_candidates
-from cluster_est.closed_loop.candidates.places import count_variables, open_places
+from cluster_est.closed_loop.candidates.places import (
+    count_candidates,
+    count_variables,
+    open_places,
+)
 from cluster_est.closed_loop.candidates.sites import candidate_sites, forms_at
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
@@ -50,7 +54,7 @@ class CandidateRanking:
     residual, residual_white
         What they were scored against.
     unseen
-        Possible candidates for each that was looked at.
+        Candidates that were looked at, if only by their places, for each that was compared itself.
     column_penalty
         See `ScreeningThresholds`.
     """
@@ -126,7 +130,7 @@ def rank(workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
 def _candidates(
     workbench: LoopWorkbench, fitted: FittedModel, trajectories: Sequence[LinearisedTrajectory]
 ) -> tuple[list[EffectCandidate], int]:
-    """All candidates, or those at leading places where there are too many; how many there are.
+    """All candidates, or those at leading places where there are too many; how many were looked at.
 
     Raises
     ------
@@ -138,31 +142,26 @@ def _candidates(
     given = (fitted.problem, description, trajectories)
     sites = candidate_sites(*given, settings)
     arguments = open_arguments(*given)
-    possible = sum(
-        count_variables(form, site, arguments)
-        for site in sites
-        for form in forms_at(site, fitted.problem, description, settings)
-    )
+    forms = {site: forms_at(site, fitted.problem, description, settings) for site in sites}
+    possible = sum(count_variables(f, site, arguments) for site in sites for f in forms[site])
     few = possible <= workbench.thresholds.places.most_candidates or not workbench.exchange
     candidates = make_candidates(*given, frequencies, settings) if few else []
     if few and len(candidates) <= workbench.size:
         return candidates, len(candidates)
+    looked_at = possible
     if workbench.exchange:
-        places = _leading(
-            workbench,
-            fitted,
-            trajectories,
-            open_places(sites, arguments, trajectories),
-            frequencies,
-        )
-        candidates = make_candidates(*given, frequencies, settings, places)
+        places = open_places(sites, arguments, trajectories)
+        leading = _leading(workbench, fitted, trajectories, places, frequencies)
+        candidates = make_candidates(*given, frequencies, settings, leading)
+        looked_at = count_candidates(places, forms, arguments)
+        looked_at += sum(candidate.form.variables > 1 for candidate in candidates)
     if len(candidates) > workbench.size:
         raise DataError(
             f"closed loop: the training experiments must have at least as many measured values as "
             f"there are candidates, but have {workbench.size} for {len(candidates)}; add data, or "
             "name fewer in closed_loop.effects or closed_loop.sites"
         )
-    return candidates, possible
+    return candidates, looked_at
 
 
 def _leading(

@@ -23,9 +23,9 @@ from cluster_est.closed_loop.selection.gates import (
     reason_to_stop,
 )
 from cluster_est.closed_loop.selection.grow import best_distinct, grow
-from cluster_est.closed_loop.selection.pairs import refit_pairs
 from cluster_est.closed_loop.selection.path import compared_structure, compared_structures
-from cluster_est.closed_loop.selection.refine import RefittedCandidate, Rivals, rivals_of
+from cluster_est.closed_loop.selection.refinement.pairs import refit_pairs
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, Rivals, rivals_of
 from cluster_est.closed_loop.selection.restarts import refit_from_other_starts
 from cluster_est.closed_loop.selection.revise import revise
 from cluster_est.closed_loop.selection.rounds import (
@@ -165,9 +165,8 @@ def _two_more(
     singles: Sequence[RefittedCandidate],
 ) -> list[RefittedCandidate]:
     """Structures of two effects more: from pairs of directions, and grown from single ones."""
-    found = {
-        c.fitted.structure: c for c in refit_pairs(workbench, begun.model, begun.screening.ranking)
-    }
+    pairs = refit_pairs(workbench, begun.model, begun.screening.ranking, begun.floor)
+    found = {c.fitted.structure: c for c in pairs}
     if _grows_several(workbench, begun.model, begun.floor):
         parents = best_distinct(workbench, base, singles)
         for contender in grow(workbench, begun, parents, known=tuple(found)):

@@ -12,7 +12,8 @@ import numpy as np
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.gates import best_that_passes, leaves_more_than_noise
-from cluster_est.closed_loop.selection.refine import FULL, SHORT, RefittedCandidate, first_steps
+from cluster_est.closed_loop.selection.refinement.first_steps import first_steps
+from cluster_est.closed_loop.selection.refinement.refine import FULL, SHORT, RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import RoundStart
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
@@ -24,7 +25,7 @@ def refit_curves(
     """Refit the leading free curves, the best of them to convergence; it comes first."""
     thresholds = workbench.thresholds.refinement
     leaders = ranking.leaders(ranking.plain, thresholds.curves, free=True)
-    starts = [start for _, start in first_steps(workbench, current, ranking, leaders)]
+    starts = [step.start for step in first_steps(workbench, current, ranking, leaders)]
     brief = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
     brief.sort(key=lambda fitted: fitted.criterion(workbench.records))
     finished = workbench.fit(LoopStage.REFITS, [f.start for f in brief[:1]], FULL)

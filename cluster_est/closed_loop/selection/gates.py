@@ -8,7 +8,7 @@ import numpy as np
 
 from cluster_est.closed_loop.screening.screen import screen
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, predict, stays_bounded
-from cluster_est.closed_loop.selection.refine import RefittedCandidate, plainest
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, plainest
 from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
     RoundEnd,

@@ -7,10 +7,10 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from cluster_est.closed_loop.screening.ranking import rank
-from cluster_est.closed_loop.selection.refine import FULL, RefittedCandidate, refit
+from cluster_est.closed_loop.selection.refinement.refine import FULL, RefittedCandidate, refit
+from cluster_est.closed_loop.selection.refinement.same_argument import refit_same_argument
+from cluster_est.closed_loop.selection.refinement.switch_widths import refit_switch_widths
 from cluster_est.closed_loop.selection.rounds import RoundStart
-from cluster_est.closed_loop.selection.same_argument import refit_same_argument
-from cluster_est.closed_loop.selection.switch_widths import refit_switch_widths
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from workers.messages import FloatArray

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.selection.accept import stays_bounded
-from cluster_est.closed_loop.selection.refine import FULL, SHORT
+from cluster_est.closed_loop.selection.refinement.refine import FULL, SHORT
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 

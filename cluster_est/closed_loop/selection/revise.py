@@ -8,7 +8,7 @@ import numpy as np
 
 from cluster_est.closed_loop.screening.ranking import rank
 from cluster_est.closed_loop.selection.accept import stays_bounded
-from cluster_est.closed_loop.selection.refine import (
+from cluster_est.closed_loop.selection.refinement.refine import (
     FULL,
     RefittedCandidate,
     Rivals,

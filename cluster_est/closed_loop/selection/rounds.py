@@ -10,7 +10,7 @@ import numpy as np
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.screening.screen import ScreeningResult
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.refine import RefittedCandidate, Rivals
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, Rivals
 from cluster_est.closed_loop.workbench import FittedModel
 
 

@@ -106,6 +106,6 @@ def test_pairs_are_those_of_neighbours(problem):
     assert pairs == touching | {(b, a) for a, b in touching}
 
 
-def test_the_price_is_that_of_all_candidates(problem):
-    """What was not looked at for its place counts too."""
-    assert ce.detect(problem).candidates > 5_000
+def test_the_price_is_that_of_all_that_was_looked_at(problem):
+    """At 12 nodes functions of 12 temperatures, some ten of each, and more at inputs and pairs."""
+    assert 1_500 < ce.detect(problem).candidates < 30_000

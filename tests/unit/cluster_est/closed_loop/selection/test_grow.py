@@ -9,7 +9,7 @@ import pytest
 from support.loop_objects import made_bench, made_candidate, made_fit, made_problem
 
 from cluster_est.closed_loop.selection.grow import best_distinct
-from cluster_est.closed_loop.selection.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 
 SIZE = 60
 PROBLEM = made_problem(SIZE)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.selection.refine import FULL, RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.refine import FULL, RefittedCandidate
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.problem.parameter import Parameter

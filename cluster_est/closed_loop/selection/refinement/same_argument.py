@@ -17,13 +17,8 @@ import numpy as np
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.ranking import CandidateRanking, candidate_columns
-from cluster_est.closed_loop.selection.refine import (
-    FULL,
-    SHORT,
-    RefittedCandidate,
-    is_proportional,
-    values_at,
-)
+from cluster_est.closed_loop.selection.refinement.first_steps import is_proportional, values_at
+from cluster_est.closed_loop.selection.refinement.refine import FULL, SHORT, RefittedCandidate
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench

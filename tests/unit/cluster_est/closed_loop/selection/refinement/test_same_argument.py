@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.closed_loop.selection.same_argument import imitated
+from cluster_est.closed_loop.selection.refinement.same_argument import imitated
 
 GENERATOR = np.random.default_rng(5)
 BASIS = np.linalg.qr(GENERATOR.normal(size=(60, 4)))[0]

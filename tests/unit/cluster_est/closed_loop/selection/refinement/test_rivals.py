@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from support.loop_objects import made_candidate, made_fit, made_problem
 
-from cluster_est.closed_loop.selection.refine import RefittedCandidate, rivals_of
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, rivals_of
 from cluster_est.closed_loop.thresholds import RefinementThresholds
 
 PROBLEM = made_problem(20)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.loop_objects import made_candidate, made_ranking
 
-from cluster_est.closed_loop.selection.pairs import best_pairs
+from cluster_est.closed_loop.selection.refinement.pairs import best_pairs
 from cluster_est.closed_loop.thresholds import PairThresholds
 
 FITTED = PairThresholds().fitted

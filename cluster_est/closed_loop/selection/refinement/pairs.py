@@ -10,24 +10,23 @@ from __future__ import annotations
 import numpy as np
 
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
-from cluster_est.closed_loop.selection.refine import (
+from cluster_est.closed_loop.selection.refinement.first_steps import joint_step, values_at
+from cluster_est.closed_loop.selection.refinement.refine import (
     RefittedCandidate,
-    joint_step,
     successive_halving,
-    values_at,
 )
 from cluster_est.closed_loop.thresholds import PairThresholds, RefinementThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 
 
 def refit_pairs(
-    workbench: LoopWorkbench, current: FittedModel, ranking: CandidateRanking
+    workbench: LoopWorkbench, current: FittedModel, ranking: CandidateRanking, floor: float
 ) -> list[RefittedCandidate]:
     """Refit the best pairs; the best first. A contender's last two effects are the pair."""
     thresholds = workbench.thresholds
     found = best_pairs(ranking, thresholds.pairs)
     starts = [_start(current, ranking, pair, thresholds.refinement) for pair in found]
-    return successive_halving(workbench, starts) if starts else []
+    return successive_halving(workbench, current, floor, starts) if starts else []
 
 
 def best_pairs(
@@ -71,7 +70,7 @@ def _start(
     thresholds: RefinementThresholds,
 ) -> FitStart:
     """Both effects, with the strengths of the joint linear step."""
-    _, strengths = joint_step(current, ranking, pair)
+    _, strengths, _ = joint_step(current, ranking, pair)
     start = current.start
     for m, own in zip(pair, strengths, strict=True):
         trial = ranking.trials[m]

@@ -1,0 +1,1 @@
+"""Leading candidates simulated, and refitted with all parameters."""

@@ -1,0 +1,195 @@
+"""First steps: the leading candidates, switched on by the step that the linear model asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from cluster_est.closed_loop.screening.directions import CandidatePoint
+from cluster_est.closed_loop.screening.ranking import CandidateRanking
+from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.thresholds import RefinementThresholds
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.problem.space import SearchSpace
+from workers.messages import FloatArray
+
+
+@dataclass(frozen=True)
+class FirstStep:
+    """A candidate, switched on by the step that the linear model asks for.
+
+    Attributes
+    ----------
+    sse
+        Sum of squares at the best point that was simulated.
+    predicted
+        That of the linear model after the whole step.
+    start
+        From that point.
+    """
+
+    sse: float
+    predicted: float
+    start: FitStart
+
+
+def first_steps(
+    workbench: LoopWorkbench,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    leaders: Sequence[int],
+) -> list[FirstStep]:
+    """Simulate the first step of each leader; shorter ones where it does not do what it promised.
+
+    Leaders that cannot be simulated are left out.
+    """
+    thresholds = workbench.thresholds.refinement
+    asked = [
+        _asked_step(workbench, current, ranking, owner, i)
+        for owner, leader in enumerate(leaders)
+        for i in _grid_points(ranking, leader)[: thresholds.points_of_grid]
+    ]
+    best: dict[int, FirstStep] = {}
+    for length in thresholds.step_lengths:
+        asked = [each for each in asked if not _does_enough(each, best, current, thresholds)]
+        points = [(each.space, each.point(current, length, thresholds)[None]) for each in asked]
+        answers = workbench.evaluate(LoopStage.TRIALS, points)
+        for each, (_, (point,)), (at,) in zip(asked, points, answers, strict=True):
+            if not at.ok:
+                continue
+            sse = float(np.add.reduce(at.residuals**2))
+            if each.owner not in best or sse < best[each.owner].sse:
+                values = each.space.estimates(point)
+                start = FitStart(each.start.problem, values, each.start.added)
+                best[each.owner] = FirstStep(sse, each.predicted, start)
+    return [best[owner] for owner in range(len(leaders)) if owner in best]
+
+
+@dataclass(frozen=True)
+class _AskedStep:
+    """A candidate at a point of its grid with the step that the linear model asks for."""
+
+    owner: int
+    trial: CandidatePoint
+    step: FloatArray = field(repr=False)
+    predicted: float
+    start: FitStart = field(repr=False)
+    space: SearchSpace = field(repr=False)
+
+    def point(
+        self, current: FittedModel, length: float, thresholds: RefinementThresholds
+    ) -> FloatArray:
+        """The point that a part of the step leads to, in the extended space."""
+        known, space = len(current.x), self.space
+        log = np.array([u.log for u in current.space.unknowns], bool)
+        sizes = np.where(log, 1.0, np.maximum(np.abs(current.x), current.space.typical))
+        most = thresholds.largest_step * sizes
+        moved = current.x + np.clip(length * self.step, -most, most)
+        point = np.concatenate([moved, space.start[known:]])
+        for i, unknown in enumerate(space.unknowns[known:], known):
+            if unknown.label.rpartition(".")[2] in self.trial.candidate.strengths:
+                point[i] = length * space.start[i]
+        return np.asarray(np.clip(point, space.lower, space.upper))
+
+
+def _asked_step(
+    workbench: LoopWorkbench,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    owner: int,
+    index: int,
+) -> _AskedStep:
+    trial = ranking.trials[index]
+    step, (strengths,), left = joint_step(current, ranking, [index])
+    values = values_at(trial, strengths, workbench.thresholds.refinement)
+    start = current.start.plus(trial.candidate, values)
+    predicted = left * current.sse
+    return _AskedStep(owner, trial, step, predicted, start, workbench.space(start))
+
+
+def _does_enough(
+    asked: _AskedStep,
+    best: Mapping[int, FirstStep],
+    current: FittedModel,
+    thresholds: RefinementThresholds,
+) -> bool:
+    """Return whether its candidate's first step has done enough of what the linear model promised.
+
+    A longer one was simulated before, or there is nothing to judge by.
+    """
+    if asked.owner not in best:
+        return False
+    gained = current.sse - best[asked.owner].sse
+    return gained >= thresholds.promised * (current.sse - asked.predicted)
+
+
+def _grid_points(ranking: CandidateRanking, leader: int) -> list[int]:
+    """The points of a leader's grid, the best score first."""
+    name = ranking.trials[leader].candidate.effect.name
+    own = [i for i, t in enumerate(ranking.trials) if t.candidate.effect.name == name]
+    own.sort(key=lambda i: -ranking.plain.statistics[i])
+    return own
+
+
+def joint_step(
+    current: FittedModel, ranking: CandidateRanking, trials: Sequence[int]
+) -> tuple[FloatArray, list[FloatArray], float]:
+    """Gauss-Newton step of all unknowns, and how strong each trial is to be, on the screened rows.
+
+    A limit cannot be made stronger or weaker in proportion: it is switched on as it is, the other
+    unknowns make room for it, and it has no strengths.
+
+    Returns
+    -------
+    step
+        Of the unknowns.
+    strengths
+        Of each trial.
+    left
+        Share of the residual's squares that the linear model leaves.
+    """
+    matrix = current.jacobian[ranking.rows]
+    residuals = current.residuals[ranking.rows]
+    columns = [ranking.columns[i] for i in trials]
+    scaled = [is_proportional(ranking.trials[i]) for i in trials]
+    for column, free in zip(columns, scaled, strict=True):
+        if not free:
+            residuals = residuals + column[:, 0]
+    own = [column if free else column[:, :0] for column, free in zip(columns, scaled, strict=True)]
+    joined = np.hstack([matrix, *own])
+    sizes = np.linalg.norm(joined, axis=0)
+    sizes[~(sizes > 0.0)] = 1.0
+    solved = np.linalg.lstsq(joined / sizes, -residuals, rcond=1e-6)[0] / sizes
+    after = residuals + joined @ solved
+    before = float(np.add.reduce(current.residuals[ranking.rows] ** 2))
+    left = float(np.add.reduce(after**2)) / max(before, 1e-300)
+    ends = np.cumsum([matrix.shape[1], *(part.shape[1] for part in own)])
+    return solved[: ends[0]], [solved[a:b] for a, b in pairwise(ends)], left
+
+
+def is_proportional(trial: CandidatePoint) -> bool:
+    """Return whether its effect grows with a coefficient from nothing."""
+    return any(c.neutral == 0.0 for c in trial.candidate.form.coefficients)
+
+
+def values_at(
+    trial: CandidatePoint, strengths: FloatArray, thresholds: RefinementThresholds
+) -> list[float]:
+    """The trial's coefficients, as strong as the linear model asks for.
+
+    Where an effect is switched on by a finite amount, that amount is scaled, within limits.
+    """
+    asked = iter(strengths.tolist())
+    values = []
+    for c, value in zip(trial.candidate.form.coefficients, trial.values, strict=True):
+        if c.name in trial.candidate.strengths:
+            values.append(next(asked))
+        elif c.neutral == 0.0 and strengths.size:
+            factor = min(max(next(asked), thresholds.weakest), thresholds.strongest)
+            values.append(value * factor)
+        else:
+            values.append(value)
+    return values

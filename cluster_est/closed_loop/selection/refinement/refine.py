@@ -1,0 +1,205 @@
+"""Refinement of the leading candidates by real simulations and joint refits of all parameters.
+
+A score sees only a first small step. Each leading candidate is therefore switched on together with
+the step of all parameters that the linear model asks for, simulated, and the best are refitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.screening.ranking import CandidateRanking
+from cluster_est.closed_loop.selection.refinement.first_steps import FirstStep, first_steps
+from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.statistics.score import ScoreTests
+from cluster_est.closed_loop.thresholds import RefinementThresholds
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.methods.least_squares.method import LeastSquares
+
+SHORT = LeastSquares(trials=2, max_iterations=2, ftol=1e-4, xtol=1e-5, differences="forward")
+FULL = LeastSquares(trials=2, max_iterations=10, ftol=1e-6, xtol=1e-7, differences="forward")
+
+
+@dataclass(frozen=True)
+class RefittedCandidate:
+    """A model with one effect more, refitted."""
+
+    fitted: FittedModel = field(repr=False)
+    criterion: float
+    full: bool
+
+    @property
+    def candidate(self) -> EffectCandidate:
+        return self.fitted.added[-1]
+
+
+Rivals = Mapping[str, tuple[RefittedCandidate, list[RefittedCandidate]]]
+"""For each effect, by name, the model that brought it in and those that it won against."""
+
+
+def refit(
+    workbench: LoopWorkbench,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    floor: float,
+    *,
+    wide: bool = True,
+    known: Collection[frozenset[str]] = (),
+) -> list[RefittedCandidate]:
+    """Refit the leading candidates; the best first.
+
+    Parameters
+    ----------
+    current
+        The model that they are added to.
+    ranking
+        Of all candidates at that model.
+    floor
+        Sum of squares that the noise alone would leave.
+    wide
+        Go on to candidates further back where the first do not close the gap to it: the larger an
+        effect, the less the score of a small one says. Without, only half as many are refitted.
+    known
+        Structures that need no refit, because they were reached from another one.
+    """
+    thresholds = workbench.thresholds.refinement
+    count, trials = workbench.settings.refits, workbench.settings.trials
+    if not wide:
+        count = (count + 1) // 2
+    own = current.structure
+
+    def leading(scores: ScoreTests, most: int) -> list[int]:
+        ranked = ranking.leaders(scores, most + len(known))
+        names = [ranking.trials[i].candidate.effect.name for i in ranked]
+        new = [i for i, name in zip(ranked, names, strict=True) if own | {name} not in known]
+        return new[:most]
+
+    leaders = leading(ranking.plain, 2 * trials)
+    white = leading(ranking.white, thresholds.white_leaders)
+    first = list(dict.fromkeys([*leaders[:trials], *white]))
+    chosen, left = _mixed(first_steps(workbench, current, ranking, first), count)
+    chosen = _not_behind(chosen, current, floor, thresholds)
+    contenders = successive_halving(workbench, current, floor, [step.start for step in chosen])
+    if not wide or _closes(current, contenders, floor, thresholds.closes):
+        return contenders
+    later = [i for i in leaders[trials:] if i not in first]
+    left += first_steps(workbench, current, ranking, later)
+    left.sort(key=lambda step: step.sse)
+    later_starts = [step.start for step in left[:count]]
+    contenders += successive_halving(workbench, current, floor, later_starts)
+    return sorted(contenders, key=lambda c: c.criterion)
+
+
+def successive_halving(
+    workbench: LoopWorkbench, current: FittedModel, floor: float, starts: Sequence[FitStart]
+) -> list[RefittedCandidate]:
+    """Refit all a little, the better half more, and the best to convergence; the best first.
+
+    What has converged waits for the last round, and what is far behind where one candidate does it
+    all is refitted no further.
+    """
+    thresholds = workbench.thresholds.refinement
+    fits = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    lost: list[FittedModel] = []
+    for last in (False, True):
+        fits.sort(key=lambda f: f.criterion(workbench.records))
+        near = _near_the_best(fits, current, floor, thresholds)
+        kept = near[: max(thresholds.finalists, len(fits) // 2)]
+        lost += [f for f in fits if not any(f is other for other in kept)]
+        fits = kept
+        if not last:
+            going = [f for f in fits if not f.converged]
+            further = iter(workbench.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
+            fits = [f if f.converged else next(further) or f for f in fits]
+    best, rest = fits[: thresholds.finalists], fits[thresholds.finalists :]
+    finished = workbench.fit(LoopStage.REFITS, [f.start for f in best], FULL)
+    found = [(f, False) for f in (*lost, *rest)]
+    found += [(new or old, True) for new, old in zip(finished, best, strict=True)]
+    made = [RefittedCandidate(f, f.criterion(workbench.records), full) for f, full in found]
+    return sorted(made, key=lambda c: c.criterion)
+
+
+def _near_the_best(
+    fits: Sequence[FittedModel],
+    current: FittedModel,
+    floor: float,
+    thresholds: RefinementThresholds,
+) -> list[FittedModel]:
+    """Those that do at least a part of what the best one does, where that does nearly all."""
+    gain = current.sse - min((f.sse for f in fits), default=current.sse)
+    if gain < thresholds.closes * (current.sse - floor):
+        return list(fits)
+    return [f for f in fits if current.sse - f.sse >= thresholds.behind * gain]
+
+
+def _not_behind(
+    steps: Sequence[FirstStep],
+    current: FittedModel,
+    floor: float,
+    thresholds: RefinementThresholds,
+) -> list[FirstStep]:
+    """The same of first steps, of which the linear model may promise more than they have shown."""
+    gain = current.sse - min((step.sse for step in steps), default=current.sse)
+    if gain < thresholds.closes * (current.sse - floor):
+        return list(steps)
+    least = thresholds.behind * gain
+    return [s for s in steps if current.sse - min(s.sse, s.predicted) >= least]
+
+
+def _closes(
+    current: FittedModel, contenders: Sequence[RefittedCandidate], floor: float, share: float
+) -> bool:
+    """Return whether the best contender closes this share of the gap to the noise."""
+    if not contenders:
+        return False
+    best = min(c.fitted.sse for c in contenders)
+    return current.sse - best >= share * (current.sse - floor)
+
+
+def plainest(
+    contenders: Sequence[RefittedCandidate], thresholds: RefinementThresholds
+) -> RefittedCandidate:
+    """The best contender; among equals the plainest name."""
+    best = contenders[0].criterion
+    equal = [c for c in contenders if c.full and c.criterion - best < thresholds.equal]
+    equal = equal or list(contenders[:1])
+    return min(equal, key=lambda c: (c.candidate.form.order, c.criterion))
+
+
+def rivals_of(
+    won: RefittedCandidate,
+    contenders: Sequence[RefittedCandidate],
+    thresholds: RefinementThresholds,
+) -> Rivals:
+    """For each effect of a structure, those that the data leave possible in its place."""
+    best = min((c.criterion for c in contenders), default=won.criterion)
+    possible = [c for c in contenders if c.criterion - best <= thresholds.alternative]
+    found: dict[str, tuple[RefittedCandidate, list[RefittedCandidate]]] = {}
+    for effect in won.fitted.added:
+        others = won.fitted.structure - {effect.effect.name}
+        own: dict[str, RefittedCandidate] = {}
+        for contender in possible:
+            instead = sorted(contender.fitted.structure - others)
+            if len(instead) == 1 and others < contender.fitted.structure:
+                own.setdefault(instead[0], _ending_with(contender, instead[0]))
+        own.pop(effect.effect.name, None)
+        found[effect.effect.name] = (won, list(own.values()))
+    return found
+
+
+def _ending_with(contender: RefittedCandidate, name: str) -> RefittedCandidate:
+    """The same structure, with one of its effects counted last."""
+    added = contender.fitted.added
+    if added[-1].effect.name == name:
+        return contender
+    ordered = sorted(added, key=lambda candidate: candidate.effect.name == name)
+    return replace(contender, fitted=replace(contender.fitted, added=tuple(ordered)))
+
+
+def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], list[FirstStep]]:
+    """Two thirds by their rank in the screening, one by the cost of their first step; the rest."""
+    ranked = 2 * count // 3
+    rest = sorted(steps[ranked:], key=lambda step: step.sse)
+    return [*steps[:ranked], *rest[: count - ranked]], rest[count - ranked :]
