@@ -1,4 +1,4 @@
-"""First steps of candidates: the linear model's where that holds, a part of it where it does not."""
+"""First steps of candidates: those of the linear model, in part where that does not hold."""
 
 from __future__ import annotations
 
