@@ -40,13 +40,25 @@ class TaskBatch:
 
     @classmethod
     def of(cls, tasks: Sequence[Task]) -> TaskBatch:
-        """Pack tasks that all want the same, with the same effects."""
+        """Pack tasks that all want the same, with the same effects.
+
+        Raises
+        ------
+        ValueError
+            If they do not.
+        """
+        first = tasks[0]
+        if any(task.want != first.want or task.effects != first.effects for task in tasks):
+            raise ValueError(
+                "a batch: its tasks must all want the same, with the same effects, but differ; "
+                "TaskBacklog cuts tasks into such batches"
+            )
         return cls(
             ids=np.array([task.id for task in tasks], np.int64),
             experiments=np.array([task.experiment for task in tasks], np.int64),
             values=np.array([task.values for task in tasks], np.float64),
-            want=tasks[0].want,
-            effects=tasks[0].effects,
+            want=first.want,
+            effects=first.effects,
         )
 
     def tasks(self) -> list[Task]:

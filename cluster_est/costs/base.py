@@ -27,7 +27,11 @@ class Cost(ABC):
 
     @abstractmethod
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:
-        """Return the cost of all residuals (n,) at one point. It does not depend on their order."""
+        """Return the cost of all residuals (n,) at one point.
+
+        It does not depend on their order, and is 0 without any, as in a search for a point that
+        satisfies constraints.
+        """
 
     @abstractmethod
     def weights(self, residuals: FloatArray, outputs: IntArray) -> FloatArray | None:

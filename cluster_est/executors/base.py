@@ -22,11 +22,19 @@ class Executor(ABC):
 
     @abstractmethod
     def submit(self, tasks: Sequence[Task]) -> None:
-        """Queue tasks. Returns at once."""
+        """Queue tasks. Returns at once.
+
+        Tasks may differ in what they want and in their effects. A batch for a worker may not:
+        `executors.backlog.TaskBacklog` cuts such batches.
+        """
 
     @abstractmethod
     def completed(self) -> list[Outcome]:
-        """Wait until at least one task is done; give back all that are. Empty if none is queued."""
+        """Wait until at least one task is done; give back all that are. Empty if none is queued.
+
+        An interrupt (Ctrl-C) must come through while it waits, so that slow simulations belong into
+        another thread or process.
+        """
 
     @abstractmethod
     def cancel(self, tasks: Collection[int]) -> list[int]:
@@ -35,11 +43,17 @@ class Executor(ABC):
     @property
     @abstractmethod
     def busy(self) -> int:
-        """Number of workers that have something to do, also if another has answered it already."""
+        """Number of workers that have something to do.
+
+        Where a task was given to two, the slower one counts too until it has answered.
+        """
 
     @abstractmethod
     def close(self) -> None:
-        """Stop the workers. Tasks that are still queued are forgotten."""
+        """Stop the workers and forget what is queued. It may be called twice.
+
+        Afterwards nothing is completed and no worker is busy.
+        """
 
     def __enter__(self) -> Self:
         return self

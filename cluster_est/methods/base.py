@@ -255,6 +255,12 @@ class Method(ABC):
     keeps_constraints: ClassVar[bool] = False
     """True if it can satisfy constraints other than bounds."""
 
+    keeps_equality: ClassVar[bool] = True
+    """True if these may be equalities too; means nothing without `keeps_constraints`."""
+
+    needs_bounds: ClassVar[bool] = False
+    """True if every unknown must have finite bounds, which `check` then asks for."""
+
     asynchronous: ClassVar[bool] = False
     """True if its result may depend on the order in which simulations end."""
 

@@ -27,6 +27,13 @@ class TestCost:
         assert dataclasses.is_dataclass(kind), "write @dataclass(frozen=True) above it"
         assert kind.__dataclass_params__.frozen
 
+    def test_no_residuals_at_all_cost_nothing(self, kind):
+        """As in a pure search for a point that satisfies constraints."""
+        nothing, outputs = np.zeros(0), np.zeros(0, int)
+        assert kind().value(nothing, outputs) == 0.0
+        weights = kind().weights(nothing, outputs)
+        assert weights is None or weights.shape == (0,)
+
     @given(residuals=RESIDUALS, seed=st.integers(0, 100))
     def test_order_is_irrelevant(self, kind, residuals, seed):
         outputs = outputs_of(residuals)

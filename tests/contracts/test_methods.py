@@ -46,7 +46,7 @@ def test_methods_that_claim_to_keep_constraints_are_tested_with_constraints_and_
     claimed = {method for method in METHODS.values() if method.keeps_constraints}
     # gives a front, not a minimum: its own tests cut the front with a constraint
     assert methods_on(INEQUALITY) == claimed - {Nsga2}
-    refused = {method for method in claimed if not getattr(method, "keeps_equality", True)}
+    refused = {method for method in claimed if not method.keeps_equality}
     assert methods_on(EQUALITY) == claimed - refused
 
 
@@ -142,9 +142,9 @@ class TestSearch:
     def test_without_bounds_it_refuses_or_finds_something_finite(self, entry):
         """A method that spreads points between bounds must say in `check` that it needs them."""
         unbounded = replace(ROSENBROCK, lower=None, upper=None)
-        if getattr(entry.method, "needs_bounds", False):
+        if entry.method.needs_bounds:
             with pytest.raises(ProblemError, match="bounds: must be finite"):
-                unbounded.solve(entry.method)
+                entry.method.check(make_space(unbounded.problem(), (0,)))
             return
         found = unbounded.solve(entry.method)
         start = GivenPoints(np.array([ROSENBROCK.start]), "start")

@@ -76,6 +76,7 @@ DERIVATIVE = {
     "square": ((9.0,), ("x",), lambda t, x, f: 9.0 * x[0] ** 2),
     "product": ((0.1,), ("x", "F"), lambda t, x, f: 0.1 * x[0] * f),
     "hinge": ((-50.0, 0.05), ("x",), lambda t, x, f: -50.0 * max(x[0] - 0.05, 0.0)),
+    "hinge_below": ((50.0, 0.02), ("x",), lambda t, x, f: 50.0 * max(0.02 - x[0], 0.0)),
     "gap": (
         (40.0, 0.04),
         ("x",),
@@ -108,6 +109,27 @@ def test_dahl_friction_has_a_state_of_its_own():
     truth = solve(slope, (*START, 0.0))[:, 0]
     effect = Effect("e", "der(v)", "dahl")
     np.testing.assert_allclose(simulated([effect], (0.5, 0.02)), truth, atol=1e-8)
+
+
+def test_a_lagged_coupling_has_a_state_of_its_own():
+    """That starts where its variable does."""
+
+    def slope(t, x, force):
+        v, dv = plain(t, x, force)
+        return [v, dv - 6.0 * x[2], (x[0] - x[2]) / 0.3]
+
+    truth = solve(slope, (*START, START[0]))[:, 0]
+    effect = Effect("e", "der(v)", "lagged", ("x",))
+    np.testing.assert_allclose(simulated([effect], (-6.0, 0.3)), truth, atol=1e-8)
+
+
+OWN_TESTS = {"dahl", "lagged", "periodic_travel"}
+"""Forms at a derivative that have a test each."""
+
+
+def test_every_form_at_a_derivative_has_a_truth():
+    forms = {name for kind, name in FORMS if kind == "derivative"}
+    assert forms == set(DERIVATIVE) | OWN_TESTS, "add its truth to DERIVATIVE"
 
 
 def test_a_ripple_of_the_way_travelled_begins_at_nought():

@@ -50,3 +50,14 @@ def test_every_plug_in_that_a_config_can_choose_is_in_the_reference():
     names = [*METHODS, *COSTS, *EXECUTORS]
     missing = [name for name in names if not re.search(rf"\b{name}\b", reference)]
     assert missing == [], "add the name to configs/reference.toml"
+
+
+def test_every_form_is_in_the_table_of_the_readme():
+    from workers.effects.forms import FORMS
+
+    starts = {"derivative": "`der(STATE)`", "pair": "`pair ", "input": "`input ",
+              "output": "`output ", "parameter": "`parameter "}  # fmt: skip
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    rows = {k: next(line for line in lines if line.startswith(f"| {v}")) for k, v in starts.items()}
+    missing = [(kind, name) for kind, name in FORMS if f"`{name}`" not in rows[kind]]
+    assert missing == [], "add the form to the table of forms in README.md"

@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
+import pytest
 
 from workers.messages import Effect, Linearisation, Outcome, Status, Task, Trajectory
 from workers.wire import OutcomeColumns, TaskBatch
@@ -88,3 +89,10 @@ def test_tasks_come_back_with_all_they_carry() -> None:
     for before, after in zip(sent, got, strict=True):
         for field in fields(Task):
             assert same(getattr(before, field.name), getattr(after, field.name)), field.name
+
+
+def test_a_batch_of_tasks_that_want_different_things_is_refused():
+    values, drag = np.zeros(1), Effect("drag", "der(v)", "linear", ("v",))
+    for other in (Task(1, 0, values, "trajectory"), Task(1, 0, values, effects=(drag,))):
+        with pytest.raises(ValueError, match="must all want the same"):
+            TaskBatch.of([Task(0, 0, values), other])

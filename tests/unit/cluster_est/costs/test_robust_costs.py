@@ -100,14 +100,6 @@ def test_the_names_of_other_tools():
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", COSTS.values(), ids=lambda k: k.name)
-def test_no_residuals_at_all_cost_nothing(kind):
-    """As in a pure search for a point that satisfies constraints."""
-    assert kind().value(np.zeros(0), ONE) == 0.0
-    weights = kind().weights(np.zeros(0), ONE)
-    assert weights is None or weights.shape == (0,)
-
-
 def deviance(residuals, outputs):
     """-2 ln likelihood, each sigma found by SciPy's scalar minimisation."""
     total = 0.0

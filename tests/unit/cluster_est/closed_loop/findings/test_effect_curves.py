@@ -7,6 +7,7 @@ import pytest
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.effect_curves import _function, _spread, _variable
+from workers.effects.expression import FUNCTIONS
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite
 from workers.messages import Effect
@@ -16,8 +17,11 @@ NUMPY = {
     "exp": np.exp,
     "sign": np.sign,
     "sqrt": np.sqrt,
+    "log": np.log,
     "sin": np.sin,
     "cos": np.cos,
+    "tan": np.tan,
+    "atan": np.arctan,
     "tanh": np.tanh,
     "min": np.minimum,
     "max": np.maximum,
@@ -25,6 +29,10 @@ NUMPY = {
 }
 PLAIN = [(kind, f) for (kind, _), f in FORMS.items() if not f.memory and not f.states]
 X = np.linspace(-3.0, 4.0, 57)
+
+
+def test_every_function_of_an_equation_is_known_here():
+    assert set(NUMPY) == set(FUNCTIONS)
 
 
 def candidate(kind: str, form) -> EffectCandidate:
