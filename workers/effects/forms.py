@@ -140,6 +140,9 @@ _WHOLLY = (
     FormCoefficient("low", None, scale=GridScale.RANGE_S, grid=(0.0,), held=True, unit="site"),
     FormCoefficient("high", None, scale=GridScale.RANGE_S, grid=(1.0,), held=True, unit="site"),
 )
+_RATIO = FormCoefficient(
+    "back", None, positive=True, scale=GridScale.COUPLING, grid=(1.0,), unit="other / site"
+)
 
 
 def _between(
@@ -227,6 +230,10 @@ _RATES = (
              _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9),
              when=(FormCondition.FIRST,), order=0.2),
     _between("leak", "leak", "sign(v) * sqrt(abs(v))", " / v^0.5"),
+    # one curve for both, but for the ratio of their inertias
+    EffectForm("table", FREE_FAMILY, _PAIR, _curve("v", _ALL),
+         _curve_coefficients(_ALL, _RATIO, *_MOSTLY), 1,
+         reaction=f"-back * ({_curve('v', _ALL)})", order=2.0),
 )  # fmt: skip
 
 _AS_FORCES = (

@@ -34,6 +34,9 @@ class GridScale(enum.Enum):
     """1 % quantile."""
     HIGH_V = "high v"
     """99 % quantile."""
+    COUPLING = "coupling"
+    """How much more than on the first state of a pair what is between the two acts on the second:
+    by the derivatives of their rates by each other, 1 where these say nothing."""
     MAX_S = "max s"
     """Largest absolute value."""
     FASTEST_S = "fastest s"

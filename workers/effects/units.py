@@ -62,6 +62,8 @@ def _fill(template: str, units: Mapping[str, str]) -> str:
     bottom = bottom.replace("(1 ", "(").replace(" 1)", ")")
     if bottom in ("", "1", "(1)"):
         return top
+    if bottom in (top, f"({top})"):
+        return "1"
     return _per_second(top) if bottom == "s" else f"{top}/{bottom}"
 
 

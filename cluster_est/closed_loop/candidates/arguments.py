@@ -87,6 +87,9 @@ class OpenArguments:
     def takes(self, form: EffectForm, site: EffectSite, argument: str) -> bool:
         """Return whether a form of one variable at a site may be a function of an argument."""
         if site.kind == "pair":
+            first, second = (self.states.index(name) for name in site.targets)
+            if form.free and first > second:  # the same curve upside down
+                return False
             return (argument == site.targets[0]) is (FormCondition.FIRST in form.when)
         if FormCondition.DRIVEN in form.when:
             return argument in self.driven

@@ -32,7 +32,10 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
         return f"{site.target} -> {form.memory}({site.target}, {coefficients[0]})"
     if form.free:
         table = f"table of {names.get('v', site.target)} from low to high: "
-        table += ", ".join(coefficients[:-2])
+        table += ", ".join(c.name for c in form.coefficients if c.neutral is not None)
+        if site.kind == "pair":
+            first, second = site.targets
+            return f"der({first}) += {table}; der({second}) -= {names.get('back', 'back')} times it"
         if site.kind == "parameter":
             return f"{site.target} -> {site.target} * (1 + {table})"
         return f"{site} += {table}" if at_rates else f"{site.target} -> {site.target} + {table}"

@@ -87,6 +87,8 @@ def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments
         if FormCondition.FIRST in form.when:
             return 1
         first, second = (arguments.states.index(name) for name in site.targets)
+        if form.free and first > second:
+            return 0
         return n - 2 + (arguments.differences if first < second else 0)
     names = arguments.at(site)
     if form.variables == 2:

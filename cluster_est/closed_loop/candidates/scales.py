@@ -53,6 +53,8 @@ class SignalScales:
             return tuple(g * self._step() for g in grid)
         if scale is GridScale.MIDDLE_T:
             return tuple(g * self._middle() for g in grid)
+        if scale is GridScale.COUPLING:
+            return tuple(g * self._coupling(site) for g in grid)
         signal = self._signal(site) if scale in _OF_SIGNAL else self._about(site, variables)
         if signal is None:
             return ()
@@ -101,6 +103,15 @@ class SignalScales:
 
     def _middle(self) -> float:
         return float(np.mean([0.5 * (c.times[0] + c.times[-1]) for c in self.trajectories]))
+
+    def _coupling(self, site: EffectSite) -> float:
+        """Ratio of how two states act on each other, as that of the inertias of two masses."""
+        largest = np.zeros(2)
+        for linear in (each.linear for each in self.trajectories if each.linear is not None):
+            first, second = (linear.state_names.index(name) for name in site.targets)
+            rates = np.abs(linear.A.row(first)[:, second]), np.abs(linear.A.row(second)[:, first])
+            largest = np.maximum(largest, [rate.max() for rate in rates])
+        return float(largest[1] / largest[0]) if (largest > 0.0).all() else 1.0
 
     def _fastest(self, name: str) -> float:
         """Largest rate of change of a signal, at most its range within a sampling interval."""

@@ -6,7 +6,7 @@ simulated: their equations are evaluated along signals that are already there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -58,23 +58,39 @@ class ArrayForm:
     strengths
         Coefficients that the equation is linear in and that switch the effect off at 0; empty
         where the effect can only be switched on by a finite amount, like a dead zone.
+    mirrored
+        At a pair: each strength acts on both derivatives.
     """
 
     form: EffectForm
     strengths: tuple[str, ...]
+    mirrored: bool
     _change: tuple[Function, ...]
+    _back: tuple[Function, ...]
     _states: tuple[_OwnState, ...]
 
     def directions(self, signals: FormArguments, values: Mapping[str, float]) -> FloatArray:
-        """(n, d): what is added per unit of each strength, or the whole finite change."""
+        """(n, d): what is added per unit of each strength, or the whole finite change.
+
+        At a pair a strength acts on one of the derivatives, if it is not `mirrored`.
+        """
         if self.form.memory:
             amount = next(iter(values.values()))
             given = SampledSignal(signals.t, signals.s)
             changed = MEMORIES[self.form.memory](given, amount)
             return (np.interp(signals.t, changed.times, changed.values) - signals.s)[:, None]
+        return self._columns(self._change, signals, values)
+
+    def reactions(self, signals: FormArguments, values: Mapping[str, float]) -> FloatArray:
+        """(n, d): what each strength of a `mirrored` form adds to the second derivative."""
+        return self._columns(self._back, signals, values)
+
+    def _columns(
+        self, functions: Sequence[Function], signals: FormArguments, values: Mapping[str, float]
+    ) -> FloatArray:
         with np.errstate(all="ignore"):
             own = [_follow(state, signals, values) for state in self._states]
-            columns = [f(*signals.arrays, *own, *values.values()) for f in self._change]
+            columns = [f(*signals.arrays, *own, *values.values()) for f in functions]
         size = len(signals.t)
         return np.column_stack([np.broadcast_to(np.asarray(c, float), size) for c in columns])
 
@@ -89,13 +105,17 @@ def shape_of(form: EffectForm) -> ArrayForm:
     reaction = parse(form.reaction or "0", symbols, where)
     neutral = [symbols[c.name] for c in form.coefficients if c.neutral == 0.0]
     order = [symbols[name] for name in names]
-    added = equation + reaction  # no strength is in both
+    mirrored = any(reaction.has(k) and equation.has(k) for k in neutral)
+    added = equation if mirrored else equation + reaction  # then no strength is in both
     linear = bool(neutral) and all(_linear_in(added, k, neutral) for k in neutral)
     changes = [sp.diff(added, k) for k in neutral] if linear else [equation - symbols["s"]]
+    backs = [sp.diff(reaction, k) for k in neutral] if mirrored else []
     return ArrayForm(
         form=form,
         strengths=tuple(str(k) for k in neutral) if linear else (),
+        mirrored=mirrored,
         _change=tuple(sp.lambdify(order, change, "numpy") for change in changes),
+        _back=tuple(sp.lambdify(order, back, "numpy") for back in backs),
         _states=tuple(_own_state(z, form, symbols, where) for z in form.states),
     )
 

@@ -122,7 +122,9 @@ def _of_block(
             continue  # not measured in this experiment
         _place(trajectory, trial, added_at(trajectory, trial, known), columns, change, forced)
     if system is not None and forced.columns:
-        change[:, :, forced.columns] += system.respond(forced.forcing())
+        responses = system.respond(forced.forcing())
+        for i, column in enumerate(forced.columns):  # one may act on two states
+            change[:, :, column] += responses[:, :, i]
     return trajectory.residual_change(change)
 
 
@@ -153,6 +155,14 @@ def added_at(
     trajectory: LinearisedTrajectory, trial: CandidatePoint, known: FloatArray
 ) -> FloatArray:
     """(n, width): what the effect adds at its site; relative at a parameter in co-simulation."""
+    arguments, values = _arguments(trajectory, trial, known)
+    return shape_of(trial.candidate.form).directions(arguments, values)
+
+
+def _arguments(
+    trajectory: LinearisedTrajectory, trial: CandidatePoint, known: FloatArray
+) -> tuple[FormArguments, dict[str, float]]:
+    """The signals and the coefficients that an effect is a function of."""
     candidate = trial.candidate
     site, zero = candidate.site, np.zeros(len(trajectory.times))
     v, w = [*(trajectory.signal(name) for name in candidate.effect.variables), zero, zero][:2]
@@ -165,7 +175,7 @@ def added_at(
     values = {
         c.name: value for c, value in zip(candidate.form.coefficients, trial.values, strict=True)
     }
-    return shape_of(candidate.form).directions(FormArguments(trajectory.times, s, v, w), values)
+    return FormArguments(trajectory.times, s, v, w), values
 
 
 def _place(
@@ -183,6 +193,13 @@ def _place(
         return
     if linear is None:
         raise ValueError(f"{site} has no direction without a linearisation")
+    shape = shape_of(trial.candidate.form)
+    if shape.mirrored:
+        both = added, shape.reactions(*_arguments(trajectory, trial, np.zeros(0)))
+        for target, amounts in zip(site.targets, both, strict=True):
+            state = linear.state_names.index(target)
+            forced.add(state, state, columns, amounts)
+        return
     if site.kind in ("derivative", "pair"):
         for i, target in enumerate(site.targets):
             which = slice(None) if site.kind == "derivative" else slice(i, i + 1)

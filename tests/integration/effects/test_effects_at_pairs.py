@@ -103,6 +103,20 @@ def test_a_force_between_two_states(form):
     np.testing.assert_allclose(simulated(effect, coefficients), truth, atol=1e-6)
 
 
+def test_a_curve_between_two_states_acts_on_both_in_proportion():
+    places, heights = np.linspace(-0.03, 0.04, 7), (2.0, 1.5, 1.2, 0.1, -0.8, -1.0, -2.5)
+
+    def force(x):
+        here = np.interp(x[0] - x[2], places, heights)
+        return here, -7.5 * here
+
+    truth = solved(force)
+    assert np.abs(truth - solved(lambda x: (0.0, 0.0))).max() > 3e-3
+    effect = Effect("e", "pair v_body,v_wheel", "table", TRAVEL)
+    found = simulated(effect, (*heights, 7.5, places[0], places[-1]))
+    np.testing.assert_allclose(found, truth, atol=2e-5)
+
+
 def test_an_equation_of_ones_own_with_a_reaction():
     """A one-sided stop between two masses, which pushes both apart."""
 
@@ -139,6 +153,7 @@ def test_commas_within_brackets_belong_to_a_name():
 UNITS = [
     (Effect("e", "pair v_body,v_wheel", "gap", TRAVEL), ("m/s^2/m", "m/s^2/m", "m")),
     (Effect("e", "pair z_body,v_wheel", "coulomb", ("road",)), ("m/s", "m/s^2", "m")),
+    (Effect("e", "pair v_body,v_wheel", "table", TRAVEL), (*["m/s^2"] * 7, "1", "m", "m")),
     (Effect("e", "der(v_body)", "quadratic"), ("m/s^2/(m/s)^2",)),
     (Effect("e", "der(v_body)", "product", ("z_body", "v_body")), ("m/s^2/(m (m/s))",)),
     (Effect("e", "der(v_body)", "dahl"), ("m/s^2", "m")),

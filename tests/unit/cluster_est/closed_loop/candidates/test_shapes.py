@@ -56,6 +56,7 @@ LINEAR = {
     ("pair", "cubic"): ([0, 0], [-(V**3), V**3]),
     ("pair", "coulomb"): ([0, 0, 0.1], [-np.tanh(V / 0.1), np.tanh(V / 0.1)]),
     ("pair", "leak"): ([0, 0], [-SIGNED, SIGNED]),
+    ("pair", "table"): ([0] * 7 + [0.5, -0.9, 1.1], HATS),
     ("input", "bias"): ([0], [np.ones(401)]),
     ("input", "drift"): ([0], [T]),
     ("input", "gain"): ([0], [S]),
@@ -169,3 +170,16 @@ def test_a_strength_is_what_the_equation_is_linear_in_and_neutral_at_zero():
     for form in FORMS.values():
         neutral = {c.name for c in form.coefficients if c.neutral == 0.0 and not c.scale}
         assert set(shape_of(form).strengths) == neutral, form.name
+
+
+def test_a_curve_between_two_states_acts_on_the_second_in_proportion():
+    form = FORMS["pair", "table"]
+    values = dict(zip((c.name for c in form.coefficients), [0] * 7 + [0.5, -0.9, 1.1], strict=True))
+    shape = shape_of(form)
+    assert shape.mirrored
+    expected = -0.5 * np.column_stack(HATS)
+    np.testing.assert_allclose(shape.reactions(SIGNALS, values), expected, atol=1e-12)
+
+
+def test_no_other_form_has_a_strength_that_acts_on_both():
+    assert [key for key, form in FORMS.items() if shape_of(form).mirrored] == [("pair", "table")]
