@@ -40,6 +40,11 @@ class BudgetWatch:
             longest is not None and self.seconds >= longest
         )
 
+    @property
+    def counts_evaluations(self) -> bool:
+        """True where it may end by the number of evaluations."""
+        return self._budget.evaluations is not None
+
     def error(self) -> BudgetError:
         """Return the error that says so."""
         return BudgetError(

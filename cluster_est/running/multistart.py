@@ -45,7 +45,8 @@ class Multistart:
     screen
         For each sampled start so many points are evaluated, all at once, and the best are taken.
     at_once
-        Searches under way at the same time. A fixed number, so that it decides nothing but speed.
+        Searches under way at the same time. A fixed number, so that no machine decides where a
+        budget of evaluations ends them; without one it decides nothing but speed.
     patience
         Stop after so many starts in a row that brought no new minimum; 0 for never.
     same

@@ -1,7 +1,8 @@
 """The only loop: it feeds many searches from one queue and joins what comes back.
 
-Searches never wait for each other. Outcomes arrive in any order and are joined in the order of the
-experiments, so a search sees the same numbers whatever the workers did.
+Searches wait for each other only where they share a budget of evaluations. Outcomes arrive in any
+order and are joined in the order of the experiments, so a search sees the same numbers whatever the
+workers did.
 """
 
 from __future__ import annotations
@@ -70,6 +71,7 @@ class Runner:
         self._show = show or (lambda *_: None)
         self._note = note or (lambda *_: None)
         self._whole = whole
+        self._in_step = False
         self.interrupted = False
         """Whether it was: no search goes on after that, and simulations get a few seconds."""
 
@@ -121,6 +123,7 @@ class Runner:
         """
         self._refuse_if_exhausted([])
         searches = [self._open(request) for request in requests]
+        self._in_step = self._shares_budget(searches)
         try:
             if not self.interrupted:
                 with DeferredInterrupts() as interrupts:
@@ -161,6 +164,7 @@ class Runner:
                     outcomes = self._executor.completed()
                 for outcome in outcomes:
                     self._receive(outcome)
+                self._advance_in_step(searches[: len(searches) - len(waiting)])
                 self._display(searches)
                 continue
             counted += 1
@@ -183,6 +187,20 @@ class Runner:
                 self._finish(search, Ending.BUDGET)
             else:
                 self._advance(search, None)
+
+    def _shares_budget(self, searches: Sequence[SearchState]) -> bool:
+        """Return whether the order of their requests decides which searches a budget cuts.
+
+        They go in step then. Searches that are no use once one of them is cut need not.
+        """
+        return self._budget.counts_evaluations and len(searches) > 1 and not self._whole
+
+    def _advance_in_step(self, begun: Sequence[SearchState]) -> None:
+        """Let searches that share a budget go on in their order, once all of them can."""
+        under_way = [search for search in begun if search.solution is None]
+        if self._in_step and all(search.ready for search in under_way):
+            for search in under_way:
+                self._advance(search, search.take_answers())
 
     def _give_up(self, searches: Sequence[SearchState]) -> None:
         """End searches whose solutions nobody wants any more."""
@@ -281,7 +299,7 @@ class Runner:
     def _receive(self, outcome: Outcome) -> None:
         """Hand an outcome to who waits for it; let those go on that have all they asked for."""
         for search in self._pending.receive(outcome):
-            if search.ready and search.solution is None:
+            if search.ready and search.solution is None and not self._in_step:
                 self._advance(search, search.take_answers())
 
     def _drop(self, search: SearchState, indices: tuple[int, ...]) -> None:

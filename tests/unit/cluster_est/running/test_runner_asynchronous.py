@@ -391,6 +391,20 @@ def test_failed_starts_are_solutions_like_others():
     assert [s.ending for s in found] == [Ending.START_FAILED, Ending.CONVERGED]
 
 
+@settings(max_examples=50)
+@given(SEEDS, st.integers(1, 40), st.integers(1, 5), st.integers(1, 8))
+def test_a_budget_of_evaluations_cuts_the_same_searches_whatever_arrives_first(
+    seed, evaluations, workers, at_once
+):
+    def cut(seed, workers):
+        runner = Runner(ShufflingExecutor(answer, seed, workers), Budget(evaluations=evaluations))
+        found = summary(runner.run(many(Downhill(), STARTS), at_once))
+        return found, runner.evaluations
+
+    found, reference = cut(seed, workers), cut(0, 1)
+    assert repr(found) == repr(reference)  # a search that was not begun has no cost: NaN
+
+
 def test_searches_that_were_not_begun_end_with_the_budget():
     runner = Runner(ShufflingExecutor(answer), Budget(evaluations=9))
     method = Downhill()
