@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,9 +29,10 @@ from cluster_est.problem.space import make_space
 from cluster_est.results.result import Result
 from cluster_est.run_folder.context import Existing, RunContext
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind, RunStatus
-from cluster_est.running.environment import OwnWorkers, RunEnvironment, WorkerSource
+from cluster_est.running.environment import RunEnvironment, WorkerSource
 from cluster_est.running.interrupts import stopped_by
 from cluster_est.running.records import Budget, Show
+from cluster_est.running.shared_pools import SharedPools
 
 if TYPE_CHECKING:
     from cluster_est.closed_loop.findings.result import LoopResult
@@ -207,17 +208,23 @@ def do_run(
     """
     for sentence in former_keys(run.config):
         listener.say(sentence)
+    to = replace(to, out=to.out.absolute())  # an FMU may leave this process in another folder
     context = RunContext(run.identity, to.out, to.existing, listener.say)
     if context.finished:
         return RunEnd(RunStatus.DONE)
     if to.begin_at_once:
         context.begin()
     resources = build_resources(run.config)
+    # workers end when everything is written: an FMU that crashes while it is let go takes nothing
+    own = SharedPools() if source is None else nullcontext(source)
     try:
-        with listener.progress(resources.budget) as show, context, stopped_by(to.out / STOP):
-            environment = RunEnvironment(
-                resources, context.monitor(show), context.earlier, source or OwnWorkers()
-            )
+        with (
+            own as workers,
+            listener.progress(resources.budget) as show,
+            context,
+            stopped_by(to.out / STOP),
+        ):
+            environment = RunEnvironment(resources, context.monitor(show), context.earlier, workers)
             result = run.compute(environment)
             if context.folder is None and getattr(result, "interrupted", False):
                 raise KeyboardInterrupt  # a run that is there stays: nothing was simulated

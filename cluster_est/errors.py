@@ -11,6 +11,7 @@ All derive from one, and each text says where, what it must be, what it is and w
     |-- RunFolderError    a run folder that cannot be written or read
     |-- BudgetError       the budget was used up before there was a result
     `-- ExecutorError     no workers to be had
+        `-- UnsuitableExecutorError   the chosen ones must not run this FMU
 
 A simulation that fails is none of these: it is an `Outcome` with a status and a message.
 """
@@ -29,6 +30,7 @@ __all__ = [
     "ModelError",
     "ProblemError",
     "RunFolderError",
+    "UnsuitableExecutorError",
 ]
 
 
@@ -50,3 +52,7 @@ class BudgetError(ClusterEstError):
 
 class ExecutorError(ClusterEstError):
     """There are no workers to be had."""
+
+
+class UnsuitableExecutorError(ExecutorError):
+    """The executor that was chosen must not run this FMU; others can."""

@@ -225,11 +225,12 @@ class LoopWorkbench:
         experiments = self.synthetic[kind]
         problem = replace(start.problem, experiments=self.everything.experiments)
         values = dict(start.values)
+        names = {p.name for p in problem.parameters}
         for own, copy in zip(self.train, experiments, strict=True):
             ids = [self.everything.experiments[i].id for i in (own, copy)]
             for label, value in start.values.items():
-                if label.endswith(f"[{ids[0]}]"):
-                    values[label.replace(f"[{ids[0]}]", f"[{ids[1]}]")] = value
+                if label not in names and label.endswith(f"[{ids[0]}]"):
+                    values[f"{label.removesuffix(f'[{ids[0]}]')}[{ids[1]}]"] = value
         return make_space(problem, experiments, starts=values)
 
     def measured_estimates(self, fitted: FittedModel, kind: SyntheticKind) -> dict[str, float]:
@@ -240,10 +241,10 @@ class LoopWorkbench:
             for own, copy in zip(self.train, self.synthetic[kind], strict=True)
         }
         values = {}
-        for label, value in fitted.estimates.items():
-            name, _, scope = label.partition("[")
-            scope = scope.removesuffix("]")
-            values[f"{name}[{names.get(scope, scope)}]" if scope else name] = value
+        for unknown in fitted.space.unknowns:
+            name, scope = unknown.parameter.name, unknown.scope
+            label = f"{name}[{names.get(scope, scope)}]" if scope else name
+            values[label] = fitted.estimates[unknown.label]
         return values
 
     def fit(

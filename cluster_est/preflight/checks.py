@@ -188,7 +188,7 @@ def _advice(outcome: Outcome) -> str:
         return "a config whose experiment has a stop before that time"
     if 'model.solver = "cvode"' in outcome.message:
         return 'model.solver = "cvode" in a config, or other start values'
-    return _ADVICE.get(outcome.status, "other start values")
+    return _ADVICE.get(outcome.status, "what the FMU says of it, or other start values")
 
 
 _MORE = "give it more time with --seconds"

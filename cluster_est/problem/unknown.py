@@ -8,6 +8,14 @@ from dataclasses import dataclass
 from cluster_est.problem.parameter import Parameter
 
 
+def scope_of(label: str, name: str) -> str:
+    """Return the experiment or group in a parameter's label: "exp5" of "x0[exp5]"; "" if shared.
+
+    The name itself may have brackets, as elements of arrays do.
+    """
+    return label.removeprefix(name)[1:-1]
+
+
 @dataclass(frozen=True)
 class Unknown:
     """One number that a method moves.
@@ -31,6 +39,11 @@ class Unknown:
     column: int
     experiments: tuple[int, ...]
     start: float
+
+    @property
+    def scope(self) -> str:
+        """The experiment or group whose value it is; "" where all share it."""
+        return scope_of(self.label, self.parameter.name)
 
     @property
     def log(self) -> bool:

@@ -11,6 +11,7 @@ from cluster_est.methods.base import TOLERANCE, OtherPoint, Solution
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.unknown import scope_of
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.row_types import ConstraintValue, Estimate, PointValue, StartResult
 from cluster_est.running.evaluation import judge
@@ -55,13 +56,12 @@ def _estimate(
 ) -> Estimate:
     unknown = space.unknowns[i]
     parameter = unknown.parameter
-    _, _, scope = unknown.label.partition("[")
     return Estimate(
         label=unknown.label,
         parameter=parameter.name,
         variable=parameter.target,
         unit=parameter.unit or units.get(parameter.target, ""),
-        scope=scope.removesuffix("]") or "shared",
+        scope=unknown.scope or "shared",
         value=unknown.to_physical(float(solution.x[i])),
         start=unknown.start,
         lower=parameter.lower,
@@ -84,10 +84,9 @@ def derived(
     spread = {each.label: each for each in uncertainty.derived}
     parameters = {p.name: p for p in space.problem.parameters}
     for label, value in space.derived(solution.x).items():
-        name, _, scope = label.partition("[")
-        parameter = parameters[name]
-        known = _known(parameter, units, value, "derived")
-        known = replace(known, label=label, scope=scope.removesuffix("]") or "shared")
+        name = label if label in parameters else label.rpartition("[")[0]
+        known = _known(parameters[name], units, value, "derived")
+        known = replace(known, label=label, scope=scope_of(label, name) or "shared")
         if (each := spread.get(label)) is not None:
             known = replace(
                 known, std_error=each.std_error, lower95=each.lower95, upper95=each.upper95

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from cluster_est.errors import ExecutorError
+from cluster_est.errors import UnsuitableExecutorError
 from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
@@ -161,7 +161,7 @@ def open_with_reset(
         limits = resources.limits if kind == resources.executor else NO_LIMITS
         pool = executor_class(kind)
         if renew == "process" and pool.in_process:
-            raise ExecutorError(
+            raise UnsuitableExecutorError(
                 'model.reset: "process" needs workers that are processes of their own but '
                 f'executor.name is "{kind}"; choose "processes" or "ray" there'
             )
@@ -252,13 +252,13 @@ def _refuse_here(
 ) -> None:
     """Refuse to run an FMU in this process that would take it along, or spoil what comes next."""
     if answer.same is None and answer.crashed:
-        raise ExecutorError(
+        raise UnsuitableExecutorError(
             f"executor.name: {file} must survive its first simulation to be run in this process, "
             f'but it does not ({answer.message}); choose "processes" or "ray", where only the '
             "simulations that crash are lost"
         )
     if policy == "process":
-        raise ExecutorError(
+        raise UnsuitableExecutorError(
             f"executor.name: {file} keeps something from one simulation to the next, even in "
             f'a new instance, so each needs a process of its own, but "{executor}" has one for '
             'all; choose "processes" or "ray", or set model.reset = "reset" if that does not matter'

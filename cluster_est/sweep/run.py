@@ -13,14 +13,14 @@ from cluster_est.configured_run import (
     configure,
     do_run,
 )
-from cluster_est.errors import ExecutorError, RunFolderError
+from cluster_est.errors import ExecutorError, RunFolderError, UnsuitableExecutorError
 from cluster_est.executors import executor_class
 from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.resume import check_resumable
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind, RunStatus
+from cluster_est.running.shared_pools import SharedPools, pool_key
 from cluster_est.sweep.matrix import SweepRun
-from cluster_est.sweep.pool import SharedPools, pool_key
 from cluster_est.sweep.state import PlannedRun, clear_torn, fingerprint
 from workers.messages import content_hash
 
@@ -92,6 +92,8 @@ def do_sweep_run(run: SweepRun, folder: Path, settings: SweepSettings) -> RunSta
     to = Destination(folder, existing, report=False, begin_at_once=True)
     try:
         return do_run(configured, to, settings.listener, settings.pools).status
+    except UnsuitableExecutorError:  # for this FMU; others may run there
+        return RunStatus.FAILED
     except (ExecutorError, RunFolderError):
         raise
     except Exception:  # whatever it is stands in its run.json; the other runs still can be done

@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 from workers.errors import DataError
 from workers.messages.checks import check_choice, check_name, check_number
-from workers.messages.signals import as_floats, check_finite, check_length, check_times
+from workers.messages.signals import check_finite, check_length, check_times, kept_floats
 from workers.messages.types import FloatArray, Interpolation
 
 
@@ -74,8 +74,8 @@ def _check_samples(signal: Any, kind: str) -> str:
     """
     check_name(signal.variable, f"{kind}.variable", DataError)
     where = f"{kind} {signal.variable!r}"
-    times = as_floats(signal.times, f"{where}.times")
-    values = as_floats(signal.values, f"{where}.values")
+    times = kept_floats(signal.times, f"{where}.times")
+    values = kept_floats(signal.values, f"{where}.values")
     object.__setattr__(signal, "times", times)  # a frozen class is changed while it is made alone
     object.__setattr__(signal, "values", values)
     check_length(values, times, f"{where}.values:")

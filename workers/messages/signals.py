@@ -47,6 +47,24 @@ def as_floats(values: Any, where: str, dimensions: int = 1) -> FloatArray:
     return np.asarray(found, np.float64)
 
 
+def kept_floats(values: Any, where: str, dimensions: int = 1) -> FloatArray:
+    """Numbers as an array of floats that nobody can change: a copy, unless they are one already.
+
+    For what is kept: an array that its owner fills with the next measurement must not change the
+    last one.
+
+    Raises
+    ------
+    DataError
+        As `as_floats`.
+    """
+    found = as_floats(values, where, dimensions)
+    if found.flags.writeable or found.base is not None:
+        found = found.copy()
+        found.flags.writeable = False
+    return found
+
+
 def _from_objects(values: Any, where: str) -> Any:
     """Numbers in an array of Python objects, NaN for None and the like."""
     if values.dtype.kind != "O":

@@ -77,7 +77,7 @@ def _grow(workbench: LoopWorkbench, start: FitStart) -> list[FittedModel | None]
 def _spread(workbench: LoopWorkbench, start: FitStart) -> list[FitStart]:
     """The user's start, and points of a Sobol sequence around it for the shared values."""
     space = workbench.space(start)
-    shared = [i for i, unknown in enumerate(space.unknowns) if "[" not in unknown.label]
+    shared = [i for i, unknown in enumerate(space.unknowns) if not unknown.scope]
     sampler = qmc.Sobol(max(1, len(shared)), rng=workbench.generator(1))
     count = workbench.settings.starts
     cube = 2.0 * sampler.random(1 << (count - 1).bit_length())[:count] - 1.0

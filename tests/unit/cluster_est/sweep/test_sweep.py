@@ -14,8 +14,8 @@ from cluster_est.errors import ConfigError
 from cluster_est.executors import WorkerPool
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.running.resources import Resources
+from cluster_est.running.shared_pools import SharedPools
 from cluster_est.sweep.matrix import read_sweep
-from cluster_est.sweep.pool import SharedPools
 from cluster_est.toml import to_toml
 from workers.messages import Limits, Task
 

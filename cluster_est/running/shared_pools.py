@@ -1,4 +1,4 @@
-"""Workers that outlive a run of a sweep."""
+"""Workers that outlive a run: for the next one, and until what was found is written."""
 
 from __future__ import annotations
 
