@@ -273,6 +273,27 @@ def test_a_process_that_dies_leaves_a_sentence(fitted: Fit, tmp_path: Path) -> N
     assert ended.stderr.strip().splitlines()[-1] == SENTENCE
 
 
+def test_what_was_found_is_written_before_the_fmu_is_let_go(
+    built_fmu: Callable[[str], bytes], tmp_path: Path
+) -> None:
+    """It crashes in the process of the command, at the very end."""
+    times = np.linspace(0.0, 2.0, 21)
+    rows = [f"{t!r},{math.exp(-RATE * t)!r}" for t in times.tolist()]
+    (tmp_path / "a.csv").write_text("time,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    (tmp_path / "decay.fmu").write_bytes(built_fmu("crashes_when_unloaded"))
+    (tmp_path / "config.toml").write_text(
+        'parameters.rate = { start = 0.7, bounds = [0.01, 10.0] }\nmodel.fmu = "decay.fmu"\n'
+        '[[experiments]]\nid = "a"\ndata = "a.csv"\ntime = "time"\noutputs = { y = "y" }\n',
+        encoding="utf-8",
+    )
+    command = [sys.executable, "-c", "from cluster_est.cli import run; run()", "fit"]
+    command += [str(tmp_path / "config.toml"), "--out", str(tmp_path / "run"), "--no-report"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == -signal.SIGSEGV
+    assert SENTENCE in ended.stderr
+    assert estimate(tmp_path, "rate") == pytest.approx(RATE, rel=1e-5)
+
+
 @BOTH
 @pytest.mark.parametrize("executor", ["local", "processes"])
 def test_a_file_that_is_opened_by_a_relative_path_lies_in_the_working_folder(
