@@ -169,8 +169,8 @@ class RefinementThresholds:
     closes
         Share of the gap to the noise that a single effect must close, or more are tried.
         Benchmark.
-    promised
-        Share of what the linear model promises of a step that must come of it, or a shorter one is
+    actual_reduction
+        Share of the predicted reduction that a step must bring, or a shorter one is
         tried. Theory: half of it is a good step, J. J. More, doi:10.1007/BFb0067700.
     behind
         Share of what the best candidate does, where that closes the gap, that another must do to
@@ -181,7 +181,7 @@ class RefinementThresholds:
         Free curves that are refitted. Benchmark.
     same_argument
         Other functions of the best candidate's argument that are refitted. Benchmark.
-    imitates
+    explains
         Share of what that candidate does that they must be able to do. Benchmark.
     equal
         Difference of criteria that does not tell two candidates apart. Theory: below 2 "not worth
@@ -198,12 +198,12 @@ class RefinementThresholds:
     points_of_grid: int = 2
     white_leaders: int = 8
     closes: float = 0.9
-    promised: float = 0.5
+    actual_reduction: float = 0.5
     behind: float = 0.25
     finalists: int = 3
     curves: int = 2
     same_argument: int = 3
-    imitates: float = 0.8
+    explains: float = 0.8
     equal: float = 2.0
     alternative: float = 10.0
 

@@ -83,7 +83,7 @@ class ScaledCoordinates:
 
     def _jacobian(self, u: FloatArray) -> FloatArray:
         """Return the derivatives of the constraints on parameters by u."""
-        return self.space.parameter_constraint_slopes(self.x(u)) * self.unit
+        return self.space.parameter_constraint_jacobian(self.x(u)) * self.unit
 
     def is_feasible(self, u: FloatArray) -> bool:
         """Return whether u satisfies the constraints on parameters."""

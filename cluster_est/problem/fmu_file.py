@@ -36,7 +36,7 @@ def read_model(
     structure
         Structural parameters (FMI 3) that differ from their start values.
     reset
-        The state that every simulation begins with; see `Model.renew`.
+        The state that every simulation begins with; see `Model.reset`.
 
     Raises
     ------

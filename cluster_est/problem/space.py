@@ -154,7 +154,7 @@ class SearchSpace:
         """The constraints on parameters at x: the first of `constraint_names`."""
         return evaluate(self._specs, self.problem, self._table(x)) if self._specs else _NONE
 
-    def parameter_constraint_slopes(self, x: FloatArray) -> FloatArray:
+    def parameter_constraint_jacobian(self, x: FloatArray) -> FloatArray:
         """(constraints on parameters, unknowns): their derivatives.
 
         By central differences, one-sided at a bound. They cost no simulation.

@@ -82,13 +82,13 @@ class ForkClient:
     def _stop(self) -> None:
         if not self._orders.closed:
             self._orders.close()
-            self._zygote.wait()
+            self._fork_server.wait()
 
     def _start(self) -> None:
         mine, theirs = socket.socketpair()
         passed = theirs.fileno(), self._shared.descriptor
         with theirs:
-            self._zygote = subprocess.Popen(
+            self._fork_server = subprocess.Popen(
                 [sys.executable, "-m", "workers.process.fork_server", *map(str, passed)],
                 pass_fds=passed,
                 start_new_session=True,
@@ -103,7 +103,7 @@ class ForkClient:
         try:
             with theirs:
                 self._orders.send(FORK_FOR_EFFECTS if effects else FORK)
-                reduction.send_handle(self._orders, theirs.fileno(), self._zygote.pid)
+                reduction.send_handle(self._orders, theirs.fileno(), self._fork_server.pid)
                 process: int = self._orders.recv()
         except BaseException:
             mine.close()

@@ -159,7 +159,7 @@ def _assemble(
     pairs = zip(at.rows, space.acting, strict=True)
     blocks = [np.zeros((row.stop - row.start, len(columns))) for row, columns in pairs]
     constraints = np.zeros((len(space.constraint_names), space.size))
-    on_parameters = space.parameter_constraint_slopes(x)
+    on_parameters = space.parameter_constraint_jacobian(x)
     constraints[: len(on_parameters)] = on_parameters
     frozen = np.zeros(space.size, dtype=bool)
     colour_of = np.zeros(space.size, np.intp)

@@ -132,7 +132,7 @@ def _cost_differences(
         if not frozen[i]:
             gradient[i] = derivative
             constraints[:, i] = (plus[i].constraints - minus[i].constraints) / width
-    on_parameters = space.parameter_constraint_slopes(x)
+    on_parameters = space.parameter_constraint_jacobian(x)
     constraints[: len(on_parameters)] = np.where(frozen, 0.0, on_parameters)
     return _freeze_undefined(CostDerivatives(gradient, constraints, None, frozen))
 

@@ -104,7 +104,7 @@ def forward_sensitivities(
     """Ask for one point with sensitivities and make the Jacobian of them."""
     (found,) = yield Points(x[None, :], "sensitivities", progress, sensitivities=True)
     constraints = np.zeros((len(space.constraint_names), space.size))
-    on_parameters = space.parameter_constraint_slopes(x)
+    on_parameters = space.parameter_constraint_jacobian(x)
     constraints[: len(on_parameters)] = on_parameters
     given: list[FloatArray] = []
     for outcome in found.outcomes:

@@ -77,7 +77,7 @@ def unknown_layout(
     if not held:
         at_bounds = tuple("" for _ in at_bounds)
     free = np.array([not bound for bound in at_bounds], dtype=bool)
-    jacobian = space.parameter_constraint_slopes(x)
+    jacobian = space.parameter_constraint_jacobian(x)
     values = space.parameter_constraints(x)
     active = np.abs(values) <= TOLERANCE
     active |= space.equality[: len(values)] | (values > 0.0)

@@ -42,7 +42,7 @@ def first_steps(
     ranking: CandidateRanking,
     leaders: Sequence[int],
 ) -> list[FirstStep]:
-    """Simulate the first step of each leader; shorter ones where it does not do what it promised.
+    """Simulate the first step of each leader; shorter ones where it does less than predicted.
 
     Leaders that cannot be simulated are left out.
     """
@@ -116,14 +116,14 @@ def _does_enough(
     current: FittedModel,
     thresholds: RefinementThresholds,
 ) -> bool:
-    """Return whether its candidate's first step has done enough of what the linear model promised.
+    """Return whether its candidate's first step has brought enough of the predicted reduction.
 
     A longer one was simulated before, or there is nothing to judge by.
     """
     if asked.owner not in best:
         return False
     gained = current.sse - best[asked.owner].sse
-    return gained >= thresholds.promised * (current.sse - asked.predicted)
+    return gained >= thresholds.actual_reduction * (current.sse - asked.predicted)
 
 
 def _grid_points(ranking: CandidateRanking, leader: int) -> list[int]:

@@ -105,16 +105,20 @@ def _starts(
     without = fitted.start.minus(len(fitted.added) - 1)
     found: dict[str, tuple[float, FitStart]] = {}
     for trial, column in zip(trials, columns[1:], strict=True):
-        share, sizes = imitated(target, projection.remove(column), free=is_proportional(trial))
+        share, sizes = explained_share(
+            target, projection.remove(column), free=is_proportional(trial)
+        )
         rival = trial.candidate
-        if share > found.get(rival.effect.name, (thresholds.imitates,))[0]:
+        if share > found.get(rival.effect.name, (thresholds.explains,))[0]:
             start = without.plus(rival, values_at(trial, sizes, thresholds))
             found[rival.effect.name] = share, start
     ranked = sorted(found.values(), key=lambda each: -each[0])
     return [start for _, start in ranked[: thresholds.same_argument]]
 
 
-def imitated(target: FloatArray, columns: FloatArray, *, free: bool) -> tuple[float, FloatArray]:
+def explained_share(
+    target: FloatArray, columns: FloatArray, *, free: bool
+) -> tuple[float, FloatArray]:
     """Return the share of a target's squares that columns explain, and the strength of each.
 
     Parameters

@@ -107,7 +107,7 @@ def test_it_holds_wherever_it_says_something_new(case):
 @given(cases())
 def test_slopes_are_the_derivatives_even_at_the_bounds(case):
     space, x, used = case
-    slopes = space.parameter_constraint_slopes(x)
+    slopes = space.parameter_constraint_jacobian(x)
     assert slopes.shape == (len(space.constraint_names), space.size)
     position = {name: space.constraint_names.index(name) for name in space.constraint_names}
     for name, row in position.items():
@@ -128,14 +128,14 @@ def test_a_slope_at_a_bound_is_not_halved(end, scale):
     space = make_space(unloaded_problem([parameter], constraints=["3 * k <= 1"]), (0,))
     x = getattr(space, end)
     truth = 3.0 * (getattr(parameter, end) if scale == "log" else 1.0)
-    assert space.parameter_constraint_slopes(x)[0, 0] == pytest.approx(truth, rel=1e-4)
+    assert space.parameter_constraint_jacobian(x)[0, 0] == pytest.approx(truth, rel=1e-4)
 
 
 def test_slopes_do_not_depend_on_the_size_of_an_unknown():
     parameters = [Parameter("big", 1e9, 0.0, 2e9), Parameter("small", 1e-9, 0.0, 2e-9)]
     problem = unloaded_problem(parameters, constraints=["big * small <= 1", "big^2 <= 1"])
     space = make_space(problem, (0,))
-    slopes = space.parameter_constraint_slopes(space.start)
+    slopes = space.parameter_constraint_jacobian(space.start)
     np.testing.assert_allclose(slopes, [[1e-9, 1e9], [2e9, 0.0]], rtol=1e-6)
 
 
@@ -143,7 +143,7 @@ def test_a_violation_is_counted_in_its_scale():
     problem = unloaded_problem([Parameter("a", 2.0)], constraints=["a <= 1"], scale=4.0)
     space = make_space(problem, (0,))
     assert space.parameter_constraints(np.array([7.0])).tolist() == [1.5]
-    np.testing.assert_allclose(space.parameter_constraint_slopes(np.array([7.0])), [[0.25]])
+    np.testing.assert_allclose(space.parameter_constraint_jacobian(np.array([7.0])), [[0.25]])
 
 
 def test_bounds_of_what_follows_become_constraints():
@@ -221,14 +221,14 @@ def test_a_constraint_without_a_value_is_as_bad_as_can_be():
     assert at.violation == math.inf
     assert not at.feasible
     assert at.rank[0] == math.inf
-    np.testing.assert_array_equal(space.parameter_constraint_slopes(np.array([-1.0])), [[0.0]])
+    np.testing.assert_array_equal(space.parameter_constraint_jacobian(np.array([-1.0])), [[0.0]])
 
 
 def test_without_constraints_nothing_is_violated():
     space = make_space(unloaded_problem([Parameter("a", 1.0)]), (0,))
     at = judge(space, np.array([1.0]), (outcome(),), 0)
     assert (at.violation, at.feasible, len(at.constraints)) == (0.0, True, 0)
-    assert space.parameter_constraint_slopes(np.array([1.0])).shape == (0, 1)
+    assert space.parameter_constraint_jacobian(np.array([1.0])).shape == (0, 1)
 
 
 @given(st.lists(st.tuples(st.floats(-5.0, 5.0), st.booleans()), max_size=6))

@@ -226,7 +226,7 @@ def test_even_without_the_process_that_forks_it_goes_on(open_guard):
     asked = tasks(RATES)
     before = in_batches(guard, asked)
     for _ in range(2):
-        os.kill(guard._forks._zygote.pid, signal.SIGKILL)
+        os.kill(guard._forks._fork_server.pid, signal.SIGKILL)
         after = in_batches(guard, asked)
         assert [o.residuals.tobytes() for o in after] == [o.residuals.tobytes() for o in before]
 
@@ -251,10 +251,10 @@ def test_after_a_while_without_failures_tasks_travel_in_batches_again(open_guard
 def test_nothing_is_left_running(open_guard):
     guard = open_guard(QUICK)
     in_batches(guard, tasks(RATES[:4]))
-    child, zygote = guard._child[0], guard._forks._zygote.pid
+    child, zygote = guard._child[0], guard._forks._fork_server.pid
     guard.close()
     guard.close()
-    assert guard._forks._zygote.returncode == 0
+    assert guard._forks._fork_server.returncode == 0
     assert not Path(f"/proc/{zygote}").exists()
     assert not Path(f"/proc/{child}").exists()
 
@@ -266,8 +266,8 @@ def test_a_process_dies_with_its_guard_even_in_the_middle_of_a_hang(model, open_
     connection.send(TaskBatch.of([tasks(RATES, HANGS, 0.05)[hanging]]))
     child = guard._child[0]
     assert not connection.poll(0.3)
-    os.kill(guard._forks._zygote.pid, signal.SIGKILL)
-    guard._forks._zygote.wait()
+    os.kill(guard._forks._fork_server.pid, signal.SIGKILL)
+    guard._forks._fork_server.wait()
     deadline = time.monotonic() + 10.0
     while Path(f"/proc/{child}/stat").exists() and time.monotonic() < deadline:
         if Path(f"/proc/{child}/stat").read_text().split()[2] == "Z":

@@ -28,9 +28,9 @@ def shifted():
     return replace(problem, experiments=tuple(runs))
 
 
-def stepped(promised):
+def stepped(share):
     """The first step of the bias with that threshold, what it cost, and the fit before."""
-    thresholds = LoopThresholds(refinement=RefinementThresholds(promised=promised))
+    thresholds = LoopThresholds(refinement=RefinementThresholds(actual_reduction=share))
     settings = LoopSettings(forms=("bias",), thresholds=thresholds)
     with opened(shifted(), settings) as bench:
         current = fit_declared(bench, FitStart(bench.problem, {}))
@@ -43,7 +43,7 @@ def stepped(promised):
         return step, (bench.runner.simulations - before) / len(bench.train), current
 
 
-def test_a_step_that_does_what_was_promised_is_not_shortened():
+def test_a_step_that_does_what_was_predicted_is_not_shortened():
     step, simulated, current = stepped(0.5)
     assert simulated == 1
     assert step.sse < 0.01 * current.sse
