@@ -13,7 +13,7 @@ from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.results import rows
 from cluster_est.results.output_errors import Simulation, output_errors
 from cluster_est.results.result import Result
-from cluster_est.running.evaluation import judge
+from cluster_est.running.evaluation import assemble_evaluation
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited
 from cluster_est.uncertainty import Uncertainty, assess, intervals
@@ -126,7 +126,7 @@ def _whole(
     if solution.at is None or suited(space, method).wants == space.wants:
         return solution
     outcomes = tuple(replace(after[e].outcome, trajectory=None) for e in space.experiments)
-    at = judge(space, solution.x, outcomes, solution.at.index)
+    at = assemble_evaluation(space, solution.x, outcomes, solution.at.index)
     return replace(solution, cost=at.cost, at=at) if at.ok else solution
 
 

@@ -14,7 +14,7 @@ from cluster_est.problem.space import SearchSpace
 from cluster_est.problem.unknown import scope_of
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.row_types import ConstraintValue, Estimate, PointValue, StartResult
-from cluster_est.running.evaluation import judge
+from cluster_est.running.evaluation import assemble_evaluation
 from cluster_est.running.multistart import MultistartResult
 from cluster_est.uncertainty import ConfidenceInterval, Uncertainty
 from workers.fmu.description import describe_model
@@ -149,7 +149,7 @@ def constraints_at_start(space: SearchSpace, simulations: list[Simulation]) -> t
 def _judged(space: SearchSpace, x: FloatArray, simulations: list[Simulation]) -> FloatArray:
     """The constraints at x, NaN where a simulation failed."""
     outcomes = tuple(simulations[e].outcome for e in space.experiments)
-    found = judge(space, x, outcomes, 0).constraints
+    found = assemble_evaluation(space, x, outcomes, 0).constraints
     return found if len(found) else np.full(len(space.constraint_names), np.nan)
 
 

@@ -10,7 +10,7 @@ from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray, Outcome
 
 
-def judge(
+def assemble_evaluation(
     space: SearchSpace, x: FloatArray, outcomes: tuple[Outcome, ...], index: int
 ) -> Evaluation:
     """Join the outcomes of a point's experiments, which stand in their order.

@@ -8,7 +8,7 @@ import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.problem.space import SearchSpace
-from cluster_est.running.evaluation import judge
+from cluster_est.running.evaluation import assemble_evaluation
 from workers.messages import Effect, FloatArray, Outcome, Want
 
 MEMORY_BYTES = 256 * 2**20
@@ -93,7 +93,9 @@ class SearchState:
         if point.missing == 0:
             del self.pending[index]
             outcomes = tuple(o for o in point.outcomes if o is not None)
-            self.answers.append((judge(self.request.space, point.x, outcomes, index), point.x))
+            self.answers.append(
+                (assemble_evaluation(self.request.space, point.x, outcomes, index), point.x)
+            )
 
     def take_answers(self) -> list[Evaluation]:
         """The evaluations that it is sent, in the order in which it asked for them."""

@@ -33,7 +33,7 @@ from cluster_est.methods.populations.isres import Isres
 from cluster_est.methods.populations.nsga2 import Nsga2
 from cluster_est.methods.populations.particle_swarm import ParticleSwarm
 from cluster_est.problem.space import make_space
-from cluster_est.running.evaluation import judge
+from cluster_est.running.evaluation import assemble_evaluation
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, UserFunction
@@ -165,7 +165,7 @@ def watch(method, problem, seed=0):
             answers = []
             for x in requests[-1].x:
                 outcome = Outcome(0, Status.OK, problem.residuals(x), constraints=constraints(x))
-                answers.append(judge(space, x, (outcome,), 0))
+                answers.append(assemble_evaluation(space, x, (outcome,), 0))
             requests.append(search.send(answers))
     except StopIteration as end:
         return end.value, requests

@@ -15,7 +15,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.methods.simplex.nelder_mead import NelderMead
 from cluster_est.problem.space import make_space
-from cluster_est.running.evaluation import judge
+from cluster_est.running.evaluation import assemble_evaluation
 
 TIGHT = NelderMead(bounds="enforce", xtol=1e-8, ftol=1e-12)
 HALVES = replace(TIGHT, parallel=2)
@@ -57,7 +57,9 @@ def followed(problem: FunctionProblem, method: NelderMead) -> Asked:
         purposes.append(request.purpose)
         executor.submit([_Task(i, x) for i, x in enumerate(request.x)])
         pairs = zip(request.x, executor.completed(), strict=True)
-        answer = [judge(space, x, (outcome,), i) for i, (x, outcome) in enumerate(pairs)]
+        answer = [
+            assemble_evaluation(space, x, (outcome,), i) for i, (x, outcome) in enumerate(pairs)
+        ]
 
 
 @dataclass
