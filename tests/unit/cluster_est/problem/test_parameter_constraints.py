@@ -14,7 +14,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.space import make_space
-from cluster_est.running.evaluation import judge, violation
+from cluster_est.running.evaluation import assemble_evaluation, violation
 from workers.messages import Outcome, SignalBound, Status, UserFunction
 
 PER = [None, "experiment", "group:rig", "group:day"]
@@ -202,13 +202,13 @@ def test_a_point_is_judged_by_all_its_constraints():
     )
     space = make_space(problem, (0, 1))
     x = np.array([1.0])
-    good = judge(space, x, (outcome([-1.0, 0.0]), outcome([-2.0, 1e-7])), 5)
+    good = assemble_evaluation(space, x, (outcome([-1.0, 0.0]), outcome([-2.0, 1e-7])), 5)
     assert good.constraints.tolist() == [-2.0, 0.0, -1.0, 0.0, -2.0, 1e-7]
     assert (good.violation, good.feasible, good.index) == (1e-7, True, 5)
     assert (good.cost, good.rank) == (10.0, (0.0, 10.0))
-    bad = judge(space, x, (outcome([-1.0, -0.25]), outcome([0.125, 0.0])), 6)
+    bad = assemble_evaluation(space, x, (outcome([-1.0, -0.25]), outcome([0.125, 0.0])), 6)
     assert (bad.violation, bad.feasible, bad.rank) == (0.25, False, (0.25, 10.0))
-    failed = judge(space, x, (outcome([-1.0, 0.0]), FAILED), 7)
+    failed = assemble_evaluation(space, x, (outcome([-1.0, 0.0]), FAILED), 7)
     assert math.isnan(failed.cost)
     assert not failed.feasible
     assert good.rank < bad.rank < failed.rank == (math.inf, math.inf)
@@ -217,7 +217,7 @@ def test_a_point_is_judged_by_all_its_constraints():
 def test_a_constraint_without_a_value_is_as_bad_as_can_be():
     problem = unloaded_problem([Parameter("a", 1.0)], 1, ["sqrt(a) <= 3"])
     space = make_space(problem, (0,))
-    at = judge(space, np.array([-1.0]), (outcome(),), 0)
+    at = assemble_evaluation(space, np.array([-1.0]), (outcome(),), 0)
     assert at.violation == math.inf
     assert not at.feasible
     assert at.rank[0] == math.inf
@@ -226,7 +226,7 @@ def test_a_constraint_without_a_value_is_as_bad_as_can_be():
 
 def test_without_constraints_nothing_is_violated():
     space = make_space(unloaded_problem([Parameter("a", 1.0)]), (0,))
-    at = judge(space, np.array([1.0]), (outcome(),), 0)
+    at = assemble_evaluation(space, np.array([1.0]), (outcome(),), 0)
     assert (at.violation, at.feasible, len(at.constraints)) == (0.0, True, 0)
     assert space.parameter_constraint_jacobian(np.array([1.0])).shape == (0, 1)
 
