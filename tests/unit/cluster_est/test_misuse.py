@@ -113,11 +113,19 @@ FIT = [
         {"multistart": ce.Multistart(points={"k": 1.0})},
         "multistart.points: must be a list of dicts",
     ),
-    ({"uncertainty": "all"}, "uncertainty: must be an UncertaintySettings but is 'all'"),
     (
-        {"uncertainty": ce.UncertaintySettings(profiles="all")},
-        "uncertainty.profiles: must be a list",
+        {"multistart": ce.Multistart(points=3)},
+        "multistart.points: must be a list of dicts but is 3",
     ),
+    (
+        {"multistart": ce.Multistart(points=({}, {"k": "a"}))},
+        "multistart.points[1].k: must be a number but is 'a'",
+    ),
+    (
+        {"multistart": ce.Multistart(points=({1: 2.0},))},
+        "multistart.points[0]: must be text but is 1",
+    ),
+    ({"uncertainty": "all"}, "uncertainty: must be an UncertaintySettings but is 'all'"),
 ]
 
 
@@ -168,16 +176,49 @@ def test_residuals_at_no_point(problem):
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("given", "said"),
     [
-        ("der(v)", "closed_loop: must be a LoopSettings but is 'der(v)'"),
-        (ce.LoopSettings(sites="der(v)"), "closed_loop.sites: must be a list of text but is one"),
-        (ce.LoopSettings(max_effects=1.5), "closed_loop.max_effects: must be a whole number but"),
+        ({"profiles": "all"}, "profiles: must be a list of text but is one alone"),
+        ({"profiles": 3}, "profiles: must be a list of text but is 3"),
+        ({"profiles": (3,)}, "profiles[0]: must be text but is 3"),
+        ({"profiles": ("k",), "at_once": 0}, "at_once: must be at least 1 but is 0"),
+        ({"steps": 0}, "steps: must be at least 1 but is 0"),
+        ({"steps": 2.5}, "steps: must be a whole number but is 2.5"),
+        ({"max_steps": 1}, "max_steps: must be at least 2 but is 1"),
+        ({"bootstrap": -1}, "bootstrap: must be at least 0 but is -1"),
+        ({"bootstrap": True}, "bootstrap: must be a whole number but is true"),
+        ({"confidence": "a"}, "confidence: must be a number but is 'a'"),
+        ({"confidence": 95}, "confidence: must be at least 0.5 and below 1 but is 95"),
+        ({"rise": np.nan}, "rise: must be finite"),
     ],
 )
-def test_a_closed_loop_that_cannot_be(problem, settings, said):
-    with pytest.raises(ProblemError, match=re.escape(said)):
-        ce.close_loop(problem, settings=settings)
+def test_intervals_that_cannot_be(given, said):
+    with pytest.raises(ProblemError, match=re.escape(f"uncertainty.{said}")):
+        ce.UncertaintySettings(**given)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"sites": "der(v)"}, "sites: must be a list of text but is one alone"),
+        ({"forms": (1,)}, "forms[0]: must be text but is 1"),
+        ({"max_effects": 1.5}, "max_effects: must be a whole number but is 1.5"),
+        ({"max_effects": "a"}, "max_effects: must be a whole number but is 'a'"),
+        ({"significance": "a"}, "significance: must be a number but is 'a'"),
+        ({"significance": 0}, "significance: must lie between 0 and 1 but is 0"),
+        ({"draws": 99}, "draws: must be at least 100 but is 99"),
+        ({"pairs": "no"}, "pairs: must be true or false but is 'no'"),
+        ({"thresholds": 3}, "thresholds: must be a LoopThresholds but is 3"),
+    ],
+)
+def test_a_closed_loop_that_cannot_be(given, said):
+    with pytest.raises(ProblemError, match=re.escape(f"closed_loop.{said}")):
+        ce.LoopSettings(**given)
+
+
+def test_what_is_no_settings_of_a_closed_loop(problem):
+    with pytest.raises(ProblemError, match=r"closed_loop: must be a LoopSettings but is 'der\(v"):
+        ce.close_loop(problem, settings="der(v)")
 
 
 @pytest.mark.parametrize(
