@@ -82,10 +82,21 @@ def check_choice(
         raise error(f"{where}: must be {must} but is {shown(value)}")
 
 
-def check_name(value: object, where: str, error: type[ClusterEstError]) -> None:
-    """Refuse what is no text, or empty."""
+def check_flag(value: object, where: str, error: type[ClusterEstError]) -> None:
+    """Refuse what is neither true nor false."""
+    if not isinstance(value, bool):
+        raise error(f"{where}: must be true or false but is {shown(value)}")
+
+
+def check_text(value: object, where: str, error: type[ClusterEstError]) -> None:
+    """Refuse what is no text; it may be empty."""
     if not isinstance(value, str):
         raise error(f"{where}: must be text but is {shown(value)}")
+
+
+def check_name(value: object, where: str, error: type[ClusterEstError]) -> None:
+    """Refuse what is no text, or empty."""
+    check_text(value, where, error)
     if not value:
         raise error(f"{where}: must not be empty but is; give it a name")
 
@@ -139,4 +150,5 @@ def as_pairs(values: Any, where: str, error: type[ClusterEstError]) -> tuple[tup
 def _a(name: str) -> str:
     if name == "text":
         return name
-    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
+    vowel = name[0] in "AEIOU" and not name.startswith("User")
+    return f"{'an' if vowel else 'a'} {name}"

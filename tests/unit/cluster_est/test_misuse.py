@@ -13,11 +13,13 @@ import cluster_est as ce
 from cluster_est.costs import Cost
 from cluster_est.costs.robust import HuberCost
 from cluster_est.errors import ModelError, ProblemError
+from cluster_est.problem.formulas import Formula, ParameterConstraint
 
 T = np.linspace(0.0, 1.0, 5)
 DRIVEN, MEASURED = ce.Input("F", T, T), ce.Output("y", T, T)
 RUN = ce.Experiment("a", 0.0, 1.0, [DRIVEN], [MEASURED])
 MASS = ce.Parameter("m", 1.0, 0.1, 10.0)
+BELOW = Formula("k - 3", ("k",))
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +71,32 @@ def test_a_problem_that_cannot_be(model, change, said):
     given = {"model": model, "parameters": [MASS], "experiments": [RUN]}
     with pytest.raises(ProblemError, match=re.escape(said)):
         ce.Problem(**given | change)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("c", "k<3"), "constraint 'c'.formula: must be a Formula but is 'k<3'; make constraints"),
+        ((1, BELOW), "constraint.name: must be text but is 1"),
+        (("c", BELOW, "no"), "constraint 'c'.equality: must be true or false but is 'no'"),
+        (("c", BELOW, False, 0), "constraint 'c'.scale: must be greater than 0 but is 0"),
+    ],
+)
+def test_a_constraint_that_cannot_be(given, said):
+    with pytest.raises(ProblemError, match=re.escape(said)):
+        ParameterConstraint(*given)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ((3, ("k",)), "formula: must be text but is 3"),
+        (("k", "k"), "formula.known: must be a list of text but is one alone"),
+    ],
+)
+def test_a_formula_that_cannot_be(given, said):
+    with pytest.raises(ProblemError, match=re.escape(said)):
+        Formula(*given)
 
 
 @pytest.mark.parametrize(
