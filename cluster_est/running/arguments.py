@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from os import PathLike
 from typing import Any, get_args
 
@@ -57,6 +59,9 @@ def check_resources(resources: Resources) -> None:
         check_kind(resources.address, str, "executor.address", ProblemError)
     check_kind(resources.budget, Budget, "budget", ProblemError)
     check_kind(resources.limits, Limits, "executor", ProblemError)
+    for key, value in asdict(resources.limits).items():
+        if value != math.inf:
+            check_number(value, f"executor.limits.{key}", ProblemError, above=0.0)
     budget = resources.budget
     if budget.evaluations is not None:
         check_number(budget.evaluations, "budget.evaluations", ProblemError, above=0, whole=True)

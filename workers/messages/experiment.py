@@ -17,6 +17,8 @@ from workers.messages.checks import (
     check_kind,
     check_name,
     check_number,
+    check_once,
+    is_finite,
     is_number,
     shown,
 )
@@ -91,6 +93,7 @@ class Experiment:
             object.__setattr__(self, key, as_pairs(given, f"{where}.{key}", DataError))
         check_choice(self.role, get_args(Role), f"{where}.role", DataError)
         _check_values(self.values, f"{where}.values")
+        check_once([output.variable for output in self.outputs], f"{where}.outputs", DataError)
         if self.curve is not None:
             check_kind(self.curve, Curve, f"{where}.curve", DataError)
         if self.cost_function is not None:
@@ -175,7 +178,7 @@ def _check_values(values: tuple[tuple[str, Value], ...], where: str) -> None:
     """Refuse known values that no variable can have."""
     for name, value in values:
         fits = isinstance(value, bool | str | np.bool_) or is_number(value)
-        if not fits or (is_number(value) and not np.isfinite(float(value))):
+        if not fits or (is_number(value) and not is_finite(value)):
             raise DataError(
                 f"{where}.{name}: must be a finite number, true, false or a text but is "
                 f"{shown(value)}"

@@ -70,7 +70,7 @@ def _from_objects(values: Any, where: str) -> Any:
         return np.array(
             [np.nan if _absent(value) else float(value) for value in values.flat]
         ).reshape(values.shape)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{where}: must hold numbers but does not ({error})") from None
 
 

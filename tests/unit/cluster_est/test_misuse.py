@@ -12,14 +12,26 @@ from support.problems.springs import FMU, ROOT, spring_problem
 import cluster_est as ce
 from cluster_est.costs import Cost
 from cluster_est.costs.robust import HuberCost
-from cluster_est.errors import ModelError, ProblemError
+from cluster_est.errors import (
+    ClusterEstError,
+    ConfigError,
+    ModelError,
+    ProblemError,
+    RunFolderError,
+)
 from cluster_est.problem.formulas import Formula, ParameterConstraint
+from workers.messages import Limits
 
 T = np.linspace(0.0, 1.0, 5)
 DRIVEN, MEASURED = ce.Input("F", T, T), ce.Output("y", T, T)
 RUN = ce.Experiment("a", 0.0, 1.0, [DRIVEN], [MEASURED])
+CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
 MASS = ce.Parameter("m", 1.0, 0.1, 10.0)
 BELOW = Formula("k - 3", ("k",))
+
+
+def limited(**limits):
+    return ce.Resources(limits=Limits(**limits))
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +58,9 @@ def model():
         ({"per": 1}, 'm.per: must be "experiment" or "group:KEY" but is 1'),
         ({"variable": 1}, "m.variable: must be text but is 1"),
         ({"name": 1}, "name: must be text but is 1"),
+        ({"start": 10**400}, "m.start: must be a finite number of a usual size but is 1000"),
+        ({"fixed": "no"}, "m.fixed: must be true or false but is 'no'"),
+        ({"auxiliary": 1}, "m.auxiliary: must be true or false but is 1"),
     ],
 )
 def test_a_parameter_that_cannot_be(given, said):
@@ -132,6 +147,9 @@ FIT = [
     ({"resources": ce.Resources(workers="2")}, "executor.workers: must be a whole number but is"),
     ({"resources": ce.Resources(budget=9)}, "budget: must be a Budget but is 9"),
     ({"resources": ce.Resources(budget=ce.Budget(0))}, "budget.evaluations: must be greater than"),
+    ({"resources": limited(seconds="a")}, "executor.limits.seconds: must be a number but is 'a'"),
+    ({"resources": limited(stall=-1)}, "executor.limits.stall: must be greater than 0 but is -1"),
+    ({"resources": limited(memory=np.nan)}, "executor.limits.memory: must be a finite number but"),
     ({"seed": -1}, "method.seed: must be at least 0 but is -1"),
     ({"seed": 0.5}, "method.seed: must be a whole number but is 0.5"),
     ({"multistart": 5}, "multistart: must be a Multistart but is 5; write Multistart(5)"),
@@ -256,6 +274,8 @@ def test_what_is_no_settings_of_a_closed_loop(problem):
         ({"path": 3}, "model.fmu: must be a path but is 3"),
         ({"path": ROOT / "pyproject.toml"}, "must be an FMU, which is a zip file, but is not"),
         ({"parameters": ["q"]}, "model.parameters: mass_spring_damper.fmu has no variable 'q'"),
+        ({"structure": 3}, "model.structure: must be a dict but is 3; write {name: value}"),
+        ({"structure": {"n": "a"}}, "model.structure.n: must be a whole number but is 'a'"),
         ({"solver": "ode45"}, "model.solver: must be 'dormand_prince', 'rk4', 'cvode' or 'fmu'"),
         (
             {"solver": "fmu"},
@@ -270,6 +290,67 @@ def test_what_is_no_settings_of_a_closed_loop(problem):
 def test_a_model_that_cannot_be_read(given, said):
     with pytest.raises(ModelError, match=re.escape(said)):
         ce.read_model(**{"path": FMU} | given)
+
+
+@pytest.mark.parametrize(
+    ("read", "given", "said"),
+    [
+        (ce.read_config, (3,), "config: must be a path but is 3"),
+        (ce.read_config, (None,), "config: must be a path but is None"),
+        (ce.read_config, (CONFIG, 3), "overrides: must be a list of text but is 3"),
+        (ce.read_config, (CONFIG, [3]), "overrides[0]: must be text but is 3"),
+        (
+            ce.read_config,
+            (CONFIG, "a=b"),
+            "overrides: must be a list of text but is one alone; put",
+        ),
+        (ce.read_problem, (3,), "config: must be a path but is 3"),
+        (ce.read_problem, (CONFIG, "a=b"), "overrides: must be a list of text but is one alone"),
+        (ce.read_table, (3,), "table: must be a path but is 3"),
+        (ce.read_table, (None,), "table: must be a path but is None"),
+        (
+            ce.build_problem,
+            ("a.toml", ROOT),
+            "config: must be a Config but is 'a.toml'; use read_p",
+        ),
+        (ce.build_problem, (ce.read_config(CONFIG), 3), "base: must be a path but is 3"),
+    ],
+)
+def test_what_cannot_be_read(read, given, said):
+    with pytest.raises(ClusterEstError, match=re.escape(said)):
+        read(*given)
+
+
+def test_code_is_allowed_by_true_alone():
+    with pytest.raises(ConfigError, match="allow_code: must be true or false but is 'no'"):
+        ce.read_problem(CONFIG, allow_code="no")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"problem": "a.toml"}, "problem: must be a Problem but is 'a.toml'"),
+        ({"site": 3}, "effect.site: must be text but is 3"),
+        ({"form": 3}, "effect.form: must be text but is 3"),
+        ({"equation": 3}, "effect.equation: must be text but is 3"),
+        ({"variables": "v"}, "effect.variables: must be a list of text but is one alone"),
+        ({"start": "a"}, "effect.start: must be a dict but is 'a'; write"),
+        ({"start": {"k": "a"}}, "effect.start.k: must be a number but is 'a'"),
+        ({"start": {1: 2.0}}, "effect.start: must be text but is 1"),
+    ],
+)
+def test_an_effect_that_cannot_be_added(problem, given, said):
+    whole = {"problem": problem, "site": "der(v)", "form": "coulomb"}
+    with pytest.raises(ClusterEstError, match=re.escape(said)):
+        ce.add_effect(**whole | given)
+
+
+def test_what_a_result_has_not(problem, tmp_path):
+    found = ce.fit(problem)
+    with pytest.raises(RunFolderError, match="table: must be text but is 3"):
+        found.table(3)
+    with pytest.raises(ProblemError, match="experiment: must be text but is 3"):
+        found.export(tmp_path / "a.fmu", experiment=3)
 
 
 class TestWhatIsHarmless:

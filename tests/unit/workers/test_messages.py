@@ -66,6 +66,7 @@ class TestSamples:
             ([0, 1], [[1], [2]], r"values: must be a list of numbers but is of shape \(2, 1\)"),
             ([0, 1], [[1], [2, 3]], "values: must hold numbers but cannot be read"),
             (0, 1, "times: must be a list of numbers but is a number alone"),
+            ([10**400, 0], [0, 1], r"times: must hold numbers but does not \(int too large"),
             (None, T, "times: must be a list of numbers but is None"),
             (T, {"a": 1}, "values: must be a list of numbers but is {'a': 1}"),
             (T, {1.5}, "values: must be a list of numbers but is {1.5}"),
@@ -138,7 +139,14 @@ class TestExperiment:
             ({"values": {"m": np.nan}}, "values.m: must be a finite number, true, false or a text"),
             ({"values": "m"}, "values: must be a dict but is 'm'; write"),
             ({"values": [("m", 1, 2)]}, r"values: must hold pairs \(name, value\)"),
+            ({"values": {1: 2.0}}, r"values: must hold pairs \(name, value\) but holds \(1, 2.0\)"),
+            (
+                {"values": {"m": 10**400}},
+                "values.m: must be a finite number, true, false or a text",
+            ),
+            ({"stop": 10**400}, "stop: must be a finite number of a usual size but is 1000"),
             ({"groups": 1}, "groups: must be a dict but is 1"),
+            ({"outputs": [MEASURED, MEASURED]}, "outputs 'y': must appear once but appears twice"),
         ],
     )
     def test_what_contradicts_itself_is_refused(self, change, said):
@@ -297,3 +305,17 @@ def test_an_effect_has_a_name_and_a_site():
         Effect(1, "der(v)")
     with pytest.raises(EffectError, match=r"effect 'f'\.variables: must be a list of text"):
         Effect("f", "der(v)", "linear", "x")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"form": 3}, "form: must be text but is 3"),
+        ({"equation": 3}, "equation: must be text but is 3"),
+        ({"reaction": None}, "reaction: must be text but is None"),
+        ({"coefficients": {"a": "0"}}, "coefficients.a: must be a number but is '0'"),
+    ],
+)
+def test_an_effect_is_made_of_texts_and_numbers(change, said):
+    with pytest.raises(EffectError, match=f"^effect 'f'.{said}"):
+        Effect(**{"name": "f", "site": "der(v)"} | change)
