@@ -14,6 +14,7 @@ from workers.messages.checks import (
     check_name,
     check_number,
     check_text,
+    is_finite,
     is_number,
     shown,
 )
@@ -95,7 +96,7 @@ class Parameter:
         check_number(self.start, f"{where}.start", ProblemError)
         for key in ("lower", "upper"):
             bound = getattr(self, key)
-            if not is_number(bound):
+            if not is_number(bound) or (isinstance(bound, int) and not is_finite(bound)):
                 raise ProblemError(
                     f"{where}.{key}: must be a number, or infinite for no bound, but is "
                     f"{shown(bound)}"

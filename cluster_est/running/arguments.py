@@ -60,7 +60,7 @@ def check_resources(resources: Resources) -> None:
     check_kind(resources.budget, Budget, "budget", ProblemError)
     check_kind(resources.limits, Limits, "executor", ProblemError)
     for key, value in asdict(resources.limits).items():
-        if value != math.inf:
+        if not (isinstance(value, float) and value == math.inf):
             check_number(value, f"executor.limits.{key}", ProblemError, above=0.0)
     budget = resources.budget
     if budget.evaluations is not None:

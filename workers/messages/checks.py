@@ -14,6 +14,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from workers.errors import ClusterEstError
 
 Item = TypeVar("Item")
@@ -109,8 +111,8 @@ def is_finite(value: Any) -> bool:
 
 
 def check_flag(value: object, where: str, error: type[ClusterEstError]) -> None:
-    """Refuse what is neither true nor false."""
-    if not isinstance(value, bool):
+    """Refuse what is neither true nor false; those of NumPy are."""
+    if not isinstance(value, bool | np.bool_):
         raise error(f"{where}: must be true or false but is {shown(value)}")
 
 

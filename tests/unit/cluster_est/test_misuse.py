@@ -59,6 +59,7 @@ def model():
         ({"variable": 1}, "m.variable: must be text but is 1"),
         ({"name": 1}, "name: must be text but is 1"),
         ({"start": 10**400}, "m.start: must be a finite number of a usual size but is 1000"),
+        ({"upper": 10**400}, "m.upper: must be a number, or infinite for no bound, but is 1000"),
         ({"fixed": "no"}, "m.fixed: must be true or false but is 'no'"),
         ({"auxiliary": 1}, "m.auxiliary: must be true or false but is 1"),
     ],
@@ -149,6 +150,7 @@ FIT = [
     ({"resources": ce.Resources(budget=ce.Budget(0))}, "budget.evaluations: must be greater than"),
     ({"resources": limited(seconds="a")}, "executor.limits.seconds: must be a number but is 'a'"),
     ({"resources": limited(stall=-1)}, "executor.limits.stall: must be greater than 0 but is -1"),
+    ({"resources": limited(growth=T)}, "executor.limits.growth: must be a number but is array"),
     ({"resources": limited(memory=np.nan)}, "executor.limits.memory: must be a finite number but"),
     ({"seed": -1}, "method.seed: must be at least 0 but is -1"),
     ({"seed": 0.5}, "method.seed: must be a whole number but is 0.5"),
@@ -354,6 +356,10 @@ def test_what_a_result_has_not(problem, tmp_path):
 
 
 class TestWhatIsHarmless:
+    def test_flags_and_numbers_of_numpy(self):
+        assert ce.Parameter("m", np.float32(1.0), fixed=np.bool_(True)).fixed
+        assert ce.UncertaintySettings(confidence=np.float32(0.5)).confidence == 0.5
+
     def test_lists_everywhere_and_the_name_of_a_method(self):
         force = ce.Input("F", [0, 1, 2, 3], [0, 1, 0, 1])
         measured = ce.Output("y", [1, 2, 3], [0.01, 0.05, 0.03])
