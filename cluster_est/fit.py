@@ -37,7 +37,7 @@ from cluster_est.uncertainty import (
     examine,
     profiles,
 )
-from workers.messages.checks import as_tuple, check_kind, check_number
+from workers.messages.checks import check_kind, check_number
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,6 @@ class FitPlan:
         """
         check_multistart(self.multistart)
         check_kind(self.uncertainty, UncertaintySettings, "uncertainty", ProblemError)
-        as_tuple(self.uncertainty.profiles, str, "uncertainty.profiles", ProblemError)
         check_number(self.seed, "method.seed", ProblemError, least=0, whole=True)
 
 

@@ -16,12 +16,15 @@ from cluster_est.closed_loop.selection.declared_model import fit_declared
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.statistics.noise import estimate_noise
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.errors import EffectError
 from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.problem import Problem
+from cluster_est.running.arguments import check_problem
 from cluster_est.running.resources import Resources
 from workers.effects.forms import EffectForm, FormCoefficient
 from workers.effects.forms import form as find_form
 from workers.effects.site import EffectSite, check_site, parse_site
+from workers.messages.checks import as_tuple, check_kind, check_name, check_number, check_text
 
 
 @dataclass(frozen=True)
@@ -174,19 +177,24 @@ def add_effect(
     ClusterEstError
         If the site is closed, form or equation are wrong, or a coefficient has no start.
     """
-    starts = dict(start or {})
+    check_problem(problem)
+    check_name(site, "effect.site", EffectError)
+    texts = {"form": form, "equation": equation, "name": name, "reaction": reaction}
+    for key, text in texts.items():
+        check_text(text, f"effect.{key}", EffectError)
+    variables = as_tuple(variables, str, "effect.variables", EffectError)
+    starts = _starts(start)
     held: tuple[str, ...] = ()
     if form and not equation:
         missing = _unstarted(problem, site, form, name or form, starts)
         held = tuple(c.name for c in missing if c.held)
         if missing:
-            starts |= _sized(problem, site, form, tuple(variables), missing)
+            starts |= _sized(problem, site, form, variables, missing)
     coefficients = {
-        key: DeclaredCoefficient(start=float(value), fixed=key in held)
-        for key, value in starts.items()
+        key: DeclaredCoefficient(start=value, fixed=key in held) for key, value in starts.items()
     }
     effect, parameters = make_effect(
-        DeclaredEffect(name, site, form, equation, tuple(variables), coefficients, reaction)
+        DeclaredEffect(name, site, form, equation, variables, coefficients, reaction)
     )
     grown = replace(
         problem,
@@ -205,6 +213,16 @@ def _screened(
     with open_workbench(checked_request(problem, resources, settings, seed)) as workbench:
         fitted = fit_declared(workbench, FitStart(workbench.problem, {}))
         yield workbench, fitted, screen(workbench, fitted, 1)
+
+
+def _starts(given: Mapping[str, float] | None) -> dict[str, float]:
+    """Starts of coefficients as they are given, each a number."""
+    advice = "; write {coefficient: value}"
+    check_kind({} if given is None else given, Mapping, "effect.start", EffectError, advice)
+    for name, value in (given or {}).items():
+        check_name(name, "effect.start", EffectError)
+        check_number(value, f"effect.start.{name}", EffectError)
+    return {name: float(value) for name, value in (given or {}).items()}
 
 
 def _unstarted(

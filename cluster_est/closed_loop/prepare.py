@@ -22,7 +22,6 @@ from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench, Simulatio
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
-from cluster_est.problem.options import check_options
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.running.arguments import check_problem, check_resources
@@ -33,7 +32,7 @@ from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment, Outcome
-from workers.messages.checks import as_tuple, check_kind, check_number
+from workers.messages.checks import check_kind, check_number
 
 
 @dataclass(frozen=True)
@@ -75,9 +74,6 @@ def checked_request(
     check_problem(problem)
     check_resources(resources)
     check_kind(settings, LoopSettings, "closed_loop", ProblemError)
-    check_options(settings, "closed_loop", ProblemError)
-    for key in ("forms", "sites"):
-        as_tuple(getattr(settings, key), str, f"closed_loop.{key}", ProblemError)
     check_number(seed, "closed_loop.seed", ProblemError, least=0, whole=True)
     return LoopRequest(problem, RunEnvironment(resources, monitor or Monitor()), settings, seed)
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import ProblemError
+from cluster_est.problem.options import check_options
+from workers.messages.checks import as_tuple, check_kind
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,11 @@ class LoopSettings:
         Try two effects at once where no single one explains the residual.
     thresholds
         Of every step; no key of a config.
+
+    Raises
+    ------
+    ProblemError
+        If one is of the wrong kind or out of its range.
     """
 
     significance: float = field(default=0.01, metadata={"least": 0.0})
@@ -55,14 +62,12 @@ class LoopSettings:
     thresholds: LoopThresholds = field(default_factory=LoopThresholds, repr=False)
 
     def __post_init__(self) -> None:
+        check_options(self, "closed_loop", ProblemError)
+        for key in ("forms", "sites"):
+            named = as_tuple(getattr(self, key), str, f"closed_loop.{key}", ProblemError)
+            object.__setattr__(self, key, named)
+        check_kind(self.thresholds, LoopThresholds, "closed_loop.thresholds", ProblemError)
         if not 0.0 < self.significance < 1.0:
             raise ProblemError(
                 f"closed_loop.significance: must lie between 0 and 1 but is {self.significance:g}"
             )
-        for name in ("max_effects", "trials", "refits", "starts", "beam"):
-            if getattr(self, name) < 1:
-                raise ProblemError(
-                    f"closed_loop.{name}: must be at least 1 but is {getattr(self, name)}"
-                )
-        if self.draws < 100:
-            raise ProblemError(f"closed_loop.draws: must be at least 100 but is {self.draws}")

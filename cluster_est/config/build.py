@@ -24,6 +24,7 @@ from workers.messages import (
     Solver,
     SolverName,
 )
+from workers.messages.checks import as_path, check_flag, check_kind, shown
 from workers.messages.model import check_solver
 
 
@@ -46,8 +47,8 @@ def read_problem(
     ClusterEstError
         If the config, a file or a name in it is wrong.
     """
-    path = Path(path)
-    return build_problem(read_config(path, list(overrides)), path.parent, allow_code=allow_code)
+    path = as_path(path, "config", ConfigError)
+    return build_problem(read_config(path, overrides), path.parent, allow_code=allow_code)
 
 
 def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Problem:
@@ -67,6 +68,10 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     ClusterEstError
         If a file is missing or wrong, or names do not fit together.
     """
+    advice = f"; use read_problem({shown(str(config))})" if isinstance(config, str | Path) else ""
+    check_kind(config, Config, "config", ConfigError, advice)
+    base = as_path(base, "base", ConfigError)
+    check_flag(allow_code, "allow_code", ConfigError)
     parameters = tuple(_parameter(name, each) for name, each in config.parameters.items())
     targets = [p.target for p in parameters if not p.auxiliary]
     for name in config.values:

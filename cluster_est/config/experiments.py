@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,8 @@ from cluster_est.config.constraints import constraint_functions, signal_bounds
 from cluster_est.config.reader import Config, ExperimentSection
 from cluster_est.config.reading import ExperimentReader, find_file
 from cluster_est.config.sections.types import MOST_TIMES
-from cluster_est.config.time_base import compared_at, counted, snapped, weighted
+from cluster_est.config.signal_limits import snapped_bound
+from cluster_est.config.time_base import compared_at, counted, weighted
 from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ConfigError
 from cluster_est.problem.tables.files import MeasuredTable, read_table
@@ -72,7 +72,7 @@ def _experiment(
         signals=signals,
         curve=None if reader is None else _curve(section, reader, start, stop, where),
         bounds=tuple(
-            replace(bound, times=snapped(bound.times, _within(times, start, stop)))
+            snapped_bound(bound, _within(times, start, stop))
             for bound in signal_bounds(config, section.id, start, stop, measured)
         ),
         cost_function=code.function(function, "cost.function") if function else None,
@@ -158,7 +158,7 @@ def _curve(
     return Curve(
         variables=tuple(given.columns),
         points=reader.points(given.columns),
-        times=np.linspace(start, stop, given.samples),
+        times=np.unique(np.minimum(np.linspace(start, stop, given.samples), stop)),
         tolerances=tuple(given.tolerance.get(name, 0.0) for name in given.columns),
     )
 

@@ -6,7 +6,7 @@ Its keys stand in `config/sections/`; an unknown key is an error that names the 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,7 @@ from cluster_est.executors import EXECUTORS
 from cluster_est.methods import ALIASES, METHODS
 from cluster_est.problem.tables.measured import missing_time, sigma_without_output
 from workers.fmu.description import nearest
+from workers.messages.checks import as_path, as_tuple
 
 __all__ = [
     "BudgetSection",
@@ -76,7 +77,7 @@ __all__ = [
 ]
 
 
-def read_config(path: str | Path, overrides: list[str] | None = None) -> Config:
+def read_config(path: str | Path, overrides: Sequence[str] | None = None) -> Config:
     """Read and check a config file.
 
     Parameters
@@ -91,7 +92,8 @@ def read_config(path: str | Path, overrides: list[str] | None = None) -> Config:
     ConfigError
         If there is no such file, it is not TOML, or a key is unknown or has a wrong value.
     """
-    path = Path(path)
+    path = as_path(path, "config", ConfigError)
+    changes = as_tuple(() if overrides is None else overrides, str, "overrides", ConfigError)
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
@@ -112,7 +114,7 @@ def read_config(path: str | Path, overrides: list[str] | None = None) -> Config:
         ) from error
     except (ValueError, RecursionError) as error:  # tomllib lets more out than its own error
         raise ConfigError(f"{path}: must be TOML but is not: {error}; mend that line") from None
-    for text in overrides or []:
+    for text in changes:
         override(raw, text)
     return parse_config(raw, str(path))
 

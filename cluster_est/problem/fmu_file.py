@@ -9,7 +9,7 @@ from typing import Literal, get_args
 from cluster_est.errors import ModelError
 from workers.fmu.description import describe, nearest
 from workers.messages import Interface, Model, ResetPolicy, Solver, SolverName
-from workers.messages.checks import as_tuple, check_choice, shown
+from workers.messages.checks import as_pairs, as_path, as_tuple, check_choice, check_number
 
 
 def read_model(
@@ -43,16 +43,16 @@ def read_model(
     ModelError
         If it cannot be read, or does not offer what is wanted.
     """
-    if not isinstance(path, str | Path):
-        raise ModelError(f"model.fmu: must be a path but is {shown(path)}")
-    path = Path(path)
+    path = as_path(path, "model.fmu", ModelError)
     try:
         archive = path.read_bytes()
     except OSError as error:
         raise ModelError(
             f"model.fmu: {path} cannot be read ({error.strerror}); check the path"
         ) from error
-    chosen = dict(structure or {})
+    chosen = dict(as_pairs({} if structure is None else structure, "model.structure", ModelError))
+    for name, value in chosen.items():
+        check_number(value, f"model.structure.{name}", ModelError, whole=True)
     description = describe(path.name, archive, chosen)
     names = as_tuple(parameters, str, "model.parameters", ModelError)
     for name in names:

@@ -16,6 +16,14 @@ import numpy as np
 from cluster_est.errors import ProblemError
 from workers.errors import EffectError
 from workers.messages import FloatArray
+from workers.messages.checks import (
+    as_tuple,
+    check_flag,
+    check_kind,
+    check_name,
+    check_number,
+    check_text,
+)
 
 _COMPARISON = re.compile(r"<=|>=|==|=|<|>")
 LARGEST = 1e300
@@ -46,6 +54,9 @@ class Formula:
     where: str = field(default="formula", compare=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_text(self.text, self.where, ProblemError)
+        known = as_tuple(self.known, str, f"{self.where}.known", ProblemError)
+        object.__setattr__(self, "known", known)
         self.names  # noqa: B018 - what is wrong is said at once
 
     @cached_property
@@ -107,12 +118,25 @@ class ParameterConstraint:
         Whether it must be 0.
     scale
         What a violation is counted in.
+
+    Raises
+    ------
+    ProblemError
+        If the formula is none, or the scale not positive.
     """
 
     name: str
     formula: Formula
     equality: bool = False
     scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_name(self.name, "constraint.name", ProblemError)
+        where = f"constraint {self.name!r}"
+        advice = "; make constraints of a text with parse_constraint(text, parameters, where)"
+        check_kind(self.formula, Formula, f"{where}.formula", ProblemError, advice)
+        check_flag(self.equality, f"{where}.equality", ProblemError)
+        check_number(self.scale, f"{where}.scale", ProblemError, above=0.0)
 
 
 def parse_constraint(

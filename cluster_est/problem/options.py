@@ -7,7 +7,7 @@ import numbers
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from cluster_est.errors import ClusterEstError
-from workers.messages.checks import shown
+from workers.messages.checks import is_finite, shown
 
 _TYPES: dict[Any, tuple[Any, str]] = {
     float: (numbers.Real, "a number"),
@@ -66,7 +66,14 @@ def check_option(
     allowed, called = _TYPES.get(hint, (hint, getattr(hint, "__name__", "of another type")))
     if not isinstance(value, allowed) or isinstance(value, bool) is not (hint is bool):
         raise error(f"{where}: must be {called} but is {shown(value)}")
-    if hint is not str and not abs(value) < (1e100 if hint is float else 2**63):
+    if hint is not str and not _usual(value, hint):
         raise error(f"{where}: must be finite and of a usual size but is {shown(value)}")
     if least is not None and not value >= least:
         raise error(f"{where}: must be at least {least:g} but is {shown(value)}")
+
+
+def _usual(value: Any, hint: Any) -> bool:
+    """Whether a number is of a size that computations with it bear."""
+    if hint is float:
+        return is_finite(value) and abs(float(value)) < 1e100
+    return bool(abs(value) < 2**63)

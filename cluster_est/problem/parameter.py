@@ -8,7 +8,16 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from cluster_est.errors import ProblemError
-from workers.messages.checks import check_choice, check_name, check_number, is_number, shown
+from workers.messages.checks import (
+    check_choice,
+    check_flag,
+    check_name,
+    check_number,
+    check_text,
+    is_finite,
+    is_number,
+    shown,
+)
 
 Scale = Literal["linear", "log"]
 
@@ -87,17 +96,16 @@ class Parameter:
         check_number(self.start, f"{where}.start", ProblemError)
         for key in ("lower", "upper"):
             bound = getattr(self, key)
-            if not is_number(bound):
+            if not is_number(bound) or (isinstance(bound, int) and not is_finite(bound)):
                 raise ProblemError(
                     f"{where}.{key}: must be a number, or infinite for no bound, but is "
                     f"{shown(bound)}"
                 )
         check_choice(self.scale, get_args(Scale), f"{where}.scale", ProblemError)
         for key in ("variable", "unit", "expression"):
-            if not isinstance(getattr(self, key), str):
-                raise ProblemError(
-                    f"{where}.{key}: must be text but is {shown(getattr(self, key))}"
-                )
+            check_text(getattr(self, key), f"{where}.{key}", ProblemError)
+        for key in ("fixed", "auxiliary"):
+            check_flag(getattr(self, key), f"{where}.{key}", ProblemError)
 
     def _check_derived(self, where: str) -> None:
         for key, used in (("fixed", self.fixed), ("per", self.per), ("scale", self.scale == "log")):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluster_est.errors import ProblemError
-from workers.messages.checks import shown
+from workers.messages.checks import as_path, check_name
 
 if TYPE_CHECKING:
     from cluster_est.closed_loop.findings.result import LoopResult
@@ -33,7 +33,7 @@ def save(result: Result | LoopResult, folder: str | Path, *, overwrite: bool) ->
     from cluster_est.run_folder.folder import RunFolder
     from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 
-    path = _path(folder, "folder")
+    path = as_path(folder, "folder", ProblemError)
     fitted = result if isinstance(result, Result) else result.after
     kind = RunKind.FIT if isinstance(result, Result) else RunKind.CLOSED_LOOP
     identity = RunIdentity(kind, fitted.problem, NO_CONFIG, "", fitted.seed)
@@ -51,7 +51,7 @@ def report(result: Result | LoopResult, path: str | Path) -> Path:
     """
     from cluster_est.report import write_report
 
-    path = _path(path, "path")
+    path = as_path(path, "path", ProblemError)
     with tempfile.TemporaryDirectory() as folder:
         run = save(result, Path(folder) / (path.stem or "run"), overwrite=False)
         return write_report(run, path)
@@ -78,17 +78,13 @@ def export(
     from cluster_est.results.result import Result
 
     wanted = ExportRequest(
-        None if fmu is None else _path(fmu, "fmu"),
-        None if ssv is None else _path(ssv, "ssv"),
+        None if fmu is None else as_path(fmu, "fmu", ProblemError),
+        None if ssv is None else as_path(ssv, "ssv", ProblemError),
         modelica,
         text,
     )
     check_request(wanted)
+    if experiment is not None:
+        check_name(experiment, "experiment", ProblemError)
     fitted = result if isinstance(result, Result) else result.after
     return write_forms(repaired(fitted.problem, fitted.estimates, experiment), wanted)
-
-
-def _path(path: str | Path, name: str) -> Path:
-    if not isinstance(path, str | Path) or not str(path):
-        raise ProblemError(f"{name}: must be a path but is {shown(path)}")
-    return Path(path)

@@ -31,6 +31,7 @@ from cluster_est.uncertainty.rows import (
 )
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Role
+from workers.messages.checks import check_text
 
 if TYPE_CHECKING:
     from cluster_est.export.write import ExportResult
@@ -246,6 +247,7 @@ class Result:
         RunFolderError
             If this fit has no such table.
         """
+        check_text(name, "table", RunFolderError)
         if name == "residuals":
             return residual_table(self.problem, self.simulations, self.before)
         if name == "trajectories":

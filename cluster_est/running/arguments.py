@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from os import PathLike
-from typing import get_args
+from typing import Any, get_args
 
 from cluster_est.errors import ProblemError
 from cluster_est.executors import EXECUTORS
@@ -17,7 +19,7 @@ from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
 from workers.fmu.description import nearest
 from workers.messages import Limits
-from workers.messages.checks import check_choice, check_kind, check_number, shown
+from workers.messages.checks import check_choice, check_kind, check_name, check_number, shown
 
 
 def check_problem(problem: object) -> None:
@@ -57,6 +59,9 @@ def check_resources(resources: Resources) -> None:
         check_kind(resources.address, str, "executor.address", ProblemError)
     check_kind(resources.budget, Budget, "budget", ProblemError)
     check_kind(resources.limits, Limits, "executor", ProblemError)
+    for key, value in asdict(resources.limits).items():
+        if not (isinstance(value, float) and value == math.inf):
+            check_number(value, f"executor.limits.{key}", ProblemError, above=0.0)
     budget = resources.budget
     if budget.evaluations is not None:
         check_number(budget.evaluations, "budget.evaluations", ProblemError, above=0, whole=True)
@@ -92,12 +97,7 @@ def check_multistart(multistart: Multistart) -> None:
     """
     advice = f"; write Multistart({multistart!r})" if isinstance(multistart, int) else ""
     check_kind(multistart, Multistart, "multistart", ProblemError, advice)
-    points = multistart.points
-    if isinstance(points, Mapping) or not all(isinstance(point, Mapping) for point in points):
-        raise ProblemError(
-            f"multistart.points: must be a list of dicts but is {shown(points)}; write "
-            "[{parameter: value}, ...]"
-        )
+    _check_points(multistart.points)
     for name in ("n", "screen", "at_once"):
         value = getattr(multistart, name)
         check_number(value, f"multistart.{name}", ProblemError, above=0, whole=True)
@@ -106,6 +106,20 @@ def check_multistart(multistart: Multistart) -> None:
         check_number(value, f"multistart.{name}", ProblemError, least=0, whole=True)
     check_number(multistart.same, "multistart.same", ProblemError, above=0.0)
     check_choice(multistart.sampler, get_args(Sampler), "multistart.sampler", ProblemError)
+
+
+def _check_points(points: Any) -> None:
+    """Refuse starts of the user's that are no list of dicts with numbers."""
+    listed = isinstance(points, Sequence) and not isinstance(points, str | bytes)
+    if not listed or not all(isinstance(point, Mapping) for point in points):
+        raise ProblemError(
+            f"multistart.points: must be a list of dicts but is {shown(points)}; write "
+            "[{parameter: value}, ...]"
+        )
+    for i, point in enumerate(points):
+        for name, value in point.items():
+            check_name(name, f"multistart.points[{i}]", ProblemError)
+            check_number(value, f"multistart.points[{i}].{name}", ProblemError)
 
 
 def check_values(problem: Problem, values: Mapping[str, float]) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from cluster_est.errors import ProblemError
+from cluster_est.problem.options import check_options
+from workers.messages.checks import as_tuple
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,11 @@ class UncertaintySettings:
     at_once
         Refits under way at the same time. Never the number of workers: a result must not depend
         on it.
+
+    Raises
+    ------
+    ProblemError
+        If one is of the wrong kind or out of its range.
     """
 
     profiles: tuple[str, ...] = ()
@@ -45,7 +52,10 @@ class UncertaintySettings:
     at_once: int = field(default=16, metadata={"least": 1})
 
     def __post_init__(self) -> None:
-        if not 0.5 <= self.confidence < 1.0:
+        check_options(self, "uncertainty", ProblemError)
+        named = as_tuple(self.profiles, str, "uncertainty.profiles", ProblemError)
+        object.__setattr__(self, "profiles", named)
+        if not self.confidence < 1.0:
             raise ProblemError(
                 "uncertainty.confidence: must be at least 0.5 and below 1 but is "
                 f"{self.confidence:g}; 0.95 is usual"

@@ -8,8 +8,13 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
 
 from workers.errors import ClusterEstError
 
@@ -60,9 +65,10 @@ def check_number(
     kind = "a whole number" if whole else "a number"
     if not is_number(value) or (whole and not isinstance(value, numbers.Integral)):
         raise error(f"{where}: must be {kind} but is {shown(value)}")
+    if not is_finite(value):
+        usual = " of a usual size" if isinstance(value, int) else ""
+        raise error(f"{where}: must be a finite number{usual} but is {_plain(value)}")
     number = float(value)  # type: ignore[arg-type]
-    if not math.isfinite(number):
-        raise error(f"{where}: must be a finite number but is {number}")
     if not number > above:
         raise error(f"{where}: must be greater than {above:g} but is {number:g}")
     if not number >= least:
@@ -82,10 +88,43 @@ def check_choice(
         raise error(f"{where}: must be {must} but is {shown(value)}")
 
 
-def check_name(value: object, where: str, error: type[ClusterEstError]) -> None:
-    """Refuse what is no text, or empty."""
+def as_path(value: object, where: str, error: type[ClusterEstError]) -> Path:
+    """A path; refuses what is none."""
+    if not isinstance(value, str | PathLike) or not str(value):
+        raise error(f"{where}: must be a path but is {shown(value)}")
+    return Path(value)
+
+
+def check_once(names: Sequence[str], where: str, error: type[ClusterEstError]) -> None:
+    """Refuse a name that appears twice."""
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise error(f"{where} {name!r}: must appear once but appears twice; remove one")
+
+
+def is_finite(value: Any) -> bool:
+    """True for a number that a double can hold."""
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+def check_flag(value: object, where: str, error: type[ClusterEstError]) -> None:
+    """Refuse what is neither true nor false; those of NumPy are."""
+    if not isinstance(value, bool | np.bool_):
+        raise error(f"{where}: must be true or false but is {shown(value)}")
+
+
+def check_text(value: object, where: str, error: type[ClusterEstError]) -> None:
+    """Refuse what is no text; it may be empty."""
     if not isinstance(value, str):
         raise error(f"{where}: must be text but is {shown(value)}")
+
+
+def check_name(value: object, where: str, error: type[ClusterEstError]) -> None:
+    """Refuse what is no text, or empty."""
+    check_text(value, where, error)
     if not value:
         raise error(f"{where}: must not be empty but is; give it a name")
 
@@ -96,7 +135,7 @@ def check_kind(
     """Refuse what is not of a class, the class itself included."""
     if isinstance(value, kind):
         return
-    name = kind.__name__
+    name = "dict" if kind is Mapping else kind.__name__
     if isinstance(value, type) and issubclass(value, kind):
         raise error(f"{where}: must be {_a(name)} but is the class; call it: {value.__name__}(...)")
     raise error(f"{where}: must be {_a(name)} but is {shown(value)}{advice}")
@@ -136,7 +175,16 @@ def as_pairs(values: Any, where: str, error: type[ClusterEstError]) -> tuple[tup
     return tuple(pair if type(pair) is tuple else tuple(pair) for pair in found)
 
 
+def _plain(value: Any) -> str:
+    """An infinite number or NaN, or the beginning of one that no double can hold."""
+    try:
+        return str(float(value))
+    except OverflowError:
+        return shown(value)
+
+
 def _a(name: str) -> str:
     if name == "text":
         return name
-    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
+    vowel = name[0] in "AEIOU" and not name.startswith("User")
+    return f"{'an' if vowel else 'a'} {name}"

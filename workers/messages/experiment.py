@@ -17,6 +17,8 @@ from workers.messages.checks import (
     check_kind,
     check_name,
     check_number,
+    check_once,
+    is_finite,
     is_number,
     shown,
 )
@@ -91,9 +93,15 @@ class Experiment:
             object.__setattr__(self, key, as_pairs(given, f"{where}.{key}", DataError))
         check_choice(self.role, get_args(Role), f"{where}.role", DataError)
         _check_values(self.values, f"{where}.values")
-        _check_interval(self, where)
+        check_once([output.variable for output in self.outputs], f"{where}.outputs", DataError)
         if self.curve is not None:
             check_kind(self.curve, Curve, f"{where}.curve", DataError)
+        if self.cost_function is not None:
+            advice = "; write UserFunction(module, name)"
+            check_kind(
+                self.cost_function, UserFunction, f"{where}.cost_function", DataError, advice
+            )
+        _check_interval(self, where)
 
     @property
     def size(self) -> int:
@@ -170,7 +178,7 @@ def _check_values(values: tuple[tuple[str, Value], ...], where: str) -> None:
     """Refuse known values that no variable can have."""
     for name, value in values:
         fits = isinstance(value, bool | str | np.bool_) or is_number(value)
-        if not fits or (is_number(value) and not np.isfinite(float(value))):
+        if not fits or (is_number(value) and not is_finite(value)):
             raise DataError(
                 f"{where}.{name}: must be a finite number, true, false or a text but is "
                 f"{shown(value)}"
@@ -186,10 +194,13 @@ def _check_interval(experiment: Experiment, where: str) -> None:
         raise DataError(
             f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one"
         )
-    for output in experiment.outputs:
-        if len(output.times) and not start <= output.times[0] <= output.times[-1] <= stop:
+    timed = [(f"outputs.{output.variable}", output.times) for output in experiment.outputs]
+    timed += [(f"bounds.{bound.name}", bound.times) for bound in experiment.bounds]
+    timed += [] if experiment.curve is None else [("curve", experiment.curve.times)]
+    for key, times in timed:
+        if len(times) and not start <= times[0] <= times[-1] <= stop:
             raise DataError(
-                f"{where}.outputs.{output.variable}: its times must lie between start, {start:g} "
-                f"s, and stop, {stop:g} s, but go from {output.times[0]:g} to "
-                f"{output.times[-1]:g} s; change start or stop, or leave those samples out"
+                f"{where}.{key}: its times must lie between start, {start:g} s, and stop, "
+                f"{stop:g} s, but go from {times[0]:g} to {times[-1]:g} s; change start or stop, "
+                "or leave those samples out"
             )

@@ -16,6 +16,7 @@ from workers.messages.checks import (
     check_kind,
     check_name,
     check_number,
+    check_text,
     shown,
 )
 from workers.messages.hashing import content_hash
@@ -103,6 +104,11 @@ class Effect:
         pairs = as_pairs(self.coefficients, f"{where}.coefficients", EffectError)
         object.__setattr__(self, "variables", named)
         object.__setattr__(self, "coefficients", pairs)
+        for key in ("form", "equation", "reaction"):
+            check_text(getattr(self, key), f"{where}.{key}", EffectError)
+        for coefficient, neutral in pairs:
+            if neutral is not None:
+                check_number(neutral, f"{where}.coefficients.{coefficient}", EffectError)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from workers.errors import DataError
+from workers.messages.checks import shown
 from workers.messages.types import FloatArray
 
 
@@ -39,7 +40,8 @@ def as_floats(values: Any, where: str, dimensions: int = 1) -> FloatArray:
     except (TypeError, ValueError) as error:
         raise DataError(f"{where}: must hold numbers but cannot be read ({error})") from None
     if found.ndim != dimensions:
-        shape = "a number alone" if found.ndim == 0 else f"of shape {found.shape}"
+        alone = "a number alone" if found.dtype.kind in "iuf" else shown(values)
+        shape = f"of shape {found.shape}" if found.ndim else alone
         must = "a list of numbers" if dimensions == 1 else "a table of numbers"
         raise DataError(f"{where}: must be {must} but is {shape}")
     if found.dtype.kind not in "biuf" and found.size:
@@ -79,7 +81,7 @@ def _from_objects(values: Any, where: str) -> Any:
         return np.array(
             [np.nan if _absent(value) else float(value) for value in values.flat]
         ).reshape(values.shape)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{where}: must hold numbers but does not ({error})") from None
 
 

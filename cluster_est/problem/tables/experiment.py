@@ -22,9 +22,11 @@ from workers.messages import Experiment, FloatArray, Input, Interpolation, Outpu
 from workers.messages.checks import (
     as_tuple,
     check_choice,
+    check_flag,
     check_kind,
     check_name,
     check_number,
+    check_once,
     shown,
 )
 
@@ -124,9 +126,9 @@ def experiment_from_table(
         stop=stop,
         inputs=driving["inputs"],
         outputs=tuple(_within(output, start, stop) for output in measured),
-        values=tuple((values or {}).items()),
+        values={} if values is None else values,  # type: ignore[arg-type]
         role=role,
-        groups=tuple((groups or {}).items()),
+        groups={} if groups is None else groups,  # type: ignore[arg-type]
         signals=driving["signals"],
     )
 
@@ -138,9 +140,12 @@ def _table(table: Any, where: str) -> MeasuredTable:
 def _named(given: Columns, where: str) -> dict[str, tuple[str, Interpolation]]:
     """Column and interpolation of each variable."""
     if not isinstance(given, Mapping):
-        return {name: (name, "linear") for name in as_tuple(given, str, where, DataError)}
+        names = as_tuple(given, str, where, DataError)
+        check_once(names, where, DataError)
+        return {name: (name, "linear") for name in names}
     found: dict[str, tuple[str, Interpolation]] = {}
     for name, each in given.items():
+        check_name(name, f"{where}: a variable", DataError)
         entry = {"column": each} if isinstance(each, str) else each
         if not isinstance(entry, Mapping) or "column" not in entry:
             raise DataError(
@@ -150,7 +155,8 @@ def _named(given: Columns, where: str) -> dict[str, tuple[str, Interpolation]]:
         for key in entry:
             if key not in ("column", "interpolation"):
                 raise DataError(
-                    f"{where}.{name}: unknown key {key}{nearest(key, ['column', 'interpolation'])}"
+                    f"{where}.{name}: unknown key {key}"
+                    f"{nearest(str(key), ['column', 'interpolation'])}"
                 )
         check_name(entry["column"], f"{where}.{name}.column", DataError)
         how = entry.get("interpolation", "linear")
@@ -164,6 +170,7 @@ def _sigmas(
 ) -> dict[str, float]:
     given = sigma if isinstance(sigma, Mapping) else dict.fromkeys(outputs, sigma)
     for name, value in given.items():
+        check_name(name, f"{where}.sigma: an output", DataError)
         if name not in outputs:
             raise DataError(sigma_without_output(where, name, outputs))
         check_number(value, f"{where}.sigma.{name}", DataError, above=0.0)
@@ -174,15 +181,19 @@ def _changes(
     columns: Mapping[str, Mapping[str, float | bool]] | None, where: str
 ) -> dict[str, ColumnChange]:
     known = [each.name for each in fields(ColumnChange)]
+    given = {} if columns is None else columns
+    advice = "; write {column: {factor, offset, demean}}"
+    check_kind(given, Mapping, f"{where}.columns", DataError, advice)
     found = {}
-    for name, change in (columns or {}).items():
+    for name, change in given.items():
+        check_name(name, f"{where}.columns: a column", DataError)
         at = f"{where}.columns.{name}"
         check_kind(change, Mapping, at, DataError, "; write {factor, offset, demean}")
         for key, value in change.items():
             if key not in known:
-                raise DataError(f"{at}: unknown key {key}{nearest(key, known)}")
+                raise DataError(f"{at}: unknown key {key}{nearest(str(key), known)}")
             if key == "demean":
-                check_kind(value, bool, f"{at}.demean", DataError)
+                check_flag(value, f"{at}.demean", DataError)
             else:
                 check_number(value, f"{at}.{key}", DataError)
         found[name] = replace(ColumnChange(), **change)  # type: ignore[arg-type]

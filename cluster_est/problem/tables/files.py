@@ -22,6 +22,7 @@ from cluster_est.errors import DataError
 from cluster_est.problem.tables.mat_file import contents
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
+from workers.messages.checks import as_path
 
 READERS = {
     ".csv": "csv", ".tsv": "csv", ".txt": "csv",
@@ -118,7 +119,7 @@ def read_table(path: str | Path, where: str = "table") -> MeasuredTable:
     DataError
         If there is no such file, or it is not what its ending says.
     """
-    path = Path(path)
+    path = as_path(path, where, DataError)
     kind = READERS.get(path.suffix.lower())
     if kind is None:
         raise DataError(

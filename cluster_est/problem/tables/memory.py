@@ -57,7 +57,7 @@ def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
             continue
         try:
             columns[name] = pa.chunked_array([pa.array(column, from_pandas=True)])
-        except (pa.ArrowException, TypeError, ValueError) as error:
+        except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
             reason = (str(error).splitlines() or [type(error).__name__])[0]
             unusable[name] = f"must hold numbers but cannot be read ({reason})"
     return MeasuredTable("the table", columns, unusable)

@@ -35,13 +35,14 @@ def inputs(draw: st.DrawFn) -> Input:
 def outputs(draw: st.DrawFn) -> Output:
     times = draw(moments(START, STOP, 0))
     samples = draw(st.lists(values, min_size=len(times), max_size=len(times)))
-    return Output("y", np.array(times), np.array(samples), draw(st.floats(0.1, 10.0)))
+    name = draw(st.sampled_from(["y", "z", "v"]))
+    return Output(name, np.array(times), np.array(samples), draw(st.floats(0.1, 10.0)))
 
 
 experiments = st.builds(
     lambda given, measured: Experiment("e", START, STOP, tuple(given), tuple(measured)),
     st.lists(inputs(), max_size=3),
-    st.lists(outputs(), max_size=3),
+    st.lists(outputs(), max_size=3, unique_by=lambda output: output.variable),
 )
 
 

@@ -10,7 +10,17 @@ import pyarrow as pa
 import pytest
 
 from workers.errors import DataError, EffectError, ModelError
-from workers.messages import Effect, Experiment, Input, Model, Output, Solver
+from workers.messages import (
+    Curve,
+    Effect,
+    Experiment,
+    Input,
+    Model,
+    Output,
+    SignalBound,
+    Solver,
+    UserFunction,
+)
 
 T = np.linspace(0.0, 1.0, 5)
 DRIVEN, MEASURED = Input("F", T, T), Output("y", T, T)
@@ -56,6 +66,11 @@ class TestSamples:
             ([0, 1], [[1], [2]], r"values: must be a list of numbers but is of shape \(2, 1\)"),
             ([0, 1], [[1], [2, 3]], "values: must hold numbers but cannot be read"),
             (0, 1, "times: must be a list of numbers but is a number alone"),
+            ([10**400, 0], [0, 1], r"times: must hold numbers but does not \(int too large"),
+            (None, T, "times: must be a list of numbers but is None"),
+            (T, {"a": 1}, "values: must be a list of numbers but is {'a': 1}"),
+            (T, {1.5}, "values: must be a list of numbers but is {1.5}"),
+            (T, "abc", "values: must be a list of numbers but is 'abc'"),
             (
                 pd.date_range("2020", periods=2),
                 [1, 2],
@@ -106,11 +121,32 @@ class TestExperiment:
             ({"stop": np.nan}, "stop: must be a finite number but is nan"),
             ({"stop": 0.5}, "outputs.y: its times must lie between start, 0 s, and stop, 0.5 s"),
             ({"start": 0.5}, "outputs.y: its times must lie between start, 0.5 s, and stop, 1 s"),
+            (
+                {"curve": Curve(("y",), [[0], [1]], [0, 2])},
+                "curve: its times must lie between start, 0 s, and stop, 1 s, but go from 0 to 2 s",
+            ),
+            (
+                {"bounds": [SignalBound("b", "y", [-1, 0], [0, 0], [1, 1])]},
+                "bounds.b: its times must lie between start, 0 s, and stop, 1 s, but go from -1 to",
+            ),
+            ({"curve": T}, "curve: must be a Curve but is array"),
+            (
+                {"cost_function": len},
+                "cost_function: must be a UserFunction but is <built-in function len>; write User",
+            ),
+            ({"constraint_functions": [len]}, r"constraint_functions\[0\]: must be a UserFunction"),
             ({"role": "training"}, "role: must be 'train' or 'test' but is 'training'"),
             ({"values": {"m": np.nan}}, "values.m: must be a finite number, true, false or a text"),
             ({"values": "m"}, "values: must be a dict but is 'm'; write"),
             ({"values": [("m", 1, 2)]}, r"values: must hold pairs \(name, value\)"),
+            ({"values": {1: 2.0}}, r"values: must hold pairs \(name, value\) but holds \(1, 2.0\)"),
+            (
+                {"values": {"m": 10**400}},
+                "values.m: must be a finite number, true, false or a text",
+            ),
+            ({"stop": 10**400}, "stop: must be a finite number of a usual size but is 1000"),
             ({"groups": 1}, "groups: must be a dict but is 1"),
+            ({"outputs": [MEASURED, MEASURED]}, "outputs 'y': must appear once but appears twice"),
         ],
     )
     def test_what_contradicts_itself_is_refused(self, change, said):
@@ -122,6 +158,105 @@ class TestExperiment:
     def test_its_id_is_text(self, id_):
         with pytest.raises(DataError, match=r"experiment\.id: must"):
             Experiment(id_, 0.0, 1.0, [DRIVEN], [MEASURED])
+
+
+class TestCurve:
+    @pytest.mark.parametrize(
+        ("change", "said"),
+        [
+            ({"variables": ()}, "variables: must name at least one variable but are empty"),
+            ({"variables": "x"}, "variables: must be a list of text but is one alone"),
+            ({"variables": ("x", "")}, r"variables\[1\]: must not be empty but is"),
+            ({"variables": ("x",)}, "points: must have a column for each variable, 1, but have 2"),
+            ({"points": [[0, 1]]}, "points: must be at least two but are 1; a curve goes"),
+            ({"points": [0, 1]}, r"points: must be a table of numbers but is of shape \(2,\)"),
+            ({"points": "a"}, "points: must be a table of numbers but is 'a'"),
+            ({"points": [[0, 1], [0, np.nan]]}, "points of 'v', index 1: must be a finite number"),
+            ({"times": [1, 0]}, "times, index 1: times must increase but 0 goes back from 1"),
+            ({"times": [0, np.inf]}, "times, index 1: the time must be a finite number but is inf"),
+            ({"times": []}, "times: must have at least one time but has none"),
+            ({"tolerances": (1.0,)}, "tolerances: must be as many as the variables, 2, but are 1"),
+            ({"tolerances": (1, -1)}, "tolerances of 'v': must be at least 0 but is -1"),
+            ({"tolerances": (np.nan, 1)}, "tolerances of 'x': must be a finite number but is nan"),
+            ({"tolerances": 0.1}, "tolerances: must be a list of numbers but is a number alone"),
+        ],
+    )
+    def test_what_is_no_curve_is_refused(self, change, said):
+        given = {"variables": ("x", "v"), "points": [[0, 1], [1, 2], [0, 3]], "times": T}
+        with pytest.raises(DataError, match=f"^curve.{said}"):
+            Curve(**given | change)
+
+    def test_lists_make_a_curve_whose_samples_may_be_fewer_than_its_points(self):
+        curve = Curve(["x"], [[0], [1], [0]], [0, 1], [2])
+        assert (curve.variables, curve.tolerances) == (("x",), (2.0,))
+        assert curve.points.tolist() == [[0.0], [1.0], [0.0]]
+        assert curve.names == ("tolerance of x",)
+
+    def test_its_arrays_are_its_own(self):
+        points = np.zeros((3, 1))
+        curve = Curve(("x",), points, T)
+        points[0] = 1.0
+        assert curve.points[0] == 0.0
+        assert not curve.points.flags.writeable
+        assert not curve.times.flags.writeable
+
+
+class TestSignalBound:
+    @pytest.mark.parametrize(
+        ("change", "said"),
+        [
+            ({"variable": 1}, "variable: must be text but is 1"),
+            ({"times": [1, 0]}, "times, index 1: times must increase but 0 goes back from 1"),
+            ({"times": [1, 1]}, "times, index 1: times must increase but 1 repeats 1"),
+            ({"times": []}, "times: must have at least one time but has none"),
+            ({"times": [0]}, "lower: must have as many rows as the time, 1, but has 2"),
+            ({"upper": [2, 2, 2]}, "upper: must have as many rows as the time, 2, but has 3"),
+            ({"lower": [0, 3]}, "lower, index 1: must not be above upper but they are 3 and 2"),
+            ({"lower": [0, np.nan]}, "lower, index 1: must be a finite number, or -inf where"),
+            ({"upper": [-np.inf, 0]}, "upper, index 0: must be a finite number, or inf where"),
+            ({"lower": 0.0}, "lower: must be a list of numbers but is a number alone"),
+            ({"upper": "high"}, "upper: must be a list of numbers but is 'high'"),
+            ({"upper": ["a", "b"]}, "upper: must hold numbers but holds <U1"),
+            ({"scale": 0}, "scale: must be greater than 0 but is 0"),
+            ({"scale": "a"}, "scale: must be a number but is 'a'"),
+            ({"equality": "no"}, "equality: must be true or false but is 'no'"),
+            ({"equality": True}, "lower, index 0: must be upper, because it is an equality, but"),
+            (
+                {"lower": [0, -np.inf], "equality": True},
+                "lower, index 1: must be a finite number but is -inf",
+            ),
+        ],
+    )
+    def test_what_is_no_bound_is_refused(self, change, said):
+        given = {"name": "b", "variable": "y", "times": [0, 1], "lower": [0, 1], "upper": [2, 2]}
+        with pytest.raises(DataError, match=f"^bound 'b'.{said}"):
+            SignalBound(**given | change)
+
+    def test_it_has_a_name(self):
+        with pytest.raises(DataError, match=r"bound\.name: must not be empty"):
+            SignalBound("", "y", T, T, T)
+
+    def test_its_arrays_are_its_own(self):
+        lower = np.zeros(5)
+        bound = SignalBound("b", "y", T, lower, [np.inf] * 5)
+        lower[0] = 1.0
+        assert bound.lower[0] == 0.0
+        kept = (bound.times, bound.lower, bound.upper)
+        assert not any(each.flags.writeable for each in kept)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"module": len}, "function.module: must be text but is <built-in function len>"),
+        ({"name": ""}, "function.name: must not be empty"),
+        ({"source": None}, "function 'f'.source: must be text but is None"),
+        ({"equality": 1}, "function 'f'.equality: must be true or false but is 1"),
+    ],
+)
+def test_what_is_no_function_is_refused(change, said):
+    with pytest.raises(DataError, match=f"^{said}"):
+        UserFunction(**{"module": "m", "name": "f"} | change)
 
 
 class TestModel:
@@ -170,3 +305,17 @@ def test_an_effect_has_a_name_and_a_site():
         Effect(1, "der(v)")
     with pytest.raises(EffectError, match=r"effect 'f'\.variables: must be a list of text"):
         Effect("f", "der(v)", "linear", "x")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"form": 3}, "form: must be text but is 3"),
+        ({"equation": 3}, "equation: must be text but is 3"),
+        ({"reaction": None}, "reaction: must be text but is None"),
+        ({"coefficients": {"a": "0"}}, "coefficients.a: must be a number but is '0'"),
+    ],
+)
+def test_an_effect_is_made_of_texts_and_numbers(change, said):
+    with pytest.raises(EffectError, match=f"^effect 'f'.{said}"):
+        Effect(**{"name": "f", "site": "der(v)"} | change)

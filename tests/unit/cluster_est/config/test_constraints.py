@@ -16,6 +16,7 @@ from cluster_est.config.constraints import (
     signal_bounds,
 )
 from cluster_est.config.reader import Config, parse_config
+from cluster_est.config.signal_limits import snapped_bound
 from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ClusterEstError, ConfigError
 from workers.messages import Output, SignalBound
@@ -369,3 +370,19 @@ def test_the_largest_violation_is_the_largest_over_all_times(points, samples, of
         if points[0][0] <= t <= points[-1][0]
     ]
     assert found == pytest.approx(max(by_hand), abs=1e-12)
+
+
+def test_times_that_fall_together_on_a_measured_one_are_one_with_the_tighter_limits():
+    later = np.nextafter(0.3, 1.0)
+    band = SignalBound("b", "y", [0.0, 0.3, later, 1.0], [0, 1, 2, 0], [9, 8, 7, np.inf])
+    found = snapped_bound(band, np.array([0.3, 0.6]))
+    assert found.times.tolist() == [0.0, 0.3, 1.0]
+    assert found.lower.tolist() == [0.0, 2.0, 0.0]
+    assert found.upper.tolist() == [9.0, 7.0, np.inf]
+
+
+def test_where_limits_jump_at_a_measured_time_the_later_ones_hold():
+    later = np.nextafter(0.3, 1.0)
+    stairs = SignalBound("b", "y", [0.0, 0.3, later], [0, 0, 5], [3, 3, 8])
+    found = snapped_bound(stairs, np.array([later]))
+    assert (found.times.tolist(), at(found, 0.3)) == ([0.0, later], (5.0, 8.0))
