@@ -8,7 +8,7 @@ import numpy as np
 
 from workers.errors import DataError
 from workers.messages.checks import as_tuple, check_flag, check_name, check_number, check_text
-from workers.messages.signals import kept_floats, check_finite, check_length, check_times
+from workers.messages.signals import check_finite, check_length, check_times, kept_floats
 from workers.messages.types import FloatArray
 
 
