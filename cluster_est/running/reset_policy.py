@@ -19,7 +19,7 @@ from cluster_est.errors import ExecutorError
 from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
-from cluster_est.running.known_fmus import has_survived, remember_survival
+from cluster_est.running.known_fmus import has_passed, remember_pass
 from cluster_est.running.resources import Resources
 from workers.errors import ModelError
 from workers.messages import Experiment, Limits, Outcome, ResetPolicy, Status, Task
@@ -187,13 +187,14 @@ def _find_policy(
 ) -> tuple[WorkerPool, ResetDecision]:
     """Find the least policy with which the test has one answer; a reset if there is none.
 
-    For an executor in this process, an FMU that this machine does not know is tried in a process of
-    its own: it may crash.
+    For an executor in this process, an FMU that this machine does not know with these values is
+    tried in a process of its own: it may crash.
     """
     file, here = problem.model.name, executor_class(resources.executor).in_process
     forks = hasattr(os, "fork")
-    apart = here and forks and not has_survived(problem.model)
     question = RepeatabilityTest.of(problem)
+    trial = ("survived", problem.model, problem.experiments, question.tasks)
+    apart = here and forks and not has_passed(*trial)
     answers: dict[ResetPolicy, RepeatabilityAnswer] = {}
     for policy in WAYS if forks or not here else WAYS[:-1]:
         elsewhere = apart or (here and policy == "process")
@@ -216,7 +217,7 @@ def _find_policy(
         if decision is not None:
             _refuse_here(file, resources.executor, policy, answers[policy])
             if policy == "reset" and answers[policy].same:
-                remember_survival(problem.model)
+                remember_pass(*trial)
             return start(resources.executor, decision.renew, resources.workers), decision
     decision = _never_the_same(file, answers)
     return start(resources.executor, decision.renew, resources.workers), decision

@@ -263,6 +263,18 @@ def test_an_fmu_that_has_survived_is_not_tried_apart_again(
     assert fitted("dahlquist", 2, "--overwrite") in (0, 1)
 
 
+@BOTH
+def test_an_fmu_that_has_survived_is_tried_apart_again_with_other_start_values(
+    fitted: Fit, fmi: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    below = "parameters.k = { start = 0.7, bounds = [0.01, 2.0] }\n"
+    assert fitted("crashes_when_fast", fmi, config=below) == 0
+
+    crashing = "parameters.k = { start = 3.0, bounds = [0.01, 10.0] }\n"
+    assert fitted("crashes_when_fast", fmi, "--overwrite", config=crashing) == 2
+    assert "must survive its first simulation" in capsys.readouterr().err
+
+
 def test_a_process_that_dies_leaves_a_sentence(fitted: Fit, tmp_path: Path) -> None:
     """One insists on the reset that crashes, in the process of the command."""
     fitted("reset_crashes", 2)
