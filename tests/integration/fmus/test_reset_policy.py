@@ -16,11 +16,16 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from typing_extensions import override
 
 from cluster_est.cli import main
 from cluster_est.cli.crash_observer import SENTENCE
 from cluster_est.executors import processes
+from cluster_est.executors.local import LocalExecutor
+from cluster_est.preflight.bare_fmu import bare_problem
 from cluster_est.running import reset_policy as renewal
+from cluster_est.running import side_by_side
+from cluster_est.running.resources import Resources
 from workers.messages import Outcome, Status, Task
 
 Give = Callable[[str, int], Path]
@@ -261,6 +266,55 @@ def test_an_fmu_that_has_survived_is_not_tried_apart_again(
         processes.ProcessExecutor, "open", lambda *_: pytest.fail("it is tried apart again")
     )
     assert fitted("dahlquist", 2, "--overwrite") in (0, 1)
+
+
+@BOTH
+@KINDS
+def test_instances_that_share_a_static_variable_are_refused_for_several_threads(
+    fitted: Fit, tmp_path: Path, fmi: int, interface: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    several = [f"model.interface={interface}", "executor.workers=3"]
+    assert fitted("shares_static", fmi, *several) == 2
+    said = capsys.readouterr().err
+    assert "executor.workers: two instances of shares_static" in said
+    assert 'choose executor.name = "processes" or "ray", or set executor.workers = 1' in said
+
+    assert fitted("shares_static", fmi, *several, "executor.name=processes") == 0
+    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+
+
+def test_one_worker_takes_instances_that_share_a_static_variable(
+    fitted: Fit, tmp_path: Path
+) -> None:
+    assert fitted("shares_static", 2) == 0
+    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+
+
+def test_fewer_workers_by_default_where_instances_share_something(
+    own_fmu: Give, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Wide(LocalExecutor):
+        @classmethod
+        @override
+        def open(cls, model, experiments, workers, address, limits=None):  # type: ignore[no-untyped-def]
+            return super().open(model, experiments, workers or 2, address, limits)
+
+    monkeypatch.setattr(renewal, "executor_class", lambda _: Wide)
+    problem = bare_problem(own_fmu("shares_static", 2))
+    with renewal.open_with_reset(problem, Resources())[0] as pool:
+        assert pool.workers == 1
+    with renewal.open_with_reset(bare_problem(own_fmu("dahlquist", 2)), Resources())[0] as pool:
+        assert pool.workers == 2
+
+
+def test_what_was_undisturbed_is_not_tried_again(
+    fitted: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert fitted("dahlquist", 2, "executor.workers=2") in (0, 1)
+    monkeypatch.setattr(
+        side_by_side, "ProbeBench", lambda *_: pytest.fail("it is tried side by side again")
+    )
+    assert fitted("dahlquist", 2, "executor.workers=2", "--overwrite") in (0, 1)
 
 
 @BOTH
