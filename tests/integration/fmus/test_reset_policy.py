@@ -340,6 +340,30 @@ def test_a_process_that_dies_leaves_a_sentence(fitted: Fit, tmp_path: Path) -> N
 
 
 @BOTH
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_fmu_that_ends_the_process_in_order_does_not_look_like_success(
+    fitted: Fit, tmp_path: Path, fmi: int, workers: int
+) -> None:
+    """It calls exit(0) at rates above 2.5."""
+    fitted("exits_when_fast", fmi, "executor.name=processes")
+    command = [sys.executable, "-c", "from cluster_est.cli import run; run()", "fit"]
+    command += [str(tmp_path / "config.toml"), "--out", str(tmp_path / "dies"), "model.reset=reset"]
+    command += ["parameters.k.start=3.0", f"executor.workers={workers}"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr.strip().splitlines()[-1] == SENTENCE
+
+
+def test_a_program_ends_with_the_exit_code_of_its_command(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from cluster_est.cli import run; run()"]
+    for arguments, code in ((["--help"], 0), (["fit"], 2), (["show", str(tmp_path)], 2)):
+        ended = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
+        assert ended.returncode == code
+        assert ended.stdout or ended.stderr
+        assert SENTENCE not in ended.stderr
+
+
+@BOTH
 @pytest.mark.parametrize("executor", ["local", "processes"])
 def test_a_file_that_is_opened_by_a_relative_path_lies_in_the_working_folder(
     fitted: Fit, tmp_path: Path, fmi: int, executor: str,
