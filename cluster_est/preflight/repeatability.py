@@ -132,7 +132,7 @@ def instances(subject: CheckSubject) -> CheckFinding:
 def _side_by_side(subject: CheckSubject, count: int) -> CheckFinding:
     """Return whether several instances are right if they are simulated at the same time."""
     can_be = f"{count} at once in a process"
-    found = subject.ask(two_simulations(subject.problem, subject.experiment), 8)
+    found = subject.ask(two_simulations(subject.problem, subject.experiment), 4)
     if found is True:
         return _one_only(subject, f"{can_be}, but two of them {DISTURBED}")
     if isinstance(found, NoAnswer) and found.late:
