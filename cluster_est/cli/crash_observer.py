@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import ctypes
+import os
 import subprocess
+import sys
 from collections.abc import Iterator
+from typing import NoReturn
 
 SENTENCE = (
     "cluster-est: this process has died: an FMU that runs in it has crashed, or it was killed from "
@@ -37,3 +42,37 @@ def crash_observer(sentence: str = SENTENCE) -> Iterator[None]:
         yield
     finally:
         observer.communicate(b"\n")
+
+
+def refuse_quiet_ends(code: int) -> None:
+    """Have this process end with this exit code if anybody but `end` ends it in order.
+
+    An FMU that calls exit(0) would have a command look as if it had succeeded. From then on only
+    `end` may end this process. The C library calls what is given here, last first: no code of
+    Python's, because there may be no interpreter any more.
+    """
+    if sys.platform == "win32":
+        return
+    library = ctypes.CDLL(None)
+    register = library.__cxa_atexit
+    register.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+    for function, argument in ((library._exit, code), (library.fflush, None)):
+        register(ctypes.cast(function, ctypes.c_void_p), argument, None)
+
+
+def end(code: int, *, in_order: bool = True) -> NoReturn:
+    """End this process with an exit code, whatever libraries would do at its end.
+
+    Parameters
+    ----------
+    code
+        The exit code.
+    in_order
+        Whether what is registered with `atexit` comes first.
+    """
+    if in_order:
+        atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+            stream.flush()
+    os._exit(code)

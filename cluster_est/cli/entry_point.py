@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 
 import numpy as np
 from rich.console import Console
 
-from cluster_est.cli.crash_observer import crash_observer
+from cluster_est.cli.crash_observer import crash_observer, end, refuse_quiet_ends
 from cluster_est.cli.display.terminal_text import readable
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.parser import parse
@@ -37,10 +36,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run() -> None:
     """Run a command as a program: end with its exit code, whatever still runs in threads."""
+    refuse_quiet_ends(ExitCode.BAD_INPUT)
     with crash_observer():
-        code = main()
-    if code == ExitCode.INTERRUPTED:  # a simulation that nobody can stop must not keep the process
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
-    sys.exit(code)
+        try:
+            code = main()
+        except SystemExit as ended:  # of the parser: help, or a usage error
+            code = ended.code if isinstance(ended.code, int) else ExitCode.DONE
+        except Exception:
+            sys.excepthook(*sys.exc_info())
+            code = ExitCode.NO_SOLUTION
+    # a simulation that nobody can stop must not keep the process
+    end(code, in_order=code != ExitCode.INTERRUPTED)

@@ -49,13 +49,14 @@ class ParameterCandidate:
 
 def candidates(description: ModelDescription) -> list[ParameterCandidate]:
     """Return each real parameter with a start value, in the FMU's order; likely ones active."""
-    found = []
+    found: list[ParameterCandidate] = []
     active = 0
     for variable in description.variables.values():
         if not _can_be_estimated(variable) or variable.start is None:
             continue
         bounds, origin = _bounds(variable, variable.start)
-        why_not = _why_not(variable, variable.start)
+        same = next((c.variable.name for c in found if c.variable.name in variable.aliases), "")
+        why_not = f"another name of {same}" if same else _why_not(variable, variable.start)
         if not why_not and active == MOST_ACTIVE:
             why_not = f"{MOST_ACTIVE} are enough to begin with; check says which ones matter"
         active += not why_not

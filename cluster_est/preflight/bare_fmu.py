@@ -49,7 +49,9 @@ def _parameters(description: ModelDescription) -> list[ModelVariable]:
     ]
     constants = {v.name for v in description.variables.values() if v.variability == "constant"}
     own = [v for v in found if v.alias_of is None and not v.is_tool_setting]
-    return [v for v in own if constants.isdisjoint(v.aliases)][:MOST_PARAMETERS]
+    once = {v.aliases or (v.name,): v for v in reversed(own)}  # the first of several names
+    kept = [v for v in own if once[v.aliases or (v.name,)] is v]
+    return [v for v in kept if constants.isdisjoint(v.aliases)][:MOST_PARAMETERS]
 
 
 def _parameter(variable: ModelVariable) -> Parameter:

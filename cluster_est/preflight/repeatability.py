@@ -6,6 +6,7 @@ import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.preflight.subject import CheckSubject, unanswered
+from cluster_est.running.side_by_side import DISTURBED, two_simulations
 from workers.messages import FloatArray, ResetPolicy
 from workers.probes.probes import (
     InstanceProbe,
@@ -121,15 +122,31 @@ def instances(subject: CheckSubject) -> CheckFinding:
     declared = subject.description.offer(subject.problem.model.interface).once_per_process
     count, _ = found
     if count > 1 and not declared:
-        return CheckFinding(CheckVerdict.OK, "instances", f"{count} at once in a process")
+        return _side_by_side(subject, count)
     says = "and says so" if declared else "and does not say so"
     if count > 1:
         says = "as it says, though more could be made"
+    return _one_only(subject, f"one in a process, {says}")
+
+
+def _side_by_side(subject: CheckSubject, count: int) -> CheckFinding:
+    """Return whether several instances are right if they are simulated at the same time."""
+    can_be = f"{count} at once in a process"
+    found = subject.ask(two_simulations(subject.problem, subject.experiment), 4)
+    if found is True:
+        return _one_only(subject, f"{can_be}, but two of them {DISTURBED}")
+    if isinstance(found, NoAnswer) and found.late:
+        said = f"{can_be}; whether they disturb each other was not tried: {found.message}"
+        return CheckFinding(CheckVerdict.NOT_DONE, "instances", said, "more time with --seconds")
+    if isinstance(found, NoAnswer) and found.crashed:
+        return _one_only(subject, f"{can_be}, but with two of them {found.message}")
+    if found is False:
+        can_be += ", two of which do not disturb each other"
+    return CheckFinding(CheckVerdict.OK, "instances", can_be)
+
+
+def _one_only(subject: CheckSubject, said: str) -> CheckFinding:
     do = 'for several workers: executor.name = "processes" or "ray"'
-    several = subject.in_process and _several(subject)
+    several = subject.in_process and (subject.workers or 1) > 1
     verdict = CheckVerdict.PROBLEM if several else CheckVerdict.NOTE
-    return CheckFinding(verdict, "instances", f"one in a process, {says}", do)
-
-
-def _several(subject: CheckSubject) -> bool:
-    return (subject.workers or 1) > 1
+    return CheckFinding(verdict, "instances", said, do)

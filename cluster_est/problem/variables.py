@@ -52,6 +52,26 @@ def check_experiment(
     for name in experiment.recorded:
         _check_recorded(description.variable(name, f"{where}.outputs"), description, name, where)
     _check_roles(experiment, description, parameters)
+    _check_set_once(experiment, description, parameters)
+
+
+def _check_set_once(
+    experiment: Experiment, description: ModelDescription, parameters: Sequence[Parameter]
+) -> None:
+    """Refuse two names of one value, of which whichever is set last would count."""
+    where = f"experiment {experiment.id!r}"
+    named = {p.target: f"parameters.{p.name}" for p in parameters if not p.auxiliary}
+    named |= {name: f"{where}.values.{name}" for name, _ in experiment.values if name not in named}
+    named |= {given.variable: f"{where}.inputs.{given.variable}" for given in experiment.inputs}
+    seen: dict[str, str] = {}
+    for name, place in named.items():
+        variable = description.variables.get(name)
+        for own in (o for o in (variable.aliases if variable is not None else ()) if o in seen):
+            raise ProblemError(
+                f"{place}: {name!r} must be a variable of its own but is another name of {own!r}, "
+                f"which {seen[own]} gives; remove one of the two"
+            )
+        seen[name] = place
 
 
 def _check_inputs(experiment: Experiment, description: ModelDescription, where: str) -> None:

@@ -19,8 +19,9 @@ from cluster_est.errors import UnsuitableExecutorError
 from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
-from cluster_est.running.known_fmus import has_survived, remember_survival
+from cluster_est.running.known_fmus import Trial
 from cluster_est.running.resources import Resources
+from cluster_est.running.side_by_side import what_disturbs
 from workers.errors import ModelError
 from workers.messages import Experiment, Limits, Outcome, ResetPolicy, Status, Task
 
@@ -150,10 +151,34 @@ def open_with_reset(
     Raises
     ------
     ExecutorError
-        If this executor cannot give each simulation a process of its own, and the FMU needs that.
+        If this executor cannot give each simulation a process of its own, and the FMU needs that;
+        or if it has several workers in this process, and instances there disturb each other.
     ModelError
         If the FMU cannot be loaded.
     """
+    pool, decision = _open(problem, resources, known)
+    try:
+        disturbs = what_disturbs(problem) if pool.in_process and pool.workers > 1 else ""
+        if disturbs and resources.workers is not None:
+            raise ExecutorError(
+                f"executor.workers: two instances of {problem.model.name} in one process must not "
+                f"disturb each other to be run by {pool.workers} workers in this process, but they "
+                f'{disturbs}; choose executor.name = "processes" or "ray", or set '
+                "executor.workers = 1"
+            )
+    except BaseException:
+        pool.close()
+        raise
+    if not disturbs:
+        return pool, decision
+    pool.close()
+    return _open(problem, replace(resources, workers=1), decision)
+
+
+def _open(
+    problem: Problem, resources: Resources, known: ResetDecision | None
+) -> tuple[WorkerPool, ResetDecision]:
+    """Do as `open_with_reset`, however many workers there are in this process."""
 
     def start(kind: str, renew: ResetPolicy, count: int | None) -> WorkerPool:
         model = replace(problem.model, reset=renew)
@@ -187,13 +212,14 @@ def _find_policy(
 ) -> tuple[WorkerPool, ResetDecision]:
     """Find the least policy with which the test has one answer; a reset if there is none.
 
-    For an executor in this process, an FMU that this machine does not know is tried in a process of
-    its own: it may crash.
+    For an executor in this process, an FMU that this machine does not know with these values is
+    tried in a process of its own: it may crash.
     """
     file, here = problem.model.name, executor_class(resources.executor).in_process
     forks = hasattr(os, "fork")
-    apart = here and forks and not has_survived(problem.model)
     question = RepeatabilityTest.of(problem)
+    trial = Trial("survived", problem.model, problem.experiments, question.tasks)
+    apart = here and forks and not trial.passed
     answers: dict[ResetPolicy, RepeatabilityAnswer] = {}
     for policy in WAYS if forks or not here else WAYS[:-1]:
         elsewhere = apart or (here and policy == "process")
@@ -216,7 +242,7 @@ def _find_policy(
         if decision is not None:
             _refuse_here(file, resources.executor, policy, answers[policy])
             if policy == "reset" and answers[policy].same:
-                remember_survival(problem.model)
+                trial.remember()
             return start(resources.executor, decision.renew, resources.workers), decision
     decision = _never_the_same(file, answers)
     return start(resources.executor, decision.renew, resources.workers), decision

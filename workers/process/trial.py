@@ -30,11 +30,14 @@ class NoAnswer:
         Whether it only took too long.
     loading
         Whether that was before the FMU was there to be asked.
+    crashed
+        Whether the process has ended.
     """
 
     message: str
     late: bool = False
     loading: bool = False
+    crashed: bool = False
 
 
 class ProbeBench:
@@ -72,7 +75,7 @@ class ProbeBench:
             return NoAnswer(str(answer)) if isinstance(answer, ModelError) else answer
         except (EOFError, OSError):
             code = self._forks.wait(process)
-            return NoAnswer(_how(code), loading=probe is None)
+            return NoAnswer(_how(code), loading=probe is None, crashed=True)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)

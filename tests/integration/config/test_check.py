@@ -66,6 +66,8 @@ def test_a_good_fmu(examined: Examine, name: str, fmi: int) -> None:
         ("random_output", 2, "repeatable", "problem", "two fresh processes differ", "method.name"),
         ("once_per_process", 3, "instances", "note", "and says so", "executor.name"),
         ("once_undeclared", 2, "instances", "note", "and does not say so", "executor.name"),
+        ("shares_static", 2, "instances", "note", "give other results while", "executor.name"),
+        ("shares_static", 3, "instances", "note", "give other results while", "executor.name"),
         (
             "dead_parameter",
             3,

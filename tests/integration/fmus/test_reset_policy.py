@@ -16,11 +16,16 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from typing_extensions import override
 
 from cluster_est.cli import main
 from cluster_est.cli.crash_observer import SENTENCE
 from cluster_est.executors import processes
+from cluster_est.executors.local import LocalExecutor
+from cluster_est.preflight.bare_fmu import bare_problem
 from cluster_est.running import reset_policy as renewal
+from cluster_est.running import side_by_side
+from cluster_est.running.resources import Resources
 from workers.messages import Outcome, Status, Task
 
 Give = Callable[[str, int], Path]
@@ -263,6 +268,67 @@ def test_an_fmu_that_has_survived_is_not_tried_apart_again(
     assert fitted("dahlquist", 2, "--overwrite") in (0, 1)
 
 
+@BOTH
+@KINDS
+def test_instances_that_share_a_static_variable_are_refused_for_several_threads(
+    fitted: Fit, tmp_path: Path, fmi: int, interface: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    several = [f"model.interface={interface}", "executor.workers=3"]
+    assert fitted("shares_static", fmi, *several) == 2
+    said = capsys.readouterr().err
+    assert "executor.workers: two instances of shares_static" in said
+    assert 'choose executor.name = "processes" or "ray", or set executor.workers = 1' in said
+
+    assert fitted("shares_static", fmi, *several, "executor.name=processes") == 0
+    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+
+
+def test_one_worker_takes_instances_that_share_a_static_variable(
+    fitted: Fit, tmp_path: Path
+) -> None:
+    assert fitted("shares_static", 2) == 0
+    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+
+
+def test_fewer_workers_by_default_where_instances_share_something(
+    own_fmu: Give, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Wide(LocalExecutor):
+        @classmethod
+        @override
+        def open(cls, model, experiments, workers, address, limits=None):  # type: ignore[no-untyped-def]
+            return super().open(model, experiments, workers or 2, address, limits)
+
+    monkeypatch.setattr(renewal, "executor_class", lambda _: Wide)
+    problem = bare_problem(own_fmu("shares_static", 2))
+    with renewal.open_with_reset(problem, Resources())[0] as pool:
+        assert pool.workers == 1
+    with renewal.open_with_reset(bare_problem(own_fmu("dahlquist", 2)), Resources())[0] as pool:
+        assert pool.workers == 2
+
+
+def test_what_was_undisturbed_is_not_tried_again(
+    fitted: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert fitted("dahlquist", 2, "executor.workers=2") in (0, 1)
+    monkeypatch.setattr(
+        side_by_side, "ProbeBench", lambda *_: pytest.fail("it is tried side by side again")
+    )
+    assert fitted("dahlquist", 2, "executor.workers=2", "--overwrite") in (0, 1)
+
+
+@BOTH
+def test_an_fmu_that_has_survived_is_tried_apart_again_with_other_start_values(
+    fitted: Fit, fmi: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    below = "parameters.k = { start = 0.7, bounds = [0.01, 2.0] }\n"
+    assert fitted("crashes_when_fast", fmi, config=below) == 0
+
+    crashing = "parameters.k = { start = 3.0, bounds = [0.01, 10.0] }\n"
+    assert fitted("crashes_when_fast", fmi, "--overwrite", config=crashing) == 2
+    assert "must survive its first simulation" in capsys.readouterr().err
+
+
 def test_a_process_that_dies_leaves_a_sentence(fitted: Fit, tmp_path: Path) -> None:
     """One insists on the reset that crashes, in the process of the command."""
     fitted("reset_crashes", 2)
@@ -292,6 +358,30 @@ def test_what_was_found_is_written_before_the_fmu_is_let_go(
     assert ended.returncode == -signal.SIGSEGV
     assert SENTENCE in ended.stderr
     assert estimate(tmp_path, "rate") == pytest.approx(RATE, rel=1e-5)
+
+
+@BOTH
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_fmu_that_ends_the_process_in_order_does_not_look_like_success(
+    fitted: Fit, tmp_path: Path, fmi: int, workers: int
+) -> None:
+    """It calls exit(0) at rates above 2.5."""
+    fitted("exits_when_fast", fmi, "executor.name=processes")
+    command = [sys.executable, "-c", "from cluster_est.cli import run; run()", "fit"]
+    command += [str(tmp_path / "config.toml"), "--out", str(tmp_path / "dies"), "model.reset=reset"]
+    command += ["parameters.k.start=3.0", f"executor.workers={workers}"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr.strip().splitlines()[-1] == SENTENCE
+
+
+def test_a_program_ends_with_the_exit_code_of_its_command(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from cluster_est.cli import run; run()"]
+    for arguments, code in ((["--help"], 0), (["fit"], 2), (["show", str(tmp_path)], 2)):
+        ended = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
+        assert ended.returncode == code
+        assert ended.stdout or ended.stderr
+        assert SENTENCE not in ended.stderr
 
 
 @BOTH

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import signal
 import sys
+import time
 from contextlib import ExitStack
 
 import pytest
@@ -45,4 +46,16 @@ def test_a_second_thread_does_not_take_an_fmus_handlers_for_the_process_s(first_
     threads[first_out].close()
     assert handlers() == before
     threads[1 - first_out].close()
+    assert handlers() == before
+
+
+def test_handlers_that_were_replaced_once_are_given_back_during_the_next_call() -> None:
+    """Otherwise nobody could interrupt an FMU that replaces them and then takes its time."""
+    before = handlers()
+    with kept_signal_handlers():
+        replace_handlers()
+    with kept_signal_handlers():
+        replace_handlers()
+        while handlers() != before:  # the FMU at work
+            time.sleep(0.01)
     assert handlers() == before
