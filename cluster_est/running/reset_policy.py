@@ -160,7 +160,7 @@ def open_with_reset(
     try:
         disturbs = what_disturbs(problem) if pool.in_process and pool.workers > 1 else ""
         if disturbs and resources.workers is not None:
-            raise ExecutorError(
+            raise UnsuitableExecutorError(
                 f"executor.workers: two instances of {problem.model.name} in one process must not "
                 f"disturb each other to be run by {pool.workers} workers in this process, but they "
                 f'{disturbs}; choose executor.name = "processes" or "ray", or set '
