@@ -6,7 +6,7 @@ import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.preflight.subject import CheckSubject, unanswered
-from cluster_est.running.side_by_side import DISTURBED, two_simulations
+from cluster_est.running.trials.side_by_side import DISTURBED, two_simulations
 from workers.messages import FloatArray, ResetPolicy
 from workers.probes.probes import (
     InstanceProbe,

@@ -17,7 +17,7 @@ from cluster_est.run_folder.resume import check_resumable, is_finished
 from cluster_est.run_folder.run_identity import RunIdentity, RunStatus
 from cluster_est.running.environment import EarlierRun, Monitor
 from cluster_est.running.records import RunSnapshot, SearchIteration, Show, TaskOrigin
-from cluster_est.running.reset_policy import ResetDecision, recorded
+from cluster_est.running.trials.reset_policy import ResetDecision, recorded
 from workers.messages import Outcome
 
 FIT_TITLES = {

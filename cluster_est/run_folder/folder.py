@@ -24,7 +24,7 @@ from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
 from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunKind, RunStatus, versions
 from cluster_est.running.records import RunSnapshot, SearchIteration, TaskOrigin
-from cluster_est.running.reset_policy import ResetDecision
+from cluster_est.running.trials.reset_policy import ResetDecision
 from workers.messages import Outcome
 
 BEGUN = {"evaluations", "config.toml", ".config.toml", PROGRESS, ".run.json"}

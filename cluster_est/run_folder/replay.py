@@ -19,7 +19,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.evaluation_log import read_log
 from cluster_est.run_folder.log_format import logged_cost
 from cluster_est.run_folder.reading import read_facts
-from cluster_est.running.reset_policy import recorded
+from cluster_est.running.trials.reset_policy import recorded
 from workers.fmu.description import nearest
 from workers.messages import Effect, FloatArray, Limits, Outcome, Status, Task, Want
 from workers.process.supervisor import SupervisedEvaluator

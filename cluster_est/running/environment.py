@@ -12,9 +12,9 @@ from cluster_est.executors.base import OutcomeSource
 from cluster_est.executors.log_replay import LogReplayExecutor
 from cluster_est.problem.problem import Problem
 from cluster_est.running.records import Note, Record, Show
-from cluster_est.running.reset_policy import ResetDecision, open_with_reset
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
+from cluster_est.running.trials.reset_policy import ResetDecision, open_with_reset
 
 
 @dataclass(frozen=True)

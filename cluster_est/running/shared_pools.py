@@ -10,8 +10,8 @@ from typing import Any, Self
 from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.running.environment import WorkerSource
-from cluster_est.running.reset_policy import ResetDecision, open_with_reset
 from cluster_est.running.resources import Resources
+from cluster_est.running.trials.reset_policy import ResetDecision, open_with_reset
 
 
 class SharedPools(WorkerSource):

@@ -23,9 +23,9 @@ from cluster_est.cli.crash_observer import SENTENCE
 from cluster_est.executors import processes
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.preflight.bare_fmu import bare_problem
-from cluster_est.running import reset_policy as renewal
-from cluster_est.running import side_by_side
 from cluster_est.running.resources import Resources
+from cluster_est.running.trials import reset_policy as renewal
+from cluster_est.running.trials import side_by_side
 from workers.messages import Outcome, Status, Task
 
 Give = Callable[[str, int], Path]

@@ -8,7 +8,7 @@ import numpy as np
 
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
-from cluster_est.running.known_fmus import Trial
+from cluster_est.running.trials.known_fmus import Trial
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.messages import FloatArray, Task

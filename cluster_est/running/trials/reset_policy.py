@@ -19,9 +19,9 @@ from cluster_est.errors import UnsuitableExecutorError
 from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
-from cluster_est.running.known_fmus import Trial
 from cluster_est.running.resources import Resources
-from cluster_est.running.side_by_side import what_disturbs
+from cluster_est.running.trials.known_fmus import Trial
+from cluster_est.running.trials.side_by_side import what_disturbs
 from workers.errors import ModelError
 from workers.messages import Experiment, Limits, Outcome, ResetPolicy, Status, Task
 
