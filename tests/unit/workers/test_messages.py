@@ -27,8 +27,23 @@ DRIVEN, MEASURED = Input("F", T, T), Output("y", T, T)
 
 
 class TestSamples:
-    def test_floats_are_kept_as_they_are(self):
-        assert Input("F", T, T).times is T
+    @pytest.mark.parametrize("kind", [Input, Output])
+    def test_a_buffer_that_is_filled_again_changes_nothing(self, kind):
+        times, values = T.copy(), T.copy()
+        view = values[:]
+        view.flags.writeable = False
+        kept, seen = kind("F", times, values), kind("F", T, view)
+        times += 1.0
+        values *= 2.0
+        for signal in (kept, seen):
+            np.testing.assert_array_equal(signal.times, T)
+            np.testing.assert_array_equal(signal.values, T)
+
+    def test_what_is_kept_cannot_be_written_to_and_is_copied_once(self):
+        kept = Input("F", T, T)
+        with pytest.raises(ValueError, match="read-only"):
+            kept.values[0] = 3.0
+        assert Input("F", kept.times, kept.values).values is kept.values
 
     @pytest.mark.parametrize(
         "given",
