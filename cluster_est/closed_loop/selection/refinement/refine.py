@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.selection.refinement.first_steps import FirstStep, first_steps
@@ -80,8 +82,10 @@ def refit(
     white = leading(ranking.white, thresholds.white_leaders)
     first = list(dict.fromkeys([*leaders[:trials], *white]))
     chosen, left = _mixed(first_steps(workbench, current, ranking, first), count)
-    chosen = _not_behind(chosen, current, floor, thresholds)
-    contenders = successive_halving(workbench, current, floor, [step.start for step in chosen])
+    reached = [step.sse for step in chosen]
+    possible = [min(step.sse, step.predicted) for step in chosen]
+    near = _near_the_best(reached, possible, current, floor, thresholds)
+    contenders = successive_halving(workbench, current, floor, [chosen[i].start for i in near])
     if not wide or _closes(current, contenders, floor, thresholds.closes):
         return contenders
     later = [i for i in leaders[trials:] if i not in first]
@@ -105,10 +109,11 @@ def successive_halving(
     lost: list[FittedModel] = []
     for last in (False, True):
         fits.sort(key=lambda f: f.criterion(workbench.records))
-        near = _near_the_best(fits, current, floor, thresholds)
+        sums = [f.sse for f in fits]
+        near = _near_the_best(sums, sums, current, floor, thresholds)
         kept = near[: max(thresholds.finalists, len(fits) // 2)]
-        lost += [f for f in fits if not any(f is other for other in kept)]
-        fits = kept
+        lost += [f for i, f in enumerate(fits) if i not in kept]
+        fits = [fits[i] for i in kept]
         if not last:
             going = [f for f in fits if not f.converged]
             further = iter(workbench.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
@@ -122,30 +127,23 @@ def successive_halving(
 
 
 def _near_the_best(
-    fits: Sequence[FittedModel],
+    reached: Sequence[float],
+    possible: Sequence[float],
     current: FittedModel,
     floor: float,
     thresholds: RefinementThresholds,
-) -> list[FittedModel]:
-    """Those that do at least a part of what the best one does, where that does nearly all."""
-    gain = current.sse - min((f.sse for f in fits), default=current.sse)
-    if gain < thresholds.closes * (current.sse - floor):
-        return list(fits)
-    return [f for f in fits if current.sse - f.sse >= thresholds.behind * gain]
+) -> list[int]:
+    """Positions of what does, or could do, a part of what the best does, where that does it all.
 
-
-def _not_behind(
-    steps: Sequence[FirstStep],
-    current: FittedModel,
-    floor: float,
-    thresholds: RefinementThresholds,
-) -> list[FirstStep]:
-    """The same of first steps, of which the linear model may promise more than they have shown."""
-    gain = current.sse - min((step.sse for step in steps), default=current.sse)
-    if gain < thresholds.closes * (current.sse - floor):
-        return list(steps)
-    least = thresholds.behind * gain
-    return [s for s in steps if current.sse - min(s.sse, s.predicted) >= least]
+    Parameters
+    ----------
+    reached, possible
+        Sums of squares of each, as simulated, and at best.
+    """
+    gain = current.sse - min(reached, default=current.sse)
+    enough = gain >= thresholds.closes * (current.sse - floor)
+    least = thresholds.behind * gain if enough else -np.inf
+    return [i for i, sse in enumerate(possible) if current.sse - sse >= least]
 
 
 def _closes(
