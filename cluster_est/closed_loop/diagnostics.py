@@ -14,13 +14,13 @@ from cluster_est.closed_loop.screening.evidence import CandidateEvidence, Candid
 from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, screen
 from cluster_est.closed_loop.selection.declared_model import fit_declared
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.statistics.noise import estimate_noise
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.errors import EffectError
 from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.problem import Problem
 from cluster_est.running.arguments import check_problem
 from cluster_est.running.resources import Resources
+from cluster_est.statistics.noise import estimate_noise
 from workers.effects.forms import EffectForm, FormCoefficient
 from workers.effects.forms import form as find_form
 from workers.effects.site import EffectSite, check_site, parse_site

@@ -11,8 +11,6 @@ import numpy as np
 from cluster_est.closed_loop.selection.declared_model import BRIEF
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.statistics.noise import estimate_noise
-from cluster_est.closed_loop.statistics.records import make_records
 from cluster_est.closed_loop.synthetic_experiments import (
     SyntheticKind,
     enlarged_kind,
@@ -28,6 +26,8 @@ from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.statistics.noise import estimate_noise
+from cluster_est.statistics.records import make_records
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest

@@ -10,6 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from cluster_est.statistics.omnibus import DRAWS, LENGTHS
+from cluster_est.statistics.score import CONFOUNDED
+
 
 @dataclass(frozen=True)
 class PreparationThresholds:
@@ -116,10 +119,10 @@ class ScreeningThresholds:
     peak_samples: int = 16
     peak_distance: float = 0.1
     column_penalty: float = 8.0
-    confounded: float = 5e-3
+    confounded: float = CONFOUNDED
     autoregression: int = 2
-    omnibus_lengths: tuple[float, ...] = (2, 6, 20)
-    omnibus_draws: int = 400
+    omnibus_lengths: tuple[float, ...] = LENGTHS
+    omnibus_draws: int = DRAWS
     probe_amount: float = 0.01
 
 

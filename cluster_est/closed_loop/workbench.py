@@ -11,7 +11,6 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, make_trajectory
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.statistics.records import StackedRecords
 from cluster_est.closed_loop.synthetic_experiments import SyntheticKind
 from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import ProblemError
@@ -22,6 +21,7 @@ from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
+from cluster_est.statistics.records import StackedRecords
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Outcome, Want
 

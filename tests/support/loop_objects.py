@@ -25,16 +25,16 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionRound,
 )
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.statistics.omnibus import OmnibusTest
-from cluster_est.closed_loop.statistics.projection import OrthogonalProjection, ProjectedResidual
-from cluster_est.closed_loop.statistics.records import make_records
-from cluster_est.closed_loop.statistics.score import score
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench, SimulationMeter
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.problem.space import make_space
 from cluster_est.results.output_errors import OutputError
 from cluster_est.results.result import Result
 from cluster_est.running.runner import Runner
+from cluster_est.statistics.omnibus import OmnibusTest
+from cluster_est.statistics.projection import OrthogonalProjection, ProjectedResidual
+from cluster_est.statistics.records import make_records
+from cluster_est.statistics.score import score
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite
 from workers.fmu.description import ModelDescription, describe_model

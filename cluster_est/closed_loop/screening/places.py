@@ -20,8 +20,8 @@ import numpy as np
 from cluster_est.closed_loop.candidates.arguments import TIME, CandidatePlace
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.screening.adjoint import AdjointSignals, adjoint_signals
-from cluster_est.closed_loop.statistics.projection import ProjectedResidual
 from cluster_est.closed_loop.thresholds import PlaceThresholds
+from cluster_est.statistics.projection import ProjectedResidual
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray
 

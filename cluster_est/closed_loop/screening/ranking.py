@@ -19,16 +19,16 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
 from cluster_est.closed_loop.screening.places import rank_places
 from cluster_est.closed_loop.screening.probe import probe
-from cluster_est.closed_loop.statistics.projection import (
-    OrthogonalProjection,
-    ProjectedResidual,
-)
-from cluster_est.closed_loop.statistics.records import StackedRecords, thinned
-from cluster_est.closed_loop.statistics.score import ScoreTests, score
-from cluster_est.closed_loop.statistics.whitening import fit_autoregression, whiten
 from cluster_est.closed_loop.thresholds import ScreeningThresholds
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.errors import DataError
+from cluster_est.statistics.projection import (
+    OrthogonalProjection,
+    ProjectedResidual,
+)
+from cluster_est.statistics.records import StackedRecords, thinned
+from cluster_est.statistics.score import ScoreTests, score
+from cluster_est.statistics.whitening import fit_autoregression, whiten
 from workers.messages import FloatArray, IntArray
 
 PLACES = 7

@@ -8,10 +8,10 @@ import numpy as np
 
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.ranking import CandidateRanking, rank
-from cluster_est.closed_loop.statistics.omnibus import OmnibusTest, omnibus
-from cluster_est.closed_loop.statistics.projection import ProjectedResidual
-from cluster_est.closed_loop.statistics.score import family_wise
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.statistics.omnibus import OmnibusTest, omnibus
+from cluster_est.statistics.projection import ProjectedResidual
+from cluster_est.statistics.score import family_wise
 from workers.messages import FloatArray
 
 

@@ -36,9 +36,9 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionRound,
 )
 from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.statistics.noise import estimate_noise
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.statistics.noise import estimate_noise
 
 AGAIN = LeastSquares(trials=2, max_iterations=15, ftol=1e-6, xtol=1e-7, differences="forward")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from cluster_est.closed_loop.statistics.records import StackedRecords, make_records
+from cluster_est.statistics.records import StackedRecords, make_records
 from workers.messages import Experiment, FloatArray, Output
 
 

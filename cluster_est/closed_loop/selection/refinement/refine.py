@@ -15,10 +15,10 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.selection.refinement.first_steps import FirstStep, first_steps
 from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.statistics.score import ScoreTests
 from cluster_est.closed_loop.thresholds import RefinementThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.statistics.score import ScoreTests
 
 SHORT = LeastSquares(trials=2, max_iterations=2, ftol=1e-4, xtol=1e-5, differences="forward")
 FULL = LeastSquares(trials=2, max_iterations=10, ftol=1e-6, xtol=1e-7, differences="forward")

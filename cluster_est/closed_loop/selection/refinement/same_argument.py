@@ -20,8 +20,8 @@ from cluster_est.closed_loop.screening.ranking import CandidateRanking, candidat
 from cluster_est.closed_loop.selection.refinement.first_steps import is_proportional, values_at
 from cluster_est.closed_loop.selection.refinement.refine import FULL, SHORT, RefittedCandidate
 from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.statistics.projection import OrthogonalProjection
 from workers.messages import FloatArray
 
 

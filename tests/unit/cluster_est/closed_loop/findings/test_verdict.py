@@ -19,7 +19,7 @@ from support.loop_objects import (
 from cluster_est.closed_loop.findings.result import Verdict
 from cluster_est.closed_loop.findings.verdict import judge
 from cluster_est.closed_loop.selection.rounds import RejectionReason
-from cluster_est.closed_loop.statistics.omnibus import OmnibusTest
+from cluster_est.statistics.omnibus import OmnibusTest
 
 PROBLEM = made_problem(100, 100, 100, 100)
 FLOOR = 400.0

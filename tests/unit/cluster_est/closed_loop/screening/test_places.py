@@ -13,8 +13,8 @@ from cluster_est.closed_loop.candidates.sites import candidate_sites, forms_at
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
 from cluster_est.closed_loop.screening.places import rank_places
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.statistics.projection import OrthogonalProjection, ProjectedResidual
 from cluster_est.closed_loop.thresholds import PlaceThresholds
+from cluster_est.statistics.projection import OrthogonalProjection, ProjectedResidual
 
 SETTINGS = LoopSettings()
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cluster_est.closed_loop.statistics.records import make_records, thinned
+from cluster_est.statistics.records import make_records, thinned
 from workers.messages import Experiment, Output
 
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import kstest
 from support.truth.stacked_noise import stack
 
-from cluster_est.closed_loop.statistics import omnibus as module
-from cluster_est.closed_loop.statistics.omnibus import omnibus
-from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
-from cluster_est.closed_loop.statistics.records import StackedRecords
+from cluster_est.statistics import omnibus as module
+from cluster_est.statistics.omnibus import omnibus
+from cluster_est.statistics.projection import OrthogonalProjection
+from cluster_est.statistics.records import StackedRecords
 
 RECORDS = stack(150, 100, 3, 1)
 TREND = np.concatenate([item.times for item in RECORDS.items])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
-from cluster_est.closed_loop.statistics.records import StackedRecords
+from cluster_est.statistics.records import StackedRecords
 from workers.messages import FloatArray
 
 

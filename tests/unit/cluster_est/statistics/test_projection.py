@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
+from cluster_est.statistics.projection import OrthogonalProjection
 
 GENERATOR = np.random.default_rng(4)
 MATRIX = GENERATOR.standard_normal((60, 4))

@@ -7,8 +7,8 @@ import pytest
 from scipy.special import erfcx, gamma
 from scipy.stats import beta, chi2, kstest
 
-from cluster_est.closed_loop.statistics.projection import OrthogonalProjection
-from cluster_est.closed_loop.statistics.score import ScoreTests, family_wise, log_survival, score
+from cluster_est.statistics.projection import OrthogonalProjection
+from cluster_est.statistics.score import ScoreTests, family_wise, log_survival, score
 from workers.messages import FloatArray
 
 N = 300

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.closed_loop.statistics.records import StackedRecords
+from cluster_est.statistics.records import StackedRecords
 from workers.messages import FloatArray
 
 SHORTEST = 10

@@ -12,9 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import gammaincc, gammaln, log_ndtr
 
-from cluster_est.closed_loop.statistics.projection import NOTHING_LEFT, OrthogonalProjection
-from cluster_est.closed_loop.thresholds import ScreeningThresholds
+from cluster_est.statistics.projection import NOTHING_LEFT, OrthogonalProjection
 from workers.messages import FloatArray, IntArray
+
+CONFOUNDED = 5e-3
+"""Share of a direction outside the parameters below which it cannot be told from them: the
+linearisations of a simulation are not more exact."""
 
 DEPENDENT = 1e-3
 """Smallest singular value of a candidate's scaled columns, over the largest, that counts; a
@@ -91,7 +94,7 @@ def score(
     projection: OrthogonalProjection,
     residuals: FloatArray,
     columns: Sequence[FloatArray],
-    confounded: float = ScreeningThresholds.confounded,
+    confounded: float = CONFOUNDED,
 ) -> ScoreTests:
     """Test for each candidate whether adding it would reduce the residual more than noise allows.
 

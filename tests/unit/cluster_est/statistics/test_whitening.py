@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import toeplitz
 from support.truth.stacked_noise import autoregressive, stack
 
-from cluster_est.closed_loop.statistics.whitening import fit_autoregression, whiten
+from cluster_est.statistics.whitening import fit_autoregression, whiten
 
 TRUE = np.array([[1.2, -0.5], [0.8, 0.0]])
 

@@ -11,10 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
-from cluster_est.closed_loop.statistics.projection import NOTHING_LEFT, OrthogonalProjection
-from cluster_est.closed_loop.statistics.records import StackedRecords
-from cluster_est.closed_loop.thresholds import ScreeningThresholds
+from cluster_est.statistics.projection import NOTHING_LEFT, OrthogonalProjection
+from cluster_est.statistics.records import StackedRecords
 from workers.messages import FloatArray
+
+DRAWS = 400
+"""Of the null distribution: a p-value of 0.01 needs some hundred."""
+
+LENGTHS = (2.0, 6.0, 20.0)
+"""Lengths of smooth structure, in samples, that are looked for."""
 
 REACH = 4
 """Lengths after which a Gaussian kernel is cut off."""
@@ -44,8 +49,8 @@ def omnibus(
     residuals: FloatArray,
     records: StackedRecords,
     generator: np.random.Generator,
-    draws: int = ScreeningThresholds.omnibus_draws,
-    lengths: Sequence[float] = ScreeningThresholds.omnibus_lengths,
+    draws: int = DRAWS,
+    lengths: Sequence[float] = LENGTHS,
 ) -> OmnibusTest:
     """Test the residual against white noise for every smooth alternative at once.
 
