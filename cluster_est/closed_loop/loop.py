@@ -8,14 +8,18 @@ points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
+from cluster_est.closed_loop.findings.disturbance import (
+    UnexplainedResidual,
+    unexplained_residuals,
+)
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
 from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.findings.residual_noise import believed_noise, residual_noise
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
-from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
+from cluster_est.closed_loop.findings.verdict import CLAIMS, confirmed, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
 from cluster_est.closed_loop.selection.beam_search import beam_search
@@ -31,6 +35,7 @@ from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import examine
+from workers.messages import FloatArray
 
 FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
 
@@ -80,9 +85,8 @@ def run_loop(request: LoopRequest) -> LoopResult:
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
     begin = time.monotonic()
-    given = any(o.sigma != 1.0 for e in request.problem.experiments for o in e.outputs)
-    over = ErrorScale.SIGMA if given else ErrorScale.ESTIMATED_NOISE
     with open_workbench(request) as workbench:
+        over = ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
         found = beam_search(workbench, FitStart(workbench.problem, {}))
         report = _report(workbench, found, over, begin)
     return replace(report, seconds=time.monotonic() - begin)
@@ -95,23 +99,26 @@ def _report(
     judged = judge(workbench, found)
     before = _final(workbench, found.base, begin)
     grown = _final(workbench, found.current, begin) if found.current.added else before
-    judgement = _with_veto(judged, before, grown)
-    keep = judgement.verdict in (Verdict.FOUND, Verdict.PARTIAL)
+    changes = error_changes(workbench, found, before, grown)
+    judgement = confirmed(judged, changes, workbench.settings)
+    keep = judgement.verdict in CLAIMS
     named = describe_effects(workbench, found, grown)
     after = grown if keep else before
+    kept = found.current if keep else found.base
     curves = effect_curves(workbench, found.current, grown) if keep else ()
+    unexplained = _unexplained(workbench, judgement.verdict, kept, found.noise)
     return LoopResult(
         verdict=judgement.verdict,
-        summary=judgement.reason,
+        summary="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained)]),
         effects=named if keep else (),
         before=before,
         after=after,
-        errors=error_changes(workbench, found, before, after),
+        errors=changes if keep else error_changes(workbench, found, before, before),
         findings=found.findings,
         rejected=() if keep else named,
         noise=workbench.noise_in_units(found.noise),
         sites=workbench.sites,
-        notes=_notes(workbench, judgement.verdict, found.current if keep else found.base, after),
+        notes=_notes(workbench, judgement.verdict, kept, after),
         simulations=workbench.meter.full,
         simulated=workbench.runner.simulations,
         evaluations=workbench.runner.evaluations,
@@ -120,21 +127,25 @@ def _report(
         curves=curves,
         errors_over=errors_over,
         structures=found.path,
+        unexplained=unexplained,
     )
 
 
-def _with_veto(judged: ReasonedVerdict, before: Result, grown: Result) -> ReasonedVerdict:
-    """The verdict, unless what is to be added makes the held-out error grow."""
-    old, new = before.rmse("test"), grown.rmse("test")
-    kept = judged.verdict in (Verdict.FOUND, Verdict.PARTIAL)
-    if not kept or not np.isfinite(old) or new <= old:
-        return judged
-    return ReasonedVerdict(
-        Verdict.UNEXPLAINED,
-        f"{judged.reason}; but the held-out error would grow from {old:.4g} to {new:.4g} "
-        "sigma, so nothing was added",
-        judged.closed,
-    )
+def _unexplained(
+    workbench: LoopWorkbench, verdict: Verdict, fitted: FittedModel, noise: FloatArray
+) -> tuple[UnexplainedResidual, ...]:
+    """What nothing explains, where the verdict says that there is something."""
+    if verdict not in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
+        return ()
+    outputs = residual_noise(workbench, fitted, noise)
+    return unexplained_residuals(workbench, fitted, believed_noise(workbench, outputs, noise))
+
+
+def _disturbance(verdict: Verdict, unexplained: Sequence[UnexplainedResidual]) -> tuple[str, ...]:
+    """Say how large what nothing explains is, and how fast."""
+    if verdict is not Verdict.UNEXPLAINED or not unexplained:
+        return ()
+    return (f"as a disturbance that nobody measured it would be, at {unexplained[0].sentence}",)
 
 
 def _notes(

@@ -89,6 +89,7 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     description = problem.describe()
     _check_shape(problem, request.settings)
     _check_choices(problem, request.settings, description)
+    declared = any(o.sigma != 1.0 for e in problem.experiments for o in e.outputs)
     weights: tuple[str, ...] = ()
     if _unweighted(problem):
         with _opened(request, description) as workbench:
@@ -99,7 +100,8 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
                 request = replace(request, problem=_weighted(problem, sigmas))
                 weights = (_weight_note(request.problem),)
     with _opened(request, description) as workbench:
-        yield replace(workbench, notes=(*workbench.notes, *weights))
+        notes = (*workbench.notes, *weights)
+        yield replace(workbench, notes=notes, sigma_declared=declared)
 
 
 @contextmanager

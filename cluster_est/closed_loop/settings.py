@@ -34,6 +34,9 @@ class LoopSettings:
         Starts of the declared fit, if it does not reach the noise from its own.
     least_gain
         Share of the gap between error and noise that an effect must close.
+    near_noise
+        Times the noise that the error may reach at most, on training and on held-out data, for
+        the verdict "found".
     beam
         Structures that each round grows, where more than noise is left. Above 1 a structure is also
         refitted from other starts, and two of its effects may be replaced by one.
@@ -57,6 +60,7 @@ class LoopSettings:
     refits: int = field(default=12, metadata={"least": 1})
     starts: int = field(default=8, metadata={"least": 1})
     least_gain: float = field(default=0.2, metadata={"least": 0.0})
+    near_noise: float = field(default=1.5, metadata={"least": 1.0})
     beam: int = field(default=4, metadata={"least": 1})
     pairs: bool = True
     thresholds: LoopThresholds = field(default_factory=LoopThresholds, repr=False)

@@ -352,9 +352,16 @@ class VerdictThresholds:
     excess
         Residual over noise, in squares, less 1, below which nothing can be left. Benchmark.
     coloured
-        The same, above which what is left is no noise, however coloured. Benchmark.
+        Residual over the estimated noise above which what is left is no noise of a sensor, where
+        no sigma is declared. Theory: a fourth difference of first-order noise with a correlation
+        of 0.93 is five times too small.
+    partial
+        Partial autocorrelation beyond lag 1 up to which noise counts as of first order. Benchmark.
     nearly_all, most
         Shares of the gap to the noise that effects must close for "found" and "partial". Benchmark.
+    most_by_curve
+        The same for "partial" with a free curve, which takes any shape: what it leaves says that
+        the effect is another one. Benchmark.
     mostly_better
         Share of the parts left out that must be predicted better for the rest to count as noise.
         Benchmark.
@@ -364,9 +371,11 @@ class VerdictThresholds:
 
     structure: float = 5.0
     excess: float = 0.05
-    coloured: float = 25.0
+    coloured: float = 5.0
+    partial: float = 0.1
     nearly_all: float = 0.98
     most: float = 0.6
+    most_by_curve: float = 0.9
     mostly_better: float = 0.75
     smooth: float = 0.1
 

@@ -172,6 +172,8 @@ class LoopWorkbench:
         Counts what was simulated.
     sites, notes
         For the report: what was open, and what a reader should know.
+    sigma_declared
+        The user has given a sigma, for whatever output.
     """
 
     runner: Runner
@@ -186,6 +188,7 @@ class LoopWorkbench:
     meter: SimulationMeter
     sites: tuple[str, ...]
     notes: tuple[str, ...]
+    sigma_declared: bool = False
 
     @property
     def size(self) -> int:

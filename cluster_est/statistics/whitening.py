@@ -43,6 +43,34 @@ def fit_autoregression(
     return coefficients
 
 
+def partial_autocorrelations(
+    residuals: FloatArray, records: StackedRecords, output: int, order: int
+) -> FloatArray:
+    """Partial autocorrelations of one output at lags 1 ... order, pooled over its records.
+
+    Those of an autoregression of order p are 0 beyond lag p, with a standard error of 1 / sqrt(n):
+    M. H. Quenouille, J. R. Stat. Soc. B 11 (1949) 68-84, doi:10.1111/j.2517-6161.1949.tb00023.x.
+
+    Parameters
+    ----------
+    residuals : (n,)
+        Stacked.
+
+    Returns
+    -------
+    (order,)
+        Zeros for an output whose residual is zero.
+    """
+    signals = [residuals[item.rows] for item in records.items if item.output == output]
+    covariances = sum((_autocovariances(s, order) for s in signals), np.zeros(order + 1))
+    found = np.zeros(order)
+    if not covariances[0] > 0.0:
+        return found
+    for lag in range(1, order + 1):
+        found[lag - 1] = solve_toeplitz(covariances[:lag], covariances[1 : lag + 1])[-1]
+    return found
+
+
 def whiten(a: FloatArray, records: StackedRecords, coefficients: FloatArray) -> FloatArray:
     """Each record filtered to its innovations e_t; as many rows as before.
 

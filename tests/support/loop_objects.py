@@ -84,6 +84,7 @@ def made_bench(problem: Problem) -> LoopWorkbench:
         meter=meter,
         sites=(),
         notes=(),
+        sigma_declared=any(o.sigma != 1.0 for e in problem.experiments for o in e.outputs),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import warnings
 from collections.abc import Mapping
@@ -9,16 +10,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
 import pyarrow as pa
 
 from cluster_est.closed_loop.findings import tables
+from cluster_est.closed_loop.findings.disturbance import UnexplainedResidual
 from cluster_est.closed_loop.findings.effects import (
     EffectCurve,
     ErrorChange,
     NamedEffect,
     Verdict,
 )
+from cluster_est.closed_loop.findings.remaining_error import pooled_error
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display
@@ -73,6 +75,9 @@ class LoopResult:
         The divisor of the normalised errors.
     structures
         Every set of effects that was refitted: the path of the search.
+    unexplained
+        What is left of each output beyond its noise, where the verdict is "partial" or
+        "unexplained": its size, and how fast it is. The largest over its noise comes first.
     """
 
     verdict: Verdict
@@ -94,16 +99,11 @@ class LoopResult:
     curves: tuple[EffectCurve, ...] = field(default=(), repr=False)
     errors_over: ErrorScale = ErrorScale.SIGMA
     structures: tuple[ComparedStructure, ...] = field(default=(), repr=False)
+    unexplained: tuple[UnexplainedResidual, ...] = ()
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
         """Root mean square of the normalised errors before or after; NaN without any."""
-        rows = [e for e in self.errors if e.role == role]
-        if not rows:
-            return np.nan
-        samples = np.array([e.samples for e in rows], np.float64)
-        before = when == "before"
-        values = np.array([e.normalised_before if before else e.normalised_after for e in rows])
-        return float(np.sqrt((samples * values**2).sum() / samples.sum()))
+        return pooled_error(self.errors, role, after=when == "after")
 
     @property
     def success(self) -> bool:
@@ -195,6 +195,7 @@ class LoopResult:
             "verdict": self.verdict.value,
             "summary": self.summary,
             "effects": [tables.effect_facts(effect) for effect in self.effects],
+            "unexplained": [dataclasses.asdict(each) for each in self.unexplained],
             "rejected": [tables.effect_facts(effect) for effect in self.rejected],
             "errors": {
                 role: {"before": self.rms(role, "before"), "after": self.rms(role, "after")}

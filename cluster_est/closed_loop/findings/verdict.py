@@ -1,130 +1,276 @@
-"""The verdict of a closed loop, with its reason."""
+"""The verdict of a closed loop, with its reason.
+
+It is made in two steps. `judge` looks at the training experiments as the search left them;
+`confirmed` looks at what is left after the final fits, on training and on held-out data, and can
+only take away.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.closed_loop.selection.rounds import RejectionReason, SelectionResult
+from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
+from cluster_est.closed_loop.findings.remaining_error import (
+    largest_error,
+    pooled_error,
+    what_is_left,
+)
+from cluster_est.closed_loop.findings.residual_noise import (
+    OutputNoise,
+    believed_noise,
+    is_noise_of_sensors,
+    residual_noise,
+    suspected_sigma,
+)
+from cluster_est.closed_loop.selection.rounds import (
+    RejectionReason,
+    SelectionResult,
+    SelectionRound,
+)
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+
+CLAIMS = (Verdict.FOUND, Verdict.PARTIAL)
+"""Verdicts with which effects are added."""
 
 
 @dataclass(frozen=True)
 class ReasonedVerdict:
-    """A verdict and its reason in a sentence."""
+    """A verdict and its reason in a sentence.
+
+    Attributes
+    ----------
+    verdict, reason
+    closed
+        Share of the gap to the noise that the effects close on the training experiments.
+    least
+        Share that they must close on held-out data.
+    """
 
     verdict: Verdict
     reason: str
     closed: float = np.nan
+    least: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Residual:
+    """What a model leaves: beside its noise, and its structure.
+
+    `excess` is that of its squares over those of the white part of the noise; `structured` says
+    that it is smooth, and larger; `of_sensors` that it may be the noise of sensors for all that.
+    """
+
+    outputs: tuple[OutputNoise, ...]
+    excess: float
+    structured: bool
+    of_sensors: bool
+
+    @property
+    def within_sigma(self) -> bool:
+        """It is the noise of sensors, and every sigma is declared and believed."""
+        return self.of_sensors and all(o.believed for o in self.outputs)
+
+    @property
+    def level(self) -> str:
+        """Say how large it is, beside what."""
+        worst = max(self.outputs, key=lambda o: o.level, default=None)
+        if worst is None:
+            return f"residual {np.sqrt(1.0 + self.excess):.2f} times the noise"
+        what = "declared sigma" if worst.declared else "noise"
+        named = f" of {worst.output}" if len(self.outputs) > 1 else ""
+        return f"residual {worst.level:.3g} times the {what}{named}"
 
 
 def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
     """Judge from the training experiments alone; the held-out ones may only take away."""
-    thresholds = workbench.settings.thresholds.verdict
-    lack, excess = _lack(workbench, found)
+    base = _residual(workbench, found, found.base, found.steps[0])
+    now = _residual(workbench, found, found.current, found.last)
+    judged = _judged(workbench, found, base, now)
+    suspected = suspected_sigma(now.outputs)
+    if suspected:
+        judged = replace(judged, reason=f"{judged.reason}; {suspected}")
+    return judged
+
+
+def _judged(
+    workbench: LoopWorkbench, found: SelectionResult, base: _Residual, now: _Residual
+) -> ReasonedVerdict:
+    """Judge what a search has added, or that it has added nothing."""
     if not found.current.added:
-        return _nothing_added(found, lack, excess, workbench.settings)
-    training, predicted = _closed(workbench, found)
+        return _nothing_added(found, now, workbench.settings)
+    training, predicted = _closed(workbench, found, now)
     closed = min(training, predicted)
-    tables = any(c.form.free for c in found.current.added)
+    thresholds = workbench.thresholds.verdict
     share = f"the effects close {training:.0%} of the gap between error and noise"
     if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
         share += f", and {max(predicted, 0.0):.0%} in records that were left out to be predicted"
-    if not lack or closed > thresholds.nearly_all:
+    tables = any(c.form.free for c in found.current.added)
+    # a curve that is at the right place leaves nothing: it needs no right name
+    most = thresholds.most_by_curve if tables else thresholds.most
+    if base.structured and base.within_sigma:
+        reason = f"{_autocorrelated(base)}: no effect is needed"
+        return ReasonedVerdict(Verdict.COLOURED, reason, closed)
+    if not now.structured or closed > thresholds.nearly_all:
         if tables:
             share += ", with a free curve: a shape that no form of the library has"
-        return ReasonedVerdict(Verdict.FOUND, share, closed)
+        return ReasonedVerdict(Verdict.FOUND, share, closed, most)
     better = np.mean(found.prediction.squares < found.base_prediction.squares)
-    coloured = found.last.why == RejectionReason.COLOURED_NOISE
-    noisy = coloured and excess < thresholds.coloured
-    if noisy and not tables and better >= thresholds.mostly_better:
+    if now.of_sensors and not tables and better >= thresholds.mostly_better:
         rest = f"{share}; the rest is autocorrelated noise"
-        return ReasonedVerdict(Verdict.FOUND, rest, closed)
-    if closed > thresholds.most:
-        return ReasonedVerdict(
-            Verdict.PARTIAL, f"{share}; structure is left in the residual", closed
-        )
+        return ReasonedVerdict(Verdict.FOUND, rest, closed, most)
+    if closed > most:
+        reason = f"{share}; structure is left in the residual"
+        return ReasonedVerdict(Verdict.PARTIAL, reason, closed, most)
+    if base.of_sensors:
+        reason = f"{_autocorrelated(base)}; the effects that were tried do not explain it"
+        return ReasonedVerdict(Verdict.COLOURED, reason, closed)
     return ReasonedVerdict(
         Verdict.UNEXPLAINED,
-        f"something is missing (residual {np.sqrt(1 + excess):.2f} times the noise), and nothing "
-        "in the library explains it: the best effects would close only "
-        f"{max(closed, 0.0):.0%} of the gap",
+        f"something is missing ({base.level}), and nothing in the library explains it: the best "
+        f"effects would close only {max(closed, 0.0):.0%} of the gap",
         closed,
     )
 
 
-def _nothing_added(
-    found: SelectionResult, lack: bool, excess: float, settings: LoopSettings
+def confirmed(
+    judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings
 ) -> ReasonedVerdict:
-    why = found.last.why
-    screening = found.last.screening
-    if why == RejectionReason.NO_CANDIDATE:
-        nowhere = (
-            "no effect could be tried: no measured output, no input that the data drive, no "
-            "estimated parameter that may change and no state derivative is open to the forms and "
-            "sites of closed_loop"
+    """Return the verdict after the final fits: what is left on training and on held-out data.
+
+    Parameters
+    ----------
+    judged
+        From the training experiments.
+    errors
+        Of the declared model fitted, and of the one with the effects.
+    settings
+        Of the loop.
+    """
+    if judged.verdict not in CLAIMS:
+        return judged
+    old, new = (pooled_error(errors, "test", after=after) for after in (False, True))
+    if np.isfinite(old) and new > old:
+        reason = (
+            f"{judged.reason}; but the held-out error would grow from {old:.4g} to {new:.4g} times "
+            "the noise, so nothing was added"
         )
-        if not lack:
-            return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {nowhere}")
+        return ReasonedVerdict(Verdict.UNEXPLAINED, reason, judged.closed)
+    near = settings.near_noise
+    closed = (old**2 - new**2) / (old**2 - 1.0) if old > near else np.nan
+    reason = f"{judged.reason}; {what_is_left(errors)}"
+    if closed < judged.least:
+        reason = (
+            f"{judged.reason}; but on held-out data they close only {closed:.0%} of the gap, from "
+            f"{old:.3g} to {new:.3g} times the noise, so nothing was added"
+        )
+        return ReasonedVerdict(Verdict.UNEXPLAINED, reason, judged.closed)
+    left = [largest_error(errors, role) for role in ("train", "test")]
+    if judged.verdict is Verdict.FOUND and max(e for e in left if np.isfinite(e)) > near:
+        return ReasonedVerdict(Verdict.PARTIAL, reason, judged.closed)
+    return ReasonedVerdict(judged.verdict, reason, judged.closed)
+
+
+def _nothing_added(
+    found: SelectionResult, now: _Residual, settings: LoopSettings
+) -> ReasonedVerdict:
+    why, screening = found.last.why, found.last.screening
+    nowhere = why == RejectionReason.NO_CANDIDATE
+    if now.structured and now.of_sensors and not nowhere:
+        reason = f"{_autocorrelated(now)}, tied to no candidate once that is allowed for"
+        return ReasonedVerdict(Verdict.COLOURED, f"{reason} (family-wise p = {_p(found)})")
+    if now.structured:
         return ReasonedVerdict(
-            Verdict.UNEXPLAINED,
-            f"something is missing (residual {np.sqrt(1 + excess):.2f} times the noise), but "
-            f"{nowhere}",
+            Verdict.UNEXPLAINED, f"something is missing ({now.level}), {_why_not(why)}"
         )
+    if nowhere:
+        return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {why}: {NOWHERE}")
+    if why == RejectionReason.COLOURED_NOISE:
+        if screening.omnibus.p <= settings.thresholds.verdict.smooth:
+            reason = f"{_autocorrelated(now)}, tied to no candidate once that is allowed for"
+            return ReasonedVerdict(Verdict.COLOURED, f"{reason} (family-wise p = {_p(found)})")
+        reason = "no candidate is significant once the residual is whitened"
+        return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
     if why == RejectionReason.NOT_SIGNIFICANT:
-        if lack and screening.omnibus_white.p > settings.significance:
-            return ReasonedVerdict(
-                Verdict.COLOURED,
-                "the residual is autocorrelated, but no candidate is significant (family-wise p = "
-                f"{screening.p:.2g}), and nothing is left once that is allowed for",
-            )
-        if lack:
-            return ReasonedVerdict(
-                Verdict.UNEXPLAINED,
-                "the residual has smooth structure, but no candidate is significant",
-            )
-        return ReasonedVerdict(
-            Verdict.NONE, f"no candidate is significant (family-wise p = {screening.p:.2g})"
-        )
-    coloured = why == RejectionReason.COLOURED_NOISE
-    if coloured and screening.omnibus.p > settings.thresholds.verdict.smooth:
-        return ReasonedVerdict(
-            Verdict.NONE,
-            "no candidate is significant once the residual is whitened "
-            f"(family-wise p = {screening.p_white:.2g})",
-        )
-    if coloured:
-        return ReasonedVerdict(
-            Verdict.COLOURED,
-            "the residual is autocorrelated, but tied to no candidate once that is allowed for "
-            f"(family-wise p = {screening.p_white:.2g})",
-        )
-    if lack:
-        return ReasonedVerdict(
-            Verdict.UNEXPLAINED, f"something is missing, and nothing explains it: {why}"
-        )
+        reason = f"no candidate is significant (family-wise p = {_p(found)})"
+        return ReasonedVerdict(Verdict.NONE, reason)
     return ReasonedVerdict(Verdict.NONE, f"the best candidate was not accepted: {why}")
 
 
-def _lack(workbench: LoopWorkbench, found: SelectionResult) -> tuple[bool, float]:
-    """Return whether structure is left in the residual, and its excess over the noise."""
-    floor = workbench.noise_floor(found.noise)
-    excess = found.current.sse / floor - 1.0
-    omnibus = found.last.screening.omnibus
-    thresholds = workbench.settings.thresholds.verdict
-    significant = omnibus.p <= workbench.settings.significance and omnibus.z > thresholds.structure
-    return significant and excess > thresholds.excess, excess
+NOWHERE = (
+    "no measured output, no input that the data drive, no estimated parameter that may change and "
+    "no state derivative is open to the forms and sites of closed_loop"
+)
 
 
-def _closed(workbench: LoopWorkbench, found: SelectionResult) -> tuple[float, float]:
-    """Shares of the gap to the noise that are closed, in training and in prediction."""
-    floor = workbench.noise_floor(found.noise)
-    base, now = found.base.sse, found.current.sse
-    training = (base - now) / max(base - min(floor, now), 1e-12)
-    least = workbench.settings.thresholds.selection.least_gap
+def _why_not(why: RejectionReason | None) -> str:
+    if why == RejectionReason.NO_CANDIDATE:
+        return f"but {why}: {NOWHERE}"
+    if why == RejectionReason.NOT_SIGNIFICANT:
+        return "but no candidate is significant, though the residual has smooth structure"
+    if why == RejectionReason.COLOURED_NOISE:
+        return (
+            "and nothing explains it: the residual is autocorrelated, too large for the noise of a "
+            "sensor, and tied to no candidate once that is allowed for"
+        )
+    return f"and nothing explains it: {why}"
+
+
+def _p(found: SelectionResult) -> str:
+    screening = found.last.screening
+    plain = found.last.why == RejectionReason.NOT_SIGNIFICANT
+    return f"{screening.p if plain else screening.p_white:.2g}"
+
+
+def _autocorrelated(residual: _Residual) -> str:
+    """Say that a residual is the coloured noise of sensors, and how large it is."""
+    worst = max(residual.outputs, key=lambda o: abs(o.correlation), default=None)
+    if worst is None:
+        return "the residual is autocorrelated"
+    named = f" of {worst.output}" if len(residual.outputs) > 1 else ""
+    large = max(o.level for o in residual.outputs)
+    if all(o.believed for o in residual.outputs):
+        size = f"{large:.3g} times the declared sigma"
+    else:
+        size = f"{large:.3g} times the white part of the noise"
+    return (
+        f"the residual{named} is autocorrelated ({worst.correlation:.2g} from one sample to the "
+        f"next) and as large as a sensor's noise ({size})"
+    )
+
+
+def _residual(
+    workbench: LoopWorkbench, found: SelectionResult, fitted: FittedModel, at: SelectionRound
+) -> _Residual:
+    """Look at what a model leaves, with the screening of the round that began at it."""
+    thresholds, settings = workbench.thresholds.verdict, workbench.settings
+    outputs = residual_noise(workbench, fitted, found.noise)
+    excess = fitted.sse / workbench.noise_floor(found.noise) - 1.0
+    omnibus, whitened = at.screening.omnibus, at.screening.omnibus_white
+    smooth = omnibus.p <= settings.significance and omnibus.z > thresholds.structure
+    of_sensors = is_noise_of_sensors(
+        outputs,
+        near=settings.near_noise,
+        largest=thresholds.coloured,
+        whitened=whitened.p > settings.significance,
+    )
+    return _Residual(outputs, excess, smooth and excess > thresholds.excess, of_sensors)
+
+
+def _closed(
+    workbench: LoopWorkbench, found: SelectionResult, now: _Residual
+) -> tuple[float, float]:
+    """Shares of the gap to the noise that are closed, in training and in prediction.
+
+    The noise is the declared sigma where the data do not contradict it, else the estimate.
+    """
+    floor = workbench.noise_floor(believed_noise(workbench, now.outputs, found.noise))
+    base, last = found.base.sse, found.current.sse
+    training = (base - last) / max(base - min(floor, last), 1e-12)
+    least = workbench.thresholds.selection.least_gap
     before, after = found.base_prediction.total, found.prediction.total
     predicted = (before - after) / max(before - floor, least * floor)
     return float(training), float(predicted)

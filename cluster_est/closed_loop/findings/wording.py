@@ -32,11 +32,10 @@ def error_changes(
 ) -> tuple[ErrorChange, ...]:
     """Put the errors of the declared and of the final model side by side."""
     noise = workbench.noise_in_units(found.noise)
-    given = any(output.sigma != 1.0 for e in workbench.problem.experiments for output in e.outputs)
     rows = []
     for old, new in zip(before.errors, after.errors, strict=True):
         sigma = old.rmse_after / old.normalised_after if old.normalised_after else np.nan
-        if not given:
+        if not workbench.sigma_declared:
             sigma = noise.get(old.output, np.nan)
         rows.append(
             ErrorChange(

@@ -11,7 +11,11 @@ import numpy as np
 
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.gates import best_that_passes, leaves_more_than_noise
+from cluster_est.closed_loop.selection.gates import (
+    best_that_passes,
+    leaves_more_than_noise,
+    reason_to_stop,
+)
 from cluster_est.closed_loop.selection.refinement.first_steps import first_steps
 from cluster_est.closed_loop.selection.refinement.refine import FULL, SHORT, RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import RoundStart
@@ -44,8 +48,9 @@ def curve_instead(
 ) -> tuple[RefittedCandidate, LeaveOneOutPrediction] | None:
     """One curve in the place of all effects that a search has added.
 
-    It takes their place where they are several, or leave more than noise, and it fits better than
-    they do by the price of a choice among all pairs, and predicts better.
+    It takes their place where something may be missing at all, and they are several, or leave more
+    than noise, and it fits better than they do by the price of a choice among all pairs, and
+    predicts better.
 
     Parameters
     ----------
@@ -59,6 +64,8 @@ def curve_instead(
     RefittedCandidate, LeaveOneOutPrediction
         The declared model with the curve, and its prediction; None where the effects stay.
     """
+    if reason_to_stop(workbench, first) is not None:
+        return None
     patched = len(current.added) > 1 or leaves_more_than_noise(workbench, current, first.floor)
     if not patched or any(c.form.free for c in current.added):
         return None

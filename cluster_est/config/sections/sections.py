@@ -151,6 +151,11 @@ class ClosedLoopSection(ConfigSection):
         ge=0.0,
         description="share of the gap to the noise that an effect must close",
     )
+    near_noise: Finite = Field(
+        _LOOP.near_noise,
+        ge=1.0,
+        description='times the noise that may be left, training and held out, for "found"',
+    )
     beam: Count = Field(
         _LOOP.beam, gt=0, description="structures that each round grows; above 1 a wider search"
     )

@@ -16,9 +16,11 @@ from support.loop_objects import (
     made_selection,
 )
 
+from cluster_est.closed_loop.findings.effects import ErrorChange
 from cluster_est.closed_loop.findings.result import Verdict
-from cluster_est.closed_loop.findings.verdict import judge
+from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, confirmed, judge
 from cluster_est.closed_loop.selection.rounds import RejectionReason
+from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.statistics.omnibus import OmnibusTest
 
 PROBLEM = made_problem(100, 100, 100, 100)
@@ -69,7 +71,7 @@ CASES = {
         Case(1.5, 1.5, CLEAN, STRUCTURED, ()), Verdict.UNEXPLAINED, "smooth structure"),
     "autocorrelation, and nothing else": (
         Case(1.5, 1.5, CLEAN, STRUCTURED, (), white=QUIET), Verdict.COLOURED,
-        "no candidate is significant"),
+        "tied to no candidate"),
     "structure below five percent": (
         Case(1.03, 1.03, CLEAN, STRUCTURED, ()), Verdict.NONE, "no candidate is significant"),
     "more than the noise, but no structure": (
@@ -77,7 +79,11 @@ CASES = {
     "structure that is significant but faint": (
         Case(1.5, 1.5, CLEAN, OmnibusTest(0.0025, 4.0), ()), Verdict.NONE, "no candidate"),
     "coloured noise": (
-        Case(1.5, 1.5, NOISE, STRUCTURED, ()), Verdict.COLOURED, "tied to no candidate"),
+        Case(1.5, 1.5, NOISE, STRUCTURED, (), white=QUIET), Verdict.COLOURED,
+        "tied to no candidate"),
+    "autocorrelated, but too large for the noise of a sensor": (
+        Case(9.0, 9.0, NOISE, STRUCTURED, (), white=QUIET), Verdict.UNEXPLAINED,
+        "too large for the noise of a sensor"),
     "coloured noise that is not even smooth": (
         Case(1.5, 1.5, NOISE, families=()), Verdict.NONE, "once the residual is whitened"),
     "a candidate was not accepted": (
@@ -103,19 +109,24 @@ CASES = {
     "a free curve explains it": (
         Case(9.0, 1.0, CLEAN, families=("friction", "table")), Verdict.FOUND, "with a free curve"),
     "a free curve explains most": (
-        Case(9.0, 3.0, LITTLE, STRUCTURED, ("table",)), Verdict.PARTIAL, "structure is left"),
+        Case(41.0, 4.0, LITTLE, STRUCTURED, ("table",)), Verdict.PARTIAL, "structure is left"),
+    "a free curve leaves too much": (
+        Case(9.0, 3.0, LITTLE, STRUCTURED, ("table",)), Verdict.UNEXPLAINED, "only 75%"),
     "too little is explained": (
         Case(9.0, 6.0, LITTLE, STRUCTURED), Verdict.UNEXPLAINED, "only 38%"),
     "the rest is coloured": (
-        Case(9.0, 1.4, NOISE, STRUCTURED), Verdict.FOUND, "autocorrelated noise"),
+        Case(9.0, 1.4, NOISE, STRUCTURED, white=QUIET), Verdict.FOUND, "autocorrelated noise"),
     "the rest is too large for noise of any colour": (
         Case(900.0, 27.0, NOISE, STRUCTURED), Verdict.PARTIAL, "structure is left"),
     "the rest is coloured, and one of four is predicted worse": (
-        Case(9.0, 2.9, NOISE, STRUCTURED, worse=1), Verdict.FOUND, "autocorrelated noise"),
+        Case(9.0, 2.2, NOISE, STRUCTURED, white=QUIET, worse=1), Verdict.FOUND,
+        "autocorrelated noise"),
     "the rest is coloured, but half is predicted worse": (
-        Case(9.0, 5.0, NOISE, STRUCTURED, worse=2), Verdict.UNEXPLAINED, "only 50%"),
+        Case(5.0, 2.2, NOISE, STRUCTURED, white=QUIET, worse=2), Verdict.PARTIAL,
+        "structure is left"),
     "the rest of a free curve is coloured": (
-        Case(9.0, 1.4, NOISE, STRUCTURED, ("table",)), Verdict.PARTIAL, "structure is left"),
+        Case(9.0, 1.4, NOISE, STRUCTURED, ("table",), white=QUIET), Verdict.PARTIAL,
+        "structure is left"),
 }  # fmt: skip
 
 
@@ -144,3 +155,44 @@ def test_a_prediction_near_the_noise_is_measured_by_a_part_of_the_noise():
         squares_before=np.full(4, 1.01 * FLOOR / 4), squares=np.full(4, FLOOR / 4),
     )  # fmt: skip
     assert judge(made_bench(PROBLEM), search).closed == pytest.approx(0.5)
+
+
+def changes(train: tuple[float, float], test: tuple[float, float] | None, output: str = "y"):
+    """Errors over the noise, before and after."""
+    roles = {"train": train} | ({"test": test} if test is not None else {})
+    return [
+        ErrorChange(role, role, output, "m", 100, before, after, before, after)
+        for role, (before, after) in roles.items()
+    ]
+
+
+FOUND = ReasonedVerdict(Verdict.FOUND, "the effects close 99%", 0.99, 0.6)
+
+
+@pytest.mark.parametrize(
+    ("train", "test", "expected", "said"),
+    [
+        ((9.0, 1.1), (9.0, 1.2), Verdict.FOUND, "1.1 times the noise on training and 1.2"),
+        ((9.0, 1.1), None, Verdict.FOUND, "what is left is 1.1 times the noise"),
+        ((90.0, 1.6), (90.0, 1.2), Verdict.PARTIAL, "1.6 times the noise on training"),
+        ((90.0, 1.1), (300.0, 111.0), Verdict.PARTIAL, "and 111 on held-out data"),
+        ((90.0, 1.1), (300.0, 250.0), Verdict.UNEXPLAINED, "close only 31% of the gap"),
+        ((90.0, 1.1), (3.0, 3.1), Verdict.UNEXPLAINED, "would grow from 3 to 3.1"),
+        ((9.0, 1.1), (1.1, 1.0), Verdict.FOUND, "and 1 on held-out data"),
+    ],
+)
+def test_held_out_data_can_only_take_away(train, test, expected, said):
+    judged = confirmed(FOUND, changes(train, test), LoopSettings())
+    assert judged.verdict is expected
+    assert said in judged.reason
+
+
+def test_the_output_with_the_largest_error_decides():
+    both = changes((9.0, 1.0), (9.0, 1.0), "a") + changes((9.0, 1.0), (9.0, 1.9), "b")
+    assert confirmed(FOUND, both, LoopSettings()).verdict is Verdict.PARTIAL
+    assert confirmed(FOUND, both, LoopSettings(near_noise=2.0)).verdict is Verdict.FOUND
+
+
+def test_a_verdict_without_effects_stays_as_it_is():
+    none = ReasonedVerdict(Verdict.NONE, "no candidate is significant")
+    assert confirmed(none, changes((9.0, 9.0), (9.0, 9.0)), LoopSettings()) is none

@@ -1,0 +1,146 @@
+"""What nothing explains, described as a disturbance: its size, its spectrum, and where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import welch
+
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.statistics.records import OutputRecord
+from workers.messages import FloatArray
+
+SHORTEST = 16
+"""Samples that a record needs for a spectrum."""
+
+MOST = 0.9
+"""Share of the power that lies below the frequency that is named."""
+
+NARROW = 0.5
+"""Share of the power in one peak from which on it is named."""
+
+
+@dataclass(frozen=True)
+class UnexplainedResidual:
+    """What is left of an output beyond its noise, and nothing explains.
+
+    Attributes
+    ----------
+    output, unit
+        Of the measured variable.
+    size
+        Root mean square in that unit, without the noise.
+    over_noise
+        The same over the standard deviation of the noise.
+    shortest_period
+        Seconds: nine tenths of its power are in slower swings; NaN for records that are too short.
+    period
+        Seconds, of a single swing that has more than half of the power; else NaN.
+    """
+
+    output: str
+    unit: str
+    size: float
+    over_noise: float
+    shortest_period: float = np.nan
+    period: float = np.nan
+
+    @property
+    def sentence(self) -> str:
+        """Say how large it is, and how fast."""
+        unit = f" {self.unit}" if self.unit not in ("", "1") else ""
+        said = f"{self.output}: {self.size:.3g}{unit} rms beyond the noise ({self.over_noise:.3g} "
+        said += "times it)"
+        if np.isfinite(self.period):
+            return f"{said}, most of it with a period of {readable_time(self.period)}"
+        if np.isfinite(self.shortest_period):
+            return f"{said}, nine tenths of it slower than {readable_time(self.shortest_period)}"
+        return said
+
+
+def unexplained_residuals(
+    workbench: LoopWorkbench, fitted: FittedModel, noise: FloatArray
+) -> tuple[UnexplainedResidual, ...]:
+    """Describe what a fit leaves of each output; the largest first.
+
+    Parameters
+    ----------
+    workbench, fitted
+        Where, and the fit.
+    noise : (outputs,)
+        Standard deviations of the noise, in units of the residual.
+    """
+    records = workbench.records
+    units = workbench.noise_in_units(np.ones(len(records.outputs)))
+    found = []
+    for number, name in enumerate(records.outputs):
+        own = [item for item in records.items if item.output == number]
+        part = fitted.residuals[records.of_output(number)]
+        if not len(part):
+            continue
+        beyond = float(np.sqrt(max(np.mean(part**2) - noise[number] ** 2, 0.0)))
+        variable = workbench.description.variables.get(name)
+        shortest, period = _periods(fitted.residuals, own, float(noise[number]))
+        found.append(
+            UnexplainedResidual(
+                output=name,
+                unit=variable.unit if variable is not None else "",
+                size=beyond * units[name],
+                over_noise=beyond / float(noise[number]) if noise[number] > 0.0 else np.nan,
+                shortest_period=shortest,
+                period=period,
+            )
+        )
+    return tuple(sorted(found, key=lambda each: -np.nan_to_num(each.over_noise)))
+
+
+def readable_time(seconds: float) -> str:
+    """Write a time in the unit in which it is easy to read: "3.2 s", "4.5 min", "24 h", "3 d"."""
+    for unit, size, most in (("s", 1.0, 120.0), ("min", 60.0, 7200.0), ("h", 3600.0, 172_800.0)):
+        if seconds < most:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 86_400.0:.3g} d"
+
+
+def _periods(
+    residuals: FloatArray, records: Sequence[OutputRecord], noise: float
+) -> tuple[float, float]:
+    """The shortest period of most of the power, and the one of a single peak; NaN for neither.
+
+    The power is that of Welch's method, doi:10.1109/TAU.1967.1161901, less that of white noise.
+    """
+    long = [item for item in records if len(item.times) >= SHORTEST]
+    if not long:
+        return np.nan, np.nan
+    step = float(np.median(np.concatenate([np.diff(item.times) for item in long])))
+    length = min(len(_even(residuals, item, step)) for item in long)
+    if not step > 0.0 or length < SHORTEST:
+        return np.nan, np.nan
+    total = np.zeros(length // 2 + 1)
+    for item in long:
+        even = _even(residuals, item, step)
+        frequencies, density = welch(even, 1.0 / step, nperseg=length, detrend=False)
+        total += len(item.times) * density
+    total /= sum(len(item.times) for item in long)
+    power = np.maximum(total - 2.0 * noise**2 * step, 0.0)
+    if not power.sum() > 0.0:
+        return np.nan, np.nan
+    shares = power / power.sum()
+    fast = frequencies[min(int(np.searchsorted(np.cumsum(shares), MOST)), len(shares) - 1)]
+    peak = int(np.argmax(shares))
+    around = shares[max(peak - 1, 0) : peak + 2].sum()
+    narrow = peak >= 3 and around >= NARROW  # three periods in a record, or it is no period
+    return (
+        float(1.0 / fast) if fast > 0.0 else np.nan,
+        float(1.0 / frequencies[peak]) if narrow else np.nan,
+    )
+
+
+def _even(residuals: FloatArray, record: OutputRecord, step: float) -> FloatArray:
+    """A record's residual at even steps."""
+    times = record.times
+    count = int((times[-1] - times[0]) / step) + 1
+    even = times[0] + step * np.arange(count)
+    return np.asarray(np.interp(even, times, residuals[record.rows]))

@@ -1,0 +1,205 @@
+"""The residual of a model beside the noise of its sensors, output by output."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.whitening import partial_autocorrelations
+from workers.messages import FloatArray
+
+ORDER = 5
+"""Lags at which partial autocorrelations are looked at."""
+
+WHITE = 0.05
+"""Share of the squares that is left beside the white part where noise counts as white."""
+
+COLOURED = 0.8
+"""Share of the declared variance below which the white part leaves room for a coloured one."""
+
+LONGEST = 0.95
+"""Correlation from one sample to the next above which a residual is a drift or an offset, and no
+noise of a sensor, which forgets within some twenty samples."""
+
+MEMORY = 50
+"""Lags whose correlations count for the error of a mean square."""
+
+
+@dataclass(frozen=True)
+class OutputNoise:
+    """The residual of one output beside its noise, all in standard deviations that are declared.
+
+    Without a declared sigma they are in units of the estimated noise.
+
+    Attributes
+    ----------
+    output
+        Its name.
+    level
+        Root mean square of the residual.
+    white
+        Estimated standard deviation of the part that is white noise.
+    error
+        Standard error of the square of `level`, which is large where the residual has a memory.
+    correlation
+        Of one sample with the next.
+    first_order
+        Nothing is seen beyond a first-order autoregression, which is what a sensor's coloured
+        noise looks like. A disturbance that goes through the model has a white floor beneath it, or
+        is smoother.
+    declared
+        The sigma is the user's.
+    """
+
+    output: str
+    level: float
+    white: float
+    error: float
+    correlation: float
+    first_order: bool
+    declared: bool
+
+    @property
+    def sigma_too_small(self) -> bool:
+        """The white part alone is more than twice the sigma that is declared."""
+        return self.declared and self.white > 2.0
+
+    @property
+    def sigma_too_large(self) -> bool:
+        """Everything that is left is less than half the sigma that is declared."""
+        return self.declared and self.level < 0.5
+
+    @property
+    def believed(self) -> bool:
+        """The declared sigma is not contradicted by the data."""
+        return self.declared and not (self.sigma_too_small or self.sigma_too_large)
+
+
+def residual_noise(
+    workbench: LoopWorkbench, fitted: FittedModel, noise: FloatArray
+) -> tuple[OutputNoise, ...]:
+    """Compare the residual of a fit with the noise of each output.
+
+    Parameters
+    ----------
+    workbench, fitted
+        Where, and what is compared.
+    noise : (outputs,)
+        Estimated standard deviations of the noise, in units of the residual.
+    """
+    records, declared = workbench.records, workbench.sigma_declared
+    limit = workbench.thresholds.verdict.partial
+    found = []
+    for number, name in enumerate(records.outputs):
+        part = fitted.residuals[records.of_output(number)]
+        white = float(noise[number])
+        if not len(part) or not white > 0.0:
+            continue
+        scale = 1.0 if declared else white
+        partial = partial_autocorrelations(fitted.residuals, records, number, ORDER)
+        most = max(limit, 3.3 / np.sqrt(len(part)))
+        found.append(
+            OutputNoise(
+                output=name,
+                level=float(np.sqrt(np.mean(part**2))) / scale,
+                white=white / scale,
+                error=float(np.mean(part**2)) / scale**2 * _error(part, records, number),
+                correlation=float(partial[0]),
+                first_order=bool(partial[0] <= LONGEST and np.abs(partial[1:]).max() <= most),
+                declared=declared,
+            )
+        )
+    return tuple(found)
+
+
+def believed_noise(
+    workbench: LoopWorkbench, outputs: Sequence[OutputNoise], noise: FloatArray
+) -> FloatArray:
+    """Return the noise of each output, in units of the residual: (outputs,).
+
+    The declared sigma where the data do not contradict it, else the estimate.
+    """
+    believed = {each.output for each in outputs if each.believed}
+    pairs = zip(workbench.records.outputs, noise.tolist(), strict=True)
+    return np.array([max(1.0, own) if name in believed else own for name, own in pairs])
+
+
+def is_noise_of_sensors(
+    outputs: Sequence[OutputNoise], *, near: float, largest: float, whitened: bool
+) -> bool:
+    """Return whether what is left may be the noise of sensors, however coloured, and no more.
+
+    Parameters
+    ----------
+    outputs
+        The residuals.
+    near
+        Times the noise that what is left may reach if an autoregression describes it.
+    largest
+        Times the estimated noise that it may reach where no sigma is declared: the estimate sees
+        the white part alone, and is too small by about 5 at a correlation of 0.93.
+    whitened
+        Once an autoregression is allowed for, nothing is left.
+    """
+    for output in outputs:
+        if output.believed:
+            known = _within_declared(output, near)
+        else:
+            level = output.level / output.white
+            most = max(largest * output.first_order, near * whitened)
+            known = level**2 <= 1.0 + WHITE or level <= most
+        if not known:
+            return False
+    return True
+
+
+def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
+    """Say which declared sigma the data contradict; "" if none."""
+    small = [o for o in outputs if o.sigma_too_small]
+    large = [o for o in outputs if o.sigma_too_large]
+    said = [
+        f"the sigma that is declared for {o.output} is likely the error: its noise alone, from "
+        f"one sample to the next, is {o.white:.2g} times as large"
+        for o in small
+    ]
+    said += [
+        f"the sigma that is declared for {o.output} is likely the error: all that is left is "
+        f"{o.level:.2g} times as large"
+        for o in large
+    ]
+    return "; ".join(said)
+
+
+def _within_declared(output: OutputNoise, near: float) -> bool:
+    """Return whether a sigma that is declared covers what is left."""
+    if output.level**2 - output.white**2 <= WHITE:
+        return True
+    part_is_not_white = output.white**2 <= COLOURED
+    within = part_is_not_white and output.level**2 - 1.0 <= 2.0 * output.error
+    return within or (output.first_order and output.level <= near)
+
+
+def _error(part: FloatArray, records: StackedRecords, output: int) -> float:
+    """Relative standard error of a mean square: sqrt(2 sum_k rho_k^2 / n), over all lags.
+
+    M. S. Bartlett, J. R. Stat. Soc. Suppl. 8 (1946) 27-41, doi:10.2307/2983611, for normal noise.
+    """
+    lengths = [len(item.times) for item in records.items if item.output == output]
+    squares = np.zeros(MEMORY + 1)
+    start = 0
+    for length in lengths:
+        signal = part[start : start + length]
+        start += length
+        lags = min(MEMORY, length - 1)
+        for k in range(lags + 1):
+            squares[k] += np.add.reduce(signal[k:] * signal[: length - k])
+    if not squares[0] > 0.0:
+        return 0.0
+    correlations = squares / squares[0]
+    # what is within two standard errors of 0 may be 0
+    clear = correlations[1:][np.abs(correlations[1:]) > 2.0 / np.sqrt(len(part))]
+    return float(np.sqrt(2.0 * (1.0 + 2.0 * np.add.reduce(clear**2)) / len(part)))

@@ -1,0 +1,102 @@
+"""The noise of sensors is told from disturbances, and from a sigma that is wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from support.loop_objects import made_bench, made_fit, made_problem
+
+from cluster_est.closed_loop.findings.residual_noise import (
+    believed_noise,
+    is_noise_of_sensors,
+    residual_noise,
+    suspected_sigma,
+)
+from cluster_est.statistics.noise import estimate_noise
+
+LENGTHS = (600, 600, 600, 600)
+TRUE = 0.2
+
+
+def coloured(correlation: float, seed: int) -> np.ndarray:
+    """First-order noise of standard deviation 1, a record after the other."""
+    random = np.random.default_rng(seed)
+    parts = []
+    for length in LENGTHS:
+        white = random.standard_normal(length + 300) * np.sqrt(1.0 - correlation**2)
+        parts.append(lfilter([1.0], [1.0, -correlation], white)[300:])
+    return np.concatenate(parts)
+
+
+def disturbed(size: float, seed: int) -> np.ndarray:
+    """White noise of standard deviation 1, and a smooth random force through a slow system."""
+    random = np.random.default_rng(seed)
+    parts = []
+    for length in LENGTHS:
+        slow = lfilter([1.0], [1.0, -1.94, 0.944], random.standard_normal(length + 500))[500:]
+        parts.append(size * slow / slow.std() + random.standard_normal(length))
+    return np.concatenate(parts)
+
+
+def looked_at(residual: np.ndarray, declared: float | None):
+    """The outputs of a residual in units, where a sigma is declared or not."""
+    sigma = 1.0 if declared is None else declared
+    problem = made_problem(*LENGTHS, sigma=sigma)
+    bench, fitted = made_bench(problem), made_fit(problem, residual / sigma)
+    noise = estimate_noise(fitted.residuals, bench.records)
+    return bench, residual_noise(bench, fitted, noise), noise
+
+
+def of_sensors(residual: np.ndarray, declared: float | None) -> bool:
+    return is_noise_of_sensors(
+        looked_at(residual, declared)[1], near=1.5, largest=5.0, whitened=False
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("correlation", [0.0, 0.3, 0.6, 0.8, 0.9])
+@pytest.mark.parametrize("declared", [TRUE, None])
+def test_coloured_noise_is_that_of_sensors(correlation, seed, declared):
+    assert of_sensors(TRUE * coloured(correlation, seed), declared)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("size", [0.7, 3.0, 15.0])
+@pytest.mark.parametrize("declared", [TRUE, None])
+def test_a_disturbance_is_not(size, seed, declared):
+    assert not of_sensors(TRUE * disturbed(size, seed), declared)
+
+
+def test_an_offset_is_not():
+    assert not of_sensors(np.full(sum(LENGTHS), 2.0) + 0.5 * coloured(0.0, 1), None)
+
+
+def test_coloured_noise_above_a_declared_sigma_is_not():
+    assert not of_sensors(2.0 * TRUE * coloured(0.8, 1), TRUE)
+
+
+@pytest.mark.parametrize(
+    ("declared", "said"),
+    [
+        (TRUE, ""),
+        (TRUE / 10.0, "its noise alone, from one sample to the next, is 10 times as large"),
+        (TRUE * 10.0, "all that is left is 0.1 times as large"),
+        (None, ""),
+    ],
+)
+def test_a_wrong_sigma_is_named_and_not_believed(declared, said):
+    bench, outputs, noise = looked_at(TRUE * coloured(0.0, 2), declared)
+    sentence = suspected_sigma(outputs)
+    assert sentence.endswith(said)
+    assert bool(sentence) is bool(said)
+    sigma = 1.0 if declared is None else declared
+    assert sigma * believed_noise(bench, outputs, noise)[0] == pytest.approx(TRUE, rel=0.1)
+
+
+def test_scaling_changes_nothing():
+    residual = disturbed(2.0, 4)
+    one, other = looked_at(residual, 1.7)[1][0], looked_at(1e-6 * residual, 1.7e-6)[1][0]
+    assert one.level == pytest.approx(other.level)
+    assert one.white == pytest.approx(other.white)
+    assert one.first_order is other.first_order
