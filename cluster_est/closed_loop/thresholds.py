@@ -313,6 +313,26 @@ class SelectionThresholds:
 
 
 @dataclass(frozen=True)
+class WaveThresholds:
+    """Thresholds that a wave in time must pass beside all others.
+
+    Attributes
+    ----------
+    periods
+        That the longest record must have of a wave. Signal: of fewer a drift looks the same.
+    nearly
+        Share of what it explains that a mechanism must explain to come first. Benchmark.
+    apart
+        Of its amplitude, by which the experiments may want another wave on average. Theory: with
+        phases at random the wave that all share is smaller than what each wants.
+    """
+
+    periods: float = 3.0
+    nearly: float = 0.95
+    apart: float = 0.5
+
+
+@dataclass(frozen=True)
 class AcceptanceThresholds:
     """Thresholds of the leave-one-out prediction and of the check for stability.
 
@@ -394,5 +414,6 @@ class LoopThresholds:
     beam: BeamThresholds = field(default_factory=BeamThresholds)
     revision: RevisionThresholds = field(default_factory=RevisionThresholds)
     selection: SelectionThresholds = field(default_factory=SelectionThresholds)
+    waves: WaveThresholds = field(default_factory=WaveThresholds)
     acceptance: AcceptanceThresholds = field(default_factory=AcceptanceThresholds)
     verdict: VerdictThresholds = field(default_factory=VerdictThresholds)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -170,6 +171,12 @@ class EffectForm:
     def free(self) -> bool:
         """It is a free curve: it fits anything, and explains nothing."""
         return self.family == FREE_FAMILY
+
+    @property
+    def of_time_alone(self) -> bool:
+        """It is a function of nothing but time: a drift, a wave."""
+        alone = not self.variables and not self.states and not self.memory
+        return alone and re.search(r"\bt\b", self.equation) is not None
 
 
 def positive(coefficient: FormCoefficient, *, own: bool) -> bool:

@@ -14,6 +14,9 @@ from cluster_est.run_folder.reading import StoredRun, read_stored_run
 
 Facts = Mapping[str, Any]
 
+SAME = 0.1
+"""Times the noise below which two predictions count as the same."""
+
 
 def print_any_run(console: Console, run_folder: Path) -> None:
     """Print a run of either kind.
@@ -84,7 +87,10 @@ def _alternative(other: Facts) -> str:
     text = f"{other['form']} at {other['site']}: {other['equation']}"
     if other["criterion"] is not None:
         text += f" (criterion {other['criterion']:+.1f})"
-    if other["experiment"] and other["time"] is not None and other["difference"] is not None:
+    known = other["time"] is not None and other["difference"] is not None
+    if known and other["difference"] < SAME:
+        return f"{text}; on these data they predict the same"
+    if other["experiment"] and known:
         text += (
             f"; they differ most in {other['experiment']} at {other['time']:.4g} s, "
             f"{other['output']} by {other['difference']:.2g} times the noise"

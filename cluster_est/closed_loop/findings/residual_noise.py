@@ -19,7 +19,8 @@ WHITE = 0.05
 """Share of the squares that is left beside the white part where noise counts as white."""
 
 COLOURED = 0.8
-"""Share of the declared variance below which the white part leaves room for a coloured one."""
+"""Share of the variance above which the white part leaves no room for coloured noise: what is
+left beside it is then something else."""
 
 LONGEST = 0.95
 """Correlation from one sample to the next above which a residual is a drift or an offset, and no
@@ -74,6 +75,16 @@ class OutputNoise:
         return self.declared and self.level < 0.5
 
     @property
+    def within(self) -> bool:
+        """It is no larger than the declared sigma, by two standard errors."""
+        return self.declared and self.level**2 - 1.0 <= 2.0 * self.error
+
+    @property
+    def coloured(self) -> bool:
+        """A part of it is not white."""
+        return self.white**2 <= COLOURED * self.level**2
+
+    @property
     def believed(self) -> bool:
         """The declared sigma is not contradicted by the data."""
         return self.declared and not (self.sigma_too_small or self.sigma_too_large)
@@ -109,7 +120,11 @@ def residual_noise(
                 white=white / scale,
                 error=float(np.mean(part**2)) / scale**2 * _error(part, records, number),
                 correlation=float(partial[0]),
-                first_order=bool(partial[0] <= LONGEST and np.abs(partial[1:]).max() <= most),
+                first_order=bool(
+                    partial[0] <= LONGEST
+                    and np.abs(partial[1:]).max() <= most
+                    and white**2 <= COLOURED * np.mean(part**2)
+                ),
                 declared=declared,
             )
         )
@@ -151,7 +166,8 @@ def is_noise_of_sensors(
         else:
             level = output.level / output.white
             most = max(largest * output.first_order, near * whitened)
-            known = level**2 <= 1.0 + WHITE or level <= most
+            white = WHITE + 2.0 * output.error / output.white**2
+            known = level**2 <= 1.0 + white or level <= most
         if not known:
             return False
     return True
@@ -176,11 +192,8 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
 
 def _within_declared(output: OutputNoise, near: float) -> bool:
     """Return whether a sigma that is declared covers what is left."""
-    if output.level**2 - output.white**2 <= WHITE:
-        return True
-    part_is_not_white = output.white**2 <= COLOURED
-    within = part_is_not_white and output.level**2 - 1.0 <= 2.0 * output.error
-    return within or (output.first_order and output.level <= near)
+    white = output.level**2 - output.white**2 <= WHITE
+    return white or output.within or (output.first_order and output.level <= near)
 
 
 def _error(part: FloatArray, records: StackedRecords, output: int) -> float:

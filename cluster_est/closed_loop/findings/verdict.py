@@ -71,8 +71,9 @@ class _Residual:
 
     @property
     def within_sigma(self) -> bool:
-        """It is the noise of sensors, and every sigma is declared and believed."""
-        return self.of_sensors and all(o.believed for o in self.outputs)
+        """It is coloured, and no larger than the sigmas that are declared, which are believed."""
+        within = all(o.believed and o.within for o in self.outputs)
+        return within and any(o.coloured for o in self.outputs)
 
     @property
     def level(self) -> str:

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.findings.disturbance import readable_time
 from cluster_est.closed_loop.findings.effects import AlternativeEffect, ErrorChange, NamedEffect
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
+from cluster_est.closed_loop.selection.waves import period_of
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.results.result import Result
 from cluster_est.results.row_types import Estimate
 from workers.messages import FloatArray
+
+APART = 10.0
+"""Times the noise by which the predictions of an alternative may differ at any sample: beyond that
+the data tell the two apart, however the criterion of all samples may look."""
 
 WINDOWS = 20
 """Parts into which a record is cut to say when most of its residual lives."""
@@ -88,15 +96,35 @@ def _describe(
         family=candidate.form.family,
         equation=candidate.equation,
         coefficients=_coefficients(name, result),
-        alternatives=tuple(
-            _alternative(workbench, won, rival, found.noise) for rival in rivals if won is not None
-        ),
+        alternatives=_alternatives(workbench, found, candidate, won, rivals),
         evidence=_evidence(found, candidate),
     )
 
 
 def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
     return tuple(e for e in result.estimates if e.parameter.startswith(f"{name}."))
+
+
+def _alternatives(
+    workbench: LoopWorkbench,
+    found: SelectionResult,
+    candidate: EffectCandidate,
+    won: RefittedCandidate | None,
+    rivals: Sequence[RefittedCandidate],
+) -> tuple[AlternativeEffect, ...]:
+    """Rivals that the data really leave open: they predict nearly the same at every sample.
+
+    Another effect of the same structure is none, though it may be refitted in this one's place.
+    """
+    if won is None:
+        return ()
+    others = {c.effect.name for c in found.current.added if c is not candidate}
+    made = [
+        _alternative(workbench, won, rival, found.noise)
+        for rival in rivals
+        if rival.candidate.effect.name not in others
+    ]
+    return tuple(a for a in made if a.difference <= APART)
 
 
 def _alternative(
@@ -139,8 +167,15 @@ def _largest_difference(
 
 
 def _evidence(found: SelectionResult, candidate: EffectCandidate) -> tuple[str, ...]:
-    """Sentences on why it was added."""
+    """Sentences on why it was added, and on what it takes for granted."""
     sentences = []
+    period = period_of(candidate, found.current)
+    if np.isfinite(period):
+        sentences.append(
+            f"a wave in time with a period of {readable_time(period)}, in all experiments with one "
+            "phase: it takes for granted that their times are those of one clock; if something "
+            "measured swings with it, give that as a signal"
+        )
     for finding in found.findings:
         own = (finding.site, finding.form, finding.variables)
         if own != (str(candidate.site), candidate.form.name, candidate.effect.variables):

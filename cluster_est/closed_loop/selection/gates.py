@@ -15,6 +15,7 @@ from cluster_est.closed_loop.selection.rounds import (
     RoundStart,
     SelectionRound,
 )
+from cluster_est.closed_loop.selection.waves import believable
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 
 
@@ -44,7 +45,8 @@ def best_that_passes(
 ) -> RoundEnd:
     """The best contender that stays bounded, if it passes the gates."""
     current = begun.model
-    left = [c for c in contenders if c.criterion < current.criterion(workbench.records)]
+    better = [c for c in contenders if c.criterion < current.criterion(workbench.records)]
+    left = believable(workbench, current, better)
     while left:
         chosen = plainest(left, workbench.thresholds.refinement)
         if stays_bounded(workbench, chosen.fitted, current):

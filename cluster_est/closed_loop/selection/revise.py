@@ -16,6 +16,7 @@ from cluster_est.closed_loop.selection.refinement.refine import (
     refit,
     rivals_of,
 )
+from cluster_est.closed_loop.selection.waves import believable
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 
@@ -104,7 +105,9 @@ def _instead(
     (rest,) = workbench.fit(LoopStage.SWAP, [start], FULL)
     if rest is None:
         return None
-    contenders = refit(workbench, rest, rank(workbench, rest), floor, wide=False)
+    contenders = believable(
+        workbench, rest, refit(workbench, rest, rank(workbench, rest), floor, wide=False)
+    )
     thresholds = workbench.thresholds.refinement
     most = grown.criterion(workbench.records) + rise
     if not contenders or contenders[0].criterion >= most:

@@ -1,0 +1,120 @@
+"""Waves in time: they must earn more than a mechanism.
+
+A wave in time describes a disturbance; it holds for these records and for no others. So it is
+accepted only where it is no resonance of the model itself, where it is seen often enough, and where
+all experiments agree on its phase; and a mechanism that does nearly as much comes first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from workers.messages import FloatArray
+
+FREQUENCY = "f"
+"""Coefficient of a wave in time, in rad/s; its parts are a and b."""
+
+MODES = 5
+"""Places along a record at which the eigenvalues of the model are looked at."""
+
+
+def believable(
+    workbench: LoopWorkbench, current: FittedModel, contenders: Sequence[RefittedCandidate]
+) -> list[RefittedCandidate]:
+    """Contenders whose waves in time may be believed; the one to be chosen first.
+
+    Parameters
+    ----------
+    current
+        The structure that they grow from.
+    contenders
+        The best first.
+    """
+    left = [c for c in contenders if _may_be_believed(workbench, current, c.fitted)]
+    if not left or not _waves(left[0].fitted, current):
+        return left
+    gain = current.sse - left[0].fitted.sse
+    least = workbench.thresholds.waves.nearly * gain
+    others = [c for c in left if not _waves(c.fitted, current) and not c.candidate.form.free]
+    first = [c for c in others if current.sse - c.fitted.sse >= least]
+    return [*first, *(c for c in left if c not in first)] if first else left
+
+
+def period_of(candidate: EffectCandidate, fitted: FittedModel) -> float:
+    """Return the period in seconds of a wave in time; NaN for what is none."""
+    frequency = fitted.estimates.get(f"{candidate.effect.name}.{FREQUENCY}", np.nan)
+    wave = candidate.form.of_time_alone and frequency > 0.0
+    return 2.0 * np.pi / frequency if wave else np.nan
+
+
+def _waves(fitted: FittedModel, current: FittedModel) -> list[EffectCandidate]:
+    """The effects that are new, and waves in time."""
+    new = [c for c in fitted.added if c.effect.name not in current.structure]
+    return [c for c in new if np.isfinite(period_of(c, fitted))]
+
+
+def _may_be_believed(workbench: LoopWorkbench, current: FittedModel, fitted: FittedModel) -> bool:
+    for candidate in _waves(fitted, current):
+        period = period_of(candidate, fitted)
+        longest = max(float(np.ptp(record.times)) for record in workbench.records.items)
+        if longest < workbench.thresholds.waves.periods * period:
+            return False
+        if _is_resonance(workbench, current, 2.0 * np.pi / period):
+            return False
+        if not _phases_agree(workbench, fitted, candidate):
+            return False
+    return True
+
+
+def _is_resonance(workbench: LoopWorkbench, current: FittedModel, frequency: float) -> bool:
+    """Return whether a frequency lies within the width of a resonance of the model.
+
+    Whatever disturbs a model with little damping leaves a residual there. A mode with eigenvalue
+    s is one where its damping ratio -Re(s) / |s| is below 1/2; its width is |Re(s)|, half of that
+    of its power, but never counted below a tenth of its frequency.
+    """
+    for trajectory in workbench.trajectories(current):
+        if trajectory.linear is None:
+            return False
+        steps = np.linspace(0, len(trajectory.linear.times) - 1, MODES).astype(int)
+        for step in np.unique(steps).tolist():
+            modes = np.linalg.eigvals(trajectory.linear.A.at(step))
+            size = np.abs(modes)
+            rings = (modes.imag > 0.0) & (-modes.real < 0.5 * size)
+            width = np.maximum(np.abs(modes.real), 0.1 * size)
+            if np.any(rings & (np.abs(modes.imag - frequency) <= width)):
+                return True
+    return False
+
+
+def _phases_agree(
+    workbench: LoopWorkbench, fitted: FittedModel, candidate: EffectCandidate
+) -> bool:
+    """Return whether each experiment by itself wants nearly the wave that all share.
+
+    To first order, the two parts that an experiment wants are those of the fit and the step of
+    least squares on its own residual. With one experiment there is nothing to compare.
+    """
+    labels = [u.label for u in fitted.space.unknowns]
+    names = [f"{candidate.effect.name}.{part}" for part in ("a", "b")]
+    if len(workbench.train) < 2 or not all(name in labels for name in names):
+        return True
+    columns = [labels.index(name) for name in names]
+    shared = np.array([fitted.x[column] for column in columns])
+    squares, weights = [], []
+    for rows in fitted.space.rows:
+        own: FloatArray = fitted.jacobian[rows][:, columns]
+        size = float(np.linalg.norm(own))
+        if size > 0.0:
+            step = np.linalg.lstsq(own, -fitted.residuals[rows], rcond=1e-6)[0]
+            squares.append(float(step @ step))
+            weights.append(size)
+    if not squares:
+        return True
+    apart = float(np.sqrt(np.average(squares, weights=weights)))
+    return apart <= workbench.thresholds.waves.apart * float(np.linalg.norm(shared))
