@@ -38,8 +38,8 @@ class OutputNoise:
 
     Attributes
     ----------
-    output
-        Its name.
+    output, samples
+        Its name, and how many there are.
     level
         Root mean square of the residual.
     white
@@ -57,6 +57,7 @@ class OutputNoise:
     """
 
     output: str
+    samples: int
     level: float
     white: float
     error: float
@@ -76,8 +77,9 @@ class OutputNoise:
 
     @property
     def within(self) -> bool:
-        """It is no larger than the declared sigma, by two standard errors."""
-        return self.declared and self.level**2 - 1.0 <= 2.0 * self.error
+        """It is no larger than the declared sigma, by two standard errors, and no drift."""
+        forgets = self.correlation <= LONGEST
+        return self.declared and forgets and self.level**2 - 1.0 <= 2.0 * self.error
 
     @property
     def coloured(self) -> bool:
@@ -116,6 +118,7 @@ def residual_noise(
         found.append(
             OutputNoise(
                 output=name,
+                samples=len(part),
                 level=float(np.sqrt(np.mean(part**2))) / scale,
                 white=white / scale,
                 error=float(np.mean(part**2)) / scale**2 * _error(part, records, number),
@@ -166,7 +169,7 @@ def is_noise_of_sensors(
         else:
             level = output.level / output.white
             most = max(largest * output.first_order, near * whitened)
-            white = WHITE + 2.0 * output.error / output.white**2
+            white = WHITE + 5.0 / np.sqrt(output.samples)  # the estimate's own error
             known = level**2 <= 1.0 + white or level <= most
         if not known:
             return False
