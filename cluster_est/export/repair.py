@@ -188,7 +188,7 @@ def _experiment(problem: Problem, name: str | None) -> Experiment | None:
     known = {experiment.id: experiment for experiment in problem.experiments}
     if name not in known:
         raise RunFolderError(
-            f"--experiment: must be an experiment of the run but is {name!r}{nearest(name, known)}"
+            f"experiment: must be an experiment of the run but is {name!r}{nearest(name, known)}"
         )
     return known[name]
 
@@ -217,7 +217,7 @@ class _ParameterReader:
             notes.append(
                 f"{', '.join(absent)} {'has' if one else 'have'} a value for each experiment and "
                 f"{'keeps its' if one else 'keep their'} start; choose the values of one with "
-                "--experiment"
+                "experiment"
             )
         return RepairedModel(
             run,

@@ -88,8 +88,8 @@ def _reset(subject: CheckSubject, found: RepetitionResult, crash: str) -> CheckF
 
 
 def _reset_advice(subject: CheckSubject, needed: str, how: str, do: str) -> CheckFinding:
-    renew = subject.problem.model.reset
-    if renew in ("auto", needed, "process"):
+    policy = subject.problem.model.reset
+    if policy in ("auto", needed, "process"):
         return CheckFinding(CheckVerdict.NOTE, "reset", how, do)
     return CheckFinding(
         CheckVerdict.PROBLEM, "reset", how, f'set model.reset = "{needed}" or "auto"'

@@ -193,7 +193,7 @@ class RunFolder:
                 "interface": self._problem.model.interface,
                 "solver": self._problem.model.solver.name,
             },
-            "renewal": dataclasses.asdict(self._reset) if self._reset is not None else None,
+            "reset_policy": dataclasses.asdict(self._reset) if self._reset is not None else None,
             "experiments": {e.id: e.key for e in self._problem.experiments},
             "versions": versions(),
         }

@@ -195,7 +195,7 @@ def prepare(
     if problem.model.reset == "auto":
         chosen = recorded(read_facts(run_folder))
         if chosen is not None:
-            problem = replace(problem, model=replace(problem.model, reset=chosen.renew))
+            problem = replace(problem, model=replace(problem.model, reset=chosen.policy))
     task = Task(0, index, logged.values, logged.want, effects)
     return ReplayRequest(problem, build_resources(resolved).limits, task, key == logged.key)
 

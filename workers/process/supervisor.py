@@ -66,7 +66,7 @@ class SupervisedEvaluator:
         self, model: Model, experiments: Sequence[Experiment], name: str, limits: Limits
     ) -> None:
         self._name, self._file, self._limits = name, model.name, limits
-        self._renew = model.reset
+        self._reset = model.reset
         self._careful = 0
         self._known: set[int] = set()
         self._used = False
@@ -84,7 +84,7 @@ class SupervisedEvaluator:
     def evaluate(self, batch: TaskBatch) -> list[Outcome]:
         """Answer every task of a batch, in its order."""
         failed = 0
-        together = self._renew in ("auto", "reset")
+        together = self._reset in ("auto", "reset")
         if together and self._careful == 0 and self._is_known(batch):
             answered = self._ask(batch)
             if not isinstance(answered, ProcessFailure):
@@ -157,7 +157,7 @@ class SupervisedEvaluator:
             return failure or how_it_ended(code)
         outcomes = report.answers.outcomes()
         self._known.update(batch.experiments.tolist() if batch.want in USUAL else [])
-        if self._renew == "process":
+        if self._reset == "process":
             self._end(kill=True)  # it has answered, and nothing waits for how it ends
         elif self._has_grown(report):
             self._end(kill=True)  # freeing the FMU may hang, and its memory goes with the process

@@ -39,7 +39,7 @@ LOG_FROM = 10.0
 def search(run: ReportedRun) -> ReportSection:
     """Everything about the search that the folder holds."""
     blocks = [*_convergence(run), *_starts(run), *_profiles(run), *_front(run)]
-    return ReportSection("course", "How the search went", tuple(blocks))
+    return ReportSection("search", "How the search went", tuple(blocks))
 
 
 def _convergence(run: ReportedRun) -> list[Block]:

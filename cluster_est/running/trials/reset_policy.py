@@ -43,7 +43,7 @@ class ResetDecision:
 
     Attributes
     ----------
-    renew
+    policy
         One of `WAYS`.
     sentence
         What was found.
@@ -51,17 +51,18 @@ class ResetDecision:
         Whether that is nothing out of the ordinary.
     """
 
-    renew: ResetPolicy
+    policy: ResetPolicy
     sentence: str
     plain: bool = False
 
 
 def recorded(facts: Mapping[str, Any]) -> ResetDecision | None:
     """Return the decision that a run.json holds; None if it does not say."""
-    found = facts.get("renewal") or {}
-    if found.get("renew") not in WAYS:
+    found = facts.get("reset_policy") or facts.get("renewal") or {}
+    policy = found.get("policy", found.get("renew"))  # as runs of earlier versions call them
+    if policy not in WAYS:
         return None
-    return ResetDecision(found["renew"], str(found.get("sentence")), bool(found.get("plain")))
+    return ResetDecision(policy, str(found.get("sentence")), bool(found.get("plain")))
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ class RepeatabilityTest:
 class _Start(Protocol):
     """Starts workers of an executor, whose simulations begin in some way."""
 
-    def __call__(self, kind: str, renew: ResetPolicy, count: int | None) -> WorkerPool: ...
+    def __call__(self, kind: str, policy: ResetPolicy, count: int | None) -> WorkerPool: ...
 
 
 def open_with_reset(
@@ -180,12 +181,12 @@ def _open(
 ) -> tuple[WorkerPool, ResetDecision]:
     """Do as `open_with_reset`, however many workers there are in this process."""
 
-    def start(kind: str, renew: ResetPolicy, count: int | None) -> WorkerPool:
-        model = replace(problem.model, reset=renew)
+    def start(kind: str, policy: ResetPolicy, count: int | None) -> WorkerPool:
+        model = replace(problem.model, reset=policy)
         # what is tried apart for an executor in this process has no more limits than there
         limits = resources.limits if kind == resources.executor else NO_LIMITS
         pool = executor_class(kind)
-        if renew == "process" and pool.in_process:
+        if policy == "process" and pool.in_process:
             raise UnsuitableExecutorError(
                 'model.reset: "process" needs workers that are processes of their own but '
                 f'executor.name is "{kind}"; choose "processes" or "ray" there'
@@ -197,7 +198,7 @@ def _open(
         said = f"each simulation begins with {BEGINS[declared]}, as model.reset says"
         known = ResetDecision(declared, said, plain=True)
     if known is not None:
-        return start(resources.executor, known.renew, resources.workers), known
+        return start(resources.executor, known.policy, resources.workers), known
     return _find_policy(problem, resources, start)
 
 
@@ -243,9 +244,9 @@ def _find_policy(
             _refuse_here(file, resources.executor, policy, answers[policy])
             if policy == "reset" and answers[policy].same:
                 trial.remember()
-            return start(resources.executor, decision.renew, resources.workers), decision
+            return start(resources.executor, decision.policy, resources.workers), decision
     decision = _never_the_same(file, answers)
-    return start(resources.executor, decision.renew, resources.workers), decision
+    return start(resources.executor, decision.policy, resources.workers), decision
 
 
 def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> ResetDecision | None:

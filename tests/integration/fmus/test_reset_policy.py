@@ -64,7 +64,7 @@ def estimate(folder: Path, name: str) -> float:
 
 def chosen(folder: Path) -> str:
     facts = json.loads((folder / "run" / "run.json").read_text(encoding="utf-8"))
-    return str(facts["renewal"]["renew"])
+    return str(facts["reset_policy"]["policy"])
 
 
 @BOTH

@@ -65,7 +65,7 @@ def test_the_verdict_comes_first_and_what_follows_is_in_order(run):
     places = [text.index(each) for each in order]
     assert places == sorted(places)
     ids = [attributes["id"] for attributes in page.of("section") if "id" in attributes]
-    assert ids == ["errors", "curves", "parameters", "course", "workers", "provenance"]
+    assert ids == ["errors", "curves", "parameters", "search", "workers", "provenance"]
 
 
 def test_curves_are_those_of_the_tables(run):
@@ -180,7 +180,7 @@ def test_a_run_that_goes_on_says_so_and_loads_itself_again(run, tmp_path):
     assert "The run goes on" in page.text
     assert "every 7 s" in page.text
     ids = [attributes["id"] for attributes in page.of("section") if "id" in attributes]
-    assert ids == ["course", "workers", "provenance"]
+    assert ids == ["search", "workers", "provenance"]
     assert page.of("body") != Page(write_report(going)).of("body")
 
 

@@ -74,7 +74,7 @@ def test_a_fit_and_a_sweep_of_one_run_are_the_same(
     assert tables(swept) == tables(alone)
     assert {"errors.parquet", "parameters.parquet", "residuals.parquet"} <= tables(alone).keys()
     assert facts(swept) == facts(alone)
-    assert facts(alone)["renewal"]["renew"] == "reset"
+    assert facts(alone)["reset_policy"]["policy"] == "reset"
     assert logged(swept) == logged(alone)
     assert (swept / "config.toml").read_bytes() == (alone / "config.toml").read_bytes()
 
