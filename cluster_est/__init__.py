@@ -6,33 +6,33 @@ from its own module, such as `cluster_est.methods` for the methods.
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
-
-from cluster_est.config.build import build_problem, read_problem
-from cluster_est.config.reader import read_config
-from cluster_est.errors import ClusterEstError
-from cluster_est.fit import fit, simulate
-from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.fmu_file import read_model
-from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.problem import Problem
-from cluster_est.problem.tables.experiment import experiment_from_table
-from cluster_est.problem.tables.files import read_table
-from cluster_est.residual_function import residuals
-from cluster_est.results.result import Result
-from cluster_est.results.row_types import Estimate
-from cluster_est.running.multistart import Multistart
-from cluster_est.running.records import Budget
-from cluster_est.running.resources import Resources
-from cluster_est.uncertainty import UncertaintySettings
-from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 
 if TYPE_CHECKING:
     from cluster_est.closed_loop.diagnostics import add_effect, detect, locate
     from cluster_est.closed_loop.findings.result import LoopResult
     from cluster_est.closed_loop.loop import close_loop
     from cluster_est.closed_loop.settings import LoopSettings
+    from cluster_est.config.build import build_problem, read_problem
+    from cluster_est.config.reader import read_config
+    from cluster_est.errors import ClusterEstError
+    from cluster_est.fit import fit, simulate
+    from cluster_est.methods.least_squares.method import LeastSquares
+    from cluster_est.problem.fmu_file import read_model
+    from cluster_est.problem.parameter import Parameter
+    from cluster_est.problem.problem import Problem
+    from cluster_est.problem.tables.files import read_table
+    from cluster_est.residual_function import residuals
+    from cluster_est.results.result import Result
+    from cluster_est.results.row_types import Estimate
+    from cluster_est.running.multistart import Multistart
+    from cluster_est.running.records import Budget
+    from cluster_est.running.resources import Resources
+    from cluster_est.uncertainty import UncertaintySettings
+    from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 
 __all__ = [
     "Budget",
@@ -67,25 +67,55 @@ __all__ = [
     "simulate",
 ]
 
-Experiment.from_table = staticmethod(experiment_from_table)
-"""Here because `workers`, where the class stands, reads no tables."""
-
-_LATE = {
-    "LoopResult": "findings.result",
-    "LoopSettings": "settings",
-    "add_effect": "diagnostics",
-    "close_loop": "loop",
-    "detect": "diagnostics",
-    "locate": "diagnostics",
+_MODULES = {
+    "cluster_est.closed_loop.diagnostics": ("add_effect", "detect", "locate"),
+    "cluster_est.closed_loop.findings.result": ("LoopResult",),
+    "cluster_est.closed_loop.loop": ("close_loop",),
+    "cluster_est.closed_loop.settings": ("LoopSettings",),
+    "cluster_est.config.build": ("build_problem", "read_problem"),
+    "cluster_est.config.reader": ("read_config",),
+    "cluster_est.errors": ("ClusterEstError",),
+    "cluster_est.fit": ("fit", "simulate"),
+    "cluster_est.methods.least_squares.method": ("LeastSquares",),
+    "cluster_est.problem.fmu_file": ("read_model",),
+    "cluster_est.problem.parameter": ("Parameter",),
+    "cluster_est.problem.problem": ("Problem",),
+    "cluster_est.problem.tables.files": ("read_table",),
+    "cluster_est.residual_function": ("residuals",),
+    "cluster_est.results.result": ("Result",),
+    "cluster_est.results.row_types": ("Estimate",),
+    "cluster_est.running.multistart": ("Multistart",),
+    "cluster_est.running.records": ("Budget",),
+    "cluster_est.running.resources": ("Resources",),
+    "cluster_est.uncertainty": ("UncertaintySettings",),
+    "workers.messages": ("Effect", "Experiment", "Input", "Model", "Output", "Solver"),
 }
-"""Names that are imported when they are first used: a fit has no need of SymPy."""
+"""Where each name stands. A module is imported when one of its names is first used."""
+
+_WHERE = {name: module for module, names in _MODULES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _LATE:
+    if name not in _WHERE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"cluster_est.closed_loop.{_LATE[name]}"), name)
+    found = getattr(import_module(_WHERE[name]), name)
+    if name == "Experiment":  # `workers`, where the class stands, reads no tables
+        tables = import_module("cluster_est.problem.tables.experiment")
+        found.from_table = staticmethod(tables.experiment_from_table)
+    globals()[name] = found
+    return found
 
 
 def __dir__() -> list[str]:
     return __all__
+
+
+class _Package(ModuleType):
+    """The package, in which `fit` stays the function when the module of that name is imported."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name == "fit" and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Callable
+from importlib import import_module
 
-from cluster_est.cli.estimate import close_loop, fit, sweep
-from cluster_est.cli.inspection import export, replay, report, show, watch
-from cluster_est.cli.preparation import check, init
-from cluster_est.cli.simulation import simulate
-
-COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "init": init,
-    "check": check,
-    "fit": fit,
-    "close-loop": close_loop,
-    "simulate": simulate,
-    "show": show,
-    "report": report,
-    "watch": watch,
-    "export": export,
-    "sweep": sweep,
-    "replay": replay,
+COMMANDS = {
+    "init": "preparation",
+    "check": "preparation",
+    "fit": "estimate",
+    "close-loop": "estimate",
+    "simulate": "simulation",
+    "show": "inspection",
+    "report": "inspection",
+    "watch": "inspection",
+    "export": "inspection",
+    "sweep": "estimate",
+    "replay": "inspection",
 }
+"""The module of `cluster_est.cli` in which each command is a function of its name."""
+
+
+def run_command(options: Namespace) -> int:
+    """Run the command that was asked for, and return its exit code.
+
+    Its module is imported now: who shows a run need not wait for what a fit needs.
+    """
+    name: str = options.command
+    module = import_module(f"cluster_est.cli.{COMMANDS[name]}")
+    return int(getattr(module, name.replace("-", "_"))(options))

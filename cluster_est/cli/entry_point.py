@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.console import Console
 
+from cluster_est.cli.commands import run_command
 from cluster_est.cli.crash_observer import crash_observer, end, refuse_quiet_ends
 from cluster_est.cli.display.terminal_text import readable
 from cluster_est.cli.exit_codes import ExitCode
@@ -20,12 +21,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
     options = parse(arguments)
     errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
-    from cluster_est.cli.commands import COMMANDS  # who asks for help need not wait for it
-
     try:
         # who meets what is not finite says so in a sentence
         with terminations(), np.errstate(all="ignore"):
-            return COMMANDS[options.command](options)
+            return run_command(options)
     except ClusterEstError as error:
         errors.print(f"cluster-est: {readable(str(error))}")
         return ExitCode.BAD_INPUT

@@ -7,17 +7,16 @@ from argparse import Namespace
 from rich.console import Console
 
 from cluster_est.cli.display.closed_loop import print_any_run
-from cluster_est.cli.display.replay import print_answer, print_failures, print_question
 from cluster_est.cli.display.run import print_iterations, say
 from cluster_est.cli.exit_codes import ExitCode
-from cluster_est.run_folder.replay import prepare, read_logged
-from cluster_est.run_folder.replay import replay as run_replay
 
 
 def show(options: Namespace) -> int:
     """Print the tables of a run, what failed in it, or one search's iterations."""
     run_folder = options.run_folder
     if options.failures:
+        from cluster_est.cli.display.replay import print_failures
+
         print_failures(Console(), run_folder)
     elif options.iterations or options.search is not None:
         print_iterations(Console(), run_folder, options.search)
@@ -46,6 +45,10 @@ def watch(options: Namespace) -> int:
 
 def replay(options: Namespace) -> int:
     """Run one logged simulation again, in a process of its own that shows the FMU's messages."""
+    from cluster_est.cli.display.replay import print_answer, print_question
+    from cluster_est.run_folder.replay import prepare, read_logged
+    from cluster_est.run_folder.replay import replay as run_replay
+
     logged = read_logged(options.run_folder, options.number)
     question = prepare(options.run_folder, logged, options.config, allow_code=options.allow_code)
     print_question(Console(), logged, question)

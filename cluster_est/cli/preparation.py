@@ -9,7 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 from cluster_est.cli.display.preflight import print_page
-from cluster_est.cli.display.run import print_check, print_model, say
+from cluster_est.cli.display.run import say
+from cluster_est.cli.display.start import print_check, print_model
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.terminal import complain
 from cluster_est.config.former_keys import former_keys

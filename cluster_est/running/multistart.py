@@ -13,7 +13,6 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import qmc
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
@@ -195,6 +194,8 @@ def _check_bounds(space: SearchSpace) -> None:
 def _unit(sampler: Sampler, count: int, size: int, generator: np.random.Generator) -> FloatArray:
     if sampler == "uniform":
         return generator.random((count, size))
+    from scipy.stats import qmc  # slow to import, and few fits have several starts
+
     kinds = {"sobol": qmc.Sobol, "latin_hypercube": qmc.LatinHypercube}
     engine = kinds[sampler](size, rng=generator)
     if sampler == "sobol":  # it is balanced for powers of two only, and warns about others

@@ -16,8 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtr, stdtrit
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Solution
@@ -224,8 +223,8 @@ def percentile_interval(
     tail = (1.0 - confidence) / 2.0
     # a normal quantile in the place of a t quantile, and the variance of draws is too small by
     # (n - 1) / n: both are corrected by quantiles further out
-    quantile = student.ppf(tail, experiments - 1) * np.sqrt(experiments / (experiments - 1.0))
-    outer = float(norm.cdf(quantile))
+    quantile = stdtrit(experiments - 1, tail) * np.sqrt(experiments / (experiments - 1.0))
+    outer = float(ndtr(quantile))
     low, high = np.quantile(draws, [tail, 1.0 - tail]).tolist()
     lower, upper = np.quantile(draws, [outer, 1.0 - outer]).tolist()
     return BootstrapInterval(

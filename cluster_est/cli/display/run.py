@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from cluster_est.errors import RunFolderError
-from cluster_est.methods.base import TOLERANCE
-from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import make_space
-from cluster_est.results.output_errors import Simulation
-from cluster_est.results.rows import constraints_at_start
 from cluster_est.run_folder.reading import StoredRun, read_stored_run
-from workers.fmu.description import nearest
 
 SHOWN = ("parameters", "errors", "constraints", "intervals", "front", "starts", "minima")
 """Tables of a run that its summary is printed from."""
@@ -64,6 +58,8 @@ def print_iterations(console: Console, run_folder: Path, search: str | None = No
         fits = [row for row in ended if row["search"] not in ("screen", "test")]
         search = min(fits, key=_final_rank)["search"] if fits else "train"
     if search not in names:
+        from workers.fmu.description import nearest
+
         raise RunFolderError(f"{run_folder}: has no search {search!r}{nearest(search, names)}")
     chosen = [row for row in rows if row["search"] == search]
     header = ["iteration", "F-count", "f(x)", "max constraint", "step", "optimality"]
@@ -82,6 +78,8 @@ def print_iterations(console: Console, run_folder: Path, search: str | None = No
 
 
 def _final_rank(row: dict[str, Any]) -> tuple[float, float]:
+    from cluster_est.methods.base import TOLERANCE  # all methods: nothing that `show` waits for
+
     violation = row["violation"]
     violation = 0.0 if violation is None or math.isnan(violation) else violation
     return (violation if violation > TOLERANCE else 0.0, row["cost"])
@@ -89,46 +87,6 @@ def _final_rank(row: dict[str, Any]) -> tuple[float, float]:
 
 def _blank(value: float | None) -> str:
     return "" if value is None or math.isnan(value) else f"{value:.6g}"
-
-
-def print_model(console: Console, problem: Problem, more: str) -> None:
-    """Print the model, and the faults of its description that were read around."""
-    model = problem.model
-    say(
-        console,
-        f"{model.name}: {model.interface.replace('_', ' ')}, solver {model.solver.name}; {more}",
-    )
-    for warning in (*problem.describe().warnings, *problem.notes()):
-        say(console, warning)
-
-
-def print_check(console: Console, problem: Problem, simulations: Sequence[Simulation]) -> None:
-    """Unknowns, experiments and one simulation of each."""
-    train = make_space(problem, problem.indices("train"))
-    say(
-        console,
-        f"{train.size} unknowns; a forward Jacobian costs {len(train.colours)} points x "
-        f"{len(train.experiments)} experiments",
-    )
-    rows = []
-    for simulation in simulations:
-        experiment, outcome = problem.experiments[simulation.experiment], simulation.outcome
-        rows.append(
-            (
-                experiment.id,
-                experiment.role,
-                f"{experiment.start:g} .. {experiment.stop:g}",
-                str(experiment.size),
-                number(outcome.seconds * 1e3),
-                outcome.message or str(outcome.status),
-            )
-        )
-    print_table(console, ["experiment", "role", "seconds", "samples", "ms", "simulated"], rows)
-    if train.constraint_names:
-        kinds = ["= 0" if equal else "<= 0" for equal in train.equality]
-        values = [number(value) for value in constraints_at_start(train, list(simulations))]
-        named = zip(train.constraint_names, kinds, values, strict=True)
-        print_table(console, ["constraint", "must be", "at the start"], named)
 
 
 def _print_parameters(console: Console, rows: list[dict[str, Any]]) -> None:

@@ -17,7 +17,7 @@ from __future__ import annotations
 from itertools import chain
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods.base import Solution
@@ -92,7 +92,7 @@ def _nothing(space: SearchSpace, solution: Solution) -> Uncertainty:
 def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncertainty:
     layout, variance = system.layout, system.scatter.variance
     degrees = system.scatter.degrees
-    width = float(student.ppf(0.975, degrees)) if degrees > 0 else np.nan
+    width = float(stdtrit(degrees, 0.975)) if degrees > 0 else np.nan
     variances = np.sqrt(_diagonal(space, system))  # per root of the variance, still scaled
     errors = np.sqrt(variance) * variances / system.scale
     shared, local = layout.shared, np.array([*chain(*layout.local)], dtype=np.intp)

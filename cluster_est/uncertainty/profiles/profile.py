@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
@@ -148,7 +148,7 @@ def _rise(linear: Uncertainty, settings: UncertaintySettings) -> float:
     if settings.rise > 0.0:
         return settings.rise
     if linear.degrees > 0 and linear.variance > 0.0:
-        return linear.variance * float(fisher.ppf(settings.confidence, 1, linear.degrees))
+        return linear.variance * float(fdtri(1, linear.degrees, settings.confidence))
     return np.nan
 
 

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from cluster_est import Parameter, Problem, fit
-from cluster_est.cli.display.run import print_model
+from cluster_est.cli.display.start import print_model
 from cluster_est.methods.least_squares.method import LeastSquares
 from workers.evaluate import Evaluator
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
