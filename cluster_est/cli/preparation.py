@@ -12,7 +12,7 @@ from cluster_est.cli.display.preflight import print_page
 from cluster_est.cli.display.run import say
 from cluster_est.cli.display.start import print_check, print_model
 from cluster_est.cli.exit_codes import ExitCode
-from cluster_est.cli.terminal import complain
+from cluster_est.cli.terminal import complain, say_if_compiled_first
 from cluster_est.config.former_keys import former_keys
 from cluster_est.config.reader import Config
 from cluster_est.config.settings import build_resources
@@ -65,6 +65,7 @@ def check(options: Namespace) -> int:
     if path.suffix.lower() == ".fmu":
         bare = bare_problem(path)
         print_model(console, bare, "its own start values")
+        say_if_compiled_first()
         page = run_checks(bare, Resources(), seconds, declared=False)
         print_page(console, page)
         return _verdict(page)
@@ -72,9 +73,10 @@ def check(options: Namespace) -> int:
     config, problem = run.config, run.identity.problem
     for sentence in former_keys(config):
         complain(sentence)
+    print_model(console, problem, f"method {config.method.name}")
+    say_if_compiled_first()
     page = run_checks(problem, build_resources(config), seconds)
     page = replace(page, findings=(*page.findings, *_units(config, problem)))
-    print_model(console, problem, f"method {config.method.name}")
     if page.simulations:
         print_check(console, problem, page.simulations)
     print_page(console, page)

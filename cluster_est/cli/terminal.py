@@ -7,15 +7,22 @@ from contextlib import contextmanager
 
 from rich.console import Console
 
-from cluster_est.cli.display.progress import ProgressLine
+from cluster_est.cli.display.progress import FIRST, ProgressLine
 from cluster_est.cli.display.run import say
 from cluster_est.configured_run import Listener
 from cluster_est.running.records import Budget, Show
+from workers.kernels.fmi.calling import compiled_before
 
 
 def complain(text: str) -> None:
     """Print a sentence beside the output, with the program's name."""
     say(Console(stderr=True), f"cluster-est: {text}")
+
+
+def say_if_compiled_first() -> None:
+    """Say what there is to wait for, where the loops have never been compiled."""
+    if not compiled_before():
+        complain(FIRST)
 
 
 def terminal_listener() -> Listener:

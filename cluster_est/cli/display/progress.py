@@ -14,7 +14,10 @@ from rich.text import Text
 from cluster_est.running.records import Budget, RunSnapshot
 
 SECONDS_BETWEEN = 0.1
-STARTING = "starting; the first use of a solver compiles it, for up to half a minute"
+FIRST = (
+    "the loops that call the FMU are compiled for this machine first, which takes about half a "
+    "minute of one core; later runs find them ready"
+)
 
 
 class ProgressLine:
@@ -37,7 +40,7 @@ class ProgressLine:
     def __enter__(self) -> Self:
         if self._enabled:
             self._live.start()
-            self._put(STARTING)
+            self._put("starting")
         return self
 
     def __exit__(

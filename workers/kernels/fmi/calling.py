@@ -21,7 +21,7 @@ inlined = njit(forceinline=True, nogil=True, _nrt=False)
 """Compiles a helper into each loop that uses it."""
 
 
-def _cache_folder() -> Path:
+def cache_folder() -> Path:
     """A folder that belongs to this version of the loops and all their helpers.
 
     numba takes its cached code for a loop as long as the loop's own file is unchanged, whatever
@@ -33,7 +33,12 @@ def _cache_folder() -> Path:
     return Path(home) / "kernels" / digest
 
 
-_CACHE_FOLDER = str(_cache_folder())
+_CACHE_FOLDER = str(cache_folder())
+
+
+def compiled_before() -> bool:
+    """Return whether loops of this version have been compiled on this machine, and kept."""
+    return Path(_CACHE_FOLDER).is_dir()
 
 
 def kernel(function: Callable[..., Any]) -> Any:
