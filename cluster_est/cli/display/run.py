@@ -38,7 +38,8 @@ def print_run(console: Console, run: StoredRun) -> None:
             f"{facts['seconds']:.1f} s",
         )
     if run.ended:
-        _print_parameters(console, tables["parameters"])
+        narrow = bool((facts.get("residuals") or {}).get("too_narrow"))
+        _print_parameters(console, tables["parameters"], too_narrow=narrow)
         _print_errors(console, tables["errors"])
         _print_constraints(console, tables["constraints"])
         _print_intervals(console, tables["intervals"])
@@ -131,8 +132,12 @@ def print_check(console: Console, problem: Problem, simulations: Sequence[Simula
         print_table(console, ["constraint", "must be", "at the start"], named)
 
 
-def _print_parameters(console: Console, rows: list[dict[str, Any]]) -> None:
-    header = ["parameter", "value", "95 % interval", "unit", "start", "on", ""]
+def _print_parameters(
+    console: Console, rows: list[dict[str, Any]], *, too_narrow: bool = False
+) -> None:
+    """Print values and intervals; the latter with a word where the residuals deny them."""
+    column = "95 % interval (too narrow)" if too_narrow else "95 % interval"
+    header = ["parameter", "value", column, "unit", "start", "on", ""]
     print_table(
         console,
         header,
