@@ -7,7 +7,7 @@ from typing import Any
 
 from cluster_est.problem import display
 from cluster_est.results.row_types import Estimate
-from cluster_est.statistics.residual_tests import ResidualDiagnostics
+from cluster_est.statistics.residual_findings import ResidualDiagnostics
 
 
 def fit_tables(

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from cluster_est.statistics.residual_tests import (
+from cluster_est.statistics.residual_findings import (
     OutputDiagnostics,
     ResidualDiagnostics,
     ResidualStructure,

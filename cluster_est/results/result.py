@@ -21,7 +21,7 @@ from cluster_est.results.display_tables import fit_tables
 from cluster_est.results.facts import fit_facts, fit_notes
 from cluster_est.results.output_errors import OutputError, Simulation
 from cluster_est.results.row_types import ConstraintValue, Estimate, PointValue, StartResult
-from cluster_est.statistics.residual_tests import ResidualDiagnostics
+from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
 from cluster_est.uncertainty.rows import (
     bootstrap_rows,

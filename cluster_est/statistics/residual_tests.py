@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import enum
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +11,12 @@ from scipy.stats import chi2
 from cluster_est.statistics.autocorrelation import autocorrelation
 from cluster_est.statistics.noise import estimate_noise
 from cluster_est.statistics.records import OutputRecord, StackedRecords
-from cluster_est.statistics.whiteness import WhiteNull, smoothness
+from cluster_est.statistics.residual_findings import (
+    OutputDiagnostics,
+    ResidualStructure,
+    SigmaDoubt,
+)
+from cluster_est.statistics.whiteness import SmoothnessTest, WhiteNull, smoothness
 from workers.messages import FloatArray
 
 LEVEL = 1e-3
@@ -33,102 +37,7 @@ OUTLYING = 1.5
 LEAST_NOISE = 1e-3
 """Noise over rms below which the estimate is not believed."""
 
-
-class ResidualStructure(enum.StrEnum):
-    """What the residuals look like."""
-
-    NOT_TESTED = "not tested"
-    WHITE = "white"
-    AUTOCORRELATED = "autocorrelated"
-    MISSING = "something is missing"
-
-
-class SigmaDoubt(enum.StrEnum):
-    """What the residuals say of the declared sigma."""
-
-    NONE = ""
-    TOO_SMALL = "sigma too small"
-    TOO_LARGE = "sigma too large"
-    OUTLIERS = "outliers"
-
-
-@dataclass(frozen=True)
-class OutputDiagnostics:
-    """The training residuals of one output, of all records together.
-
-    Attributes
-    ----------
-    output
-        The FMU's name; "all outputs together" where they are pooled.
-    samples
-        In all training experiments.
-    declared
-        Whether it has a sigma that its residuals can be compared with.
-    rms_over_sigma
-        With the degrees of freedom that the parameters have left; over the unit of the output
-        where no sigma is declared.
-    noise_over_sigma
-        The noise from sample to sample, see `estimate_noise`, likewise.
-    lag1, widening
-        See `Autocorrelation`.
-    p, length
-        Probability that white noise looks so smooth, times the number of tests of the fit; and
-        over how many samples.
-    structure, sigma
-        What follows.
-    """
-
-    output: str
-    samples: int
-    declared: bool
-    rms_over_sigma: float
-    noise_over_sigma: float
-    lag1: float
-    widening: float
-    p: float
-    length: float
-    structure: ResidualStructure
-    sigma: SigmaDoubt
-
-    @property
-    def rms_over_noise(self) -> float:
-        return self.rms_over_sigma / self.noise_over_sigma if self.noise_over_sigma else np.nan
-
-
-@dataclass(frozen=True)
-class ResidualDiagnostics:
-    """The training residuals of a fit.
-
-    Attributes
-    ----------
-    outputs
-        One for each output.
-    together
-        All outputs pooled, each over its noise; None where there is only one.
-    converged
-        Whether the search reached a solution: else that alone may leave structure.
-    """
-
-    outputs: tuple[OutputDiagnostics, ...]
-    together: OutputDiagnostics | None = None
-    converged: bool = True
-
-    @property
-    def findings(self) -> tuple[OutputDiagnostics, ...]:
-        """Those to be warned of: each output, or all together where no single one stands out."""
-        found = tuple(o for o in self.outputs if _structured(o) or o.sigma)
-        if any(map(_structured, found)) or self.together is None or not _structured(self.together):
-            return found
-        return (*found, self.together)
-
-    @property
-    def too_narrow(self) -> bool:
-        """True where the intervals promise more than the residuals allow."""
-        return any(map(_structured, self.findings))
-
-
-def _structured(output: OutputDiagnostics) -> bool:
-    return output.structure in (ResidualStructure.AUTOCORRELATED, ResidualStructure.MISSING)
+TOGETHER = "all outputs together"
 
 
 @dataclass(frozen=True)
@@ -170,57 +79,75 @@ class ResidualTests:
         together
             None where there are no two outputs to test.
         """
-        records = self.records
-        names = records.outputs
-        rms = np.array([_rms(self.residuals[records.of_output(o)]) for o in range(len(names))])
-        noise = estimate_noise(self.residuals, records)
-        noise = np.where(noise > LEAST_NOISE * rms, noise, rms)
-        usable = [o for o in range(len(names)) if rms[o] > 0.0 and not self.exact[o]]
-        count = len(usable) + (len(usable) > 1)
-        of_rows = np.ones(len(self.residuals))
-        for o in usable:
-            of_rows[records.of_output(o)] = noise[o]
-        null = WhiteNull.of(self.basis, of_rows)
+        noise = self._noise()
+        scopes = self._scopes(noise)
+        tested = [scope for scope in scopes if scope.degrees >= LEAST_DEGREES and not scope.exact]
+        of_rows = np.empty(len(self.residuals))
+        for output, level in enumerate(noise):
+            of_rows[self.records.of_output(output)] = level
         scaled = self.residuals / of_rows
-        found = []
-        for o in range(len(names)):
-            items = [item for item in records.items if item.output == o]
-            scope = _Scope(names[o], items, self.declared[o], float(noise[o]))
-            found.append(self._of(scope, scaled, null, count if o in usable else 0))
-        if len(usable) < 2:
-            return tuple(found), None
-        items = [item for item in records.items if item.output in usable]
-        declared = all(self.declared[o] for o in usable)
-        rows = np.concatenate([records.of_output(o) for o in usable])
-        scope = _Scope("all outputs together", items, declared, _rms(of_rows[rows]))
-        return tuple(found), self._of(scope, scaled, null, count)
+        null = WhiteNull(self.basis, of_rows)
+        tests = smoothness(scaled, [scope.items for scope in tested], null)
+        results = {scope.name: test for scope, test in zip(tested, tests, strict=True)}
+        found = [self._of(scope, scaled, results) for scope in scopes]
+        outputs = tuple(found[: len(noise)])
+        return outputs, found[-1] if len(found) > len(outputs) else None
+
+    def _noise(self) -> FloatArray:
+        """Noise of each output over sigma, never 0."""
+        names = range(len(self.records.outputs))
+        rms = np.array([_rms(self.residuals[self.records.of_output(o)]) for o in names])
+        noise = estimate_noise(self.residuals, self.records)
+        noise = np.where(noise > LEAST_NOISE * rms, noise, rms)
+        return np.where(noise > 0.0, noise, np.min(noise[noise > 0.0], initial=1.0))
+
+    def _scopes(self, noise: FloatArray) -> list[_Scope]:
+        """Return each output, and all together where there are several that can be tested."""
+        scopes = []
+        for o, name in enumerate(self.records.outputs):
+            items = [item for item in self.records.items if item.output == o]
+            level = float(noise[o])
+            scopes.append(self._scope(name, items, level, self.declared[o], self.exact[o]))
+        usable = [o for o, scope in enumerate(scopes) if not scope.exact]
+        if len(usable) > 1:
+            items = [item for item in self.records.items if item.output in usable]
+            counts = [len(self.records.of_output(o)) for o in usable]
+            level = float(np.sqrt(np.average(noise[usable] ** 2, weights=counts)))
+            declared = all(self.declared[o] for o in usable)
+            scopes.append(self._scope(TOGETHER, items, level, declared, exact=False))
+        return scopes
+
+    def _scope(
+        self, name: str, items: list[OutputRecord], noise: float, declared: bool, exact: bool
+    ) -> _Scope:
+        rows = np.concatenate([np.arange(i.rows.start, i.rows.stop) for i in items])
+        square = float(np.add.reduce(self.residuals[rows] ** 2))
+        degrees = len(rows) - float(np.add.reduce(self.basis[rows].ravel() ** 2))
+        exact = exact or square == 0.0
+        return _Scope(name, items, declared, exact, noise, len(rows), square, degrees)
 
     def _of(
-        self, scope: _Scope, scaled: FloatArray, null: WhiteNull, count: int
+        self, scope: _Scope, scaled: FloatArray, results: Mapping[str, SmoothnessTest]
     ) -> OutputDiagnostics:
-        """Test some records, of a fit with `count` tests; with 0 only say what they are."""
-        rows = np.concatenate([np.arange(i.rows.start, i.rows.stop) for i in scope.items])
-        own = self.residuals[rows]
-        degrees = len(rows) - float(np.add.reduce(self.basis[rows].ravel() ** 2))
+        """Judge records that were tested; of others say only what they are."""
         related = autocorrelation(scaled, scope.items)
-        square = float(np.add.reduce(own**2))
-        size = _Size(square, degrees, related.squares, LEVEL / max(count, 1))
-        tested = count > 0 and degrees >= LEAST_DEGREES
-        found = smoothness(scaled, scope.items, null) if tested else None
-        p = np.nan if found is None else min(1.0, count * found.p)
+        size = _Size(scope.square, scope.degrees, related.squares, LEVEL / max(len(results), 1))
         structure, doubt = ResidualStructure.NOT_TESTED, SigmaDoubt.NONE
-        if tested:
+        p = length = np.nan
+        if scope.name in results:
+            test = results[scope.name]
+            p, length = min(1.0, len(results) * test.p), test.length
             structure, doubt = _judged(p, size, scope.noise, declared=scope.declared)
         return OutputDiagnostics(
             output=scope.name,
-            samples=len(rows),
+            samples=scope.samples,
             declared=scope.declared,
             rms_over_sigma=size.rms,
             noise_over_sigma=scope.noise,
             lag1=related.lag1,
             widening=related.widening,
             p=p,
-            length=np.nan if found is None else found.length,
+            length=length,
             structure=structure,
             sigma=doubt,
         )
@@ -228,12 +155,16 @@ class ResidualTests:
 
 @dataclass(frozen=True)
 class _Scope:
-    """Records that are judged together, and the size of their noise over sigma."""
+    """Records that are judged together, and the sum of their squares over sigma squared."""
 
     name: str
     items: Sequence[OutputRecord]
     declared: bool
+    exact: bool
     noise: float
+    samples: int
+    square: float
+    degrees: float
 
 
 @dataclass(frozen=True)
