@@ -50,14 +50,14 @@ def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
     if sized:
         sentences.append(
             f"{_each(sized, _no_larger)}: {reason}the sensor's noise is coloured or something "
-            f"small is missing; {_factor(sized)}; {ADVICE}"
+            "small is missing; intervals are too narrow by about a factor of "
+            f"{_widest(sized)}; {ADVICE}"
         )
     if others:
         sentences.append(
-            f"{_each(others, _over_noise)}: these intervals are too narrow, because {reason}"
-            "something is missing from the model or the sensor's noise is coloured, in which case "
-            f"{_factor(others)} (without a sigma that can be trusted, the error was compared with "
-            f"the noise from sample to sample); {ADVICE}"
+            f"{_each(others, _over_noise)}: these intervals are too narrow, {reason}something is "
+            "missing from the model or the sensor's noise is coloured (which alone makes them too "
+            f"narrow by about a factor of {_widest(others)}); {ADVICE}"
         )
     return (*sentences, *(_of_sigma(output) for output in found if output.sigma))
 
@@ -81,7 +81,10 @@ def _no_larger(output: OutputDiagnostics) -> str:
 
 
 def _over_noise(output: OutputDiagnostics) -> str:
-    return f"error is {output.rms_over_noise:.2g} x its noise and {_related(output)}"
+    noise = "its noise from sample to sample"
+    if not output.declared:
+        noise += f" ({output.noise_over_sigma:.2g}; no sigma is declared)"
+    return f"error is {output.rms_over_noise:.2g} x {noise} and {_related(output)}"
 
 
 def _related(output: OutputDiagnostics) -> str:
@@ -90,9 +93,8 @@ def _related(output: OutputDiagnostics) -> str:
     return f"autocorrelated over about {output.length:.0f} samples (lag 1: {output.lag1:.2g})"
 
 
-def _factor(outputs: Iterable[OutputDiagnostics]) -> str:
-    widest = max(output.widening for output in outputs)
-    return f"intervals are too narrow by about a factor of {widest:.2g}"
+def _widest(outputs: Iterable[OutputDiagnostics]) -> str:
+    return f"{max(output.widening for output in outputs):.2g}"
 
 
 def _of_sigma(output: OutputDiagnostics) -> str:
@@ -104,9 +106,10 @@ def _of_sigma(output: OutputDiagnostics) -> str:
         )
     if output.sigma is SigmaDoubt.OUTLIERS:
         return (
-            f"{output.output}: error is {times:.2g} x sigma but white, and most samples scatter by "
-            f"{output.noise_over_sigma:.2g} x sigma only: a few lie far off; look at them, or take "
-            'the cost "huber"'
+            f"{output.output}: residuals are white, but the largest is "
+            f"{output.largest_over_rms:.2g} times their root mean square: a few samples are "
+            "outliers, or show something sudden that the model lacks; look at them, or take the "
+            'cost "huber"'
         )
     if output.structure is ResidualStructure.WHITE:
         return (

@@ -18,7 +18,7 @@ class ResidualStructure(enum.StrEnum):
 
 
 class SigmaDoubt(enum.StrEnum):
-    """What the residuals say of the declared sigma."""
+    """What the sizes of the residuals say of sigma, or of a few of them."""
 
     NONE = ""
     TOO_SMALL = "sigma too small"
@@ -43,6 +43,8 @@ class OutputDiagnostics:
         where no sigma is declared.
     noise_over_sigma
         The noise from sample to sample, see `estimate_noise`, likewise.
+    largest_over_rms
+        The largest residual in size, over `rms_over_sigma`.
     lag1, widening
         See `Autocorrelation`.
     p, length
@@ -57,6 +59,7 @@ class OutputDiagnostics:
     declared: bool
     rms_over_sigma: float
     noise_over_sigma: float
+    largest_over_rms: float
     lag1: float
     widening: float
     p: float

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from cluster_est.statistics.autocorrelation import autocorrelation
 from cluster_est.statistics.noise import estimate_noise
@@ -19,7 +19,7 @@ from cluster_est.statistics.residual_findings import (
 from cluster_est.statistics.whiteness import SmoothnessTest, WhiteNull, smoothness
 from workers.messages import FloatArray
 
-LEVEL = 1e-3
+LEVEL = 2e-3
 """Of all tests of a fit together: of a hundred fits in which nothing is wrong none warns."""
 
 LEAST_DEGREES = 20
@@ -30,9 +30,6 @@ LARGE, SMALL = 1.2, 0.5
 
 NOISY = 2.0
 """Noise over sigma from which on the declared sigma itself is doubted."""
-
-OUTLYING = 1.5
-"""Size of white residuals over the noise of most of them from which on a few must lie far off."""
 
 LEAST_NOISE = 1e-3
 """Noise over rms below which the estimate is not believed."""
@@ -122,16 +119,23 @@ class ResidualTests:
     ) -> _Scope:
         rows = np.concatenate([np.arange(i.rows.start, i.rows.stop) for i in items])
         square = float(np.add.reduce(self.residuals[rows] ** 2))
+        largest = float(np.max(np.abs(self.residuals[rows]), initial=0.0))
         degrees = len(rows) - float(np.add.reduce(self.basis[rows].ravel() ** 2))
         exact = exact or square == 0.0
-        return _Scope(name, items, declared, exact, noise, len(rows), square, degrees)
+        return _Scope(name, items, declared, exact, noise, len(rows), square, degrees, largest)
 
     def _of(
         self, scope: _Scope, scaled: FloatArray, results: Mapping[str, SmoothnessTest]
     ) -> OutputDiagnostics:
         """Judge records that were tested; of others say only what they are."""
         related = autocorrelation(scaled, scope.items)
-        size = _Size(scope.square, scope.degrees, related.squares, LEVEL / max(len(results), 1))
+        size = _Size(
+            square=scope.square,
+            degrees=scope.degrees,
+            correlation=related.squares,
+            largest=scope.largest,
+            level=LEVEL / max(len(results), 1),
+        )
         structure, doubt = ResidualStructure.NOT_TESTED, SigmaDoubt.NONE
         p = length = np.nan
         if scope.name in results:
@@ -144,6 +148,7 @@ class ResidualTests:
             declared=scope.declared,
             rms_over_sigma=size.rms,
             noise_over_sigma=scope.noise,
+            largest_over_rms=size.largest / size.rms if size.rms else np.nan,
             lag1=related.lag1,
             widening=related.widening,
             p=p,
@@ -165,6 +170,7 @@ class _Scope:
     samples: int
     square: float
     degrees: float
+    largest: float
 
 
 @dataclass(frozen=True)
@@ -174,6 +180,7 @@ class _Size:
     square: float
     degrees: float
     correlation: float
+    largest: float
     level: float
 
     @property
@@ -185,6 +192,15 @@ class _Size:
         """Whether it is above sigma by more than chance and carelessness."""
         p = chi2.sf(self.square / self.correlation, self.degrees / self.correlation)
         return self.rms > LARGE and bool(p < self.level)
+
+    @property
+    def outlying(self) -> bool:
+        """Whether the largest residual lies too far off for normal noise of this size.
+
+        The test of F. E. Grubbs, Ann. Math. Statist. 21 (1950) 27-58, doi:10.1214/aoms/1177729885,
+        with a normal distribution in place of Student's, and Bonferroni's inequality.
+        """
+        return bool(2.0 * self.degrees * norm.sf(self.largest / self.rms) < self.level)
 
     @property
     def small(self) -> bool:
@@ -199,18 +215,17 @@ def _judged(
     """Say what a p-value of smoothness, and the sizes of residuals and noise over sigma, mean."""
     related = p < LEVEL
     structure = ResidualStructure.AUTOCORRELATED if related else ResidualStructure.WHITE
+    if declared and size.small:
+        return structure, SigmaDoubt.TOO_LARGE
+    if not related and size.outlying:
+        return structure, SigmaDoubt.OUTLIERS
     if not declared:
         return structure, SigmaDoubt.NONE
-    if size.small:
-        return structure, SigmaDoubt.TOO_LARGE
     if related:
         if noise > NOISY and size.rms < NOISY * noise:
             return structure, SigmaDoubt.TOO_SMALL
         return (ResidualStructure.MISSING if size.large else structure), SigmaDoubt.NONE
-    if not size.large:
-        return structure, SigmaDoubt.NONE
-    few = size.rms > OUTLYING * noise
-    return structure, SigmaDoubt.OUTLIERS if few else SigmaDoubt.TOO_SMALL
+    return structure, SigmaDoubt.TOO_SMALL if size.large else SigmaDoubt.NONE
 
 
 def _rms(values: FloatArray) -> float:

@@ -225,15 +225,19 @@ class SmoothedColumns:
 
 
 def _above_zero(mean: float, variance: float, third: float) -> float:
-    """Probability that a number with these cumulants is above 0, by a gamma distribution."""
+    """Probability that a number with these cumulants is above 0.
+
+    By a gamma distribution with the same cumulants. One that is skewed to the left would end at
+    some number, beyond which nothing would be possible; there the normal distribution takes its
+    place, whose tail is the longer one.
+    """
     if variance <= 0.0:
         return 1.0
     x, skewness = -mean / np.sqrt(variance), third / variance**1.5
-    if abs(skewness) < NEARLY_NORMAL:
+    if skewness < NEARLY_NORMAL:
         return float(norm.sf(x))
     shape = 4.0 / skewness**2
-    place = shape + np.sign(skewness) * x * np.sqrt(shape)
-    return float(gamma.sf(place, shape) if skewness > 0.0 else gamma.cdf(place, shape))
+    return float(gamma.sf(shape + x * np.sqrt(shape), shape))
 
 
 def smoothed(
