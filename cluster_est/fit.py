@@ -16,6 +16,7 @@ from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.results import rows
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.output_errors import Simulation
+from cluster_est.results.residual_diagnostics import diagnose_residuals
 from cluster_est.results.result import Result
 from cluster_est.running.arguments import (
     check_multistart,
@@ -35,6 +36,7 @@ from cluster_est.uncertainty import (
     check_bootstrap,
     check_profiles,
     examine,
+    linearise,
     profiles,
 )
 from workers.messages.checks import check_kind, check_number
@@ -168,8 +170,10 @@ def fit_on(runner: Runner, train: SearchSpace, plan: FitPlan) -> Result:
     before = simulate_all(runner, problem, {})
     found = search_from_starts(runner, train, method, plan.multistart, seed)
     solution, known = found.best, None
+    linear = solution
     if not runner.interrupted:
-        known = examine(runner, train, solution)
+        linear = linearise(runner, train, solution)
+        known = examine(runner, train, linear)
     result = complete(
         runner,
         train,
@@ -182,7 +186,8 @@ def fit_on(runner: Runner, train: SearchSpace, plan: FitPlan) -> Result:
         uncertainty=known,
     )
     starts, minima = rows.starts_and_minima(train, found)
-    result = replace(result, starts=starts, minima=minima)
+    left = diagnose_residuals(train, linear, result.simulations)
+    result = replace(result, starts=starts, minima=minima, diagnostics=left)
     if solution.ending.success and not runner.interrupted:
         result = refine(runner, train, result, plan)
     return replace(result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin)

@@ -73,6 +73,16 @@ class ReportedRun:
         return self.facts.get("verdict") is not None
 
     @property
+    def too_narrow(self) -> bool:
+        """True where the residuals of a fit deny its intervals."""
+        return bool((self.facts.get("residuals") or {}).get("too_narrow"))
+
+    @property
+    def residual_sentences(self) -> tuple[str, ...]:
+        """What the residuals of a fit say of its model, sigma and intervals."""
+        return tuple((self.facts.get("residuals") or {}).get("sentences") or ())
+
+    @property
     def before(self) -> str:
         """The model that curves and errors "before" are of."""
         return "declared model, fitted" if self.is_loop else "start values"

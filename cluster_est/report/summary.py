@@ -50,6 +50,8 @@ def summarise(run: ReportedRun) -> ReportSummary:
     """Put the result of a run into words."""
     known = run.facts.get("verdict") or run.status
     verdict, tone = VERDICTS.get(str(known), (str(known), ""))
+    if run.too_narrow and not run.is_loop:
+        verdict, tone = f"{verdict}; its intervals are too narrow", "" if tone == "good" else tone
     sentences = [*_opening(run), *_costs(run), *_errors(run), *_bounds(run), *_failed(run)]
     notes = tuple(_sentence(note) for note in run.facts.get("notes") or ())
     return ReportSummary(verdict, tone, tuple(sentences), _figures(run), notes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from cluster_est.results.output_errors import worse_than_constants
+from cluster_est.results.residual_sentences import residual_facts, residual_sentences
 
 if TYPE_CHECKING:  # a result offers its facts, so it knows this file
     from cluster_est.results.result import Result
@@ -12,12 +13,14 @@ if TYPE_CHECKING:  # a result offers its facts, so it knows this file
 
 def fit_facts(result: Result) -> dict[str, Any]:
     """Return what run.json says of a fit, besides what the run's folder knows itself."""
+    diagnostics = result.diagnostics
     return {
         "ending": result.solution.ending.name.lower(),
         "message": result.message,
         "cost_before": result.cost_before,
         "cost": result.cost,
         "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
+        "residuals": None if diagnostics is None else residual_facts(diagnostics),
         "notes": list(result.notes),
         "iterations": result.solution.iterations,
         "evaluations": result.evaluations,
@@ -28,8 +31,10 @@ def fit_facts(result: Result) -> dict[str, Any]:
 
 
 def fit_notes(result: Result) -> tuple[str, ...]:
-    """Sentences about the simulations and the uncertainty."""
+    """Sentences about the simulations, the residuals and the uncertainty."""
     notes = list(result.problem.notes())
+    if result.diagnostics is not None:
+        notes += residual_sentences(result.diagnostics)
     if result.uncertainty is not None:
         notes += result.uncertainty.sentences
     for profile in result.profiles:

@@ -21,6 +21,7 @@ from cluster_est.results.display_tables import fit_tables
 from cluster_est.results.facts import fit_facts, fit_notes
 from cluster_est.results.output_errors import OutputError, Simulation
 from cluster_est.results.row_types import ConstraintValue, Estimate, PointValue, StartResult
+from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
 from cluster_est.uncertainty.rows import (
     bootstrap_rows,
@@ -74,6 +75,9 @@ class Result:
         Correlations and directions that the data do not determine, besides the intervals.
     profiles, bootstrap
         Intervals that took refits, where they were asked for.
+    diagnostics
+        Whether the training residuals are white and as large as sigma says; None where that means
+        nothing, see `diagnose_residuals`.
     interrupted
         Whether the user or the budget ended it.
     seed
@@ -100,6 +104,7 @@ class Result:
     uncertainty: Uncertainty | None = field(default=None, repr=False)
     profiles: tuple[ProfileResult, ...] = field(default=(), repr=False)
     bootstrap: BootstrapResult | None = field(default=None, repr=False)
+    diagnostics: ResidualDiagnostics | None = field(default=None, repr=False)
     interrupted: bool = False
     seed: int = 0
     before: tuple[Simulation, ...] = field(default=(), repr=False)
@@ -178,7 +183,7 @@ class Result:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on the simulations, the uncertainty and outputs that are not followed."""
+        """Sentences on simulations, residuals, uncertainty and outputs that are not followed."""
         return fit_notes(self)
 
     def facts(self) -> Mapping[str, Any]:
@@ -286,11 +291,15 @@ class Result:
 
     def __str__(self) -> str:
         """Show estimates and errors as text."""
-        return display.plain(self._title, *fit_tables(self.estimates, self.errors))
+        return display.plain(
+            self._title, *fit_tables(self.estimates, self.errors, self.diagnostics)
+        )
 
     def _repr_html_(self) -> str:
         """Show estimates and errors in a notebook."""
-        return display.section(self._title, *fit_tables(self.estimates, self.errors))
+        return display.section(
+            self._title, *fit_tables(self.estimates, self.errors, self.diagnostics)
+        )
 
     @property
     def _title(self) -> str:

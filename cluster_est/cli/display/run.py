@@ -32,7 +32,8 @@ def print_run(console: Console, run: StoredRun) -> None:
             f"{facts['seconds']:.1f} s",
         )
     if run.ended:
-        _print_parameters(console, tables["parameters"])
+        narrow = bool((facts.get("residuals") or {}).get("too_narrow"))
+        _print_parameters(console, tables["parameters"], too_narrow=narrow)
         _print_errors(console, tables["errors"])
         _print_constraints(console, tables["constraints"])
         _print_intervals(console, tables["intervals"])
@@ -89,8 +90,12 @@ def _blank(value: float | None) -> str:
     return "" if value is None or math.isnan(value) else f"{value:.6g}"
 
 
-def _print_parameters(console: Console, rows: list[dict[str, Any]]) -> None:
-    header = ["parameter", "value", "95 % interval", "unit", "start", "on", ""]
+def _print_parameters(
+    console: Console, rows: list[dict[str, Any]], *, too_narrow: bool = False
+) -> None:
+    """Print values and intervals; the latter with a word where the residuals deny them."""
+    column = "95 % interval (too narrow)" if too_narrow else "95 % interval"
+    header = ["parameter", "value", column, "unit", "start", "on", ""]
     print_table(
         console,
         header,

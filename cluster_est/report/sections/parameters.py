@@ -33,7 +33,8 @@ def parameters(run: ReportedRun) -> ReportSection:
     rows = run.tables["parameters"]
     if not rows:
         return ReportSection("parameters", "Parameters", ())
-    blocks: list[Block] = [_table(run, rows)]
+    blocks: list[Block] = [TextBlock(text, "bad") for text in run.residual_sentences]
+    blocks.append(_table(run, rows))
     blocks += _intervals(run) + _constraints(run) + _directions(run) + _correlations(run)
     return ReportSection("parameters", "Parameters", tuple(blocks))
 
@@ -41,7 +42,8 @@ def parameters(run: ReportedRun) -> ReportSection:
 def _table(run: ReportedRun, rows: tuple[Row, ...]) -> TableBlock:
     loop = run.is_loop
     more = ("#before", "#95 % interval") if loop else ("#start",)
-    names = columns("parameter", *more, "#after", "#95 % interval", "unit", "bounds", "")
+    found = "#95 % interval (too narrow)" if run.too_narrow else "#95 % interval"
+    names = columns("parameter", *more, "#after", found, "unit", "bounds", "")
     lines = []
     for row in rows:
         width = row["upper95"] - row["lower95"]

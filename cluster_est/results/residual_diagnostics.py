@@ -1,0 +1,114 @@
+"""The residuals of a fit put to their tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.methods.base import Ending, Solution
+from cluster_est.problem.space import SearchSpace
+from cluster_est.results.output_errors import Simulation, output_residuals
+from cluster_est.statistics.projection import OrthogonalProjection
+from cluster_est.statistics.records import StackedRecords, make_records
+from cluster_est.statistics.residual_findings import ResidualDiagnostics
+from cluster_est.statistics.residual_tests import ResidualTests
+from cluster_est.uncertainty.covariance.jacobian import has_jacobian, jacobian_blocks
+from cluster_est.uncertainty.covariance.layout import active_bounds
+from workers.messages import FloatArray
+
+EXACT = 1e-5
+"""Residuals over the spread of the signal up to which they are numerical errors: no sensor is so
+good, and what is simulated data without noise has no sigma."""
+
+MOST_ENTRIES = 1_000_000
+"""Of a Jacobian that is taken into account, for about a second of transforms. Without it the test
+expects more smoothness of noise than a fit has left, and may only see a little less."""
+
+
+def diagnose_residuals(
+    space: SearchSpace, solution: Solution, simulations: Sequence[Simulation]
+) -> ResidualDiagnostics | None:
+    """Test the training residuals of a fit for what is left in them, and their size.
+
+    Structure is looked for by `smoothness`, behind the projection of the fit where its Jacobian is
+    known, for each output and for all together (Bonferroni). The size of a mean square is judged by
+    a chi-squared distribution with the degrees of freedom that the parameters left, divided by what
+    autocorrelation takes away (`Autocorrelation.squares`).
+
+    Parameters
+    ----------
+    space, solution
+        Of the training experiments. Its Jacobian is used if it has one.
+    simulations
+        Of every experiment of the problem at the estimates, with trajectories.
+
+    Returns
+    -------
+    ResidualDiagnostics or None
+        None where residuals have no such meaning: another cost than the sum of squares, curves,
+        cost functions, constraints, a failed simulation, a search that was interrupted.
+    """
+    problem, ending = space.problem, solution.ending
+    asked = ending.success or ending in (Ending.MAX_ITERATIONS, Ending.STALLED)
+    if not (asked and problem.plain and isinstance(problem.cost, SumSquared)):
+        return None
+    experiments = [problem.experiments[e] for e in space.experiments]
+    outcomes = {s.experiment: s.outcome for s in simulations}
+    parts = [
+        output_residuals(output, outcomes[e])
+        for e, experiment in zip(space.experiments, experiments, strict=True)
+        for output in experiment.outputs
+    ]
+    known = [part for part in parts if part is not None]
+    if not known or len(known) < len(parts):
+        return None
+    residuals, records = np.concatenate(known), make_records(experiments)
+    if not np.isfinite(residuals).all():
+        return None
+    declared = _declared(space, records)
+    exact = _exact(space, residuals, records)
+    basis = _basis(space, solution, len(residuals))
+    tests = ResidualTests(residuals, records, basis, declared, exact)
+    return ResidualDiagnostics(*tests.run(), converged=ending.success)
+
+
+def _declared(space: SearchSpace, records: StackedRecords) -> tuple[bool, ...]:
+    """Whether each output has a sigma: not where all are 1, nor where it is as large as the signal.
+
+    The latter is what a normalised output has.
+    """
+    outputs = [o for e in space.experiments for o in space.problem.experiments[e].outputs]
+    if all(output.sigma == 1.0 for output in outputs):
+        return (False,) * len(records.outputs)
+    found = dict.fromkeys(records.outputs, False)
+    for output in outputs:
+        if len(output.values) and output.sigma < np.std(output.values):
+            found[output.variable] = True
+    return tuple(found.values())
+
+
+def _exact(space: SearchSpace, residuals: FloatArray, records: StackedRecords) -> tuple[bool, ...]:
+    """Whether each output is followed as closely as only numbers without noise can be."""
+    outputs = [o for e in space.experiments for o in space.problem.experiments[e].outputs]
+    errors, spreads = np.zeros(len(records.outputs)), np.zeros(len(records.outputs))
+    for item, output in zip(records.items, outputs, strict=True):
+        if len(output.values):
+            errors[item.output] += np.add.reduce((residuals[item.rows] * output.sigma) ** 2)
+            spreads[item.output] += len(output.values) * np.var(output.values)
+    return tuple((errors <= EXACT**2 * spreads).tolist())
+
+
+def _basis(space: SearchSpace, solution: Solution, count: int) -> FloatArray:
+    """Directions that the free unknowns have taken out of the residuals, orthonormal (n, rank)."""
+    if not has_jacobian(solution) or count * space.size > MOST_ENTRIES:
+        return np.zeros((count, 0))
+    blocks = jacobian_blocks(space, solution)
+    if blocks is None or blocks.row_count != count:
+        return np.zeros((count, 0))
+    free = [i for i, bound in enumerate(active_bounds(space, solution.x)) if not bound]
+    matrix = blocks.dense()[:, free]
+    if not np.isfinite(matrix).all():
+        return np.zeros((count, 0))
+    return OrthogonalProjection(matrix).basis

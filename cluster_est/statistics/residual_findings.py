@@ -1,0 +1,108 @@
+"""What tests of a fit's residuals have found, for each output and for all together."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+
+
+class ResidualStructure(enum.StrEnum):
+    """What the residuals look like."""
+
+    NOT_TESTED = "not tested"
+    WHITE = "white"
+    AUTOCORRELATED = "autocorrelated"
+    MISSING = "something is missing"
+
+
+class SigmaDoubt(enum.StrEnum):
+    """What the sizes of the residuals say of sigma, or of a few of them."""
+
+    NONE = ""
+    TOO_SMALL = "sigma too small"
+    TOO_LARGE = "sigma too large"
+    OUTLIERS = "outliers"
+
+
+@dataclass(frozen=True)
+class OutputDiagnostics:
+    """The training residuals of one output, of all records together.
+
+    Attributes
+    ----------
+    output
+        The FMU's name; "all outputs together" where they are pooled.
+    samples
+        In all training experiments.
+    declared
+        Whether it has a sigma that its residuals can be compared with.
+    rms_over_sigma
+        With the degrees of freedom that the parameters have left; over the unit of the output
+        where no sigma is declared.
+    noise_over_sigma
+        The noise from sample to sample, see `estimate_noise`, likewise.
+    largest_over_rms
+        The largest residual in size, over `rms_over_sigma`.
+    lag1, widening
+        See `Autocorrelation`.
+    p, length
+        Probability that white noise looks so smooth, times the number of tests of the fit; and
+        over how many samples.
+    structure, sigma
+        What follows.
+    """
+
+    output: str
+    samples: int
+    declared: bool
+    rms_over_sigma: float
+    noise_over_sigma: float
+    largest_over_rms: float
+    lag1: float
+    widening: float
+    p: float
+    length: float
+    structure: ResidualStructure
+    sigma: SigmaDoubt
+
+    @property
+    def rms_over_noise(self) -> float:
+        return self.rms_over_sigma / self.noise_over_sigma if self.noise_over_sigma else np.nan
+
+
+@dataclass(frozen=True)
+class ResidualDiagnostics:
+    """The training residuals of a fit.
+
+    Attributes
+    ----------
+    outputs
+        One for each output.
+    together
+        All outputs pooled, each over its noise; None where there is only one.
+    converged
+        Whether the search reached a solution: else that alone may leave structure.
+    """
+
+    outputs: tuple[OutputDiagnostics, ...]
+    together: OutputDiagnostics | None = None
+    converged: bool = True
+
+    @property
+    def findings(self) -> tuple[OutputDiagnostics, ...]:
+        """Those to be warned of: each output, or all together where no single one stands out."""
+        found = tuple(o for o in self.outputs if _structured(o) or o.sigma)
+        if any(map(_structured, found)) or self.together is None or not _structured(self.together):
+            return found
+        return (*found, self.together)
+
+    @property
+    def too_narrow(self) -> bool:
+        """True where the intervals promise more than the residuals allow."""
+        return any(map(_structured, self.findings))
+
+
+def _structured(output: OutputDiagnostics) -> bool:
+    return output.structure in (ResidualStructure.AUTOCORRELATED, ResidualStructure.MISSING)

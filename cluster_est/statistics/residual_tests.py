@@ -1,0 +1,232 @@
+"""Tests of a fit's residuals, output by output, and what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from cluster_est.statistics.autocorrelation import autocorrelation
+from cluster_est.statistics.noise import estimate_noise
+from cluster_est.statistics.records import OutputRecord, StackedRecords
+from cluster_est.statistics.residual_findings import (
+    OutputDiagnostics,
+    ResidualStructure,
+    SigmaDoubt,
+)
+from cluster_est.statistics.whiteness import SmoothnessTest, WhiteNull, smoothness
+from workers.messages import FloatArray
+
+LEVEL = 2e-3
+"""Of all tests of a fit together: of a hundred fits in which nothing is wrong none warns."""
+
+LEAST_DEGREES = 20
+"""Degrees of freedom that an output needs, or its p-values are too rough."""
+
+LARGE, SMALL = 1.2, 0.5
+"""An rms over sigma above or below these is worth a word: a sigma is rarely known any better."""
+
+NOISY = 2.0
+"""Noise over sigma from which on the declared sigma itself is doubted."""
+
+LEAST_NOISE = 1e-3
+"""Noise over rms below which the estimate is not believed."""
+
+TOGETHER = "all outputs together"
+
+
+@dataclass(frozen=True)
+class ResidualTests:
+    """The tests of the residuals of a fit.
+
+    Attributes
+    ----------
+    residuals : (n,)
+        Stacked, over sigma.
+    records
+        Their rows.
+    basis : (n, rank)
+        Orthonormal directions that the fit has taken out; none of them where they are not known.
+    declared
+        Whether each output has a sigma that its residuals can be compared with.
+    exact
+        Whether each output is followed so closely that there is nothing to test.
+    """
+
+    residuals: FloatArray = field(repr=False)
+    records: StackedRecords
+    basis: FloatArray = field(repr=False)
+    declared: tuple[bool, ...]
+    exact: tuple[bool, ...]
+
+    def run(self) -> tuple[tuple[OutputDiagnostics, ...], OutputDiagnostics | None]:
+        """Test each output, and all together.
+
+        Structure is looked for by `smoothness`. The size of a mean square is judged by a
+        chi-squared distribution with the degrees of freedom that the parameters left, divided by
+        what autocorrelation takes away (`Autocorrelation.squares`). `LEVEL` is shared by all tests
+        (Bonferroni).
+
+        Returns
+        -------
+        outputs
+            One for each output.
+        together
+            None where there are no two outputs to test.
+        """
+        noise = self._noise()
+        scopes = self._scopes(noise)
+        tested = [scope for scope in scopes if scope.degrees >= LEAST_DEGREES and not scope.exact]
+        of_rows = np.empty(len(self.residuals))
+        for output, level in enumerate(noise):
+            of_rows[self.records.of_output(output)] = level
+        scaled = self.residuals / of_rows
+        null = WhiteNull(self.basis, of_rows)
+        tests = smoothness(scaled, [scope.items for scope in tested], null)
+        results = {scope.name: test for scope, test in zip(tested, tests, strict=True)}
+        found = [self._of(scope, scaled, results) for scope in scopes]
+        outputs = tuple(found[: len(noise)])
+        return outputs, found[-1] if len(found) > len(outputs) else None
+
+    def _noise(self) -> FloatArray:
+        """Noise of each output over sigma, never 0."""
+        names = range(len(self.records.outputs))
+        rms = np.array([_rms(self.residuals[self.records.of_output(o)]) for o in names])
+        noise = estimate_noise(self.residuals, self.records)
+        noise = np.where(noise > LEAST_NOISE * rms, noise, rms)
+        return np.where(noise > 0.0, noise, np.min(noise[noise > 0.0], initial=1.0))
+
+    def _scopes(self, noise: FloatArray) -> list[_Scope]:
+        """Return each output, and all together where there are several that can be tested."""
+        scopes = []
+        for o, name in enumerate(self.records.outputs):
+            items = [item for item in self.records.items if item.output == o]
+            level = float(noise[o])
+            scopes.append(self._scope(name, items, level, self.declared[o], self.exact[o]))
+        usable = [o for o, scope in enumerate(scopes) if not scope.exact]
+        if len(usable) > 1:
+            items = [item for item in self.records.items if item.output in usable]
+            counts = [len(self.records.of_output(o)) for o in usable]
+            level = float(np.sqrt(np.average(noise[usable] ** 2, weights=counts)))
+            declared = all(self.declared[o] for o in usable)
+            scopes.append(self._scope(TOGETHER, items, level, declared, exact=False))
+        return scopes
+
+    def _scope(
+        self, name: str, items: list[OutputRecord], noise: float, declared: bool, exact: bool
+    ) -> _Scope:
+        rows = np.concatenate([np.arange(i.rows.start, i.rows.stop) for i in items])
+        square = float(np.add.reduce(self.residuals[rows] ** 2))
+        largest = float(np.max(np.abs(self.residuals[rows]), initial=0.0))
+        degrees = len(rows) - float(np.add.reduce(self.basis[rows].ravel() ** 2))
+        exact = exact or square == 0.0
+        return _Scope(name, items, declared, exact, noise, len(rows), square, degrees, largest)
+
+    def _of(
+        self, scope: _Scope, scaled: FloatArray, results: Mapping[str, SmoothnessTest]
+    ) -> OutputDiagnostics:
+        """Judge records that were tested; of others say only what they are."""
+        related = autocorrelation(scaled, scope.items)
+        size = _Size(
+            square=scope.square,
+            degrees=scope.degrees,
+            correlation=related.squares,
+            largest=scope.largest,
+            level=LEVEL / max(len(results), 1),
+        )
+        structure, doubt = ResidualStructure.NOT_TESTED, SigmaDoubt.NONE
+        p = length = np.nan
+        if scope.name in results:
+            test = results[scope.name]
+            p, length = min(1.0, len(results) * test.p), test.length
+            structure, doubt = _judged(p, size, scope.noise, declared=scope.declared)
+        return OutputDiagnostics(
+            output=scope.name,
+            samples=scope.samples,
+            declared=scope.declared,
+            rms_over_sigma=size.rms,
+            noise_over_sigma=scope.noise,
+            largest_over_rms=size.largest / size.rms if size.rms else np.nan,
+            lag1=related.lag1,
+            widening=related.widening,
+            p=p,
+            length=length,
+            structure=structure,
+            sigma=doubt,
+        )
+
+
+@dataclass(frozen=True)
+class _Scope:
+    """Records that are judged together, and the sum of their squares over sigma squared."""
+
+    name: str
+    items: Sequence[OutputRecord]
+    declared: bool
+    exact: bool
+    noise: float
+    samples: int
+    square: float
+    degrees: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class _Size:
+    """A sum of squares over sigma^2, its degrees of freedom, and what correlation makes of them."""
+
+    square: float
+    degrees: float
+    correlation: float
+    largest: float
+    level: float
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(self.square / max(self.degrees, 1.0)))
+
+    @property
+    def large(self) -> bool:
+        """Whether it is above sigma by more than chance and carelessness."""
+        p = chi2.sf(self.square / self.correlation, self.degrees / self.correlation)
+        return self.rms > LARGE and bool(p < self.level)
+
+    @property
+    def outlying(self) -> bool:
+        """Whether the largest residual lies too far off for normal noise of this size.
+
+        The test of F. E. Grubbs, Ann. Math. Statist. 21 (1950) 27-58, doi:10.1214/aoms/1177729885,
+        with a normal distribution in place of Student's, and Bonferroni's inequality.
+        """
+        return bool(2.0 * self.degrees * norm.sf(self.largest / self.rms) < self.level)
+
+    @property
+    def small(self) -> bool:
+        """Whether it is below."""
+        p = chi2.cdf(self.square / self.correlation, self.degrees / self.correlation)
+        return self.rms < SMALL and bool(p < self.level)
+
+
+def _judged(
+    p: float, size: _Size, noise: float, *, declared: bool
+) -> tuple[ResidualStructure, SigmaDoubt]:
+    """Say what a p-value of smoothness, and the sizes of residuals and noise over sigma, mean."""
+    related = p < LEVEL
+    structure = ResidualStructure.AUTOCORRELATED if related else ResidualStructure.WHITE
+    if declared and size.small:
+        return structure, SigmaDoubt.TOO_LARGE
+    if not related and size.outlying:
+        return structure, SigmaDoubt.OUTLIERS
+    if not declared:
+        return structure, SigmaDoubt.NONE
+    if related:
+        if noise > NOISY and size.rms < NOISY * noise:
+            return structure, SigmaDoubt.TOO_SMALL
+        return (ResidualStructure.MISSING if size.large else structure), SigmaDoubt.NONE
+    return structure, SigmaDoubt.TOO_SMALL if size.large else SigmaDoubt.NONE
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

@@ -1,0 +1,143 @@
+"""A fit says where its residuals deny its intervals: in Python, terminal, run.json and report."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.problems.springs import spring_problem
+from support.truth.springs_with_friction import NOISE, write_config
+
+import cluster_est as ce
+from cluster_est.cli import main
+from cluster_est.costs import COSTS
+from cluster_est.problem.formulas import Formula, ParameterConstraint
+from cluster_est.problem.space import make_space
+from cluster_est.results.residual_diagnostics import diagnose_residuals
+from cluster_est.statistics.residual_findings import ResidualStructure, SigmaDoubt
+
+HEADER = "95 % interval (too narrow)"
+
+
+def declared(problem: ce.Problem, sigma: float) -> ce.Problem:
+    """The same problem with a sigma."""
+    runs = tuple(
+        replace(run, outputs=tuple(replace(o, sigma=sigma) for o in run.outputs))
+        for run in problem.experiments
+    )
+    return replace(problem, experiments=runs)
+
+
+@pytest.fixture(scope="module")
+def lacking(tmp_path_factory) -> ce.Problem:
+    """Two springs with friction that the model lacks, and the true sigma."""
+    return declared(ce.read_problem(write_config(tmp_path_factory.mktemp("springs"))), NOISE)
+
+
+@pytest.fixture(scope="module")
+def result(lacking) -> ce.Result:
+    return ce.fit(lacking)
+
+
+@pytest.fixture(scope="module")
+def clean() -> ce.Problem:
+    return spring_problem(experiments=3, samples=150, noise=0.002, seed=4).problem
+
+
+def test_a_missing_effect_is_warned_of(result):
+    assert result.diagnostics is not None
+    (output,) = result.diagnostics.outputs
+    assert output.structure is ResidualStructure.MISSING
+    rows = [e for e in result.errors if e.role == "train"]
+    rms = np.sqrt(np.mean([e.normalised_after**2 for e in rows]))
+    assert output.rms_over_sigma == pytest.approx(rms, rel=0.02)
+    (note,) = [each for each in result.notes if "x sigma" in each]
+    assert "something is missing from the model" in note
+    assert "close_loop(problem)" in note
+    assert "to (too narrow)" in str(result)
+    assert "to (too narrow)" in result._repr_html_()
+
+
+@pytest.mark.parametrize("sigma", [0.002, 1.0])
+def test_white_noise_gives_no_warning(clean, sigma):
+    found = ce.fit(declared(clean, sigma))
+    assert found.diagnostics is not None
+    assert found.diagnostics.outputs[0].declared == (sigma != 1.0)
+    assert found.diagnostics.findings == ()
+    assert found.notes == ()
+    assert "too narrow" not in str(found)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "doubt"), [(0.0002, SigmaDoubt.TOO_SMALL), (0.02, SigmaDoubt.TOO_LARGE)]
+)
+def test_a_wrong_sigma_is_named(clean, sigma, doubt):
+    found = ce.fit(declared(clean, sigma))
+    assert found.diagnostics is not None
+    assert [o.sigma for o in found.diagnostics.findings] == [doubt]
+    assert not found.diagnostics.too_narrow
+    (note,) = found.notes
+    assert f"sigma is probably 10 times {doubt.removeprefix('sigma ')}" in note.replace("9.9", "10")
+
+
+def test_data_without_noise_are_not_judged():
+    found = ce.fit(spring_problem(experiments=2, samples=100).problem)
+    assert found.diagnostics is not None
+    assert found.diagnostics.findings == ()
+
+
+def test_the_warning_is_the_same_on_two_workers_and_by_other_methods(lacking, result):
+    two = ce.fit(lacking, resources=ce.Resources(workers=2))
+    assert two.diagnostics == result.diagnostics
+    other = ce.fit(lacking, "pattern_search")
+    assert other.diagnostics is not None
+    assert other.diagnostics.too_narrow
+    mine, theirs = result.diagnostics.outputs[0], other.diagnostics.outputs[0]
+    assert theirs.rms_over_sigma == pytest.approx(mine.rms_over_sigma, rel=1e-3)
+
+
+def test_where_residuals_have_no_such_meaning_nothing_is_said(lacking, result):
+    huber = ce.fit(replace(lacking, cost=COSTS["huber"]()))
+    assert huber.diagnostics is None
+    assert huber.facts()["residuals"] is None
+    names = tuple(p.name for p in lacking.parameters)
+    below = ParameterConstraint("m below 5", Formula("m - 5", names, "constraints"))
+    bound = ce.fit(replace(lacking, constraints=(below,)))
+    assert bound.diagnostics is None
+    train = make_space(lacking, lacking.indices("train"))
+    first, *others = result.simulations
+    failed = replace(first, outcome=replace(first.outcome, trajectory=None, residuals=None))
+    assert diagnose_residuals(train, result.solution, [failed, *others]) is None
+    blind = replace(result.solution, jacobian=None)
+    assert diagnose_residuals(train, blind, result.simulations).too_narrow
+
+
+def test_command_run_json_and_report_say_it(tmp_path, capsys):
+    config = write_config(tmp_path)
+    assert main(["fit", str(config), "--out", str(tmp_path / "run")]) == 0
+    printed = capsys.readouterr().out
+    facts = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert facts["residuals"]["too_narrow"] is True
+    (sentence,) = facts["residuals"]["sentences"]
+    assert "no sigma is declared" in sentence
+    assert "cluster-est close-loop CONFIG --out FOLDER" in sentence
+    assert sentence in facts["notes"]
+    assert f"note: {sentence}" in printed
+    assert HEADER in printed
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "its intervals are too narrow" in page
+    assert HEADER in page
+    assert "error is " in page
+
+
+def test_a_command_without_a_warning_says_nothing(tmp_path, capsys):
+    config = write_config(tmp_path, friction=0.0)
+    assert main(["fit", str(config), "--out", str(tmp_path / "run")]) == 0
+    facts = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert facts["residuals"]["too_narrow"] is False
+    assert facts["residuals"]["sentences"] == []
+    assert "too narrow" not in capsys.readouterr().out
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "too narrow" not in page
