@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.scales import SignalScales
+from cluster_est.closed_loop.measured_noise import noise_of
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, screen
@@ -20,7 +21,6 @@ from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, mak
 from cluster_est.problem.problem import Problem
 from cluster_est.running.arguments import check_problem
 from cluster_est.running.resources import Resources
-from cluster_est.statistics.noise import estimate_noise
 from workers.effects.forms import EffectForm, FormCoefficient
 from workers.effects.forms import form as find_form
 from workers.effects.site import EffectSite, check_site, parse_site
@@ -105,7 +105,7 @@ def detect(
             p_white=screening.p_white,
             p_structure=screening.omnibus.p,
             candidates=screening.count,
-            noise=workbench.noise_in_units(estimate_noise(fitted.residuals, records)),
+            noise=workbench.noise_in_units(noise_of(workbench, fitted.residuals)),
             rms=workbench.noise_in_units(rms),
             significance=workbench.settings.significance,
         )
