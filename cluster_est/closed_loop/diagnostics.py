@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.scales import SignalScales
+from cluster_est.closed_loop.first_pass import open_checked_workbench
 from cluster_est.closed_loop.measured_noise import noise_of
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
@@ -210,7 +211,7 @@ def _screened(
     problem: Problem, resources: Resources | None, settings: LoopSettings | None, seed: int
 ) -> Iterator[tuple[LoopWorkbench, FittedModel, ScreeningResult]]:
     """The declared model fitted, and every candidate against its residual."""
-    with open_workbench(checked_request(problem, resources, settings, seed)) as workbench:
+    with open_checked_workbench(checked_request(problem, resources, settings, seed)) as workbench:
         fitted = fit_declared(workbench, FitStart(workbench.problem, {}))
         yield workbench, fitted, screen(workbench, fitted, 1)
 

@@ -17,7 +17,8 @@ from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
-from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
+from cluster_est.closed_loop.first_pass import open_checked_workbench
+from cluster_est.closed_loop.prepare import LoopRequest, checked_request
 from cluster_est.closed_loop.selection.beam_search import beam_search
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
@@ -82,7 +83,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
     begin = time.monotonic()
     given = any(o.sigma != 1.0 for e in request.problem.experiments for o in e.outputs)
     over = ErrorScale.SIGMA if given else ErrorScale.ESTIMATED_NOISE
-    with open_workbench(request) as workbench:
+    with open_checked_workbench(request) as workbench:
         found = beam_search(workbench, FitStart(workbench.problem, {}))
         report = _report(workbench, found, over, begin)
     return replace(report, seconds=time.monotonic() - begin)
