@@ -234,7 +234,11 @@ def _unstarted(
     place = parse_site(site, f"{where}: site")
     check_site(place, problem.describe(), problem.model.interface, f"{where}: site")
     chosen = find_form(place.kind, name, where)
-    return [c for c in chosen.coefficients if c.neutral is None and c.name not in starts]
+    return [
+        c
+        for c in chosen.coefficients
+        if (c.neutral is None or chosen.divides_by(c.name)) and c.name not in starts
+    ]
 
 
 def _sized(

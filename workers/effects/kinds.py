@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -165,6 +166,11 @@ class EffectForm:
     memory: str = ""
     when: tuple[FormCondition, ...] = ()
     order: float = 0.0
+
+    def divides_by(self, coefficient: str) -> bool:
+        """Return whether an equation of it has a coefficient alone as a divisor: 0 is no value."""
+        texts = [self.equation, self.reaction, *(state.derivative for state in self.states)]
+        return any(re.search(rf"/ *{coefficient}\b", text) for text in texts)
 
     @property
     def free(self) -> bool:
