@@ -18,7 +18,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.results.output_errors import output_residuals
 from cluster_est.statistics.growing_noise import noise_growth
-from cluster_est.statistics.outliers import IsolatedOutliers, isolated_outliers
+from cluster_est.statistics.outliers import PROVEN, IsolatedOutliers, isolated_outliers
 from workers.messages import FloatArray
 
 Place = tuple[int, str]
@@ -118,7 +118,7 @@ def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
 def _outliers(workbench: LoopWorkbench, fitted: FittedModel) -> list[OutliersOfOutput]:
     """The outliers of each output that has some, in training and in held-out experiments."""
     names = workbench.records.outputs
-    noise = dict(zip(names, noise_of(workbench, fitted.residuals).tolist(), strict=True))
+    noise = _noise(workbench, fitted)
     training = {
         (workbench.train[record.experiment], names[record.output]): fitted.residuals[record.rows]
         for record in workbench.records.items
@@ -126,13 +126,27 @@ def _outliers(workbench: LoopWorkbench, fitted: FittedModel) -> list[OutliersOfO
     found = []
     for held_out, signals in ((False, training), (True, _held_out(workbench, fitted))):
         for name in dict.fromkeys(output for _, output in signals):
-            own = {
-                e: isolated_outliers(signal, noise.get(name, 0.0))
-                for (e, output), signal in signals.items()
-                if output == name
-            }
-            found.append(OutliersOfOutput(name, held_out, own))
+            own = {e: signal for (e, output), signal in signals.items() if output == name}
+            found.append(OutliersOfOutput(name, held_out, _in_records(own, noise.get(name, 0.0))))
     return [each for each in found if each.count]
+
+
+def _noise(workbench: LoopWorkbench, fitted: FittedModel) -> dict[str, float]:
+    """The noise of each output, no less than what a simulation may get wrong."""
+    runs = [workbench.problem.experiments[e] for e in workbench.train]
+    measured, records = measured_values(runs), workbench.records
+    ranges = np.array([np.ptp(measured[records.of_output(o)]) for o in range(len(records.outputs))])
+    exact = workbench.thresholds.preparation.exact * ranges
+    noise = np.fmax(noise_of(workbench, fitted.residuals), exact)
+    return dict(zip(records.outputs, noise.tolist(), strict=True))
+
+
+def _in_records(signals: Mapping[int, FloatArray], noise: float) -> dict[int, IsolatedOutliers]:
+    """The outliers of one sensor; once it is known to have some, what is common needs less."""
+    found = {e: isolated_outliers(signal, noise) for e, signal in signals.items()}
+    if sum(int(each.mask.sum()) for each in found.values()) < PROVEN:
+        return found
+    return {e: isolated_outliers(signal, noise, proven=True) for e, signal in signals.items()}
 
 
 def _held_out(workbench: LoopWorkbench, fitted: FittedModel) -> dict[Place, FloatArray]:

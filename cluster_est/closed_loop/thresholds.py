@@ -31,6 +31,9 @@ class PreparationThresholds:
     outliers
         Share of an output's samples that are set aside as outliers at most. Signal: a sensor that
         is wrong more often than once in 20 samples is no sensor.
+    exact
+        Share of an output's range that its noise counts as at least where outliers are looked for.
+        Signal: a simulation is hardly more exact, and what it gets wrong is no sensor's fault.
     growth
         Noise where a signal is large over that where it is small, from which a note is made.
         Theory: with weights wrong by a factor of 2 in sigma, least squares loses a third of its
@@ -44,6 +47,7 @@ class PreparationThresholds:
     shortest: int = 12
     enlargement: float = 1.25
     outliers: float = 0.05
+    exact: float = 1e-5
     growth: float = 2.0
     growth_p: float = 1e-6
 

@@ -21,7 +21,8 @@ FAR = 4.5
 predictions must miss as far on the same side: white noise does that 3 times in 100 million."""
 
 FAR_AGAIN = 3.5
-"""The same in a record that has `PROVEN` already: what is common there needs less evidence."""
+"""The same in a record that has `PROVEN` already: what is common there needs less evidence, nor
+need the lines agree, which another outlier may have bent."""
 
 PROVEN = 2
 """Outliers beyond `FAR` that say that a record has some."""
@@ -50,7 +51,9 @@ class IsolatedOutliers:
     largest: float
 
 
-def isolated_outliers(signal: FloatArray, noise: float) -> IsolatedOutliers:
+def isolated_outliers(
+    signal: FloatArray, noise: float, *, proven: bool = False
+) -> IsolatedOutliers:
     """Find single samples far from what their neighbours say, whatever the smooth course is.
 
     Three predictions of each sample are made: from a line through five samples before it, a line
@@ -72,20 +75,22 @@ def isolated_outliers(signal: FloatArray, noise: float) -> IsolatedOutliers:
     signal : (n,)
         A record; with fewer than 11 samples it has no outliers.
     noise
-        Standard deviation of its noise.
+        Standard deviation of its noise; where it is 0 or unknown there are no outliers.
+    proven
+        Other records of the same sensor have outliers; `PROVEN` in this one say the same.
     """
     cleaned = np.array(signal, np.float64)
     mask = np.zeros(len(cleaned), bool)
     largest = 0.0
-    if len(cleaned) <= 2 * REACH:
+    if len(cleaned) <= 2 * REACH or not noise > 0.0:
         return IsolatedOutliers(mask, largest)
     far = FAR
     for _ in range(PASSES):
-        score, cubic, away = _scores(signal, cleaned, noise)
+        score, cubic, away = _scores(signal, cleaned, noise, agreeing=far == FAR)
         score[mask] = 0.0
         chosen = _peaks(score, away, far)
         if not len(chosen):
-            if far == FAR_AGAIN or int(mask.sum()) < PROVEN:
+            if far == FAR_AGAIN or not (proven or int(mask.sum()) >= PROVEN):
                 break
             far = FAR_AGAIN
             continue
@@ -102,12 +107,13 @@ def _peaks(score: FloatArray, away: FloatArray, far: float) -> npt.NDArray[np.in
 
 
 def _scores(
-    signal: FloatArray, cleaned: FloatArray, noise: float
+    signal: FloatArray, cleaned: FloatArray, noise: float, *, agreeing: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Distance of each sample from the nearest prediction, the cubic, and the distance from it.
 
     Distances are over the standard deviation of the prediction's error, the last one over the
-    noise. They are 0 where there is no prediction, or where predictions contradict each other.
+    noise. They are 0 where there is no prediction, where predictions lie on both sides, or, if
+    `agreeing`, where the two lines contradict each other.
     """
     before, width = _line_before(cleaned)
     after, width_after = (part[::-1] for part in _line_before(cleaned[::-1]))
@@ -120,7 +126,9 @@ def _scores(
     distance = np.abs(off / widths).min(axis=0)
     one_side = np.all(off > 0.0, axis=0) | np.all(off < 0.0, axis=0)
     chance = 3.0 * scale * np.sqrt(width**2 + width_after**2 - 2.0)
-    agree = np.abs(before - after) <= np.maximum(AGREE * np.abs(off[:2]).min(axis=0), chance)
+    gap = np.abs(before - after)
+    agree = gap <= np.maximum(AGREE * np.abs(off[:2]).min(axis=0), chance)
+    agree |= not agreeing
     inside = np.zeros(len(signal), bool)
     inside[2:-2] = True
     away = np.where(inside, np.abs(off[2]) / scale, 0.0)
@@ -132,7 +140,7 @@ def _scale(deviations: FloatArray, noise: float) -> FloatArray:
     padded = np.pad(deviations, 2 + AROUND, mode="symmetric" if len(deviations) else "constant")
     window = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
     local = np.median(window, axis=1) / MEDIAN_OF_NORMAL
-    return np.asarray(np.maximum(np.maximum(noise, local), np.finfo(np.float64).tiny))
+    return np.asarray(np.maximum(noise, local))
 
 
 def _line_before(signal: FloatArray) -> tuple[FloatArray, FloatArray]:

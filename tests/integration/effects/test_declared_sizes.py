@@ -1,4 +1,4 @@
-"""A sensor's lag, declared with a start that is far off, is found; the truth is SciPy's."""
+"""A declared time constant or speed is found from a start far off; the truth is SciPy's."""
 
 from __future__ import annotations
 
@@ -16,16 +16,19 @@ from workers.messages import Experiment, FloatArray
 
 MASS, SPRING, DAMPER = 1.2, 30.0, 0.6
 LAG = 0.15
+DRY, PEAK, SPEED, WIDTH = 0.2, 0.3, 0.1, 0.005
 
 
-def lagged(run: Experiment) -> FloatArray:
-    """The position of a driven mass as a slow sensor shows it."""
+def simulated(run: Experiment, *, lag: bool) -> FloatArray:
+    """The position of a driven mass, as a slow sensor shows it or with a dry friction."""
     (force,), (position,) = run.inputs, run.outputs
 
     def rates(t: float, y: FloatArray) -> list[float]:
         x, v, shown = y
         push = np.interp(t, force.times, force.values)
-        return [v, (push - SPRING * x - DAMPER * v) / MASS, (x - shown) / LAG]
+        dry = (DRY + PEAK * np.exp(-((v / SPEED) ** 2))) * np.tanh(v / WIDTH)
+        rate = (push - SPRING * x - DAMPER * v) / MASS - (0.0 if lag else dry)
+        return [v, rate, (x - shown) / LAG]
 
     start = dict(run.values)["x"]
     found = solve_ivp(
@@ -37,18 +40,18 @@ def lagged(run: Experiment) -> FloatArray:
         atol=1e-11,
         max_step=0.01,
     )
-    return np.asarray(found.y[2])
+    return np.asarray(found.y[2 if lag else 0])
 
 
 @cache
-def shown() -> ce.Problem:
-    """What the sensor has shown, with noise of a thousandth of it, and starts that are off."""
+def shown(*, lag: bool = True) -> ce.Problem:
+    """What was measured, with noise of a thousandth of it, and starts that are off."""
     generator = np.random.default_rng(1)
     problem = missing_effect_problem("mass_spring_damper", signals=())
     runs = []
     for run in problem.experiments:
         (output,) = run.outputs
-        values = lagged(run)
+        values = simulated(run, lag=lag)
         sigma = 1e-3 * float(values.std())
         values = values + sigma * generator.standard_normal(len(values))
         runs.append(replace(run, outputs=(replace(output, values=values, sigma=sigma),)))
@@ -62,11 +65,26 @@ def test_a_lag_is_found_from_a_start_far_off(factor: float) -> None:
         "", "output y", "lag", coefficients={"tau": DeclaredCoefficient(factor * LAG)}
     )
     effect, parameters = make_effect(declared)
-    fit = ce.fit(
-        replace(problem, effects=(effect,), parameters=(*problem.parameters, *parameters))
-    )
+    fit = ce.fit(replace(problem, effects=(effect,), parameters=(*problem.parameters, *parameters)))
     assert fit.x["lag.tau"] == pytest.approx(LAG, rel=0.02)
     assert fit.failures == 0
+    assert fit.rmse("train") == pytest.approx(1.0, rel=0.1)
+
+
+@pytest.mark.parametrize("factor", [5.0, 10.0])
+def test_a_speed_is_found_without_a_trial_at_nothing(factor: float) -> None:
+    # with a linear scale and a bound of 0 two to ten simulations fail at vs = 0
+    problem = shown(lag=False)
+    given = {
+        "k": DeclaredCoefficient(0.8 * DRY),
+        "peak": DeclaredCoefficient(0.8 * PEAK),
+        "width": DeclaredCoefficient(WIDTH, fixed=True),
+        "vs": DeclaredCoefficient(factor * SPEED),
+    }
+    effect, parameters = make_effect(DeclaredEffect("", "der(v)", "stribeck", coefficients=given))
+    fit = ce.fit(replace(problem, effects=(effect,), parameters=(*problem.parameters, *parameters)))
+    assert fit.failures == 0
+    assert fit.x["stribeck.vs"] == pytest.approx(SPEED, rel=0.05)
     assert fit.rmse("train") == pytest.approx(1.0, rel=0.1)
 
 
