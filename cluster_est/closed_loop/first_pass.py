@@ -68,9 +68,8 @@ class OutliersOfOutput:
                 "sensor's faults, so all were kept; look at the signal"
             )
         become = "errors and tables" if self.held_out else "fits, errors and tables"
-        verb = "is an outlier" if self.count == 1 else "are outliers"
         return (
-            f"{of} of the samples of {self.output} {verb}: {counted}, up to {largest:.0f} times "
+            f"{of} of the samples of {self.output} are outliers: {counted}, up to {largest:.0f} times "
             f"the noise, each alone among its neighbours; {become} are without them"
         )
 
@@ -135,7 +134,8 @@ def _noise(workbench: LoopWorkbench, fitted: FittedModel) -> dict[str, float]:
     """The noise of each output, no less than what a simulation may get wrong."""
     runs = [workbench.problem.experiments[e] for e in workbench.train]
     measured, records = measured_values(runs), workbench.records
-    ranges = np.array([np.ptp(measured[records.of_output(o)]) for o in range(len(records.outputs))])
+    signals = [measured[records.of_output(output)] for output in range(len(records.outputs))]
+    ranges = np.array([np.ptp(signal) if len(signal) else 0.0 for signal in signals])
     exact = workbench.thresholds.preparation.exact * ranges
     noise = np.fmax(noise_of(workbench, fitted.residuals), exact)
     return dict(zip(records.outputs, noise.tolist(), strict=True))
