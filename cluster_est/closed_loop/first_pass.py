@@ -69,8 +69,8 @@ class OutliersOfOutput:
             )
         become = "errors and tables" if self.held_out else "fits, errors and tables"
         return (
-            f"{of} of the samples of {self.output} are outliers: {counted}, up to {largest:.0f} times "
-            f"the noise, each alone among its neighbours; {become} are without them"
+            f"{of} of the samples of {self.output} are outliers: {counted}, up to {largest:.0f} "
+            f"times the noise, each alone among its neighbours; {become} are without them"
         )
 
 

@@ -47,7 +47,7 @@ def test_the_friction_is_found_and_the_outliers_are_counted(run: Path) -> None:
     assert effect["parameters"]["k"]["value"] == pytest.approx(FRICTION, rel=0.05)
     training, held_out = (note for note in found["notes"] if "outlier" in note)
     assert "of the samples of y are outliers: 4 of 240, up to " in training
-    assert held_out.startswith("held out: 0.83 % of the samples of y is an outlier: 1 of 120, ")
+    assert held_out.startswith("held out: 0.83 % of the samples of y are outliers: 1 of 120, ")
 
 
 def test_tables_are_without_them(run: Path) -> None:
@@ -61,7 +61,7 @@ def test_tables_are_without_them(run: Path) -> None:
     assert errors["rmse_after"] == pytest.approx([NOISE] * 3, rel=0.3)
 
 
-def test_a_resumed_run_is_the_same(run: Path, tmp_path: Path) -> None:
+def test_a_resumed_run_is_the_same(run: Path) -> None:
     again = run.parent / "again"
     shutil.copytree(run, again)
     log = read_log(run / "evaluations")
@@ -75,6 +75,5 @@ def test_a_resumed_run_is_the_same(run: Path, tmp_path: Path) -> None:
         assert main(["close-loop", str(config), "--out", str(again), "--resume"]) == 0
         assert facts(again) == facts(run)
         for name in ("residuals", "errors", "effects", "findings"):
-            assert (again / f"{name}.parquet").read_bytes() == (
-                run / f"{name}.parquet"
-            ).read_bytes()
+            file = f"{name}.parquet"
+            assert (again / file).read_bytes() == (run / file).read_bytes()
