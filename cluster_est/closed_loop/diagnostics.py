@@ -153,8 +153,9 @@ def add_effect(
     """Add an effect to a problem, with its coefficients as parameters.
 
     Strengths start at the value that does nothing. What has no such value, like a width, or is a
-    divisor, like the time constant of a lag, starts from the size of the signals, which takes a simulation of each training experiment at the
-    problem's start values. What a search would hold, like the width of a switch, is fixed.
+    divisor, like the time constant of a lag, starts from the size of the signals, which takes a
+    simulation of each training experiment at the problem's start values. What a search would hold,
+    like the width of a switch, is fixed.
 
     Parameters
     ----------
