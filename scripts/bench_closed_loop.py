@@ -193,9 +193,8 @@ def run_case(case: Scenario, settings: LoopSettings) -> Score:
     """Close the loop on a case and score it."""
     data = make(case)
     try:
-        problem = make_problem(data)
-        result = close_loop(problem, settings=settings)
-        return score(data, result, ask(data, problem))
+        result = close_loop(make_problem(data), settings=settings)
+        return score(data, result, ask(data, result.before.problem))
     except Exception:  # one bad case must not end the others, and its traceback is kept
         return blank(data, traceback.format_exc())
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.scales import SignalScales
+from cluster_est.closed_loop.first_pass import open_checked_workbench
+from cluster_est.closed_loop.measured_noise import noise_of
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, screen
@@ -20,7 +22,6 @@ from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, mak
 from cluster_est.problem.problem import Problem
 from cluster_est.running.arguments import check_problem
 from cluster_est.running.resources import Resources
-from cluster_est.statistics.noise import estimate_noise
 from workers.effects.forms import EffectForm, FormCoefficient
 from workers.effects.forms import form as find_form
 from workers.effects.site import EffectSite, check_site, parse_site
@@ -105,7 +106,7 @@ def detect(
             p_white=screening.p_white,
             p_structure=screening.omnibus.p,
             candidates=screening.count,
-            noise=workbench.noise_in_units(estimate_noise(fitted.residuals, records)),
+            noise=workbench.noise_in_units(noise_of(workbench, fitted.residuals)),
             rms=workbench.noise_in_units(rms),
             significance=workbench.settings.significance,
         )
@@ -151,9 +152,10 @@ def add_effect(
 ) -> Problem:
     """Add an effect to a problem, with its coefficients as parameters.
 
-    Strengths start at the value that does nothing. What has no such value, like a width, starts
-    from the size of the signals, which takes a simulation of each training experiment at the
-    problem's start values. What a search would hold, like the width of a switch, is fixed.
+    Strengths start at the value that does nothing. What has no such value, like a width, or is a
+    divisor, like the time constant of a lag, starts from the size of the signals, which takes a
+    simulation of each training experiment at the problem's start values. What a search would hold,
+    like the width of a switch, is fixed.
 
     Parameters
     ----------
@@ -210,7 +212,7 @@ def _screened(
     problem: Problem, resources: Resources | None, settings: LoopSettings | None, seed: int
 ) -> Iterator[tuple[LoopWorkbench, FittedModel, ScreeningResult]]:
     """The declared model fitted, and every candidate against its residual."""
-    with open_workbench(checked_request(problem, resources, settings, seed)) as workbench:
+    with open_checked_workbench(checked_request(problem, resources, settings, seed)) as workbench:
         fitted = fit_declared(workbench, FitStart(workbench.problem, {}))
         yield workbench, fitted, screen(workbench, fitted, 1)
 
@@ -233,7 +235,11 @@ def _unstarted(
     place = parse_site(site, f"{where}: site")
     check_site(place, problem.describe(), problem.model.interface, f"{where}: site")
     chosen = find_form(place.kind, name, where)
-    return [c for c in chosen.coefficients if c.neutral is None and c.name not in starts]
+    return [
+        c
+        for c in chosen.coefficients
+        if (c.neutral is None or chosen.divides_by(c.name)) and c.name not in starts
+    ]
 
 
 def _sized(

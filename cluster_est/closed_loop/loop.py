@@ -21,7 +21,8 @@ from cluster_est.closed_loop.findings.residual_noise import believed_noise, resi
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.verdict import CLAIMS, confirmed, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
-from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
+from cluster_est.closed_loop.first_pass import open_checked_workbench
+from cluster_est.closed_loop.prepare import LoopRequest, checked_request
 from cluster_est.closed_loop.selection.beam_search import beam_search
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
@@ -85,7 +86,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
     begin = time.monotonic()
-    with open_workbench(request) as workbench:
+    with open_checked_workbench(request) as workbench:
         over = ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
         found = beam_search(workbench, FitStart(workbench.problem, {}))
         report = _report(workbench, found, over, begin)

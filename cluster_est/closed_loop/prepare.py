@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cluster_est.closed_loop.measured_noise import noise_of
 from cluster_est.closed_loop.selection.declared_model import BRIEF
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.stages import LoopStage
@@ -26,7 +27,6 @@ from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.resources import Resources, one_blas_thread
-from cluster_est.statistics.noise import estimate_noise
 from cluster_est.statistics.records import make_records
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
@@ -95,7 +95,7 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
         with _opened(request, description) as workbench:
             (fitted,) = workbench.fit(LoopStage.WEIGHTS, [FitStart(problem, {})], BRIEF)
             if fitted is not None:
-                noise = estimate_noise(fitted.residuals, workbench.records)
+                noise = noise_of(workbench, fitted.residuals)
                 sigmas = dict(zip(workbench.records.outputs, noise.tolist(), strict=True))
                 request = replace(request, problem=_weighted(problem, sigmas))
                 weights = (_weight_note(request.problem),)

@@ -28,12 +28,28 @@ class PreparationThresholds:
         Samples of each output that a shortened experiment keeps at least. Benchmark.
     enlargement
         Factor by which inputs swing further in the check for stability. Benchmark.
+    outliers
+        Share of an output's samples that are set aside as outliers at most. Signal: a sensor that
+        is wrong more often than once in 20 samples is no sensor.
+    exact
+        Share of an output's range that its noise counts as at least where outliers are looked for.
+        Signal: a simulation is hardly more exact, and what it gets wrong is no sensor's fault.
+    growth
+        Noise where a signal is large over that where it is small, from which a note is made.
+        Theory: with weights wrong by a factor of 2 in sigma, least squares loses a third of its
+        efficiency; with less, little.
+    growth_p
+        Largest p-value for the same. Theory: a thousand outputs have a false note with 0.001.
     """
 
     samples_per_unknown: int = 4
     horizons: tuple[float, ...] = (0.15, 0.4)
     shortest: int = 12
     enlargement: float = 1.25
+    outliers: float = 0.05
+    exact: float = 1e-5
+    growth: float = 2.0
+    growth_p: float = 1e-6
 
 
 @dataclass(frozen=True)

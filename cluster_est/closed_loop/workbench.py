@@ -174,6 +174,8 @@ class LoopWorkbench:
         For the report: what was open, and what a reader should know.
     sigma_declared
         The user has given a sigma, for whatever output.
+    first_fit
+        The declared model from the user's start, where that was needed before.
     """
 
     runner: Runner
@@ -189,6 +191,7 @@ class LoopWorkbench:
     sites: tuple[str, ...]
     notes: tuple[str, ...]
     sigma_declared: bool = False
+    first_fit: FittedModel | None = field(default=None, repr=False)
 
     @property
     def size(self) -> int:

@@ -9,8 +9,13 @@ from typing import Literal
 
 from cluster_est.errors import ConfigError
 from cluster_est.problem.parameter import Parameter
+from workers.effects.kinds import FormCoefficient
 from workers.fmu.description import nearest
 from workers.messages import Effect
+
+LEAST = 1e-3
+"""Lower bound of a coefficient that has a size, over its start. A start is known to be wrong by a
+factor of ten or a hundred; what is a thousandth of it is as good as not there."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +27,13 @@ class DeclaredCoefficient:
     start
         Of the estimation; None for the value that does nothing.
     bounds
-        None for those that physics gives.
-    scale, fixed, per, unit
+        None for those that physics gives. What has a size (a time constant, a width, a speed, a
+        frequency) then begins at a thousandth of its start: at 0 its form divides by it, or it is
+        the end at which nothing happens, where a search would be caught.
+    scale
+        See `Parameter`. None for a logarithm where the coefficient has a size, a start above 0 and
+        no bound of 0 or below, and else for a linear scale.
+    fixed, per, unit
         See `Parameter`.
     neutral
         Of an equation of one's own: the value at which it does nothing.
@@ -31,7 +41,7 @@ class DeclaredCoefficient:
 
     start: float | None = None
     bounds: tuple[float, float] | None = None
-    scale: Literal["linear", "log"] = "linear"
+    scale: Literal["linear", "log"] | None = None
     fixed: bool = False
     neutral: float | None = None
     per: str | None = None
@@ -73,11 +83,12 @@ def make_effect(declared: DeclaredEffect) -> tuple[Effect, tuple[Parameter, ...]
     Raises
     ------
     ConfigError
-        If it names both a form and an equation, or neither, or a coefficient that it lacks.
+        If it names both a form and an equation, or neither, or a coefficient that it lacks, or
+        starts at 0 what the form divides by.
     EffectError
         If there is no such form or site.
     """
-    from workers.effects.definition import coefficients  # SymPy takes long to import
+    from workers.effects.definition import coefficients, divisors  # SymPy takes long to import
 
     name = declared.name or declared.form
     where = f"effect {name!r}"
@@ -105,6 +116,7 @@ def make_effect(declared: DeclaredEffect) -> tuple[Effect, tuple[Parameter, ...]
             f"{nearest(unknown, names)}"
         )
     parameters = []
+    divided = divisors(effect, where)
     for coefficient in known:
         chosen = given.get(coefficient.name, DeclaredCoefficient())
         start = chosen.start if chosen.start is not None else coefficient.neutral
@@ -113,13 +125,39 @@ def make_effect(declared: DeclaredEffect) -> tuple[Effect, tuple[Parameter, ...]
                 f"{where}: parameters.{coefficient.name}.start is missing; {coefficient.name} of "
                 f"{declared.form or 'an own equation'} has no value to start from by itself"
             )
-        lowest = 0.0 if coefficient.positive else -math.inf
-        parameters.append(_parameter(f"{name}.{coefficient.name}", start, lowest, chosen))
+        singular = coefficient.name in divided
+        if singular and start == 0.0 and not (chosen.fixed and coefficient.neutral == 0.0):
+            raise ConfigError(
+                f"{where}: parameters.{coefficient.name}.start: must not be 0, because "
+                f"{declared.form} divides by {coefficient.name}, but is 0; give a value of the "
+                "size that you expect"
+            )
+        label = f"{name}.{coefficient.name}"
+        parameters.append(_parameter(label, start, coefficient, chosen, singular=singular))
     return effect, tuple(parameters)
 
 
-def _parameter(label: str, start: float, lowest: float, chosen: DeclaredCoefficient) -> Parameter:
-    low, high = chosen.bounds if chosen.bounds is not None else (lowest, math.inf)
+def _parameter(
+    label: str,
+    start: float,
+    coefficient: FormCoefficient,
+    chosen: DeclaredCoefficient,
+    *,
+    singular: bool,
+) -> Parameter:
+    low, high = chosen.bounds or (0.0 if coefficient.positive else -math.inf, math.inf)
+    scale = chosen.scale
+    if coefficient.positive and coefficient.scale is not None and start > 0.0 and not chosen.fixed:
+        if chosen.bounds is None and (scale != "linear" or singular):
+            low = LEAST * start
+        scale = scale or ("log" if low > 0.0 else "linear")
     return Parameter(
-        label, start, low, high, chosen.scale, chosen.fixed, per=chosen.per, unit=chosen.unit
+        label,
+        start,
+        low,
+        high,
+        scale or "linear",
+        chosen.fixed,
+        per=chosen.per,
+        unit=chosen.unit,
     )

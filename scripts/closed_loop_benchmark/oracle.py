@@ -153,14 +153,14 @@ def ask(data: Data, problem: Problem) -> Oracle:
     data
         The case, with its truth.
     problem
-        What a method is given; the effects are added to it.
+        What a method was given, less the samples that it has set aside; the effects are added.
 
     Returns
     -------
     Oracle
         Without a fit for effects outside the library and for disturbances.
     """
-    truth, effects = _noise(data), data.scenario.effects
+    truth, effects = _noise(data, problem), data.scenario.effects
     if data.scenario.disturbance is not None and not effects:
         return Oracle(None, truth, reason="a disturbance has no structure")
     try:
@@ -240,12 +240,13 @@ def _coefficient(effect: AddedEffect, name: str, value: float) -> Parameter:
     return Parameter(label, value, value - reach, value + reach, fixed=convention)
 
 
-def _noise(data: Data) -> Refit:
-    """Return how far the data are from the truth, which nobody can know better."""
+def _noise(data: Data, problem: Problem) -> Refit:
+    """Return how far the data that were kept are from the truth, which nobody can know better."""
     squares: Mapping[str, list[float]] = {"train": [], "test": []}
     sizes = {"train": 0, "test": 0}
-    for run in data.experiments:
-        residuals = (run.outputs - run.true_outputs) / data.sigma
+    for run, given in zip(data.experiments, problem.experiments, strict=True):
+        kept = np.stack([np.isin(data.times, output.times) for output in given.outputs], axis=1)
+        residuals = ((run.outputs - run.true_outputs) / data.sigma)[kept]
         squares[run.role].append(float(np.sum(residuals**2)))
         sizes[run.role] += residuals.size
     sums = {role: sum(found) for role, found in squares.items()}

@@ -227,12 +227,14 @@ def in_words(name: Name) -> str:
 
 
 def _without_noise(data: Data, problem: Problem) -> Problem:
-    """Put the true outputs in the place of the measured ones."""
+    """Put the true outputs in the place of the measured ones, outliers included."""
     true = {run_name(n, run): run.true_outputs for n, run in enumerate(data.experiments)}
     clean = []
     for run in problem.experiments:
         columns = zip(run.outputs, true[run.id].T, strict=True)
-        outputs = tuple(replace(o, values=np.ascontiguousarray(c)) for o, c in columns)
+        outputs = tuple(
+            replace(o, times=data.times, values=np.ascontiguousarray(c)) for o, c in columns
+        )
         clean.append(replace(run, outputs=outputs))
     return replace(problem, experiments=tuple(clean))
 

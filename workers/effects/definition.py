@@ -173,6 +173,19 @@ def coefficients(effect: Effect, where: str) -> tuple[FormCoefficient, ...]:
     return tuple(replace(c, positive=positive(c, own=own)) for c in chosen.coefficients)
 
 
+def divisors(effect: Effect, where: str) -> tuple[str, ...]:
+    """The coefficients of a form that it divides by; none are known of an equation of one's own.
+
+    Raises
+    ------
+    EffectError
+        If its site cannot be read or its form is unknown.
+    """
+    chosen = _chosen(effect, parse_site(effect.site, f"{where}: site"), where)
+    own = chosen.coefficients if not effect.equation else ()
+    return tuple(c.name for c in own if chosen.divides_by(c.name))
+
+
 def _chosen(effect: Effect, site: EffectSite, where: str) -> EffectForm:
     """Return the form that an effect names, or that of its own equation."""
     if effect.reaction and (site.kind != "pair" or not effect.equation):

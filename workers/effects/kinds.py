@@ -167,6 +167,11 @@ class EffectForm:
     when: tuple[FormCondition, ...] = ()
     order: float = 0.0
 
+    def divides_by(self, coefficient: str) -> bool:
+        """Return whether an equation of it has a coefficient alone as a divisor: 0 is no value."""
+        texts = [self.equation, self.reaction, *(state.derivative for state in self.states)]
+        return any(re.search(rf"/ *{coefficient}\b", text) for text in texts)
+
     @property
     def free(self) -> bool:
         """It is a free curve: it fits anything, and explains nothing."""

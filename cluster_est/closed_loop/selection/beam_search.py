@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cluster_est.closed_loop.measured_noise import noise_of
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.screen import findings, refreshed, screen
 from cluster_est.closed_loop.selection.accept import predict
@@ -38,7 +39,6 @@ from cluster_est.closed_loop.selection.rounds import (
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.statistics.noise import estimate_noise
 
 AGAIN = LeastSquares(trials=2, max_iterations=15, ftol=1e-6, xtol=1e-7, differences="forward")
 
@@ -48,7 +48,7 @@ def beam_search(
 ) -> SelectionResult:
     """Fit the declared model and add effects to it while they earn it."""
     base = fit_declared(workbench, declared)
-    noise = estimate_noise(base.residuals, workbench.records)
+    noise = noise_of(workbench, base.residuals)
     floor = workbench.noise_floor(noise)
     current, prediction = base, predict(workbench, base)
     base_prediction = prediction

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import qmc
 
+from cluster_est.closed_loop.measured_noise import noise_of
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import shortened_kinds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.space import SearchSpace
-from cluster_est.statistics.noise import estimate_noise
 from workers.messages import FloatArray
 
 THOROUGH = LeastSquares(trials=2, max_iterations=25, ftol=1e-7, xtol=1e-8, differences="forward")
@@ -33,7 +33,9 @@ def fit_declared(workbench: LoopWorkbench, start: FitStart) -> FittedModel:
     ProblemError
         If the model cannot be simulated at its start.
     """
-    (first,) = workbench.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
+    first = workbench.first_fit if not start.values else None
+    if first is None:
+        (first,) = workbench.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
     if first is not None and at_noise(workbench, first):
         return first
     grown = _grow(workbench, start)
@@ -48,7 +50,7 @@ def fit_declared(workbench: LoopWorkbench, start: FitStart) -> FittedModel:
 
 def at_noise(workbench: LoopWorkbench, fitted: FittedModel) -> bool:
     """Return whether the residual is as small as its own roughness says it can be."""
-    noise = estimate_noise(fitted.residuals, workbench.records)
+    noise = noise_of(workbench, fitted.residuals)
     for output, sigma in enumerate(noise.tolist()):
         part = fitted.residuals[workbench.records.of_output(output)]
         if (

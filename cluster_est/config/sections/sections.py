@@ -84,9 +84,15 @@ class CoefficientSection(ConfigSection):
         None, description="where the estimation starts; default: the value that does nothing"
     )
     bounds: Annotated[tuple[float, float], Strict(False)] | None = Field(
-        None, description="[lower, upper]; default: what physics allows"
+        None,
+        description="[lower, upper]; default: what physics allows, and for a time constant, a "
+        "width, a speed or a frequency a thousandth of its start at least",
     )
-    scale: Literal["linear", "log"] = Field("linear", description="log: methods see ln(value)")
+    scale: Literal["linear", "log"] | None = Field(
+        None,
+        description="log: methods see ln(value); default: log for a time constant, a width, a "
+        "speed or a frequency whose start and bounds are above 0, else linear",
+    )
     fixed: bool = Field(False, description="keep it at its start")
     neutral: Finite | None = Field(
         None, description="of an equation of your own: the value at which it does nothing"

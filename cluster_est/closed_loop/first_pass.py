@@ -1,0 +1,190 @@
+"""A robust first pass: what must not decide a search is set aside, and what is odd is said."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cluster_est.closed_loop.measured_noise import measured_values, noise_of
+from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
+from cluster_est.closed_loop.selection.declared_model import THOROUGH
+from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.thresholds import PreparationThresholds
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import make_space
+from cluster_est.results.output_errors import output_residuals
+from cluster_est.statistics.growing_noise import noise_growth
+from cluster_est.statistics.outliers import PROVEN, IsolatedOutliers, isolated_outliers
+from workers.messages import FloatArray
+
+Place = tuple[int, str]
+"""An experiment's index and the name of an output."""
+
+
+@dataclass(frozen=True)
+class OutliersOfOutput:
+    """The outliers of one output in all experiments of a role.
+
+    Attributes
+    ----------
+    output
+        Its name.
+    held_out
+        The role is "test".
+    found
+        By experiment.
+    """
+
+    output: str
+    held_out: bool
+    found: Mapping[int, IsolatedOutliers] = field(repr=False)
+
+    @property
+    def count(self) -> int:
+        return sum(int(each.mask.sum()) for each in self.found.values())
+
+    @property
+    def samples(self) -> int:
+        return sum(len(each.mask) for each in self.found.values())
+
+    def few(self, thresholds: PreparationThresholds) -> bool:
+        """They may be faults of a sensor; more of them are how this signal is."""
+        return self.count <= thresholds.outliers * self.samples
+
+    def sentence(self, thresholds: PreparationThresholds) -> str:
+        """How many there are, how large, and what becomes of them."""
+        counted = f"{self.count:,} of {self.samples:,}"
+        largest = max(each.largest for each in self.found.values())
+        held = "held out: " if self.held_out else ""
+        of = f"{held}{100.0 * self.count / self.samples:.2g} %"
+        if not self.few(thresholds):
+            return (
+                f"{of} of the samples of {self.output} stand alone, far from their neighbours: "
+                f"{counted}, up to {largest:.0f} times the noise; that is too many to be a "
+                "sensor's faults, so all were kept; look at the signal"
+            )
+        become = "errors and tables" if self.held_out else "fits, errors and tables"
+        return (
+            f"{of} of the samples of {self.output} are outliers: {counted}, up to {largest:.0f} "
+            f"times the noise, each alone among its neighbours; {become} are without them"
+        )
+
+
+@contextmanager
+def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
+    """Open a workbench whose data have no outliers any more; its notes say what was left out.
+
+    The declared model is fitted as a search begins; its residuals show single samples that nothing
+    beside them explains (`isolated_outliers`). Copies of the experiments without them take the
+    place of those that were measured. Where an output has too many, it keeps them all.
+    """
+    with open_workbench(request) as workbench:
+        (fitted,) = workbench.fit(
+            LoopStage.DECLARED_MODEL, [FitStart(workbench.problem, {})], THOROUGH
+        )
+        outliers = [] if fitted is None else _outliers(workbench, fitted)
+        thresholds = workbench.thresholds.preparation
+        notes = [each.sentence(thresholds) for each in outliers]
+        notes += [] if fitted is None else _growth_notes(workbench, fitted)
+        few = [each for each in outliers if each.few(thresholds)]
+        if not few:
+            yield replace(workbench, notes=(*workbench.notes, *notes), first_fit=fitted)
+            return
+    cleaned = replace(request, problem=without(workbench.problem, few))
+    with open_workbench(cleaned) as again:
+        notes = [*workbench.notes, *notes]
+        yield replace(again, notes=tuple(notes), sigma_declared=workbench.sigma_declared)
+
+
+def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
+    """Return the problem with copies of its experiments that lack these samples."""
+    masks = {(e, o.output): found.mask for o in outliers for e, found in o.found.items()}
+    experiments = []
+    for e, experiment in enumerate(problem.experiments):
+        outputs = []
+        for output in experiment.outputs:
+            mask = masks.get((e, output.variable))
+            if mask is not None and mask.any():
+                output = replace(output, times=output.times[~mask], values=output.values[~mask])
+            outputs.append(output)
+        experiments.append(replace(experiment, outputs=tuple(outputs)))
+    return replace(problem, experiments=tuple(experiments))
+
+
+def _outliers(workbench: LoopWorkbench, fitted: FittedModel) -> list[OutliersOfOutput]:
+    """The outliers of each output that has some, in training and in held-out experiments."""
+    names = workbench.records.outputs
+    noise = _noise(workbench, fitted)
+    training = {
+        (workbench.train[record.experiment], names[record.output]): fitted.residuals[record.rows]
+        for record in workbench.records.items
+    }
+    found = []
+    for held_out, signals in ((False, training), (True, _held_out(workbench, fitted))):
+        for name in dict.fromkeys(output for _, output in signals):
+            own = {e: signal for (e, output), signal in signals.items() if output == name}
+            found.append(OutliersOfOutput(name, held_out, _in_records(own, noise.get(name, 0.0))))
+    return [each for each in found if each.count]
+
+
+def _noise(workbench: LoopWorkbench, fitted: FittedModel) -> dict[str, float]:
+    """The noise of each output, no less than what a simulation may get wrong."""
+    runs = [workbench.problem.experiments[e] for e in workbench.train]
+    measured, records = measured_values(runs), workbench.records
+    signals = [measured[records.of_output(output)] for output in range(len(records.outputs))]
+    ranges = np.array([np.ptp(signal) if len(signal) else 0.0 for signal in signals])
+    exact = workbench.thresholds.preparation.exact * ranges
+    noise = np.fmax(noise_of(workbench, fitted.residuals), exact)
+    return dict(zip(records.outputs, noise.tolist(), strict=True))
+
+
+def _in_records(signals: Mapping[int, FloatArray], noise: float) -> dict[int, IsolatedOutliers]:
+    """The outliers of one sensor; once it is known to have some, what is common needs less."""
+    found = {e: isolated_outliers(signal, noise) for e, signal in signals.items()}
+    if sum(int(each.mask.sum()) for each in found.values()) < PROVEN:
+        return found
+    return {e: isolated_outliers(signal, noise, proven=True) for e, signal in signals.items()}
+
+
+def _held_out(workbench: LoopWorkbench, fitted: FittedModel) -> dict[Place, FloatArray]:
+    """Residuals of the held-out experiments, with what they alone have at its start."""
+    tests = workbench.problem.indices("test")
+    space = make_space(fitted.problem, tests, fitted.estimates)
+    outcomes = workbench.runner.simulate(
+        space.physical(space.start),
+        tests,
+        "trajectory",
+        LoopStage.DECLARED_MODEL.value,
+        fitted.problem.effects,
+    )
+    found = {}
+    for test, outcome in zip(tests, outcomes, strict=True):
+        for output in workbench.problem.experiments[test].outputs:
+            residuals = output_residuals(output, outcome) if outcome.ok else None
+            if residuals is not None:
+                found[test, output.variable] = residuals
+    return found
+
+
+def _growth_notes(workbench: LoopWorkbench, fitted: FittedModel) -> list[str]:
+    """Say which outputs' noise is larger where their signal is."""
+    thresholds = workbench.thresholds.preparation
+    runs = [workbench.problem.experiments[e] for e in workbench.train]
+    size = np.abs(measured_values(runs) - fitted.residuals)
+    notes = []
+    for output, name in enumerate(workbench.records.outputs):
+        rows = workbench.records.of_output(output)
+        growth = noise_growth(fitted.residuals[rows], size[rows])
+        if growth.p < thresholds.growth_p and growth.loud >= thresholds.growth * growth.quiet:
+            times = f"{growth.loud / growth.quiet:.1f} times" if growth.quiet > 0.0 else "far above"
+            notes.append(
+                f"the noise of {name} grows with the signal: in the third of its samples with the "
+                f"largest values it is {times} that in the third with the smallest, and one sigma "
+                "gives the loud ones too much weight; give each experiment a sigma of its own, by "
+                "how large its signal is"
+            )
+    return notes

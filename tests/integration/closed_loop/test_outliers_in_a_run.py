@@ -1,0 +1,79 @@
+"""A closed loop on data with outliers: the friction is found, the note counts, resuming agrees."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support.cut_logs import cut
+from support.truth.springs_with_friction import FRICTION, NOISE, write_config
+
+from cluster_est.cli import main
+from cluster_est.run_folder.evaluation_log import read_log
+
+SPOILED = {"run0": (30, 77), "run1": (50, 99), "run2": (64,)}
+"""Samples that are off by 20 times the noise."""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("outliers")
+    config = write_config(folder)
+    for name, rows in SPOILED.items():
+        path = folder / f"{name}.csv"
+        lines = path.read_text().splitlines()
+        for row in rows:
+            *rest, value = lines[1 + row].split(",")
+            lines[1 + row] = ",".join([*rest, repr(float(value) + 20.0 * NOISE)])
+        path.write_text("\n".join(lines))
+    assert main(["close-loop", str(config), "--out", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+def facts(run: Path) -> dict:
+    found = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    return {key: found[key] for key in found if key not in ("seconds", "started")}
+
+
+def test_the_friction_is_found_and_the_outliers_are_counted(run: Path) -> None:
+    found = facts(run)
+    assert found["verdict"] == "found"
+    (effect,) = found["effects"]
+    assert effect["form"] == "coulomb"
+    assert effect["parameters"]["k"]["value"] == pytest.approx(FRICTION, rel=0.05)
+    training, held_out = (note for note in found["notes"] if "outlier" in note)
+    assert "of the samples of y are outliers: 4 of 240, up to " in training
+    assert held_out.startswith("held out: 0.83 % of the samples of y are outliers: 1 of 120, ")
+
+
+def test_tables_are_without_them(run: Path) -> None:
+    table = pq.read_table(run / "residuals.parquet").to_pydict()
+    for name, rows in SPOILED.items():
+        own = [t for t, e in zip(table["time"], table["experiment"], strict=True) if e == name]
+        kept = np.delete(np.arange(120) * 0.02, rows)
+        assert own == pytest.approx(kept.tolist())
+    errors = pq.read_table(run / "errors.parquet").to_pydict()
+    assert errors["samples"] == [118, 118, 119]
+    assert errors["rmse_after"] == pytest.approx([NOISE] * 3, rel=0.3)
+
+
+def test_a_resumed_run_is_the_same(run: Path) -> None:
+    again = run.parent / "again"
+    shutil.copytree(run, again)
+    log = read_log(run / "evaluations")
+    for rows in (5, log.num_rows // 2):
+        known = json.loads((again / "run.json").read_text(encoding="utf-8"))
+        kept = ("format", "seed", "started", "config_hash", "fmu", "experiments", "versions")
+        running = {"status": "running", "verdict": None, **{key: known[key] for key in kept}}
+        (again / "run.json").write_text(json.dumps(running), encoding="utf-8")
+        cut(again / "evaluations", rows)
+        config = run.parent / "config.toml"
+        assert main(["close-loop", str(config), "--out", str(again), "--resume"]) == 0
+        assert facts(again) == facts(run)
+        for name in ("residuals", "errors", "effects", "findings"):
+            file = f"{name}.parquet"
+            assert (again / file).read_bytes() == (run / file).read_bytes()

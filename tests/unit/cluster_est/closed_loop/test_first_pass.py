@@ -1,0 +1,104 @@
+"""Outliers are set aside before a search, and what is odd about the noise is said."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.truth.systems_with_missing_effects import measured, missing_effect_problem
+
+from cluster_est import Problem
+from cluster_est.closed_loop.first_pass import open_checked_workbench
+from cluster_est.closed_loop.prepare import LoopRequest
+from cluster_est.closed_loop.workbench import LoopWorkbench
+from workers.messages import FloatArray
+
+NOISE = 0.01
+
+
+@pytest.fixture(scope="module")
+def clean() -> Problem:
+    """A spring with white noise; the second experiment is held out."""
+    problem = measured(missing_effect_problem("mass_spring_damper"), NOISE)
+    first, second = problem.experiments
+    return replace(problem, experiments=(first, replace(second, role="test")))
+
+
+def changed(problem: Problem, *added: FloatArray) -> Problem:
+    """With this added to the output of each experiment."""
+    runs = []
+    for run, more in zip(problem.experiments, added, strict=True):
+        (output,) = run.outputs
+        runs.append(replace(run, outputs=(replace(output, values=output.values + more),)))
+    return replace(problem, experiments=tuple(runs))
+
+
+def spikes(count: int, seed: int) -> FloatArray:
+    """So many outliers of 15 times the noise, apart from each other."""
+    generator = np.random.default_rng(seed)
+    off = np.zeros(601)
+    off[10 + 25 * generator.permutation(23)[:count]] = 15.0 * NOISE
+    return off
+
+
+@contextmanager
+def checked(problem: Problem) -> Iterator[LoopWorkbench]:
+    with open_checked_workbench(LoopRequest(problem)) as bench:
+        yield bench
+
+
+def test_nothing_is_set_aside_where_nothing_is_off(clean: Problem) -> None:
+    with checked(clean) as bench:
+        assert bench.problem.experiments == clean.experiments
+        assert not any("outlier" in note or "grows" in note for note in bench.notes)
+
+
+def test_outliers_are_left_out_and_counted(clean: Problem) -> None:
+    off = (spikes(6, 1), spikes(3, 2))
+    spoiled = changed(clean, *off)
+    with checked(spoiled) as bench:
+        for run, all_of_it, where in zip(
+            bench.problem.experiments, spoiled.experiments, off, strict=True
+        ):
+            kept = where == 0.0
+            assert run.outputs[0].times.tolist() == all_of_it.outputs[0].times[kept].tolist()
+            assert run.outputs[0].values.tolist() == all_of_it.outputs[0].values[kept].tolist()
+            assert run.inputs == all_of_it.inputs
+        assert bench.size == 601 - 6
+        training, held_out = (note for note in bench.notes if "outlier" in note)
+    assert training.startswith("1 % of the samples of y are outliers: 6 of 601, up to 1")
+    assert held_out.startswith("held out: 0.5 % of the samples of y are outliers: 3 of 601, ")
+    assert [len(run.outputs[0].times) for run in spoiled.experiments] == [601, 601]
+
+
+def test_too_many_are_kept_and_said(clean: Problem) -> None:
+    generator = np.random.default_rng(3)
+    many = np.where(generator.uniform(size=601) < 0.09, generator.choice([-0.3, 0.3], 601), 0.0)
+    spoiled = changed(clean, many, np.zeros(601))
+    with checked(spoiled) as bench:
+        assert bench.problem.experiments == spoiled.experiments
+        (note,) = (each for each in bench.notes if "stand alone" in each)
+    assert "too many to be a sensor's faults, so all were kept" in note
+
+
+def test_the_same_is_set_aside_each_time(clean: Problem) -> None:
+    spoiled = changed(clean, spikes(6, 1), spikes(3, 2))
+    keys = []
+    for _ in range(2):
+        with checked(spoiled) as bench:
+            keys.append([run.key for run in bench.everything.experiments])
+    assert keys[0] == keys[1]
+
+
+def test_noise_that_grows_is_said(clean: Problem) -> None:
+    generator = np.random.default_rng(4)
+    louder = []
+    for run in clean.experiments:
+        size = np.abs(run.outputs[0].values)
+        louder.append(size / size.max() * 0.1 * generator.standard_normal(601))
+    with checked(changed(clean, *louder)) as bench:
+        (note,) = (each for each in bench.notes if "grows" in each)
+    assert note.startswith("the noise of y grows with the signal: in the third of its samples")

@@ -1,0 +1,37 @@
+"""Noise that grows with the signal is told from noise that does not, and from misfit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cluster_est.statistics.growing_noise import noise_growth
+
+N = 2500
+SIZE = 100.0 * np.abs(np.sin(2.0 * np.pi * np.arange(N) / 300.0))
+
+
+def test_noise_that_grows() -> None:
+    generator = np.random.default_rng(1)
+    # a third of |sin| is below 0.5, a third above 0.87
+    grown = noise_growth(np.where(SIZE > 60.0, 3.0, 1.0) * generator.standard_normal(N), SIZE)
+    assert grown.p < 1e-6
+    assert grown.quiet == pytest.approx(1.0, rel=0.25)
+    assert grown.loud == pytest.approx(3.0, rel=0.25)
+
+
+def test_p_values_are_even_where_it_does_not_even_under_a_misfit_that_grows() -> None:
+    generator = np.random.default_rng(2)
+    misfit = 1e-2 * SIZE**2
+    found = [noise_growth(generator.standard_normal(N) + misfit, SIZE).p for _ in range(300)]
+    assert min(found) > 1e-4
+    assert np.mean(np.array(found) < 0.1) == pytest.approx(0.1, abs=0.06)
+    assert np.median(found) == pytest.approx(0.5, abs=0.12)
+
+
+def test_nothing_to_compare() -> None:
+    generator = np.random.default_rng(3)
+    for n in (0, 6, 40):
+        assert noise_growth(generator.standard_normal(n), np.arange(float(n))).p == 1.0
+    assert noise_growth(generator.standard_normal(500), np.ones(500)).p == 1.0
+    assert noise_growth(np.zeros(500), np.arange(500.0)).p == 1.0
