@@ -1,5 +1,7 @@
 """The recipe of the closed loop: fit, screen, refine, add, refit, report before and after.
 
+Before the first effect is looked for, the error of the solver is measured beside the noise.
+
 References: score tests with the declared parameters projected out follow C. R. Rao, Proc. Cambridge
 Philos. Soc. 44 (1948) 50-57, doi:10.1017/S0305004100023987; growing a model where its residual
 points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 28 (2004) 1431-1449.
@@ -17,9 +19,11 @@ from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
+from cluster_est.closed_loop.numerical_error.measure import measure_numerical_error
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
 from cluster_est.closed_loop.selection.beam_search import beam_search
-from cluster_est.closed_loop.selection.rounds import SelectionResult
+from cluster_est.closed_loop.selection.declared_model import fit_declared
+from cluster_est.closed_loop.selection.rounds import SelectionResult, without_search
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
@@ -30,7 +34,9 @@ from cluster_est.running.environment import Monitor
 from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources
 from cluster_est.running.search_state import SearchRequest
+from cluster_est.statistics.noise import estimate_noise
 from cluster_est.uncertainty import examine
+from workers.messages import FloatArray
 
 FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
 
@@ -83,16 +89,35 @@ def run_loop(request: LoopRequest) -> LoopResult:
     given = any(o.sigma != 1.0 for e in request.problem.experiments for o in e.outputs)
     over = ErrorScale.SIGMA if given else ErrorScale.ESTIMATED_NOISE
     with open_workbench(request) as workbench:
-        found = beam_search(workbench, FitStart(workbench.problem, {}))
-        report = _report(workbench, found, over, begin)
-    return replace(report, seconds=time.monotonic() - begin)
+        base = fit_declared(workbench, FitStart(workbench.problem, {}))
+        noise = _noise(workbench, base, over)
+        error = measure_numerical_error(workbench, base, noise, request.environment.resources)
+        if error.hides_effects:
+            found = without_search(workbench, base)
+            judged = ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal)
+        else:
+            found = beam_search(workbench, base, error.explainable)
+            judged = judge(workbench, found)
+        report = _report(workbench, found, judged, over, begin)
+    seconds = time.monotonic() - begin
+    return replace(report, notes=(*error.notes, *report.notes), seconds=seconds)
+
+
+def _noise(workbench: LoopWorkbench, base: FittedModel, over: ErrorScale) -> FloatArray:
+    """The noise of each output in units of its residual: as declared, else as estimated."""
+    if over is ErrorScale.SIGMA:
+        return np.ones(len(workbench.records.outputs))
+    return estimate_noise(base.residuals, workbench.records)
 
 
 def _report(
-    workbench: LoopWorkbench, found: SelectionResult, errors_over: ErrorScale, begin: float
+    workbench: LoopWorkbench,
+    found: SelectionResult,
+    judged: ReasonedVerdict,
+    errors_over: ErrorScale,
+    begin: float,
 ) -> LoopResult:
-    """Judge, fit to convergence, let the held-out experiments veto, and put it into words."""
-    judged = judge(workbench, found)
+    """Fit to convergence, let the held-out experiments veto, and put it into words."""
     before = _final(workbench, found.base, begin)
     grown = _final(workbench, found.current, begin) if found.current.added else before
     judgement = _with_veto(judged, before, grown)
