@@ -33,8 +33,10 @@ class SolverScale:
         Opens a sentence: "the communication step of 0.1 s".
     step
         Seconds; 0.0 where a tolerance decides.
-    rtol
-        0.0 where a step decides.
+    rtol, longest
+        A tolerance, and the longest step that it is kept with, which the data bound: with samples
+        close together it decides, and a tighter tolerance alone changes nothing. 0.0 where a step
+        decides.
     ratio
         By which `finer` divides the step, or the tolerance.
     fixed
@@ -49,16 +51,22 @@ class SolverScale:
     name: str
     step: float = 0.0
     rtol: float = 0.0
+    longest: float = 0.0
     ratio: float = 2.0
     fixed: bool = False
     own_step: float = 0.0
     why_not: str = ""
 
     def finer(self, times: int = 1) -> Solver:
-        """A solver that is finer by `ratio`, so many times; a tolerance of an FMU by 100 once."""
+        """A solver that is finer by `ratio`, so many times.
+
+        With a tolerance the longest step is halved too; one that is handed to an FMU is divided by
+        100, once.
+        """
         solver = self.solver
         if not self.step:
-            return _tightened(solver, self.rtol, self.rtol / self.ratio)
+            tight = _tightened(solver, self.rtol, self.rtol / self.ratio)
+            return replace(tight, step=self.longest / 2.0)
         if solver.name == "fmu" and solver.rtol is not None:
             solver = _tightened(solver, solver.rtol, max(solver.rtol / TIGHTER, LEAST_RTOL))
         return replace(solver, step=self.step / self.ratio**times)
@@ -96,17 +104,16 @@ def solver_scale(
     model: Model, description: ModelDescription, experiments: Sequence[Experiment]
 ) -> SolverScale:
     """Find what decides how exact the solver of a model is in these experiments."""
-    solver = model.solver
+    solver, usual = model.solver, usual_interval(experiments)
+    step = min(solver.step or usual, usual)
     if solver.name not in FIXED_STEP:
         rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
         tight = max(rtol / TIGHTER, LEAST_RTOL)
         why = "" if tight < rtol else "no tighter tolerance can be kept in 64 bits"
         name = f"the tolerance model.rtol = {rtol:.1g}"
-        return SolverScale(solver, name, rtol=rtol, ratio=rtol / tight, why_not=why)
+        return SolverScale(solver, name, rtol=rtol, longest=step, ratio=rtol / tight, why_not=why)
     if solver.name == "fmu" and not description.variable_steps:
         return _fixed(model, description)
-    usual = usual_interval(experiments)
-    step = min(solver.step or usual, usual)
     what = "communication step" if solver.name == "fmu" else "step"
     return SolverScale(solver, f"the {what} of {step:.4g} s", step=step)
 

@@ -39,8 +39,8 @@ def measure_numerical_error(
     halved again: the order of the error shows in the second change, and the error of the whole step
     follows by extrapolation (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357,
     doi:10.1098/rsta.1911.0009); of first order it is twice the first change. A tolerance is divided
-    by 100: what changes is the error itself, but for a hundredth (E. Hairer, S. P. Norsett,
-    G. Wanner, Solving Ordinary Differential Equations I, section II.4,
+    by 100, and the longest step halved: what changes is the error itself, but for a few hundredths
+    (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.4,
     doi:10.1007/978-3-540-78862-1).
 
     The simulations run one after the other in one process of their own, whatever the executor, and
