@@ -1,5 +1,7 @@
 """The recipe of the closed loop: fit, screen, refine, add, refit, report before and after.
 
+Before the first effect is looked for, the error of the solver is measured beside the noise.
+
 References: score tests with the declared parameters projected out follow C. R. Rao, Proc. Cambridge
 Philos. Soc. 44 (1948) 50-57, doi:10.1017/S0305004100023987; growing a model where its residual
 points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 28 (2004) 1431-1449.
@@ -11,6 +13,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from cluster_est.closed_loop.findings.disturbance import (
     UnexplainedResidual,
     unexplained_residuals,
@@ -19,12 +23,15 @@ from cluster_est.closed_loop.findings.effect_curves import effect_curves
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.residual_noise import believed_noise, residual_noise
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
-from cluster_est.closed_loop.findings.verdict import CLAIMS, confirmed, judge
+from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, confirmed, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.first_pass import open_checked_workbench
+from cluster_est.closed_loop.measured_noise import noise_of
+from cluster_est.closed_loop.numerical_error.measure import measure_numerical_error
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request
 from cluster_est.closed_loop.selection.beam_search import beam_search
-from cluster_est.closed_loop.selection.rounds import SelectionResult
+from cluster_est.closed_loop.selection.declared_model import fit_declared
+from cluster_est.closed_loop.selection.rounds import SelectionResult, without_search
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
@@ -87,17 +94,34 @@ def run_loop(request: LoopRequest) -> LoopResult:
     """
     begin = time.monotonic()
     with open_checked_workbench(request) as workbench:
-        over = ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
-        found = beam_search(workbench, FitStart(workbench.problem, {}))
-        report = _report(workbench, found, over, begin)
-    return replace(report, seconds=time.monotonic() - begin)
+        base = fit_declared(workbench, FitStart(workbench.problem, {}))
+        noise = _noise(workbench, base)
+        error = measure_numerical_error(workbench, base, noise, request.environment.resources)
+        if error.hides_effects:
+            found = without_search(workbench, base)
+            judged = ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal)
+        else:
+            found = beam_search(workbench, base, error.explainable)
+            judged = judge(workbench, found)
+        report = _report(workbench, found, judged, begin)
+    seconds = time.monotonic() - begin
+    return replace(report, notes=(*error.notes, *report.notes), seconds=seconds)
+
+
+def _noise(workbench: LoopWorkbench, base: FittedModel) -> FloatArray:
+    """The noise of each output in units of its residual: as declared, else as estimated."""
+    if workbench.sigma_declared:
+        return np.ones(len(workbench.records.outputs))
+    return noise_of(workbench, base.residuals)
 
 
 def _report(
-    workbench: LoopWorkbench, found: SelectionResult, errors_over: ErrorScale, begin: float
+    workbench: LoopWorkbench,
+    found: SelectionResult,
+    judged: ReasonedVerdict,
+    begin: float,
 ) -> LoopResult:
-    """Judge, fit to convergence, let the held-out experiments veto, and put it into words."""
-    judged = judge(workbench, found)
+    """Fit to convergence, let the held-out experiments veto, and put it into words."""
     before = _final(workbench, found.base, begin)
     grown = _final(workbench, found.current, begin) if found.current.added else before
     changes = error_changes(workbench, found, before, grown)
@@ -106,8 +130,9 @@ def _report(
     named = describe_effects(workbench, found, grown)
     after = grown if keep else before
     kept = found.current if keep else found.base
+    over = ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
     curves = effect_curves(workbench, found.current, grown) if keep else ()
-    unexplained = _unexplained(workbench, judgement.verdict, kept, found.noise)
+    unexplained = _unexplained(workbench, judgement.verdict, kept, found)
     return LoopResult(
         verdict=judgement.verdict,
         summary="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained)]),
@@ -126,20 +151,21 @@ def _report(
         failures=workbench.runner.failures,
         seconds=0.0,
         curves=curves,
-        errors_over=errors_over,
+        errors_over=over,
         structures=found.path,
         unexplained=unexplained,
     )
 
 
 def _unexplained(
-    workbench: LoopWorkbench, verdict: Verdict, fitted: FittedModel, noise: FloatArray
+    workbench: LoopWorkbench, verdict: Verdict, fitted: FittedModel, found: SelectionResult
 ) -> tuple[UnexplainedResidual, ...]:
-    """What nothing explains, where the verdict says that there is something."""
-    if verdict not in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
+    """What nothing explains, where something was looked for and the verdict says that it is."""
+    if verdict not in (Verdict.PARTIAL, Verdict.UNEXPLAINED) or not found.steps:
         return ()
-    outputs = residual_noise(workbench, fitted, noise)
-    return unexplained_residuals(workbench, fitted, believed_noise(workbench, outputs, noise))
+    outputs = residual_noise(workbench, fitted, found.noise)
+    noise = believed_noise(workbench, outputs, found.noise)
+    return unexplained_residuals(workbench, fitted, noise)
 
 
 def _disturbance(verdict: Verdict, unexplained: Sequence[UnexplainedResidual]) -> tuple[str, ...]:

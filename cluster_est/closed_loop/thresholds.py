@@ -75,6 +75,36 @@ class DeclaredModelThresholds:
 
 
 @dataclass(frozen=True)
+class NumericalErrorThresholds:
+    """Thresholds of the error of solver and steps, beside the noise.
+
+    Attributes
+    ----------
+    small
+        Error over noise up to which it is not spoken of. Theory: among some 2,500 samples its sum
+        of squares is then 6 times the noise's variance, less than the choice among the candidates
+        costs an effect, see `SelectionThresholds.choice_price`.
+    large
+        The same, above which no effect is looked for. Theory: a quarter of the noise's variance, in
+        a shape that is the same in every experiment, is what an effect looks like.
+    share
+        Error over residual up to which a large one does not end the search, because most of the
+        residual is something else. By definition: a hundredth of its squares.
+    known
+        Factor by which the error may be larger than measured. Theory: that between an error of
+        first order and the change where its step is halved.
+    loose
+        Relative tolerance above which the error is spoken of in any case. By definition.
+    """
+
+    small: float = 0.05
+    large: float = 0.5
+    share: float = 0.1
+    known: float = 2.0
+    loose: float = 1e-4
+
+
+@dataclass(frozen=True)
 class CandidateThresholds:
     """Thresholds of the list of candidates and their grids.
 
@@ -84,6 +114,10 @@ class CandidateThresholds:
         Share of its rms that a signal must reach on both sides of zero to oscillate. Benchmark.
     narrowest, widest
         Factors by which a refit may go beyond the grid of a positive coefficient. Benchmark.
+    shortest
+        Share of the interval between measurements, or of a longer communication step, that a time
+        constant or a delay has at least. Signal: what is shorter is a gain of a slope to the data,
+        and costs a solver steps in proportion.
     kinematic
         Relative gap of der(x) and another state below which they are the same: a little above the
         error of a solver. Signal.
@@ -92,6 +126,7 @@ class CandidateThresholds:
     both_signs: float = 0.15
     narrowest: float = 20.0
     widest: float = 50.0
+    shortest: float = 0.1
     kinematic: float = 1e-6
 
 
@@ -422,6 +457,7 @@ class LoopThresholds:
 
     preparation: PreparationThresholds = field(default_factory=PreparationThresholds)
     declared_model: DeclaredModelThresholds = field(default_factory=DeclaredModelThresholds)
+    numerical_error: NumericalErrorThresholds = field(default_factory=NumericalErrorThresholds)
     candidates: CandidateThresholds = field(default_factory=CandidateThresholds)
     screening: ScreeningThresholds = field(default_factory=ScreeningThresholds)
     places: PlaceThresholds = field(default_factory=PlaceThresholds)

@@ -16,6 +16,7 @@ from cluster_est.closed_loop.candidates.arguments import (
     variables_of,
 )
 from cluster_est.closed_loop.candidates.equation import equation_text
+from cluster_est.closed_loop.candidates.resolution import communication_step
 from cluster_est.closed_loop.candidates.scales import SignalScales
 from cluster_est.closed_loop.candidates.shapes import shape_of
 from cluster_est.closed_loop.candidates.sites import candidate_sites, forms_at, single_sites
@@ -111,7 +112,8 @@ def make_candidates(
         Where functions of a variable are tried; None for everywhere.
     """
     thresholds = settings.thresholds.candidates
-    scales = SignalScales(trajectories, frequencies, thresholds)
+    exchanged = communication_step(problem.model, description)
+    scales = SignalScales(trajectories, frequencies, thresholds, exchanged)
     arguments = open_arguments(problem, description, trajectories)
     known = {_identity(effect) for effect in problem.effects if effect.form}
     taken = {effect.name for effect in problem.effects}
@@ -203,6 +205,9 @@ def _bounds(
         return float(2.0 * v.min() - v.max()), float(2.0 * v.max() - v.min())
     thresholds = scales.thresholds
     if coefficient.positive:
-        return min(values) / thresholds.narrowest, max(values) * thresholds.widest
+        low = min(values) / thresholds.narrowest
+        if coefficient.scale is GridScale.STEP:
+            low = max(low, thresholds.shortest * scales.resolution)
+        return low, max(values) * thresholds.widest
     width = 10.0 * max(abs(v) for v in values) + 1e-12
     return -width, width

@@ -18,11 +18,16 @@ from workers.messages import FloatArray
 
 @dataclass(frozen=True)
 class SignalScales:
-    """Sizes of all signals over all training experiments."""
+    """Sizes of all signals over all training experiments.
+
+    `communication` is the step at which an FMU exchanges them, 0.0 where it does so at all times of
+    the data.
+    """
 
     trajectories: Sequence[LinearisedTrajectory]
     frequencies: Sequence[float]
     thresholds: CandidateThresholds = field(default_factory=CandidateThresholds)
+    communication: float = 0.0
 
     def allow(self, form: EffectForm, site: EffectSite, variables: tuple[str, ...]) -> bool:
         """Return whether a form makes sense for these signals."""
@@ -50,7 +55,7 @@ class SignalScales:
             return tuple(self.frequencies)
         grid = coefficient.grid or (1.0,)
         if scale is GridScale.STEP:
-            return tuple(g * self._step() for g in grid)
+            return tuple(g * self.resolution for g in grid)
         if scale is GridScale.MIDDLE_T:
             return tuple(g * self._middle() for g in grid)
         if scale is GridScale.COUPLING:
@@ -92,6 +97,14 @@ class SignalScales:
         if site.kind in ("input", "output"):
             return pooled(self.trajectories, site.target)
         return None
+
+    @property
+    def resolution(self) -> float:
+        """What time resolves: the usual interval between measurements, or between communications.
+
+        Time constants and delays are multiples of it.
+        """
+        return max(self._step(), self.communication)
 
     def _step(self) -> float:
         """The usual interval between measurements; the grid has other times too."""

@@ -44,10 +44,19 @@ AGAIN = LeastSquares(trials=2, max_iterations=15, ftol=1e-6, xtol=1e-7, differen
 
 
 def beam_search(
-    workbench: LoopWorkbench, declared: FitStart, *, again: bool = True
+    workbench: LoopWorkbench, base: FittedModel, numerical: float = 0.0, *, again: bool = True
 ) -> SelectionResult:
-    """Fit the declared model and add effects to it while they earn it."""
-    base = fit_declared(workbench, declared)
+    """Add effects to the declared model while they earn it.
+
+    Parameters
+    ----------
+    base
+        The declared model, fitted.
+    numerical
+        Fall of the sum of squares that an effect could owe to the error of the solver.
+    again
+        Begin once more where the declared model turns out to have been in a local minimum.
+    """
     noise = noise_of(workbench, base.residuals)
     floor = workbench.noise_floor(noise)
     current, prediction = base, predict(workbench, base)
@@ -62,7 +71,8 @@ def beam_search(
     passed = {base.structure}
     while True:
         number = len(steps) + 1
-        begun = RoundStart(current, prediction, screen(workbench, current, number), floor, beside)
+        screened = screen(workbench, current, number)
+        begun = RoundStart(current, prediction, screened, floor, beside, numerical)
         first = first or begun
         end = _round(workbench, base, begun)
         steps.append(end.seen)
@@ -80,8 +90,8 @@ def beam_search(
             path.append(compared_structure(workbench, base, current, floor, number))
             continue
         if again and not current.added and _was_local(workbench, base, won):
-            restart = FitStart(declared.problem, _declared_only(won), declared.added)
-            return beam_search(workbench, restart, again=False)
+            restart = FitStart(base.problem, _declared_only(won), base.added)
+            return beam_search(workbench, fit_declared(workbench, restart), numerical, again=False)
         grown, rivals = _revised(workbench, base, begun, end, won, rivals)
         prediction = predict(workbench, grown) if grown is not won.fitted else end.prediction
         if grown.structure != won.fitted.structure:

@@ -91,6 +91,8 @@ def _failed_gate(
     thresholds, current = workbench.thresholds.selection, begun.model
     if gain <= 0.0:
         return RejectionReason.LITTLE_GAIN
+    if current.sse - grown.sse <= begun.numerical:
+        return RejectionReason.NUMERICAL_ERROR
     solo = False
     if after.total >= begun.prediction.total:
         few = _improved(current, grown, thresholds.solo_share) <= thresholds.minority

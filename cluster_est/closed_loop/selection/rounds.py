@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from cluster_est.closed_loop.measured_noise import noise_of
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.screening.screen import ScreeningResult
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, Rivals
-from cluster_est.closed_loop.workbench import FittedModel
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 
 
 class RejectionReason(enum.StrEnum):
@@ -25,6 +26,7 @@ class RejectionReason(enum.StrEnum):
     NO_IMPROVEMENT = "no candidate improves the fit and stays bounded"
     LITTLE_GAIN = "the gain does not pay for the choice among so many candidates"
     NOT_PREDICTED = "left-out experiments are not predicted better"
+    NUMERICAL_ERROR = "it explains no more than the error of the solver and its steps could be"
     LITTLE_EXPLAINED = "it explains too little of what is missing"
 
 
@@ -57,6 +59,8 @@ class RoundStart:
         Sum of squares that the noise alone would leave.
     beside
         The structures that it was compared with in the round before.
+    numerical
+        Fall of the sum of squares that an effect could owe to the error of the solver.
     """
 
     model: FittedModel = field(repr=False)
@@ -64,6 +68,7 @@ class RoundStart:
     screening: ScreeningResult = field(repr=False)
     floor: float
     beside: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+    numerical: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -147,3 +152,10 @@ class SelectionResult:
     @property
     def last(self) -> SelectionRound:
         return self.steps[-1]
+
+
+def without_search(workbench: LoopWorkbench, base: FittedModel) -> SelectionResult:
+    """The declared model alone, where no effect was looked for."""
+    nothing = LeaveOneOutPrediction(np.zeros(0))
+    noise = noise_of(workbench, base.residuals)
+    return SelectionResult(base, base, nothing, nothing, {}, (), (), noise)

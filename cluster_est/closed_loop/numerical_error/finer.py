@@ -1,0 +1,169 @@
+"""A solver that is finer than the one that a model is simulated with, to measure its error by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates.resolution import communication_step
+from workers.fmu.description import ModelDescription
+from workers.grid import build_grid
+from workers.messages import Experiment, Model, Solver
+from workers.simulation.integrator import DEFAULT_RTOL
+
+TIGHTER = 100.0
+LEAST_RTOL = 1e-13
+FIXED_STEP = ("rk4", "fmu")
+"""Solvers whose accuracy is chosen by a step."""
+WHOLE = 1e-6
+"""Of a step of the FMU's own: what another may be away from a multiple of it."""
+
+
+@dataclass(frozen=True)
+class SolverScale:
+    """What decides how exact a solver is: its step, or its tolerance.
+
+    Attributes
+    ----------
+    solver
+        As declared.
+    name
+        Opens a sentence: "the communication step of 0.1 s".
+    step
+        Seconds; 0.0 where a tolerance decides.
+    rtol, longest
+        A tolerance, and the longest step that it is kept with, which the data bound: with samples
+        close together it decides, and a tighter tolerance alone changes nothing. 0.0 where a step
+        decides.
+    ratio
+        By which `finer` divides the step, or the tolerance.
+    fixed
+        An FMU that declares one communication step: what it makes of others is not certain.
+    own_step
+        Of such an FMU, where it names one: it takes multiples of it alone.
+    why_not
+        Part of a sentence: why there is nothing finer; "" where there is.
+    """
+
+    solver: Solver
+    name: str
+    step: float = 0.0
+    rtol: float = 0.0
+    longest: float = 0.0
+    ratio: float = 2.0
+    fixed: bool = False
+    own_step: float = 0.0
+    why_not: str = ""
+
+    def finer(self, times: int = 1) -> Solver:
+        """A solver that is finer by `ratio`, so many times.
+
+        With a tolerance the longest step is halved too; one that is handed to an FMU is divided by
+        100, once.
+        """
+        solver = self.solver
+        if not self.step:
+            tight = _tightened(solver, self.rtol, self.rtol / self.ratio)
+            return replace(tight, step=self.longest / 2.0)
+        if solver.name == "fmu" and solver.rtol is not None:
+            solver = _tightened(solver, solver.rtol, max(solver.rtol / TIGHTER, LEAST_RTOL))
+        return replace(solver, step=self.step / self.ratio**times)
+
+    def can_be_finer_twice(self) -> bool:
+        """Return whether a third solution is to be had, by which the order shows."""
+        if not self.step:
+            return False
+        return not self.own_step or _is_whole(self.step / self.ratio**2 / self.own_step)
+
+    def advice(self, factor: float, order: float) -> str:
+        """What to set so that an error falls by a factor: keys of a config.
+
+        The error of a step h of a method of order p goes with h^p; that of a tolerance with the
+        tolerance itself (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential
+        Equations I, sections II.3 and II.4, doi:10.1007/978-3-540-78862-1).
+        """
+        factor = max(factor, 1.0)
+        if not self.step:
+            rtol = max(10.0 ** np.floor(np.log10(self.rtol / factor)), LEAST_RTOL)
+            atol = self.solver.atol
+            said = f"model.rtol = {rtol:.0e}"
+            return said if atol is None else f"{said} and atol = {atol * rtol / self.rtol:.1g}"
+        halvings = max(int(np.ceil(np.log2(factor) / order)), 1)
+        step = self.step / 2.0**halvings
+        if self.own_step:
+            step = self.own_step * max(np.floor(step / self.own_step + WHOLE), 1.0)
+        said = f"model.step = {step:.4g}"
+        if self.solver.name == "fmu" and self.solver.rtol is not None:
+            said += f" and rtol = {max(self.solver.rtol / TIGHTER, LEAST_RTOL):.1g}"
+        return said
+
+
+def solver_scale(
+    model: Model, description: ModelDescription, experiments: Sequence[Experiment]
+) -> SolverScale:
+    """Find what decides how exact the solver of a model is in these experiments."""
+    solver, usual = model.solver, usual_interval(experiments)
+    step = min(solver.step or usual, usual)
+    if solver.name not in FIXED_STEP:
+        rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
+        tight = max(rtol / TIGHTER, LEAST_RTOL)
+        why = "" if tight < rtol else "no tighter tolerance can be kept in 64 bits"
+        name = f"the tolerance model.rtol = {rtol:.1g}"
+        return SolverScale(solver, name, rtol=rtol, longest=step, ratio=rtol / tight, why_not=why)
+    if solver.name == "fmu" and not description.variable_steps:
+        return _fixed(model, description)
+    what = "communication step" if solver.name == "fmu" else "step"
+    return SolverScale(solver, f"the {what} of {step:.4g} s", step=step)
+
+
+def step_never_taken(
+    model: Model, description: ModelDescription, experiments: Sequence[Experiment]
+) -> str:
+    """Say of a step that is longer than every interval of the data that it has no effect."""
+    solver = model.solver
+    fixed = solver.name == "fmu" and not description.variable_steps
+    if solver.step is None or fixed:
+        return ""
+    longest = max(float(np.diff(build_grid(run).times).max(initial=0.0)) for run in experiments)
+    if solver.step <= longest * (1.0 + WHOLE):
+        return ""
+    return (
+        f"model.step = {solver.step:.4g} is never taken: the times of inputs and measurements are "
+        f"at most {longest:.4g} s apart, and no step goes across one of them; leave it out"
+    )
+
+
+def usual_interval(experiments: Sequence[Experiment]) -> float:
+    """Return the interval of the data in which, or in a longer one, half of all time is spent."""
+    intervals = np.sort(np.concatenate([np.diff(build_grid(run).times) for run in experiments]))
+    spent = np.cumsum(intervals)
+    return float(intervals[np.searchsorted(spent, 0.5 * spent[-1])])
+
+
+def _fixed(model: Model, description: ModelDescription) -> SolverScale:
+    """Of an FMU that communicates in steps of one length; only a user knows which others it has."""
+    own = description.fixed_internal_step or 0.0
+    solver, step = model.solver, communication_step(model, description)
+    name = f"the communication step of {step:.4g} s" if step else "the communication step"
+    refused = SolverScale(solver, name, why_not=f"{description.file} communicates in a fixed step")
+    if solver.step is None or not step:
+        return refused
+    if not own:
+        return SolverScale(solver, name, step=step, fixed=True)
+    multiple = step / own
+    if not _is_whole(multiple) or round(multiple) < 2:
+        return refused
+    count = round(multiple)
+    ratio = next(q for q in range(2, count + 1) if count % q == 0)
+    return SolverScale(solver, name, step=step, ratio=float(ratio), fixed=True, own_step=own)
+
+
+def _is_whole(number: float) -> bool:
+    return round(number) >= 1 and abs(number - round(number)) <= WHOLE * number
+
+
+def _tightened(solver: Solver, rtol: float, tight: float) -> Solver:
+    atol = None if solver.atol is None else solver.atol * tight / rtol
+    return replace(solver, rtol=tight, atol=atol)

@@ -1,0 +1,121 @@
+"""Which solver is finer than another, and what to set so that an error falls."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.truth.systems_with_missing_effects import missing_effect_problem
+
+from cluster_est import Solver
+from cluster_est.closed_loop.candidates.resolution import communication_step
+from cluster_est.closed_loop.numerical_error.finer import (
+    solver_scale,
+    step_never_taken,
+    usual_interval,
+)
+from workers.messages import Experiment, Input, Output
+
+EXCHANGE = missing_effect_problem("mass_spring_damper")
+TOGETHER = missing_effect_problem("mass_spring_damper", interface="co_simulation")
+DESCRIPTION = EXCHANGE.describe()
+FIXED = replace(DESCRIPTION, variable_steps=False, fixed_internal_step=None, default_step=None)
+INTERVAL = 0.01
+
+
+def scale(problem, solver, description=DESCRIPTION):
+    model = replace(problem.model, solver=solver)
+    return solver_scale(model, description, problem.experiments)
+
+
+def never(problem, solver, description=DESCRIPTION):
+    model = replace(problem.model, solver=solver)
+    return step_never_taken(model, description, problem.experiments)
+
+
+def test_a_tolerance_is_divided_by_a_hundred_with_the_absolute_one():
+    found = scale(EXCHANGE, Solver("dormand_prince", rtol=1e-3, atol=1e-5))
+    assert found.name == "the tolerance model.rtol = 0.001"
+    finer = found.finer()
+    assert finer.rtol == pytest.approx(1e-5)
+    assert finer.atol == pytest.approx(1e-7)
+    assert finer.step == pytest.approx(INTERVAL / 2.0)  # or samples close together would decide
+    assert not found.can_be_finer_twice()
+
+
+def test_no_tolerance_is_tighter_than_the_tightest():
+    found = scale(EXCHANGE, Solver("cvode", rtol=1e-13))
+    assert "64 bits" in found.why_not
+
+
+@pytest.mark.parametrize(
+    ("problem", "solver", "step"),
+    [
+        (EXCHANGE, Solver("rk4"), INTERVAL),
+        (EXCHANGE, Solver("rk4", step=0.004), 0.004),
+        (TOGETHER, Solver("fmu", step=10.0 * INTERVAL), INTERVAL),
+    ],
+)
+def test_no_step_is_longer_than_the_interval_of_the_data(problem, solver, step):
+    found = scale(problem, solver)
+    assert found.step == pytest.approx(step)
+    assert found.finer().step == pytest.approx(step / 2.0)
+    assert found.finer(2).step == pytest.approx(step / 4.0)
+
+
+def test_a_step_that_is_never_taken_is_named():
+    assert "model.step = 0.1 is never taken" in never(TOGETHER, Solver("fmu", step=0.1))
+    assert never(TOGETHER, Solver("fmu", step=0.1), FIXED) == ""
+    assert never(TOGETHER, Solver("fmu", step=INTERVAL)) == ""
+    assert never(TOGETHER, Solver("fmu")) == ""
+
+
+def test_a_tolerance_for_the_fmu_is_tightened_along_with_the_step():
+    finer = scale(TOGETHER, Solver("fmu", rtol=1e-3)).finer()
+    assert (finer.step, finer.rtol) == pytest.approx((INTERVAL / 2.0, 1e-5))
+
+
+def test_a_fixed_step_is_halved_only_where_a_user_has_chosen_it():
+    assert "communicates in a fixed step" in scale(TOGETHER, Solver("fmu"), FIXED).why_not
+    assert scale(TOGETHER, Solver("fmu", step=0.1), FIXED).finer().step == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("own", "steps", "twice"), [(0.1, None, None), (0.05, 2.0, False), (0.02, 5.0, False),
+                                (0.025, 2.0, True), (0.03, None, None)]
+)  # fmt: skip
+def test_steps_of_an_fmu_with_a_step_of_its_own_are_multiples_of_it(own, steps, twice):
+    found = scale(TOGETHER, Solver("fmu", step=0.1), replace(FIXED, fixed_internal_step=own))
+    if steps is None:
+        assert found.why_not
+        return
+    assert (found.ratio, found.can_be_finer_twice()) == (steps, twice)
+    multiple = found.finer().step / own
+    assert multiple == pytest.approx(round(multiple))
+
+
+def test_what_to_set_follows_from_the_order():
+    step = scale(TOGETHER, Solver("fmu", step=0.1), FIXED)
+    assert step.advice(7.0, 1.0) == "model.step = 0.0125"
+    assert step.advice(7.0, 2.0) == "model.step = 0.025"
+    own = scale(TOGETHER, Solver("fmu", step=0.1), replace(FIXED, fixed_internal_step=0.02))
+    assert own.advice(2.0, 1.0) == "model.step = 0.04"
+    assert own.advice(1000.0, 1.0) == "model.step = 0.02"
+    rtol = scale(EXCHANGE, Solver("dormand_prince", rtol=1e-3))
+    assert rtol.advice(30.0, np.nan) == "model.rtol = 1e-05"
+
+
+def test_the_usual_interval_is_not_that_of_two_times_that_rounding_keeps_apart():
+    times = np.arange(0.0, 1.0, 0.1)
+    late = Input("F", times + 1e-9, 0.0 * times)
+    run = Experiment("e", 0.0, 0.9, (late,), (Output("y", times, 0.0 * times),))
+    assert usual_interval([run]) == pytest.approx(0.1, abs=1e-6)
+
+
+def test_a_communication_step_counts_where_it_is_fixed():
+    model = replace(TOGETHER.model, solver=Solver("fmu", step=0.1))
+    assert communication_step(model, FIXED) == 0.1
+    assert communication_step(model, DESCRIPTION) == 0.0
+    assert communication_step(TOGETHER.model, replace(FIXED, fixed_internal_step=0.02)) == 0.02
+    assert communication_step(EXCHANGE.model, FIXED) == 0.0
