@@ -20,7 +20,8 @@ from cluster_est.statistics.whiteness import SmoothnessTest, WhiteNull, smoothne
 from workers.messages import FloatArray
 
 LEVEL = 2e-3
-"""Of all tests of a fit together: of a hundred fits in which nothing is wrong none warns."""
+"""Of all tests of structure in a fit together, and of all tests of size: of a hundred fits in which
+nothing is wrong none warns."""
 
 LEAST_DEGREES = 20
 """Degrees of freedom that an output needs, or its p-values are too rough."""
