@@ -16,7 +16,7 @@ from cluster_est.config.former_keys import former_keys
 from cluster_est.config.reader import Config
 from cluster_est.config.settings import build_resources
 from cluster_est.configured_run import read_run
-from cluster_est.drafting import draft, unit_mismatches, write
+from cluster_est.drafting import draft, read_mapping, unit_mismatches, write
 from cluster_est.errors import ConfigError, ModelError
 from cluster_est.preflight import (
     SECONDS,
@@ -40,7 +40,7 @@ def init(options: Namespace) -> int:
         raise ConfigError(
             f"--out: {out} is there already; choose another, or replace it with --overwrite"
         )
-    found = draft(options.fmu, options.data)
+    found = draft(options.fmu, options.data, read_mapping(options.map))
     text = write(found, out.parent)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
