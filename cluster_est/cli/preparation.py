@@ -25,6 +25,7 @@ from cluster_est.preflight import (
     CheckVerdict,
     bare_problem,
     run_checks,
+    sigma_findings,
 )
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.run_identity import RunKind
@@ -72,7 +73,8 @@ def check(options: Namespace) -> int:
     for sentence in former_keys(config):
         complain(sentence)
     page = run_checks(problem, build_resources(config), seconds)
-    page = replace(page, findings=(*page.findings, *_units(config, problem)))
+    declared = [*sigma_findings(config, problem.describe()), *_units(config, problem)]
+    page = replace(page, findings=(*page.findings, *declared))
     print_model(console, problem, f"method {config.method.name}")
     if page.simulations:
         print_check(console, problem, page.simulations)

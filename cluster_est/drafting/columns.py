@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cluster_est.drafting.units import WORDS, conversion, is_known
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import MeasuredTable, read_table
+from cluster_est.problem.tables.units import WORDS, conversion, is_known
 from workers.messages import FloatArray
 
 TIMES = ("time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp")

@@ -11,7 +11,7 @@ from statistics import median
 from cluster_est.drafting.columns import TIMES, TableColumn, fold, split_unit
 from cluster_est.drafting.draft import DraftExperiment
 from cluster_est.drafting.matching import ColumnMatch
-from cluster_est.drafting.units import conversion, same_unit
+from cluster_est.problem.tables.units import conversion, same_unit
 from cluster_est.toml import dotted, inline
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from cluster_est.config.reader import Config
 from cluster_est.drafting.columns import split_suffix, split_unit
-from cluster_est.drafting.units import UnitConversion, conversion, same_unit
+from cluster_est.problem.tables.units import UnitConversion, conversion, same_unit
 from workers.fmu.description import ModelDescription
 
 LEAST_LETTERS = 2

@@ -76,6 +76,24 @@ _UNITS = {
 }
 
 
+LIKELY = {
+    "rad/s": ("rpm", "deg/s"), "rpm": ("rad/s",), "deg/s": ("rad/s",),
+    "rad": ("deg",), "deg": ("rad",), "K": ("degC",), "degC": ("K",),
+    "Pa": ("kPa", "bar", "hPa", "MPa"), "bar": ("Pa", "kPa"), "kPa": ("Pa", "bar"),
+    "m": ("mm", "cm"), "mm": ("m",), "m/s": ("km/h", "mm/s"), "s": ("ms", "min", "h"),
+    "N": ("kN",), "W": ("kW",), "J": ("kJ", "kWh"), "V": ("mV",), "A": ("mA",),
+    "m3/s": ("l/min", "m3/h", "l/s"), "kg/s": ("kg/h",), "1": ("%",),
+}  # fmt: skip
+"""Units in which a column may be that is taken for one in another unit."""
+
+
+def likely_conversions(wanted: str) -> dict[str, UnitConversion]:
+    """Return the conversions from units that are often mistaken for one, by unit."""
+    names = LIKELY.get(spelled(wanted), ())
+    found = {name: conversion(name, wanted) for name in names}
+    return {name: change for name, change in found.items() if change is not None}
+
+
 def spelled(unit: str) -> str:
     """Return a unit in its usual spelling."""
     text = unit.strip()
