@@ -49,7 +49,9 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
         if each == 0.0:
             sizes[name] = _effect_elsewhere(subject, column, unknown)
     lines = [_failed(name, each) for name, each in pairs if isinstance(each, str)]
-    lines += _dead([name for name, size in sizes.items() if size == 0.0], subject)
+    dead = [name for name, size in sizes.items() if size == 0.0]
+    waiting = _waiting(dead, subject) if len(dead) > 1 or len(dead) == len(sizes) else []
+    lines += waiting or _dead(dead, subject)
     lines += [_faint(name, size) for name, size in sizes.items() if 0.0 < size < FAINT]
     alive = {name: size for name, size in sizes.items() if size >= FAINT}
     if alive:
@@ -104,10 +106,6 @@ def _moved(subject: CheckSubject, column: int, share: float) -> FloatArray:
 
 def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
     said = "is dead: the outputs do not depend on it at the start"
-    if subject.declared and names:
-        waiting = _waiting(names, subject)
-        if waiting:
-            return waiting
     if subject.declared:
         do = "parameters.{}.fixed = true, or remove it, or measure what it acts on"
         return [
@@ -128,6 +126,8 @@ def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
 
 def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
     """Return one line for parameters that may be dead only because nothing drives the model."""
+    if not subject.declared or not names:
+        return []
     idle = idle_inputs(subject.problem, subject.description)
     silent = [n for n, ids in idle.items() if len(ids) == len(subject.problem.experiments)]
     if not silent:
