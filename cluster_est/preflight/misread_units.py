@@ -32,6 +32,9 @@ NAMELESS = {
 """What is tried for variables whose unit the FMU does not name: unit, the model's, conversion."""
 KELVINS = 25.0
 """By which a start may be off, where 273.15 K are the question."""
+LONGER, SMOOTH, ALIKE = 20.0, 0.5, 1.6
+"""Of a time in milliseconds: how often the record is the FMU's own experiment at least; changes
+from sample to sample over the spread, and the factor within which two of them are alike."""
 TIMES = {"milliseconds": 1e-3, "minutes": 60.0, "hours": 3600.0}
 
 
@@ -186,13 +189,61 @@ def _inputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
         for v, table in zip(variants, found, strict=False)
     ]
     best = int(np.argmin(errors)) if errors else 0
-    if not errors or not errors[best] < min(NEAR, BETTER * as_is):
+    if errors and errors[best] < min(NEAR, BETTER * as_is):
+        chosen = variants[best]
+        far = f", in place of {as_is:.2g}" if np.isfinite(as_is) else ""
+        said = f"{chosen.said}: the error at the start values is then {errors[best]:.2g} of what "
+        said += f"the outputs move by{far}"
+        return [CheckFinding(CheckVerdict.NOTE, chosen.check, said, chosen.do)]
+    before = None if seen is None else SimulatedVariant(seen.times, seen.values)
+    return _jumpy(subject, before, list(zip(variants, found, strict=False)))
+
+
+def _jumpy(
+    subject: CheckSubject,
+    before: SimulatedVariant | None,
+    tried: Sequence[tuple[_Variant, SimulatedVariant | None]],
+) -> list[CheckFinding]:
+    """Return a line if the simulation jumps from sample to sample where the data do not.
+
+    For a model that swings, whose phase at the start values says nothing. The record must be far
+    longer than the FMU's own experiment, its times whole numbers, and in milliseconds the
+    simulation must change from sample to sample as much as the data do.
+    """
+    experiment = subject.problem.experiments[subject.experiment]
+    start, stop = subject.description.default_start or 0.0, subject.description.default_stop
+    long = experiment.stop - experiment.start
+    whole = all(np.allclose(o.times, np.round(o.times), 0.0, 1e-6) for o in experiment.outputs)
+    if stop is None or not whole or not long > LONGER * (stop - start):
         return []
-    chosen = variants[best]
-    far = f"{as_is:.2g}" if np.isfinite(as_is) else "none that could be simulated"
-    said = f"{chosen.said}: the error at the start values is then {errors[best]:.2g} of what the "
-    said += f"outputs move by, in place of {far}"
-    return [CheckFinding(CheckVerdict.NOTE, chosen.check, said, chosen.do)]
+    wanted, variables = _steps(experiment, None), experiment.recorded
+    as_is = np.inf if before is None else _steps(experiment, before, variables)
+    for variant, table in tried:
+        if variant.factor < 1.0 and table is not None and wanted < SMOOTH:
+            found = _steps(variant.experiment, table, variables)
+            if as_is > 2.0 * wanted and wanted / ALIKE < found < wanted * ALIKE:
+                said = (
+                    f"{variant.said}, where the FMU's own experiment takes {stop - start:.4g} "
+                    "seconds: only then does the simulation change from sample to sample as the "
+                    "data do"
+                )
+                return [CheckFinding(CheckVerdict.NOTE, variant.check, said, variant.do)]
+    return []
+
+
+def _steps(
+    experiment: Experiment, table: SimulatedVariant | None, variables: Sequence[str] = ()
+) -> float:
+    """Return by how much signals change from sample to sample, over what they move by."""
+    signals = [output.values for output in experiment.outputs]
+    if table is not None:
+        signals = [pair[1] for pair in _pairs(experiment, table, variables).values()]
+    found = [
+        float(np.sqrt(np.mean(np.diff(each) ** 2)) / np.std(each))
+        for each in signals
+        if len(each) > 2 and np.std(each) > 0.0
+    ]
+    return max(found, default=float("nan"))
 
 
 def _input_variants(subject: CheckSubject, experiment: Experiment) -> Iterator[_Variant]:

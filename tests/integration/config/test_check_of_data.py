@@ -133,6 +133,27 @@ class TestTime:
         assert f"the time seems to be in {unit}, and is read as {2.0 * factor:.4g} s" in found.found
         assert found.do.startswith(f"columns.COLUMN = {{ factor = {1.0 / factor:g} }}")
 
+    def test_one_of_a_model_that_swings_is_named_though_its_phase_is_off(self):
+        """Twenty periods, whose frequency is off by a tenth at the start values."""
+        times = np.arange(2500) * 0.016
+        angle = 0.3 * np.cos(1.1 * np.sqrt(20.0) * times)
+        columns = {"t": times * 1e3, "a": angle, "m": 0.0 * times}
+        run = experiment(columns, inputs={"torque": "m"}, outputs={"y": "a"}, values={"angle": 0.3})
+        found = line(page(run, fmu="pendulum", names="J G b"), "time")
+        assert "the time seems to be in milliseconds, and is read as 3.998e+04 sec" in found.found
+        assert "where the FMU's own experiment takes 20 seconds: only then does" in found.found
+
+    def test_a_long_record_of_a_slow_system_is_no_alarm(self):
+        times = np.arange(4000) * 30.0
+        rise = 25.0 + 12.0 * (1.0 - np.exp(-times / 900.0))
+        run = experiment(
+            {"t": times, "P": 3.0 + 0.0 * times, "T": rise},
+            inputs={"P": "P"},
+            outputs={"y_core": "T"},
+        )
+        found = page(run, fmu="thermal_two_node", names="C_core C_case")
+        assert lines(found, "time") == []
+
 
 class TestInputsWithoutData:
     def test_it_is_said_once_and_not_as_dead_parameters(self):
