@@ -96,6 +96,14 @@ def _add_init(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="tables, one an experiment: .csv, .parquet, .feather, .mat; the last is held out",
     )
     init.add_argument(
+        "--map",
+        metavar="VARIABLE=COLUMN",
+        action="append",
+        default=[],
+        help="the column of a variable of the FMU, or of time, as in --map u='Voltage (V)'; may be "
+        "given several times; without: columns are found by their names",
+    )
+    init.add_argument(
         "--out", type=Path, help="TOML file to write; without: the FMU's name, in this folder"
     )
     init.add_argument("--overwrite", action="store_true", help="replace that file")

@@ -17,7 +17,7 @@ from cluster_est.config.former_keys import former_keys
 from cluster_est.config.reader import Config
 from cluster_est.config.settings import build_resources
 from cluster_est.configured_run import read_run
-from cluster_est.drafting import draft, unit_mismatches, write
+from cluster_est.drafting import draft, read_mapping, unit_mismatches, write
 from cluster_est.errors import ConfigError, ModelError
 from cluster_est.preflight import (
     SECONDS,
@@ -26,6 +26,7 @@ from cluster_est.preflight import (
     CheckVerdict,
     bare_problem,
     run_checks,
+    sigma_findings,
 )
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.run_identity import RunKind
@@ -41,7 +42,7 @@ def init(options: Namespace) -> int:
         raise ConfigError(
             f"--out: {out} is there already; choose another, or replace it with --overwrite"
         )
-    found = draft(options.fmu, options.data)
+    found = draft(options.fmu, options.data, read_mapping(options.map))
     text = write(found, out.parent)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -76,7 +77,8 @@ def check(options: Namespace) -> int:
     print_model(console, problem, f"method {config.method.name}")
     say_if_compiled_first()
     page = run_checks(problem, build_resources(config), seconds)
-    page = replace(page, findings=(*page.findings, *_units(config, problem)))
+    declared = [*sigma_findings(config, problem.describe()), *_units(config, problem)]
+    page = replace(page, findings=(*page.findings, *declared))
     if page.simulations:
         print_check(console, problem, page.simulations)
     print_page(console, page)

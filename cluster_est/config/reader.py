@@ -7,16 +7,19 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from cluster_est.config.messages import error_messages
 from cluster_est.config.overrides import override
+from cluster_est.config.sections.defaults import DEFAULTS, unused_defaults, with_defaults
 from cluster_est.config.sections.experiment import (
     ColumnSection,
     CurveSection,
+    ExperimentDefaultsSection,
     ExperimentSection,
     InputSection,
     OutputSection,
@@ -61,6 +64,7 @@ __all__ = [
     "CurveSection",
     "EffectSection",
     "ExecutorSection",
+    "ExperimentDefaultsSection",
     "ExperimentSection",
     "InputSection",
     "LogSection",
@@ -127,11 +131,14 @@ def parse_config(raw: dict[str, Any], where: str) -> Config:
     ConfigError
         With one line for each problem.
     """
-    try:
+    defaults = raw.get(DEFAULTS, {})
+    if DEFAULTS in raw:
+        with _in_words(raw, where):
+            _OnlyDefaults.model_validate(raw)
+        raw = with_defaults(raw)
+    with _in_words(raw, where):
         config = Config.model_validate(raw)
-    except ValidationError as error:
-        raise ConfigError("\n".join(error_messages(error, where, raw, Config))) from None
-    problems = [*_unknown_names(config)]
+    problems = [*_unknown_names(config), *unused_defaults(defaults, config)]
     problems += _missing_starts(config)
     constrained = bool(config.constraints or config.cost.function)
     for experiment in config.experiments:
@@ -139,6 +146,21 @@ def parse_config(raw: dict[str, Any], where: str) -> Config:
     if problems:
         raise ConfigError("\n".join(f"{where}: {problem}" for problem in problems))
     return config
+
+
+class _OnlyDefaults(BaseModel):
+    """A config of which only the defaults of the experiments are looked at."""
+
+    experiment_defaults: ExperimentDefaultsSection
+
+
+@contextmanager
+def _in_words(raw: dict[str, Any], where: str) -> Iterator[None]:
+    """Say what pydantic finds in the words of the config's author."""
+    try:
+        yield
+    except ValidationError as error:
+        raise ConfigError("\n".join(error_messages(error, where, raw, Config))) from None
 
 
 def _unknown_names(config: Config) -> Iterator[str]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from cluster_est.drafting.units import conversion
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import MeasuredTable, read_table
+from cluster_est.problem.tables.units import WORDS, conversion, is_known
 from workers.messages import FloatArray
 
 TIMES = ("time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp")
@@ -24,6 +24,10 @@ LEAST_SAMPLES = 10
 
 _IN_BRACKETS = re.compile(r"(.*?)[\s_]*[\[(<]([^\[\](){}<>]*)[\])>]\s*")
 _AFTER_SLASH = re.compile(r"(.*\S)\s+(?:/|in)\s+(\S+)\s*")
+
+
+MOST_PARTS = 3
+"""Parts of a name that may be a unit: "rad_per_s"."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +78,27 @@ class TableColumns:
     increasing: tuple[str, ...]
     unusable: tuple[str, ...]
 
+    @property
+    def named(self) -> dict[str, TableColumn]:
+        """All columns of numbers by name, the time among them."""
+        every = self.signals if self.time is None else (self.time, *self.signals)
+        return {column.name: column for column in every}
+
 
 def fold(name: str) -> str:
     """Return a name without case, blanks, underscores, brackets: "motorspeed" of "Motor_Speed"."""
     return "".join(letter for letter in name.casefold() if letter.isalnum())
 
 
-def read_columns(path: Path) -> TableColumns:
+def read_columns(path: Path, time_column: str = "") -> TableColumns:
     """Read a table and sort its columns.
+
+    Parameters
+    ----------
+    path
+        Of the table.
+    time_column
+        Name of the column with the time, if it has one of that name; else the name must tell.
 
     Raises
     ------
@@ -96,11 +113,13 @@ def read_columns(path: Path) -> TableColumns:
             "columns, and that its first row holds their names"
         )
     columns = [TableColumn(name, *split_unit(name), _noise(v)) for name, v in numbers.items()]
-    time = next((c for c in columns if _is_time(c)), None)
+    time = _time(columns, time_column)
     rows = Counter(len(values) for values in numbers.values()).most_common(1)[0][0]
     if time is not None:
         rows = len(numbers[time.name])
-    kept = [c for c in columns if c is not time and len(numbers[c.name]) == rows]
+    kept = [
+        c for c in columns if (time is None or c.name != time.name) and len(numbers[c.name]) == rows
+    ]
     rising = [] if time is not None else [c.name for c in kept if _increases(numbers[c.name])]
     return TableColumns(path, tuple(kept), time, tuple(rising), tuple(unusable))
 
@@ -129,6 +148,38 @@ def split_unit(name: str) -> tuple[str, str]:
     return found.group(1).strip(), found.group(2).strip()
 
 
+def split_suffix(name: str, wanted: str) -> tuple[str, str] | None:
+    """Return "speed" and "rpm" of "speed_rpm"; None if the end of a name is no unit.
+
+    Parameters
+    ----------
+    name
+        Of a column.
+    wanted
+        The unit of its variable. The end of the name must be convertible to it: "x_m" may be
+        measured in metres, "u_m" of a voltage is not. Where it is "", only units of two letters and
+        more count, and not "min".
+    """
+    parts = name.split("_")
+    for count in range(min(MOST_PARTS, len(parts) - 1), 0, -1):
+        plain, tail = "_".join(parts[:-count]), parts[-count:]
+        unit = "/".join(part for part in tail if part != "per")
+        unit = WORDS.get(unit, unit)
+        if wanted:
+            fits = conversion(unit, wanted) is not None
+        else:
+            fits = is_known(unit) and len(unit) > 1 and unit != "min"
+        if fits and plain.strip("_"):
+            return plain.strip("_"), unit
+    return None
+
+
+def with_suffix(column: TableColumn, wanted: str) -> TableColumn:
+    """Return a column with the unit at the end of its name, if it has no other."""
+    found = None if column.unit else split_suffix(column.name, wanted)
+    return column if found is None else replace(column, plain=found[0], unit=found[1])
+
+
 def _noise(values: FloatArray) -> float:
     """Estimate the standard deviation of a signal's noise from second differences.
 
@@ -140,6 +191,17 @@ def _noise(values: FloatArray) -> float:
         return 0.0
     spread = float(1.4826 * np.median(np.abs(np.diff(finite, 2))) / np.sqrt(6.0))
     return max(spread, LEAST_NOISE * float(np.std(finite)))
+
+
+def _time(columns: list[TableColumn], given: str) -> TableColumn | None:
+    """Return the column with the time, its unit split off."""
+    for column in columns:
+        if column.name == given:
+            return with_suffix(column, "s")
+    if any(_is_time(column) for column in columns):
+        return next(column for column in columns if _is_time(column))
+    ended = [with_suffix(column, "s") for column in columns]
+    return next((c for c in ended if _is_time(c) and c.plain != "T"), None)
 
 
 def _is_time(column: TableColumn) -> bool:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from cluster_est.drafting.candidates import ParameterCandidate, candidates, initial_states
 from cluster_est.drafting.columns import TableColumns, read_columns
+from cluster_est.drafting.mapping import TIME, check_columns, check_variables
 from cluster_est.drafting.matching import ColumnMatch, match, same
 from cluster_est.errors import DataError, ModelError
 from workers.fmu.description import ModelDescription, describe
@@ -54,7 +55,7 @@ class ConfigDraft:
     runs: tuple[DraftExperiment, ...]
 
 
-def draft(fmu: Path, data: Sequence[Path]) -> ConfigDraft:
+def draft(fmu: Path, data: Sequence[Path], mapping: Mapping[str, str] | None = None) -> ConfigDraft:
     """Draft a config from an FMU and measured tables.
 
     Parameters
@@ -63,12 +64,15 @@ def draft(fmu: Path, data: Sequence[Path]) -> ConfigDraft:
         The model.
     data
         One table for each experiment; the last of several is held out.
+    mapping
+        Variables of the FMU, or "time", with the columns that they have.
 
     Raises
     ------
     ModelError, DataError
-        If one of them cannot be read, or is named twice.
+        If one of them cannot be read, or is named twice, or the mapping names what is not there.
     """
+    known = {} if mapping is None else mapping
     _check_once(data)
     if not fmu.is_file():
         raise ModelError(f"init: there is no FMU {fmu}; check the path")
@@ -77,12 +81,14 @@ def draft(fmu: Path, data: Sequence[Path]) -> ConfigDraft:
     except OSError as error:
         raise ModelError(f"init: {fmu} cannot be read ({error.strerror}); check it") from error
     description = describe(fmu.name, archive)
-    tables = [read_columns(path) for path in data]
+    check_variables(known, description)
+    tables = [read_columns(path, known.get(TIME, "")) for path in data]
+    check_columns(known, tables)
     roles: list[Role] = ["train"] * len(tables)
     if len(tables) > 1:
         roles[-1] = "test"
     runs = [
-        _run(name, columns, role, description)
+        _run(name, columns, role, description, known)
         for name, columns, role in zip(_ids(data), tables, roles, strict=True)
     ]
     return ConfigDraft(
@@ -95,18 +101,27 @@ def draft(fmu: Path, data: Sequence[Path]) -> ConfigDraft:
 
 
 def _run(
-    name: str, columns: TableColumns, role: Role, description: ModelDescription
+    name: str,
+    columns: TableColumns,
+    role: Role,
+    description: ModelDescription,
+    mapping: Mapping[str, str],
 ) -> DraftExperiment:
+    known = {v: columns.named[c] for v, c in mapping.items() if v != TIME and c in columns.named}
     inputs = [v for v in description.inputs() if v.kind in ("real", "integer", "boolean")]
     outputs = [description.variables[n] for n in description.outputs]
     numbers = [v for v in outputs if v.kind in ("real", "integer", "boolean")]
-    together = match([*inputs, *numbers], columns.signals)
-    given = {each.column for each in together} | {each.similar for each in together}
-    left = [column for column in columns.signals if column not in given]
     own = {v.name for v in (*inputs, *numbers)}
+    asked = [description.variables[name] for name in known if name not in own]
+    taken = {column.name for column in known.values()}
+    free = [column for column in columns.signals if column.name not in taken]
+    together = match([*inputs, *numbers], free, known)
+    given = {each.name for m in together for each in (m.column, m.similar) if each is not None}
+    left = [column for column in free if column.name not in given]
     others = [v for v in description.variables.values() if _computed(v) and v.name not in own]
     further = [
-        ColumnMatch(description.variables[n], column) for n, column in same(others, left).items()
+        ColumnMatch(description.variables[n], column)
+        for n, column in same([*asked, *(v for v in others if v not in asked)], left, known).items()
     ]
     return DraftExperiment(
         name,

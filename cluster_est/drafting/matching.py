@@ -5,10 +5,10 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from cluster_est.drafting.columns import TableColumn, fold
+from cluster_est.drafting.columns import TableColumn, fold, split_suffix, with_suffix
 from workers.fmu.variable import ModelVariable
 
 SIMILAR = 0.6
@@ -35,50 +35,92 @@ class ColumnMatch:
     similar: TableColumn | None = None
 
 
-def match(variables: Sequence[ModelVariable], columns: Sequence[TableColumn]) -> list[ColumnMatch]:
+def match(
+    variables: Sequence[ModelVariable],
+    columns: Sequence[TableColumn],
+    given: Mapping[str, TableColumn] | None = None,
+) -> list[ColumnMatch]:
     """Match each variable to a column, and no column twice.
 
-    A column has the same name, or the same but for case, blanks, underscores and brackets. Where
-    neither decides, a similar column is a suggestion, or the only one that is left.
+    A column has the same name, or the same but for case, blanks, underscores, brackets and a unit
+    at its end. Where neither decides, a similar column is a suggestion, or the only one that is
+    left.
+
+    Parameters
+    ----------
+    given
+        Columns of variables that are known.
     """
-    sure = same(variables, columns)
-    left = [c for c in columns if c not in sure.values()]
+    sure = same(variables, columns, given)
+    left = _others(columns, sure)
     found = []
     for variable in variables:
         column = sure.get(variable.name)
         similar = None if column is not None else _most_similar(variable, left)
         if similar is not None:
             left.remove(similar)
+            similar = with_suffix(similar, variable.unit)
         found.append(ColumnMatch(variable, column, similar))
     return _last_one(found, left)
 
 
 def same(
-    variables: Sequence[ModelVariable], columns: Sequence[TableColumn]
+    variables: Sequence[ModelVariable],
+    columns: Sequence[TableColumn],
+    given: Mapping[str, TableColumn] | None = None,
 ) -> dict[str, TableColumn]:
     """Return the columns that are certain, by the variable's name."""
-    sure = _same([(v, v.name) for v in variables], [(c, c.name) for c in columns])
+    own = given or {}
+    sure = {v.name: with_suffix(own[v.name], v.unit) for v in variables if v.name in own}
+    sure |= _same([(v, v.name) for v in variables], [(c, c.name) for c in columns], sure)
     sure |= _same([(v, v.name) for v in variables], [(c, c.plain) for c in columns], sure)
     folded = [(v, fold(v.name)) for v in variables]
-    return sure | _same(folded, [(c, c.folded) for c in columns], sure)
+    sure |= _same(folded, [(c, c.folded) for c in columns], sure)
+    return sure | _suffixed(variables, columns, sure)
+
+
+def _others(columns: Sequence[TableColumn], taken: Mapping[str, TableColumn]) -> list[TableColumn]:
+    names = {column.name for column in taken.values()}
+    return [column for column in columns if column.name not in names]
+
+
+def _suffixed(
+    variables: Sequence[ModelVariable],
+    columns: Sequence[TableColumn],
+    taken: Mapping[str, TableColumn],
+) -> dict[str, TableColumn]:
+    """Return columns by variable where the name is the same but for a unit at its end."""
+    free = [c for c in _others(columns, taken) if "_" in c.name and not c.unit]
+    pairs = []
+    for variable in variables:
+        wanted = fold(variable.name)
+        for column in free if variable.name not in taken and wanted else ():
+            if column.folded.startswith(wanted):
+                found = split_suffix(column.name, variable.unit)
+                if found is not None and fold(found[0]) == wanted:
+                    pairs.append((variable, with_suffix(column, variable.unit)))
+    names = Counter(variable.name for variable, _ in pairs)
+    used = Counter(column.name for _, column in pairs)
+    return {v.name: c for v, c in pairs if names[v.name] == used[c.name] == 1}
 
 
 def _last_one(found: list[ColumnMatch], left: list[TableColumn]) -> list[ColumnMatch]:
     """Suggest the column if one variable and one column are left over."""
     open_ = [i for i, m in enumerate(found) if m.column is None and m.similar is None]
     if len(open_) == len(left) == 1:
-        found[open_[0]] = replace(found[open_[0]], similar=left[0])
+        similar = with_suffix(left[0], found[open_[0]].variable.unit)
+        found[open_[0]] = replace(found[open_[0]], similar=similar)
     return found
 
 
 def _same(
     variables: list[tuple[ModelVariable, str]],
     columns: list[tuple[TableColumn, str]],
-    taken: dict[str, TableColumn] | None = None,
+    taken: Mapping[str, TableColumn],
 ) -> dict[str, TableColumn]:
     """Return columns by variable where a key is the same and unique on both sides."""
-    taken = taken or {}
-    free = [(c, key) for c, key in columns if c not in taken.values()]
+    names = {column.name for column in taken.values()}
+    free = [(c, key) for c, key in columns if c.name not in names]
     open_ = [(v, key) for v, key in variables if v.name not in taken]
     counts = Counter(key for _, key in free)
     wanted = Counter(key for _, key in open_)

@@ -6,9 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from cluster_est.config.reader import Config
-from cluster_est.drafting.columns import split_unit
-from cluster_est.drafting.units import UnitConversion, conversion, same_unit
+from cluster_est.drafting.columns import split_suffix, split_unit
+from cluster_est.problem.tables.units import UnitConversion, conversion, same_unit
 from workers.fmu.description import ModelDescription
+
+LEAST_LETTERS = 2
+"""Of a unit at the end of a name: "x_m" may be a measured x, "x_mm" is not."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +60,16 @@ def _mismatches(
     for variable, column in pairs:
         found = description.variables.get(variable)
         wanted = "s" if found is None else found.unit
-        unit = split_unit(column or "")[1]
+        unit = _unit(column or "", wanted)
         if not unit or not wanted or same_unit(unit, wanted):
             continue
         change = conversion(unit, wanted)
         if change is not None and change != UnitConversion(1.0):
             yield UnitMismatch(column or "", unit, variable, wanted, change)
+
+
+def _unit(column: str, wanted: str) -> str:
+    """Return the unit in a column's name; at its end only one that can hardly be a word."""
+    unit = split_unit(column)[1]
+    found = None if unit or not wanted else split_suffix(column, wanted)
+    return unit if found is None or len(found[1]) < LEAST_LETTERS else found[1]

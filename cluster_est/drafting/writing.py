@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from cluster_est.drafting.candidates import MOST_LISTED, ParameterCandidate
-from cluster_est.drafting.columns import TIMES, TableColumn, fold, split_unit
-from cluster_est.drafting.draft import ConfigDraft, DraftExperiment
-from cluster_est.drafting.matching import ColumnMatch
-from cluster_est.drafting.units import conversion, same_unit
+from cluster_est.drafting.draft import ConfigDraft
+from cluster_est.drafting.experiment_lines import FILL_IN, experiments, relative, said
 from cluster_est.toml import dotted, inline
 from workers.fmu.description import ModelDescription
-from workers.fmu.variable import ModelVariable
-
-MOST_OPEN = 20
-"""Outputs that are looked at for a comment where no column is like them."""
-FILL_IN = "FILL IN"
-"""Begins a value that only the user knows; `check` refuses it and names its line."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +42,14 @@ def write(draft: ConfigDraft, folder: Path) -> ConfigText:
         "",
         *_parameters(draft),
     ]
-    for run in draft.runs:
-        lines += ["", *_experiment(run, folder)]
+    lines += experiments(draft.runs, draft.description, folder)
     return ConfigText("\n".join(_clean(line) for line in lines) + "\n")
 
 
 def _model(draft: ConfigDraft, folder: Path) -> Iterator[str]:
     description = draft.description
     yield "[model]"
-    yield f"fmu = {inline(_relative(draft.fmu, folder))}"
+    yield f"fmu = {inline(relative(draft.fmu, folder))}"
     exchange = "model_exchange" in description.interfaces
     chosen = "model_exchange" if exchange else description.interfaces[0]
     yield f'interface = "{chosen}"  # {_why(description)}'
@@ -97,184 +87,15 @@ def _parameters(draft: ConfigDraft) -> Iterator[str]:
         yield "# Initial states, where they are not known: one for each experiment."
     for state in draft.states[:MOST_LISTED]:
         value = inline({"start": state.start or 0.0, "per": "experiment"})
-        yield f"# {dotted(state.name)} = {value}{_said(state)}"
+        yield f"# {dotted(state.name)} = {value}{said(state)}"
 
 
 def _parameter(candidate: ParameterCandidate) -> str:
     variable = candidate.variable
     per = {"per": candidate.per} if candidate.per else {}
     value = {"start": candidate.start, "bounds": candidate.bounds, **per}
-    line = f"{dotted(variable.name)} = {inline(value)}{_said(variable, candidate.origin)}"
+    line = f"{dotted(variable.name)} = {inline(value)}{said(variable, candidate.origin)}"
     return f"# {line}; not estimated: {candidate.why_not}" if candidate.why_not else line
-
-
-def _said(variable: ModelVariable, more: str = "") -> str:
-    """Return a comment with the unit and description of a variable."""
-    unit = f"[{variable.unit}]" if variable.unit else ""
-    parts = [" ".join(part for part in (unit, variable.description) if part), more]
-    text = "; ".join(part for part in parts if part)
-    return f"  # {text}" if text else ""
-
-
-def _experiment(run: DraftExperiment, folder: Path) -> Iterator[str]:
-    columns = run.columns
-    yield "[[experiments]]"
-    yield f"id = {inline(run.id)}"
-    yield f"data = {inline(_relative(columns.path, folder))}"
-    yield from _time(run)
-    for match in run.inputs:
-        yield from _input(match, columns.signals)
-    yield from _outputs(run)
-    yield from _conversions(run)
-    yield from _sigmas(run)
-    if run.role == "test":
-        yield 'role = "test"  # held out: reported, never fitted'
-    matches = (*run.inputs, *run.outputs, *run.further)
-    used = {m.column for m in matches} | {m.similar for m in matches}
-    unused = [c for c in columns.signals if c not in used]
-    if unused:
-        yield f"# columns without a variable of the FMU: {', '.join(c.name for c in unused)}"
-        yield from _open_outputs(run)
-        yield from _open_conversions(run, unused)
-    if columns.unusable:
-        yield f"# columns that hold no numbers: {', '.join(columns.unusable)}"
-
-
-def _time(run: DraftExperiment) -> Iterator[str]:
-    time = run.columns.time
-    if time is not None:
-        yield f"time = {inline(time.name)}"
-        return
-    why = "no column is called time"
-    for name in run.columns.unusable:
-        if fold(split_unit(name)[0]) in TIMES:
-            why = f"column {name!r} holds no numbers: dates, or a row of units that must go?"
-    yield f'sample_time = "{FILL_IN}: seconds between rows"  # {why}'
-    for name in run.columns.increasing[:3]:
-        yield f"# time = {inline(name)}  # instead, if that is it: it increases from row to row"
-
-
-def _input(match: ColumnMatch, columns: tuple[TableColumn, ...]) -> Iterator[str]:
-    variable = match.variable
-    key = dotted("inputs", variable.name)
-    if match.column is not None:
-        yield f"{key} = {inline(match.column.name)}{_said(variable)}"
-    elif match.similar is not None:
-        yield f"{key} = {_guess(match.similar)}{_said(variable, _choices(columns))}"
-    else:
-        start = variable.start or 0.0
-        kept = f"no column is like it, so it keeps its start value {start:g}"
-        yield f'# {key} = "COLUMN"{_said(variable, kept)}'
-
-
-def _outputs(run: DraftExperiment) -> Iterator[str]:
-    certain = [m for m in (*run.outputs, *run.further) if m.column is not None]
-    for match in run.outputs:
-        variable = match.variable
-        key = dotted("outputs", variable.name)
-        if match.column is not None:
-            yield f"{key} = {inline(match.column.name)}{_said(variable)}"
-        elif certain and match.similar is not None:
-            value = inline(match.similar.name)
-            yield f"# {key} = {value}{_said(variable, 'only similar: uncomment if it is')}"
-        elif not certain and (match.similar is not None or match is run.outputs[0]):
-            value = f'"{FILL_IN}: a column"' if match.similar is None else _guess(match.similar)
-            yield f"{key} = {value}{_said(variable, _choices(run.columns.signals))}"
-    for match in run.further:
-        if match.column is not None:
-            key = dotted("outputs", match.variable.name)
-            yield f"{key} = {inline(match.column.name)}{_said(match.variable, 'no output')}"
-    if not certain and not run.outputs:
-        yield "# The FMU has no output: name a variable that it computes, as it is called there."
-        yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
-
-
-def _open_outputs(run: DraftExperiment) -> Iterator[str]:
-    """Yield outputs that may be one of the columns left over, though no name is similar."""
-    certain = any(m.column is not None for m in (*run.outputs, *run.further))
-    first = run.outputs[:1]
-    for match in run.outputs[:MOST_OPEN]:
-        asked = not certain and match in first
-        if match.column is None and match.similar is None and not asked:
-            variable = match.variable
-            said = _said(variable, "no column is like it")
-            yield f'# {dotted("outputs", variable.name)} = "COLUMN"{said}'
-
-
-def _open_conversions(run: DraftExperiment, unused: list[TableColumn]) -> Iterator[str]:
-    """Yield conversions of the columns left over, in case one is an open variable."""
-    open_ = [m.variable.unit for m in (*run.inputs, *run.outputs) if m.column is None]
-    for column in unused:
-        for unit in dict.fromkeys(open_):
-            found = conversion(column.unit, unit) if column.unit and unit else None
-            if found is not None and not same_unit(column.unit, unit):
-                why = f"if its variable is in {unit}"
-                yield from (f"# {line}" for line in _conversion(column, unit, why))
-
-
-def _compared(run: DraftExperiment) -> list[tuple[ModelVariable, TableColumn]]:
-    """Return the outputs that are written with a column, also one to be confirmed."""
-    certain = [(m.variable, m.column) for m in (*run.outputs, *run.further) if m.column is not None]
-    return certain or [(m.variable, m.similar) for m in run.outputs if m.similar is not None]
-
-
-def _sigmas(run: DraftExperiment) -> Iterator[str]:
-    """Yield guesses of the noise of each output, by which several outputs are weighted."""
-    compared = _compared(run)
-    guesses = [_in_unit(column.noise, column, variable) for variable, column in compared]
-    several = len(compared) > 1 and all(guesses)
-    if several:
-        yield "# What the outputs are weighted by: a guess of their noise, from the samples alone."
-    for (variable, _), guess in zip(compared, guesses, strict=True):
-        line = f"{dotted('sigma', variable.name)} = {inline(guess or 0.01)}"
-        yield line if several else f"# {line}  # standard deviation of its noise, a guess"
-
-
-def _in_unit(noise: float, column: TableColumn, variable: ModelVariable) -> float:
-    """Return a column's noise in the unit of its variable, to two digits."""
-    found = conversion(column.unit, variable.unit)
-    return float(f"{noise * (1.0 if found is None else found.factor):.2g}")
-
-
-def _conversions(run: DraftExperiment) -> Iterator[str]:
-    """Yield lines for columns whose unit is not that of their variable."""
-    if run.columns.time is not None and run.columns.time.unit:
-        yield from _conversion(run.columns.time, "s", "times are in seconds")
-    inputs = [(m.variable, m.column or m.similar) for m in run.inputs]
-    for variable, column in (*inputs, *_compared(run)):
-        if column is not None and column.unit and variable.unit:
-            yield from _conversion(column, variable.unit, f"{variable.name} is in {variable.unit}")
-
-
-def _conversion(column: TableColumn, wanted: str, why: str) -> Iterator[str]:
-    if same_unit(column.unit, wanted):
-        return
-    found = conversion(column.unit, wanted)
-    if found is None:
-        yield f"# {column.name} is in {column.unit} but {why}; if they differ, say how:"
-        example = inline({"factor": 1.0})
-        yield f"# {dotted('columns', column.name)} = {example}"
-        return
-    value = {"factor": found.factor} | ({"offset": found.offset} if found.offset else {})
-    line = f"{dotted('columns', column.name)} = {inline(value)}"
-    yield f"{line}  # from {column.unit}: {why}"
-
-
-def _guess(column: TableColumn) -> str:
-    return inline(f"{FILL_IN}: {column.name}?")
-
-
-def _choices(columns: tuple[TableColumn, ...]) -> str:
-    return "columns: " + ", ".join(column.name for column in columns[:12])
-
-
-def _relative(path: Path, folder: Path) -> str:
-    """Return a path from a folder, with slashes; absolute where there is no relative one."""
-    try:
-        found = os.path.relpath(path.resolve(), folder.resolve())
-    except ValueError:  # on another drive
-        found = str(path.resolve())
-    return found.replace(os.sep, "/")
 
 
 def _clean(line: str) -> str:

@@ -123,5 +123,10 @@ def _check_name(path: Path | None, option: str, suffix: str) -> None:
         return
     if path.suffix.lower() != suffix:
         raise ConfigError(f"{option}: must end in {suffix} but is {path.name!r}; rename it")
+    if not path.parent.is_dir():
+        raise ConfigError(
+            f"{option}: must be in a folder that exists but {path.parent} does not; make it, or "
+            "choose another"
+        )
     if path.is_dir():
         raise ConfigError(f"{option}: {path} must be a file but is a folder; choose another")

@@ -9,8 +9,11 @@ import numpy as np
 
 from cluster_est.executors import executor_class
 from cluster_est.preflight.findings import CheckFinding, CheckPage, CheckVerdict
+from cluster_est.preflight.measured_data import data_findings
+from cluster_est.preflight.misread_units import misread_units
 from cluster_est.preflight.parameters import bounds, corners, effects
 from cluster_est.preflight.repeatability import instances, repeatable
+from cluster_est.preflight.rest import at_rest
 from cluster_est.preflight.simulation_costs import costs
 from cluster_est.preflight.solver_checks import accuracy, derivatives, stiffness
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
@@ -63,9 +66,10 @@ def run_checks(
         True if a config declares the parameters to be estimated.
     """
     description = problem.describe()
+    data = data_findings(problem, description) if declared else []
     if seconds == 0.0:
         description.check_platform(problem.model.interface)
-        return CheckPage((), ())
+        return CheckPage(tuple(data), ())
     # before the time of the checks begins: Ray takes a second to import
     in_process = executor_class(resources.executor).in_process
     with ProbeBench(problem.model, problem.experiments) as bench:
@@ -88,7 +92,9 @@ def run_checks(
         findings = [
             CheckFinding(CheckVerdict.OK, "loads", "it can be loaded and instantiated"),
             *bounds(subject),
+            *data,
             *_simulation_findings(subject, simulations),
+            *at_rest(subject, simulations),
             *_probe_findings(subject, simulations),
         ]
     return CheckPage(tuple(findings), tuple(simulations))
@@ -99,7 +105,8 @@ def _probe_findings(subject: CheckSubject, simulations: list[Simulation]) -> lis
     successful = [s for s in simulations if s.outcome.ok]
     if not successful:
         late = any(s.outcome.status is Status.TIMEOUT for s in simulations)
-        return [] if late else stiffness(subject)
+        stiff = [] if late else stiffness(subject)
+        return [*stiff, *misread_units(subject, simulations)]
     first = _most_telling(successful)
     seen = first.outcome.trajectory
     subject = replace(
@@ -112,7 +119,7 @@ def _probe_findings(subject: CheckSubject, simulations: list[Simulation]) -> lis
     subject = replace(subject, reset_policy=policy or "reset", repeats=policy is not None)
     for check in CHECKS:
         findings += check(subject)
-    return findings
+    return findings + misread_units(subject, simulations)
 
 
 def _most_telling(simulations: list[Simulation]) -> Simulation:

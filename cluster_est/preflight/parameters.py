@@ -9,6 +9,7 @@ import numpy as np
 
 from cluster_est.methods.derivatives.differences import relative_noise
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
+from cluster_est.preflight.measured_data import idle_inputs, stays
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.unknown import Unknown
@@ -48,7 +49,9 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
         if each == 0.0:
             sizes[name] = _effect_elsewhere(subject, column, unknown)
     lines = [_failed(name, each) for name, each in pairs if isinstance(each, str)]
-    lines += _dead([name for name, size in sizes.items() if size == 0.0], subject)
+    dead = [name for name, size in sizes.items() if size == 0.0]
+    waiting = _waiting(dead, subject) if len(dead) > 1 or len(dead) == len(sizes) else []
+    lines += waiting or _dead(dead, subject)
     lines += [_faint(name, size) for name, size in sizes.items() if 0.0 < size < FAINT]
     alive = {name: size for name, size in sizes.items() if size >= FAINT}
     if alive:
@@ -112,13 +115,30 @@ def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
     if not names:
         return []
     given = {each.variable for each in subject.problem.experiments[subject.experiment].inputs}
-    idle = [v.name for v in subject.description.inputs() if v.name not in given]
+    open_ = [v.name for v in subject.description.inputs() if v.name not in given]
     do = "they may act once the inputs are driven, as a config's data do"
-    if not idle:
+    if not open_:
         do = "what the FMU shows in its default experiment does not determine them"
     said = f"the outputs do not depend on {listed(names)} at the start values"
-    said += f", with nothing at the inputs {listed(idle)}" if idle else ""
+    said += f", with nothing at the inputs {listed(open_)}" if open_ else ""
     return [CheckFinding(CheckVerdict.NOTE, "dead parameters", said, do)]
+
+
+def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
+    """Return one line for parameters that may be dead only because nothing drives the model."""
+    if not subject.declared or not names:
+        return []
+    idle = idle_inputs(subject.problem, subject.description)
+    silent = [n for n, ids in idle.items() if len(ids) == len(subject.problem.experiments)]
+    if not silent:
+        return []
+    value = stays(subject.description.variables[silent[0]])
+    while_ = f"while input {silent[0]} has no data and stays at {value}"
+    if len(silent) > 1:
+        while_ = f"while inputs {listed(silent)} have no data"
+    said = f"the outputs do not depend on {listed(names)} {while_}"
+    do = f'inputs.{silent[0]} = "COLUMN" in the experiments, then check again'
+    return [CheckFinding(CheckVerdict.PROBLEM, "parameters", said, do)]
 
 
 def _faint(name: str, size: float) -> CheckFinding:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,9 @@ COUNTING = 0.3
 """Relative change above which an output may count the steps, however it is declared."""
 GOOD, BAD = 1e-5, 1e-2
 """Relative changes of the outputs below which all is well, and above which there is a problem."""
+
+NOISE_GOOD, NOISE_BAD = 0.1, 1.0
+"""The same of their absolute size over the declared standard deviation of the noise."""
 
 
 def accuracy(subject: CheckSubject) -> list[CheckFinding]:
@@ -53,10 +56,14 @@ def _judged(subject: CheckSubject, found: FloatArray, how: str, key: str) -> lis
     if moving:
         name, far = max(moving, key=_far)
         said = f"with {how} {name} changes by {far:.2g} of its size, and no output by more"
-        verdict = CheckVerdict.PROBLEM if far > BAD else CheckVerdict.NOTE
+        noisy = _against_noise(subject, moving)
+        said += f"; {noisy.said}" if noisy.said else ""
+        bad = far > BAD or noisy.share > NOISE_BAD
+        verdict = CheckVerdict.PROBLEM if bad else CheckVerdict.NOTE
         fine = CheckFinding(CheckVerdict.OK, "accuracy", said)
         do = key if far < COUNTING else f"{key}; nothing, if it counts steps or calls"
-        lines.append(fine if far < GOOD else CheckFinding(verdict, "accuracy", said, do))
+        good = far < GOOD and noisy.share < NOISE_GOOD
+        lines.append(fine if good else CheckFinding(verdict, "accuracy", said, do))
     name, far = max(others, key=_far, default=("", 0.0))
     if not far < GOOD:
         said = f"with {how} {name}, which is no continuous output, changes by {far:.2g} of its size"
@@ -65,13 +72,42 @@ def _judged(subject: CheckSubject, found: FloatArray, how: str, key: str) -> lis
     return lines or [CheckFinding(CheckVerdict.OK, "accuracy", f"with {how} no output changes")]
 
 
+@dataclass(frozen=True)
+class _NoiseShare:
+    """The largest error of an output over its declared noise, and what is said of it."""
+
+    share: float = 0.0
+    said: str = ""
+
+
+def _against_noise(subject: CheckSubject, errors: list[tuple[str, float]]) -> _NoiseShare:
+    """Compare the errors of outputs with the noise that is declared for them."""
+    experiment = subject.problem.experiments[subject.experiment]
+    sigmas = {o.variable: o.sigma for o in experiment.outputs if o.sigma != 1.0}
+    if subject.trajectory is None:
+        return _NoiseShare()
+    sizes = dict(
+        zip(experiment.recorded, np.abs(subject.trajectory).max(axis=0).tolist(), strict=True)
+    )
+    shares = [
+        (far * (sizes[name] or 1.0) / sigmas[name], name) for name, far in errors if name in sigmas
+    ]
+    share, name = max(shares, default=(0.0, ""))
+    if not share > 0.0:
+        return _NoiseShare()
+    if share < NOISE_GOOD:
+        return _NoiseShare(share, f"that is {share:.2g} of sigma.{name}")
+    said = f"that is {share:.2g} of sigma.{name}, which is not small against the noise"
+    return _NoiseShare(share, said)
+
+
 def _far(pair: tuple[str, float]) -> float:
     return math.inf if math.isnan(pair[1]) else pair[1]
 
 
 def _finer(subject: CheckSubject, solver: Solver) -> tuple[Solver, str, str]:
     if solver.name in ("rk4", "fmu"):
-        step = solver.step or _usual_step(subject)
+        step = min(solver.step or math.inf, _usual_step(subject))
         name = "the step" if solver.name == "rk4" else "the communication step"
         how = f"{name} of {step:.3g} s halved"
         return replace(solver, step=step / 2.0), how, f"model.step = {step / 4.0:.3g}"

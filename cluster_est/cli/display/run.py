@@ -20,21 +20,24 @@ SHOWN = ("parameters", "errors", "constraints", "intervals", "front", "starts", 
 def print_run(console: Console, run: StoredRun) -> None:
     """Print a run's outcome, parameters and errors; `run` has the tables `SHOWN`."""
     facts, tables = run.facts, run.tables
+    cut = facts["status"] == "interrupted"
+    missing = "not simulated" if cut else "failed"
     say(console, f"run {run.path}: {facts['status']}")
     if facts.get("message"):
         say(console, f"  {facts['message']}")
     if {"cost_before", "cost", "iterations", "evaluations", "simulations"} <= facts.keys():
         say(
             console,
-            f"  cost {number(facts['cost_before'])} -> {number(facts['cost'])} in "
+            f"  cost {number(facts['cost_before'], missing)} -> "
+            f"{number(facts['cost'], missing)} in "
             f"{facts['iterations']} iterations, {facts['evaluations']} evaluations, "
             f"{facts['simulations']} simulations ({facts['failures']} failed), "
             f"{facts['seconds']:.1f} s",
         )
     if run.ended:
         narrow = bool((facts.get("residuals") or {}).get("too_narrow"))
-        _print_parameters(console, tables["parameters"], too_narrow=narrow)
-        _print_errors(console, tables["errors"])
+        _print_parameters(console, tables["parameters"], too_narrow=narrow, interrupted=cut)
+        _print_errors(console, tables["errors"], missing)
         _print_constraints(console, tables["constraints"])
         _print_intervals(console, tables["intervals"])
         _print_front(console, tables["front"])
@@ -91,9 +94,11 @@ def _blank(value: float | None) -> str:
 
 
 def _print_parameters(
-    console: Console, rows: list[dict[str, Any]], *, too_narrow: bool = False
+    console: Console, rows: list[dict[str, Any]], *, too_narrow: bool, interrupted: bool
 ) -> None:
     """Print values and intervals; the latter with a word where the residuals deny them."""
+    # without a single interval in a run that was cut short, none was computed
+    computed = not interrupted or not all(math.isnan(row["lower95"]) for row in rows)
     column = "95 % interval (too narrow)" if too_narrow else "95 % interval"
     header = ["parameter", "value", column, "unit", "start", "on", ""]
     print_table(
@@ -103,7 +108,7 @@ def _print_parameters(
             (
                 row["label"],
                 number(row["value"]),
-                interval(row),
+                interval(row) if computed else "",
                 row["unit"],
                 number(row["start"]),
                 row["estimated_on"],
@@ -114,7 +119,7 @@ def _print_parameters(
     )
 
 
-def _print_errors(console: Console, rows: list[dict[str, Any]]) -> None:
+def _print_errors(console: Console, rows: list[dict[str, Any]], missing: str) -> None:
     header = ["experiment", "role", "output", "samples", "RMSE before", "after", "unit", "relative"]
     print_table(
         console,
@@ -125,10 +130,10 @@ def _print_errors(console: Console, rows: list[dict[str, Any]]) -> None:
                 row["role"],
                 row["output"],
                 str(row["samples"]),
-                number(row["rmse_before"]),
-                number(row["rmse_after"]),
+                number(row["rmse_before"], missing),
+                number(row["rmse_after"], missing),
                 row["unit"],
-                f"{100 * row['relative_after']:.3g} %",
+                _percent(row["relative_after"]),
             )
             for row in rows
         ],
@@ -213,9 +218,13 @@ def say(console: Console, text: str) -> None:
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-def number(value: float | None) -> str:
-    """Six digits."""
-    return "failed" if value is None or math.isnan(value) else f"{value:.6g}"
+def _percent(share: float) -> str:
+    return "" if math.isnan(share) else f"{100 * share:.3g} %"
+
+
+def number(value: float | None, missing: str = "failed") -> str:
+    """Six digits, or what is said of a number that is not there."""
+    return missing if value is None or math.isnan(value) else f"{value:.6g}"
 
 
 def interval(row: dict[str, Any]) -> str:

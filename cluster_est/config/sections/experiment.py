@@ -1,4 +1,4 @@
-"""The keys of an experiment."""
+"""The keys of an experiment, and those that all experiments share."""
 
 from __future__ import annotations
 
@@ -58,10 +58,15 @@ class CurveSection(ConfigSection):
     )
 
 
-class ExperimentSection(ConfigSection):
-    """Keys of one measured experiment."""
+class _NamedSection(ConfigSection):
+    """The key that no two experiments share."""
 
     id: str = Field(min_length=1, description="name of the experiment, unique")
+
+
+class _ExperimentKeys(ConfigSection):
+    """What an experiment says of its table, or what all of them say."""
+
     data: str | None = Field(
         None,
         description="path of the table: csv, parquet, feather or mat; without: nothing is measured",
@@ -109,3 +114,11 @@ class ExperimentSection(ConfigSection):
     columns: dict[str, ColumnSection] = Field(
         default_factory=dict, description="column = { factor, offset, demean }"
     )
+
+
+class ExperimentSection(_ExperimentKeys, _NamedSection):
+    """Keys of one measured experiment."""
+
+
+class ExperimentDefaultsSection(_ExperimentKeys):
+    """Keys that every experiment has unless it says otherwise."""

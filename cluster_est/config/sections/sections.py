@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, Strict
 
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.config.sections.experiment import ExperimentSection
+from cluster_est.config.sections.experiment import ExperimentDefaultsSection, ExperimentSection
 from cluster_est.config.sections.search import (
     ConstraintSection,
     CostSection,
@@ -240,6 +240,11 @@ class Config(ConfigSection):
     )
     values: dict[str, Known] = Field(
         default_factory=dict, description="known values of all experiments, by FMU name"
+    )
+    experiment_defaults: ExperimentDefaultsSection = Field(
+        ExperimentDefaultsSection(),
+        exclude=True,  # the reader puts them into the experiments
+        description="keys that every experiment has unless it says otherwise: all but id",
     )
     experiments: list[ExperimentSection] = Field(min_length=1, description="measured runs")
     effects: list[EffectSection] = Field(

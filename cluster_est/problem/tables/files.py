@@ -13,12 +13,19 @@ from typing import NoReturn
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 from pyarrow import feather
 
 from cluster_est.errors import DataError
+from cluster_est.problem.tables.cells import (
+    as_numbers,
+    first_text,
+    is_numeric,
+    is_text,
+    trimmed_cells,
+    with_switches,
+)
 from cluster_est.problem.tables.mat_file import contents
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
@@ -30,7 +37,8 @@ READERS = {
     ".feather": "feather", ".arrow": "feather", ".ipc": "feather",
     ".mat": "mat",
 }  # fmt: skip
-MISSING = ["", "NaN", "nan", "NAN", "NA", "N/A", "null", "None"]
+MOST_LISTED = 30
+"""Columns in a message."""
 
 
 @dataclass(frozen=True)
@@ -65,26 +73,38 @@ class MeasuredTable:
         if name in self.unusable:
             raise DataError(f"{where}: {self.path}, column {name!r}: {self.unusable[name]}")
         if name not in self.columns:
-            raise DataError(
-                f"{where}: {self.path} has no column {name!r}{nearest(name, self.columns)}"
-            )
+            raise DataError(f"{where}: {self.without(name)}")
         column = self.columns[name]
         if isinstance(column, np.ndarray):
             return column
         if pa.types.is_dictionary(column.type):
             column = column.cast(column.type.value_type)
-        if _is_text(column):
-            cells = _cells(column, decimal_comma=self.delimiter not in ("", ","))
+        if is_text(column):
+            cells = trimmed_cells(column, decimal_comma=self.delimiter not in ("", ","))
             try:
-                return _floats(cells)
+                return as_numbers(cells)
             except pa.ArrowInvalid:
-                self._refuse(name, column, _first_text(cells), where)
-        if not _is_numeric(column):
+                cells = with_switches(cells)
+            try:
+                return as_numbers(cells)
+            except pa.ArrowInvalid:
+                self._refuse(name, column, first_text(cells), where)
+        if not is_numeric(column):
             raise DataError(
                 f"{where}: {self.path}, column {name!r}: must hold numbers but holds "
                 f"{column.type}; convert it to numbers (a time to seconds)"
             )
-        return _floats(column)
+        return as_numbers(column)
+
+    def without(self, name: str) -> str:
+        """The sentence on a column that the table does not have: the nearest one, and all."""
+        names = [*self.columns]
+        found = nearest(name, names)
+        listed = ", ".join(repr(each) for each in names[:MOST_LISTED])
+        more = len(names) - MOST_LISTED
+        listed += f" and {more} more" if more > 0 else ""
+        ending = f"{found} Its columns are {listed}" if found.endswith("?") else found
+        return f"{self.path} has no column {name!r}{ending}"
 
     def row(self, index: int) -> int:
         """The row of the file, as an editor shows it, that the values at an index are from."""
@@ -259,39 +279,3 @@ def named_columns(path: Path | str, table: pa.Table, delimiter: str = "") -> Mea
     unusable = {name: repeated(count) for name, count in Counter(names).items() if count > 1}
     columns = {name: table.column(i) for i, name in enumerate(names) if name not in unusable}
     return MeasuredTable(path, columns, unusable, delimiter)
-
-
-def _is_text(column: pa.ChunkedArray) -> bool:
-    return bool(pa.types.is_string(column.type) or pa.types.is_large_string(column.type))
-
-
-def _is_numeric(column: pa.ChunkedArray) -> bool:
-    kinds = ("floating", "integer", "null", "boolean", "decimal")
-    return any(getattr(pa.types, f"is_{kind}")(column.type) for kind in kinds)
-
-
-def _cells(column: pa.ChunkedArray, *, decimal_comma: bool) -> pa.ChunkedArray:
-    """Text ready to be numbers: without blanks, null where nothing was measured."""
-    trimmed = pa.compute.utf8_trim_whitespace(column)
-    if decimal_comma and not pa.compute.any(pa.compute.match_substring(trimmed, ".")).as_py():
-        trimmed = pa.compute.replace_substring(trimmed, ",", ".")
-    absent = pa.compute.is_in(trimmed, value_set=pa.array(MISSING, trimmed.type))
-    return pa.compute.if_else(absent, None, trimmed)
-
-
-def _floats(column: pa.ChunkedArray) -> FloatArray:
-    # unsafe: integers beyond 2**53, like times in nanoseconds, are rounded rather than refused
-    return np.array(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
-
-
-def _first_text(cells: pa.ChunkedArray) -> int:
-    """Position of the first cell that is no number, by halving."""
-    good, bad = 0, len(cells)
-    while bad - good > 1:
-        middle = (good + bad) // 2
-        try:
-            _floats(cells.slice(good, middle - good))
-            good = middle
-        except pa.ArrowInvalid:
-            bad = middle
-    return good

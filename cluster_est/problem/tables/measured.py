@@ -50,10 +50,7 @@ class MeasuredColumns:
     def __post_init__(self) -> None:
         for name in self.changes:
             if name not in self.table.columns:
-                raise DataError(
-                    f"{self.where}.columns: {self.table.path} has no column {name!r}"
-                    f"{nearest(name, self.table.columns)}"
-                )
+                raise DataError(f"{self.where}.columns: {self.table.without(name)}")
 
     def times(self, column: str | None, sample_time: float | None, counted: str) -> FloatArray:
         """The time of each used row.

@@ -17,10 +17,10 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.drafting import draft, write
 from cluster_est.drafting.candidates import candidates
-from cluster_est.drafting.columns import TableColumn, read_columns
+from cluster_est.drafting.columns import TableColumn, read_columns, split_suffix
 from cluster_est.drafting.matching import match
-from cluster_est.drafting.units import conversion, same_unit
 from cluster_est.problem.space import make_space
+from cluster_est.problem.tables.units import conversion, same_unit
 from workers.fmu.description import describe
 from workers.fmu.variable import ModelVariable
 
@@ -55,7 +55,8 @@ class TestWhereColumnsMatch:
         assert main(["check", "first.toml", "--seconds", "0"]) == 0
         assert [e["id"] for e in tree["experiments"]] == ["a", "b", "c"]
         assert [e.get("role", "train") for e in tree["experiments"]] == ["train", "train", "test"]
-        assert tree["experiments"][0]["inputs"] == {"F": "F"}
+        assert tree["experiment_defaults"]["inputs"] == {"F": "F"}
+        assert all(set(e) <= {"id", "data", "role"} for e in tree["experiments"])
         assert tree["parameters"]["k"] == {"start": 25.0, "bounds": [0.0, 250.0]}
         assert "[N/m] stiffness of the spring" in text
         assert '# x = { start = 0.0, per = "experiment" }' in text
@@ -110,6 +111,166 @@ class TestWhereColumnsMatch:
         assert tree["experiments"][0]["outputs"] == {"y": "y", "v": "v"}
 
 
+class TestWhereExperimentsAreAlike:
+    def test_what_they_share_stands_once(self, written, tmp_path):
+        """Sixteen tables, one line to fill in, and one guess of each output's noise."""
+        files = []
+        for i in range(16):
+            noise = np.random.default_rng(i).normal(size=50)
+            files.append(
+                table(
+                    tmp_path / f"run{i}.csv",
+                    time=TIMES,
+                    force=FORCE,
+                    y=FORCE + 0.01 * noise,
+                    v=FORCE + 0.02 * noise,
+                )
+            )
+        text, tree, said = written(*files)
+        assert said.count("fill in") == 1
+        assert "# What every experiment has unless it says otherwise below." in text
+        assert tree["experiment_defaults"]["time"] == "time"
+        assert tree["experiment_defaults"]["outputs"] == {"y": "y", "v": "v"}
+        sigma = tree["experiment_defaults"]["sigma"]
+        assert sigma == pytest.approx({"y": 0.01, "v": 0.02}, rel=0.2)
+        assert all(set(e) <= {"id", "data", "role"} for e in tree["experiments"])
+        Path("first.toml").write_text(text.replace("FILL IN: force?", "force"), encoding="utf-8")
+        assert main(["check", "first.toml", "--seconds", "0"]) == 0
+        runs = ce.read_problem("first.toml").experiments
+        assert {o.sigma for r in runs for o in r.outputs if o.variable == "y"} == {sigma["y"]}
+
+    def test_what_differs_stays_with_each(self, written, tmp_path):
+        one = table(tmp_path / "one.csv", time=TIMES, F=FORCE, y=FORCE)
+        other = table(tmp_path / "other.csv", t=TIMES, F=FORCE, y=FORCE)
+        _, tree, _ = written(one, other)
+        assert [e["time"] for e in tree["experiments"]] == ["time", "t"]
+        assert tree["experiment_defaults"] == {"inputs": {"F": "F"}, "outputs": {"y": "y"}}
+        assert main(["check", "first.toml", "--seconds", "0"]) == 0
+
+
+class TestUnitsAtTheEndOfNames:
+    def test_they_are_split_off_and_converted(self, written, tmp_path):
+        path = table(tmp_path / "a.csv", time_ms=TIMES * 1e3, F_kN=FORCE, y_mm=FORCE)
+        _, tree, said = written(path)
+        assert "fill in" not in said
+        (experiment,) = tree["experiments"]
+        assert experiment["time"] == "time_ms"
+        assert experiment["inputs"] == {"F": "F_kN"}
+        assert experiment["outputs"] == {"y": "y_mm"}
+        factors = {name: each["factor"] for name, each in experiment["columns"].items()}
+        assert factors == {"time_ms": 1e-3, "F_kN": 1e3, "y_mm": 1e-3}
+        assert main(["check", "first.toml", "--seconds", "0"]) == 0
+
+    def test_a_similar_name_has_its_unit_too(self, written, tmp_path):
+        _, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, force_kN=FORCE, y=FORCE))
+        assert tree["experiments"][0]["inputs"] == {"F": "FILL IN: force_kN?"}
+        assert tree["experiments"][0]["columns"] == {"force_kN": {"factor": 1e3}}
+
+    def test_check_asks_for_the_conversion(self, written, tmp_path, capsys):
+        text, _, _ = written(table(tmp_path / "a.csv", time=TIMES, F_kN=FORCE, y=FORCE))
+        kept = [line for line in text.split("\n") if not line.startswith("columns.")]
+        Path("first.toml").write_text("\n".join(kept), encoding="utf-8")
+        assert main(["check", "first.toml", "--seconds", "0"]) == 1
+        said = " ".join(capsys.readouterr().out.split())
+        assert "column 'F_kN' is given to F, which is in N, as it is" in said
+        assert 'columns."F_kN" = { factor = 1000, offset = 0 }' in said
+
+    @pytest.mark.parametrize(
+        ("column", "wanted", "found"),
+        [
+            ("speed_rpm", "rad/s", ("speed", "rpm")),
+            ("speed_RPM", "rad/s", ("speed", "RPM")),
+            ("w_rad_s", "rad/s", ("w", "rad/s")),
+            ("v_m_per_s", "m/s", ("v", "m/s")),
+            ("v_kmh", "m/s", ("v", "km/h")),
+            ("T_degC", "K", ("T", "degC")),
+            ("T_C", "K", ("T", "degC")),
+            ("p_bar", "Pa", ("p", "bar")),
+            ("x_m", "m", ("x", "m")),
+            ("q_l_min", "m3/s", ("q", "l/min")),
+            ("speed_rpm", "", ("speed", "rpm")),
+            ("u_m", "V", None),
+            ("u_m", "", None),
+            ("T_min", "", None),
+            ("u_measured", "V", None),
+            ("_rpm", "rad/s", None),
+            ("rpm", "rad/s", None),
+        ],
+    )
+    def test_only_what_can_be_a_unit_is_one(self, column, wanted, found):
+        assert split_suffix(column, wanted) == found
+
+
+class TestColumnsThatAreGiven:
+    def test_a_variable_gets_the_column_that_it_is_given(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.chdir(tmp_path)
+        columns = {"Zeit [ms]": TIMES * 1e3, "Voltage (kN)": FORCE, "y": FORCE, "pos": FORCE}
+        pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+        given = ["--map", "F=Voltage (kN)", "--map", "y=pos", "--map", "time=Zeit [ms]"]
+        assert main(["init", str(FMU), "a.parquet", *given, "--out", "first.toml"]) == 0
+        assert "fill in" not in capsys.readouterr().out
+        text = Path("first.toml").read_text(encoding="utf-8")
+        (experiment,) = tomllib.loads(text)["experiments"]
+        assert experiment["time"] == "Zeit [ms]"
+        assert experiment["inputs"] == {"F": "Voltage (kN)"}
+        assert experiment["outputs"] == {"y": "pos"}
+        assert experiment["columns"]["Voltage (kN)"] == {"factor": 1e3}
+        assert experiment["columns"]["Zeit [ms]"] == {"factor": 1e-3}
+        assert main(["check", "first.toml", "--seconds", "0"]) == 0
+
+    @pytest.mark.parametrize(
+        ("given", "said"),
+        [
+            (
+                ["F=Voltage"],
+                "--map F: a.csv has no column 'Voltage'; did you mean 'Voltage (V)'? Its columns "
+                "are 'time', 'Voltage (V)', 'y'",
+            ),
+            (["f=Voltage (V)"], "has no variable 'f'; did you mean 'F'?"),
+            (["m=y"], "--map m: must be an input of mass_spring_damper.fmu or something that it"),
+            (["F"], "--map: must be VARIABLE=COLUMN but is 'F'; write it as in --map u='Voltage"),
+            (["F=y", "F=time"], "--map: F must be given one column but is given 'y' and 'time'"),
+            (["F=words"], "--map F: column 'words' of a.csv must hold numbers but does not"),
+        ],
+    )
+    def test_what_is_not_there_is_said_with_what_is(
+        self, tmp_path, monkeypatch, capsys, given, said
+    ):
+        monkeypatch.chdir(tmp_path)
+        rows = "time,Voltage (V),y,words\n0,1,2,a\n1,1,2,b\n"
+        (tmp_path / "a.csv").write_text(rows, encoding="utf-8")
+        maps = [text for each in given for text in ("--map", each)]
+        assert main(["init", str(FMU), "a.csv", *maps]) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert "Traceback" not in error
+
+
+def test_columns_that_nothing_uses_are_proposed_as_signals(written, tmp_path):
+    columns = {
+        "time": TIMES,
+        "F": FORCE,
+        "y": FORCE,
+        "Oil temp. [degC]": FORCE,
+        "k": FORCE,
+        "on": FORCE > 0.5,
+    }
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    text, _, _ = written(tmp_path / "a.parquet")
+    proposed = [
+        '# signals.Oil_temp = "Oil temp. [degC]"  # [degC]',
+        '# signals.k_measured = "k"',
+        '# signals.on = "on"',
+    ]
+    assert all(f"\n{line}\n" in text for line in proposed)
+    for line in proposed:
+        text = text.replace(line, line.removeprefix("# "))
+    Path("first.toml").write_text(text, encoding="utf-8")
+    (run,) = ce.read_problem("first.toml").experiments
+    assert [s.variable for s in run.signals] == ["Oil_temp", "k_measured", "on"]
+    assert run.signals[2].values.max() == 1.0
+
+
 def accepted(fmu: Path, folder: Path) -> ce.Problem:
     """The problem of what init writes where all columns are called as in the FMU."""
     description = describe(fmu.name, fmu.read_bytes())
@@ -137,6 +298,8 @@ def test_every_example_has_a_config_that_can_be_fitted(fmu, tmp_path):
 def test_fmus_of_other_kinds_too(own_fmu, name, version, tmp_path):
     accepted(own_fmu(name, version), tmp_path)
 
+
+class TestNoise:
     def test_several_outputs_are_weighted_by_their_noise(self, written, tmp_path):
         generator = np.random.default_rng(1)
         times = np.arange(2000) * 0.01
@@ -200,7 +363,7 @@ class TestWhereSomethingIsOpen:
         text = write(draft(FMU, [path]), tmp_path).toml
         assert '# outputs.y = "COLUMN"  # [m]' in text
         assert '# columns."Www [mm]" = { factor = 0.001 }  # from mm' in text
-        assert '"Zzz [Pa]"' not in text
+        assert 'columns."Zzz [Pa]"' not in text
 
     def test_a_column_that_says_another_unit_is_a_problem(self, written, tmp_path, capsys):
         path = tmp_path / "a.parquet"

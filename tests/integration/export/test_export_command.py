@@ -117,6 +117,8 @@ def test_equations_for_a_modeller(run, capsys):
     ("arguments", "sentence"),
     [
         ([], "must be told what to write; add --fmu"),
+        (["--fmu", "no/such/a.fmu"], "--fmu: must be in a folder that exists but no/such does not"),
+        (["--ssv", "no/a.ssv"], "--ssv: must be in a folder that exists but no does not; make it"),
         (["--ssv", "values.xml"], "must end in .ssv but is 'values.xml'"),
         (["--text", "--experiment", "exp6"], "must be an experiment of the run but is 'exp6'"),
         (["--text", "--config", "nowhere.toml"], "there is no config file nowhere.toml"),

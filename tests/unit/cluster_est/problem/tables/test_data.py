@@ -66,11 +66,33 @@ def test_an_empty_cell_is_not_measured(tmp_path, cell):
     np.testing.assert_array_equal(table.numbers("y", "here"), [1.0, np.nan, 4.0])
 
 
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_true_and_false_are_1_and_0(tmp_path, delimiter):
+    rows = "t,pump\n0,True\n0.5,False\n1,\n1.5,TRUE\n2,false \n".replace(",", delimiter)
+    table = read_table(text(tmp_path, rows), "here")
+    np.testing.assert_array_equal(table.numbers("pump", "here"), [1.0, 0.0, np.nan, 1.0, 0.0])
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".feather"])
+def test_true_and_false_of_a_binary_table_too(tmp_path, ending):
+    path = write(tmp_path, pa.table({"t": [0.0, 1.0], "pump": [True, None]}), ending)
+    np.testing.assert_array_equal(read_table(path, "x").numbers("pump", "x"), [1.0, np.nan])
+
+
+def test_a_column_that_is_not_there_is_answered_with_those_that_are(tmp_path):
+    message = refusal(text(tmp_path, "Zeit,Voltage (V),n\n0,1,2\n"), "Voltage")
+    assert message.endswith(
+        "a.csv has no column 'Voltage'; did you mean 'Voltage (V)'? Its columns are 'Zeit', "
+        "'Voltage (V)', 'n'"
+    )
+
+
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
         ("t,y\n0,1\n\n\n0.5x,2\n1,4\n", "column 't', row 5: must be a number but is '0.5x'; mend"),
         ("t,y\n0,1\n1 000,2\n", "column 't', row 3: must be a number but is '1 000'"),
+        ("t,y\nTrue,1\nmaybe,2\n", "column 't', row 3: must be a number but is 'maybe'; mend"),
         ("t;y\n0.5;1\n1,5;2\n", "column 't', row 3: must be a number but is '1,5'"),
         (f"t,y\n{'x' * 999},1\n", "must be a number but is 'xxxxx"),
         ("s,y\n0,1\n", "has no column 't'; it has 's', 'y'"),

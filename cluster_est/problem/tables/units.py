@@ -12,7 +12,15 @@ SPELLINGS = {
     "\u00b5": "u", "\u03bc": "u",  # the micro sign and the Greek letter
     "·": ".", "*": ".", "^": "", "**": "", "²": "2", "³": "3", "sec": "s", "Nm": "N.m",
     "s^-1": "1/s", "s-1": "1/s",
+    "RPM": "rpm", "1/min": "rpm", "r/min": "rpm", "rev/min": "rpm", "U/min": "rpm", "min-1": "rpm",
 }  # fmt: skip
+WORDS = {
+    "C": "degC", "Kelvin": "K", "kelvin": "K", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
+    "newton": "N", "pascal": "Pa", "meter": "m", "metre": "m", "seconds": "s", "minutes": "min",
+    "hours": "h", "radps": "rad/s", "degps": "deg/s", "mps": "m/s", "kmh": "km/h", "kph": "km/h",
+    "lpm": "l/min", "percent": "%", "pct": "%",
+}  # fmt: skip
+"""Units at the end of a column's name, as they are written where no signs can be."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +51,8 @@ _UNITS = {
     "Wh": _BaseUnit("J", 3600.0),
     "kWh": _BaseUnit("J", 3.6e6),
     "degC": _BaseUnit("K", 1.0, 273.15),
+    "degF": _BaseUnit("K", 5.0 / 9.0, 273.15 - 32.0 * 5.0 / 9.0),
+    "psi": _BaseUnit("Pa", 6894.757293168),
     "rad": _BaseUnit("rad"),
     "deg": _BaseUnit("rad", math.pi / 180.0),
     "rad/s": _BaseUnit("rad/s"),
@@ -66,6 +76,24 @@ _UNITS = {
 }
 
 
+LIKELY = {
+    "rad/s": ("rpm", "deg/s"), "rpm": ("rad/s",), "deg/s": ("rad/s",),
+    "rad": ("deg",), "deg": ("rad",), "K": ("degC",), "degC": ("K",),
+    "Pa": ("kPa", "bar", "hPa", "MPa"), "bar": ("Pa", "kPa"), "kPa": ("Pa", "bar"),
+    "m": ("mm", "cm"), "mm": ("m",), "m/s": ("km/h", "mm/s"), "s": ("ms", "min", "h"),
+    "N": ("kN",), "W": ("kW",), "J": ("kJ", "kWh"), "V": ("mV",), "A": ("mA",),
+    "m3/s": ("l/min", "m3/h", "l/s"), "kg/s": ("kg/h",), "1": ("%",),
+}  # fmt: skip
+"""Units in which a column may be that is taken for one in another unit."""
+
+
+def likely_conversions(wanted: str) -> dict[str, UnitConversion]:
+    """Return the conversions from units that are often mistaken for one, by unit."""
+    names = LIKELY.get(spelled(wanted), ())
+    found = {name: conversion(name, wanted) for name in names}
+    return {name: change for name, change in found.items() if change is not None}
+
+
 def spelled(unit: str) -> str:
     """Return a unit in its usual spelling."""
     text = unit.strip()
@@ -73,6 +101,11 @@ def spelled(unit: str) -> str:
         if text == other or len(other) == 1:
             text = text.replace(other, usual)
     return text
+
+
+def is_known(unit: str) -> bool:
+    """Return whether a unit can be converted at all."""
+    return spelled(unit) in _UNITS
 
 
 def same_unit(one: str, other: str) -> bool:

@@ -1,0 +1,143 @@
+"""Checks of the data: inputs without any, gaps in them, and weights of outputs."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from cluster_est.config.reader import Config
+from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
+from cluster_est.problem.problem import Problem
+from workers.fmu.description import ModelDescription
+from workers.fmu.variable import ModelVariable
+from workers.messages import Experiment, FloatArray
+
+GAP = 1.5
+"""Sampling intervals of an input from which on it has a gap."""
+
+
+def data_findings(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
+    """Look at what drives the model; nothing is simulated."""
+    return [*_inputs_without_data(problem, description), *_bridged(problem)]
+
+
+def idle_inputs(problem: Problem, description: ModelDescription) -> dict[str, list[str]]:
+    """Return the inputs of the FMU that nothing drives, with the experiments in which."""
+    targets = {p.target for p in problem.parameters if not p.auxiliary}
+    found: dict[str, list[str]] = {}
+    for variable in description.inputs():
+        names = {variable.name, *variable.aliases}
+        if variable.kind not in ("real", "integer", "boolean") or names & targets:
+            continue
+        for each in problem.experiments:
+            if names.isdisjoint({i.variable for i in each.inputs} | dict(each.values).keys()):
+                found.setdefault(variable.name, []).append(each.id)
+    return found
+
+
+def stays(variable: ModelVariable) -> str:
+    """Return the value of an input that nothing drives, with its unit."""
+    return f"{variable.start or 0.0:g} {variable.unit}".strip()
+
+
+def _inputs_without_data(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
+    lines = []
+    for name, ids in idle_inputs(problem, description).items():
+        value = stays(description.variables[name])
+        count = len(problem.experiments)
+        if len(ids) < count:
+            said = f"has no data in {len(ids)} of {count} experiments: it stays at {value} there"
+            lines.append(CheckFinding(CheckVerdict.OK, f"input {name}", said))
+            continue
+        said = f"has no data: it stays at {value}"
+        do = f'inputs.{name} = "COLUMN", or values.{name} = NUMBER if it is constant'
+        lines.append(CheckFinding(CheckVerdict.NOTE, f"input {name}", said, do))
+    return lines
+
+
+def _bridged(problem: Problem) -> list[CheckFinding]:
+    """Return a line for each input with samples missing, with its longest gap."""
+    worst: dict[str, tuple[float, str]] = {}
+    for each in problem.experiments:
+        for given in each.inputs:
+            if given.interpolation == "hold":  # a signal that is noted when it changes
+                continue
+            found = _gaps(given.times, _rows(each), each)
+            if found is not None and found[0] > worst.get(given.variable, (0.0, ""))[0]:
+                worst[given.variable] = found
+    do = (
+        "mend the column, leave the gap out with rows or windows, or set interpolation = "
+        '"hold" if the signal keeps its value until the next sample'
+    )
+    return [
+        CheckFinding(CheckVerdict.NOTE, f"input {name}", said, do)
+        for name, (_, said) in worst.items()
+    ]
+
+
+def _rows(experiment: Experiment) -> FloatArray:
+    """Return all times at which anything was measured in the simulated interval."""
+    inputs = [each.times for each in (*experiment.inputs, *experiment.signals)]
+    outputs = [each.times for each in experiment.outputs]
+    times = np.unique(np.concatenate([*inputs, *outputs]))
+    found: FloatArray = times[(times >= experiment.start) & (times <= experiment.stop)]
+    return found
+
+
+def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[float, str] | None:
+    """Return the longest gap of an input, and a sentence on all of them; None without any.
+
+    A gap is longer than the usual interval, and other signals were measured in it: an input that
+    is sampled more slowly than they are, or a time at which nothing was measured, is none.
+    """
+    if len(times) < 2:
+        return None
+    usual = float(np.median(np.diff(times)))
+    first, last = experiment.start, experiment.stop
+    ends = [np.nextafter(first, -np.inf), *times.tolist(), np.nextafter(last, np.inf)]
+    gaps = [
+        (after - before, before, after, int(np.sum((rows > before) & (rows < after))))
+        for before, after in itertools.pairwise(ends)
+        if after - before > GAP * usual
+    ]
+    gaps = [gap for gap in gaps if gap[3]]
+    if not gaps:
+        return None
+    _, before, after, _ = max(gaps)
+    before, after = max(before, first), min(after, last)
+    missing = sum(gap[3] for gap in gaps)
+    said = (
+        f"{missing} of {len(rows)} samples are missing in experiment {experiment.id} and are "
+        f"bridged; the longest gap is {after - before:.3g} s, from {before:.4g} to {after:.4g} s"
+    )
+    return after - before, said
+
+
+def sigma_findings(config: Config, description: ModelDescription) -> list[CheckFinding]:
+    """Return a line if sigma is given for some outputs and not for others."""
+    if config.cost.normalise != "sigma" or config.cost.name == "likelihood":
+        return []
+    given: dict[str, list[str]] = {}
+    missing: dict[str, list[str]] = {}
+    for each in config.experiments:
+        for name in each.outputs:
+            (given if name in each.sigma else missing).setdefault(name, []).append(each.id)
+    if not given:
+        return []
+    lines = []
+    for name, ids in missing.items():
+        variable = description.variables.get(name)
+        unit = f" {variable.unit}" if variable is not None and variable.unit else ""
+        where = f"{listed(list(given))} but not for {name}"
+        if name in given:
+            where = f"{name} in {_named(given[name])} but not in {_named(ids)}"
+        said = f"is given for {where}, where it then is 1{unit}"
+        do = f"sigma.{name} = NUMBER, the standard deviation of its noise, or no sigma at all"
+        lines.append(CheckFinding(CheckVerdict.NOTE, "sigma", said, do))
+    return lines
+
+
+def _named(ids: Sequence[str]) -> str:
+    return f"experiment{'s' if len(ids) > 1 else ''} {listed(ids)}"
