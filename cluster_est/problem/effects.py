@@ -77,6 +77,10 @@ class DeclaredEffect:
     reaction: str = ""
 
 
+NOTHING = DeclaredCoefficient()
+"""A coefficient of which nothing is declared."""
+
+
 def make_effect(declared: DeclaredEffect) -> tuple[Effect, tuple[Parameter, ...]]:
     """Make an effect and its coefficients as parameters.
 
@@ -115,26 +119,43 @@ def make_effect(declared: DeclaredEffect) -> tuple[Effect, tuple[Parameter, ...]
             f"{where}: parameters.{unknown}: {declared.form} has no such coefficient"
             f"{nearest(unknown, names)}"
         )
-    parameters = []
     divided = divisors(effect, where)
-    for coefficient in known:
-        chosen = given.get(coefficient.name, DeclaredCoefficient())
-        start = chosen.start if chosen.start is not None else coefficient.neutral
-        if start is None or not math.isfinite(start):
-            raise ConfigError(
-                f"{where}: parameters.{coefficient.name}.start is missing; {coefficient.name} of "
-                f"{declared.form or 'an own equation'} has no value to start from by itself"
-            )
-        singular = coefficient.name in divided
-        if singular and start == 0.0 and not (chosen.fixed and coefficient.neutral == 0.0):
-            raise ConfigError(
-                f"{where}: parameters.{coefficient.name}.start: must not be 0, because "
-                f"{declared.form} divides by {coefficient.name}, but is 0; give a value of the "
-                "size that you expect"
-            )
-        label = f"{name}.{coefficient.name}"
-        parameters.append(_parameter(label, start, coefficient, chosen, singular=singular))
+    parameters = [
+        _parameter(
+            f"{name}.{c.name}",
+            _start(c, given.get(c.name, NOTHING), declared, singular=c.name in divided),
+            c,
+            given.get(c.name, NOTHING),
+            singular=c.name in divided,
+        )
+        for c in known
+    ]
     return effect, tuple(parameters)
+
+
+def _start(
+    coefficient: FormCoefficient,
+    chosen: DeclaredCoefficient,
+    declared: DeclaredEffect,
+    *,
+    singular: bool,
+) -> float:
+    """Return where a coefficient starts, or refuse what has no start or may not start there."""
+    name = declared.name or declared.form
+    where = f"effect {name!r}"
+    start = chosen.start if chosen.start is not None else coefficient.neutral
+    if start is None or not math.isfinite(start):
+        raise ConfigError(
+            f"{where}: parameters.{coefficient.name}.start is missing; {coefficient.name} of "
+            f"{declared.form or 'an own equation'} has no value to start from by itself"
+        )
+    if singular and start == 0.0 and not (chosen.fixed and coefficient.neutral == 0.0):
+        raise ConfigError(
+            f"{where}: parameters.{coefficient.name}.start: must not be 0, because "
+            f"{declared.form} divides by {coefficient.name}, but is 0; give a value of the "
+            "size that you expect"
+        )
+    return start
 
 
 def _parameter(
