@@ -26,7 +26,7 @@ class LoopStage(enum.Enum):
     WEIGHTS = "weights", "weighting the outputs"
     DECLARED_MODEL = "base", "fitting the declared model"
     LEAVE_ONE_OUT = "leave one out", "predicting experiments that were left out"
-    TRAJECTORIES = "trajectories", "screening the candidates"
+    TRAJECTORIES = "course", "screening the candidates"
     PROBE = "probe", "screening the candidates"
     TRIALS = "trial", "trying candidates"
     REFITS = "candidate", "refitting candidates"

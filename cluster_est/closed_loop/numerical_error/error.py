@@ -107,9 +107,8 @@ class NumericalError:
     @property
     def _said(self) -> str:
         output = self.outputs[int(np.nanargmax(self.ratios))]
-        size = (
-            f"{self.ratio:.2g} times the noise" if np.isfinite(self.ratio) else "all that is left"
-        )
+        figure = f"{self.ratio:.2g}" if self.ratio < 100.0 else f"{self.ratio:.0f}"
+        size = f"{figure} times the noise" if np.isfinite(self.ratio) else "all that is left"
         how = "" if np.isnan(self.order) else f", of order {self.order:.2g} in the step"
         return f"{self.scale.name} has an error of {size} (at {output}{how})"
 

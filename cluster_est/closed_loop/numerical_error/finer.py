@@ -15,8 +15,6 @@ from workers.simulation.integrator import DEFAULT_RTOL
 
 TIGHTER = 100.0
 LEAST_RTOL = 1e-13
-FIXED_STEP = ("rk4", "fmu")
-"""Solvers whose accuracy is chosen by a step."""
 WHOLE = 1e-6
 """Of a step of the FMU's own: what another may be away from a multiple of it."""
 
@@ -43,6 +41,8 @@ class SolverScale:
         An FMU that declares one communication step: what it makes of others is not certain.
     own_step
         Of such an FMU, where it names one: it takes multiples of it alone.
+    exchange
+        Co-simulation of an FMU that offers model exchange, which has no communication steps.
     why_not
         Part of a sentence: why there is nothing finer; "" where there is.
     """
@@ -55,6 +55,7 @@ class SolverScale:
     ratio: float = 2.0
     fixed: bool = False
     own_step: float = 0.0
+    exchange: bool = False
     why_not: str = ""
 
     def finer(self, times: int = 1) -> Solver:
@@ -97,7 +98,7 @@ class SolverScale:
         said = f"model.step = {step:.4g}"
         if self.solver.name == "fmu" and self.solver.rtol is not None:
             said += f" and rtol = {max(self.solver.rtol / TIGHTER, LEAST_RTOL):.1g}"
-        return said
+        return f'{said} (or model.interface = "model_exchange")' if self.exchange else said
 
 
 def solver_scale(
@@ -106,16 +107,18 @@ def solver_scale(
     """Find what decides how exact the solver of a model is in these experiments."""
     solver, usual = model.solver, usual_interval(experiments)
     step = min(solver.step or usual, usual)
-    if solver.name not in FIXED_STEP:
-        rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
-        tight = max(rtol / TIGHTER, LEAST_RTOL)
-        why = "" if tight < rtol else "no tighter tolerance can be kept in 64 bits"
-        name = f"the tolerance model.rtol = {rtol:.1g}"
-        return SolverScale(solver, name, rtol=rtol, longest=step, ratio=rtol / tight, why_not=why)
-    if solver.name == "fmu" and not description.variable_steps:
-        return _fixed(model, description)
-    what = "communication step" if solver.name == "fmu" else "step"
-    return SolverScale(solver, f"the {what} of {step:.4g} s", step=step)
+    if solver.name == "rk4":
+        return SolverScale(solver, f"the step of {step:.4g} s", step=step)
+    if solver.name == "fmu":
+        known = f"the communication step of {step:.4g} s"
+        found = SolverScale(solver, known, step=step) if description.variable_steps else None
+        found = found or _fixed(model, description)
+        return replace(found, exchange="model_exchange" in description.interfaces)
+    rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
+    tight = max(rtol / TIGHTER, LEAST_RTOL)
+    why = "" if tight < rtol else "no tighter tolerance can be kept in 64 bits"
+    name = f"the tolerance model.rtol = {rtol:.1g}"
+    return SolverScale(solver, name, rtol=rtol, longest=step, ratio=rtol / tight, why_not=why)
 
 
 def step_never_taken(

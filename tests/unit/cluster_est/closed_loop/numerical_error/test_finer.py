@@ -96,12 +96,15 @@ def test_steps_of_an_fmu_with_a_step_of_its_own_are_multiples_of_it(own, steps, 
 
 
 def test_what_to_set_follows_from_the_order():
-    step = scale(TOGETHER, Solver("fmu", step=0.1), FIXED)
+    alone = replace(FIXED, offers=tuple(o for o in FIXED.offers if o.interface != "model_exchange"))
+    step = scale(TOGETHER, Solver("fmu", step=0.1), alone)
     assert step.advice(7.0, 1.0) == "model.step = 0.0125"
     assert step.advice(7.0, 2.0) == "model.step = 0.025"
-    own = scale(TOGETHER, Solver("fmu", step=0.1), replace(FIXED, fixed_internal_step=0.02))
+    own = scale(TOGETHER, Solver("fmu", step=0.1), replace(alone, fixed_internal_step=0.02))
     assert own.advice(2.0, 1.0) == "model.step = 0.04"
     assert own.advice(1000.0, 1.0) == "model.step = 0.02"
+    both = scale(TOGETHER, Solver("fmu", step=0.1), FIXED)
+    assert both.advice(7.0, 1.0) == 'model.step = 0.0125 (or model.interface = "model_exchange")'
     rtol = scale(EXCHANGE, Solver("dormand_prince", rtol=1e-3))
     assert rtol.advice(30.0, np.nan) == "model.rtol = 1e-05"
 
