@@ -16,7 +16,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.rows import constraints_at_start
-from cluster_est.run_folder.reading import StoredRun, read_stored_run
+from cluster_est.run_folder.reading import StoredRun, left_alone, read_stored_run
 from workers.fmu.description import nearest
 
 SHOWN = ("parameters", "errors", "constraints", "intervals", "front", "starts", "minima")
@@ -31,6 +31,9 @@ def print_run(console: Console, run: StoredRun) -> None:
     say(console, f"run {run.path}: {facts['status']}")
     if facts.get("message"):
         say(console, f"  {facts['message']}")
+    alone = left_alone(run.path, facts["status"])
+    if alone:
+        say(console, f"  {alone}")
     if {"cost_before", "cost", "iterations", "evaluations", "simulations"} <= facts.keys():
         say(
             console,
