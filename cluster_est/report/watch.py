@@ -15,10 +15,12 @@ from cluster_est.report.activity import ActivityTail, FailureGroup
 from cluster_est.report.folder import RUNNING
 from cluster_est.report.page import write_report
 from cluster_est.run_folder.progress_file import PROGRESS, IterationLine, ProgressTail, RunState
-from cluster_est.run_folder.reading import read_facts
+from cluster_est.run_folder.reading import left_alone, read_facts
 
 RATE_SECONDS = 15.0
 """Over which the rate of simulations is taken."""
+LEFT_SECONDS = 2.0
+"""In which nothing has come, before it is looked whether there is a process at all."""
 HTML_SECONDS = 5.0
 """At least so long between two reports."""
 
@@ -110,14 +112,16 @@ class RunFollower:
             self._note(line)
         counts = self.tail.counts
         rate = self._rate(counts.rows)
+        status, quiet = str(self._facts["status"]), self._clock() - self._moved
+        alone = left_alone(self.path, status) if quiet > LEFT_SECONDS else ""
         return RunView(
-            status=str(self._facts["status"]),
-            message=str(self._facts.get("message") or ""),
+            status=status,
+            message=str(self._facts.get("message") or "") or alone,
             simulations=counts.rows,
             failed=counts.failed,
             failures=counts.failures,
             rate=rate,
-            quiet=self._clock() - self._moved,
+            quiet=quiet,
             state=self._progress.state,
             searches=tuple(self._searches.values()),
         )

@@ -22,6 +22,7 @@ from cluster_est.run_folder.evaluation_log import EvaluationLog
 from cluster_est.run_folder.lock import LOCK
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
+from cluster_est.run_folder.reading import may_be_resumed
 from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunKind, RunStatus, versions
 from cluster_est.running.records import RunSnapshot, SearchIteration, TaskOrigin
 from cluster_est.running.trials.reset_policy import ResetDecision
@@ -217,9 +218,10 @@ def check_free(path: Path, *, overwrite: bool) -> None:
     if not (path / "run.json").is_file():
         raise RunFolderError(f"{path}: must be new or empty but holds other files; choose another")
     if not overwrite:
-        raise RunFolderError(
-            f"{path}: holds a run already; choose another --out, or replace it with --overwrite"
-        )
+        how = "choose another --out, or replace it with --overwrite"
+        if may_be_resumed(path):
+            how = f"take it up where it ended with --resume, {how}"
+        raise RunFolderError(f"{path}: holds a run already; {how}")
 
 
 def only_begun(path: Path) -> bool:

@@ -49,6 +49,20 @@ def lock(folder: Path, name: str = LOCK) -> BaseFileLock | None:
     return held
 
 
+def is_left(folder: Path) -> bool:
+    """Return whether a folder was locked once, and no process of this machine has it any more."""
+    if not (folder / LOCK).is_file():
+        return False
+    try:
+        held = lock(folder)
+    except RunFolderError:
+        return False
+    if held is None:
+        return False
+    held.release()
+    return True
+
+
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Hold the lock for a while."""

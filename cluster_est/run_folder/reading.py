@@ -12,6 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cluster_est.errors import RunFolderError
+from cluster_est.run_folder.lock import is_left
+from cluster_est.run_folder.run_identity import RunStatus
 
 Rows = list[dict[str, Any]]
 
@@ -38,6 +40,24 @@ class StoredRun:
     def ended(self) -> bool:
         """True if the run has written its results."""
         return all((self.path / f"{name}.parquet").is_file() for name in ("parameters", "errors"))
+
+
+def left_alone(run_folder: Path, status: str) -> str:
+    """Return a sentence on a run that is under way by its status, without a process; else ""."""
+    if status != RunStatus.RUNNING or not is_left(run_folder / "evaluations"):
+        return ""
+    return (
+        "no process of this machine is at work in it any more; if it was killed, take it up again "
+        "with --resume"
+    )
+
+
+def may_be_resumed(run_folder: Path) -> bool:
+    """Return whether a folder holds a run that was interrupted or killed, or is under way."""
+    try:
+        return read_facts(run_folder)["status"] in (RunStatus.RUNNING, RunStatus.INTERRUPTED)
+    except RunFolderError:
+        return False
 
 
 def read_stored_run(run_folder: Path, tables: Sequence[str]) -> StoredRun:

@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from cluster_est.errors import RunFolderError
-from cluster_est.run_folder.reading import StoredRun, read_stored_run
+from cluster_est.run_folder.reading import StoredRun, left_alone, read_stored_run
 
 SHOWN = ("parameters", "errors", "constraints", "intervals", "front", "starts", "minima")
 """Tables of a run that its summary is printed from."""
@@ -25,6 +25,9 @@ def print_run(console: Console, run: StoredRun) -> None:
     say(console, f"run {run.path}: {facts['status']}")
     if facts.get("message"):
         say(console, f"  {facts['message']}")
+    alone = left_alone(run.path, facts["status"])
+    if alone:
+        say(console, f"  {alone}")
     if {"cost_before", "cost", "iterations", "evaluations", "simulations"} <= facts.keys():
         say(
             console,
