@@ -172,7 +172,7 @@ def _disturbance(verdict: Verdict, unexplained: Sequence[UnexplainedResidual]) -
     """Say how large what nothing explains is, and how fast."""
     if verdict is not Verdict.UNEXPLAINED or not unexplained:
         return ()
-    return (f"as a disturbance that nobody measured it would be, at {unexplained[0].sentence}",)
+    return (f"if it is a disturbance that nobody measured, it makes {unexplained[0].sentence}",)
 
 
 def _notes(

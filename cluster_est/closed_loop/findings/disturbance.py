@@ -51,12 +51,12 @@ class UnexplainedResidual:
     def sentence(self) -> str:
         """Say how large it is, and how fast."""
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
-        said = f"{self.output}: {self.size:.3g}{unit} rms beyond the noise ({self.over_noise:.3g} "
-        said += "times it)"
+        said = f"{self.size:.3g}{unit} rms at {self.output}, {self.over_noise:.3g} times the noise"
         if np.isfinite(self.period):
             return f"{said}, most of it with a period of {readable_time(self.period)}"
         if np.isfinite(self.shortest_period):
-            return f"{said}, nine tenths of it slower than {readable_time(self.shortest_period)}"
+            shortest = readable_time(self.shortest_period)
+            return f"{said}, nine tenths of it with periods above {shortest}"
         return said
 
 

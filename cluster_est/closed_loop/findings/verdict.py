@@ -181,7 +181,7 @@ def _nothing_added(
     why, screening = found.last.why, found.last.screening
     nowhere = why == RejectionReason.NO_CANDIDATE
     if now.structured and now.of_sensors and not nowhere:
-        reason = f"{_autocorrelated(now)}, tied to no candidate once that is allowed for"
+        reason = f"{_autocorrelated(now)}; no effect explains it once that is allowed for"
         return ReasonedVerdict(Verdict.COLOURED, f"{reason} (family-wise p = {_p(found)})")
     if now.structured:
         return ReasonedVerdict(
@@ -191,7 +191,7 @@ def _nothing_added(
         return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {why}: {NOWHERE}")
     if why == RejectionReason.COLOURED_NOISE:
         if screening.omnibus.p <= settings.thresholds.verdict.smooth:
-            reason = f"{_autocorrelated(now)}, tied to no candidate once that is allowed for"
+            reason = f"{_autocorrelated(now)}; no effect explains it once that is allowed for"
             return ReasonedVerdict(Verdict.COLOURED, f"{reason} (family-wise p = {_p(found)})")
         reason = "no candidate is significant once the residual is whitened"
         return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
@@ -215,7 +215,7 @@ def _why_not(why: RejectionReason | None) -> str:
     if why == RejectionReason.COLOURED_NOISE:
         return (
             "and nothing explains it: the residual is autocorrelated, too large for the noise of a "
-            "sensor, and tied to no candidate once that is allowed for"
+            "sensor, and no effect explains it once that is allowed for"
         )
     return f"and nothing explains it: {why}"
 
@@ -239,7 +239,7 @@ def _autocorrelated(residual: _Residual) -> str:
         size = f"{large:.3g} times the white part of the noise"
     return (
         f"the residual{named} is autocorrelated ({worst.correlation:.2g} from one sample to the "
-        f"next) and as large as a sensor's noise ({size})"
+        f"next) and no larger than a sensor's noise may be ({size})"
     )
 
 

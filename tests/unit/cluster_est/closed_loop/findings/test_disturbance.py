@@ -37,7 +37,7 @@ def test_a_broad_spectrum_has_no_period():
     )
     assert np.isnan(found.period)
     assert 0.03 < found.shortest_period < 0.2
-    assert "nine tenths of it slower than" in found.sentence
+    assert "nine tenths of it with periods above" in found.sentence
 
 
 def test_noise_alone_has_no_size():

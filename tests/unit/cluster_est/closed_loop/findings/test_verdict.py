@@ -71,7 +71,7 @@ CASES = {
         Case(1.5, 1.5, CLEAN, STRUCTURED, ()), Verdict.UNEXPLAINED, "smooth structure"),
     "autocorrelation, and nothing else": (
         Case(1.5, 1.5, CLEAN, STRUCTURED, (), white=QUIET), Verdict.COLOURED,
-        "tied to no candidate"),
+        "no effect explains it"),
     "structure below five percent": (
         Case(1.03, 1.03, CLEAN, STRUCTURED, ()), Verdict.NONE, "no candidate is significant"),
     "more than the noise, but no structure": (
@@ -80,7 +80,7 @@ CASES = {
         Case(1.5, 1.5, CLEAN, OmnibusTest(0.0025, 4.0), ()), Verdict.NONE, "no candidate"),
     "coloured noise": (
         Case(1.5, 1.5, NOISE, STRUCTURED, (), white=QUIET), Verdict.COLOURED,
-        "tied to no candidate"),
+        "no effect explains it"),
     "autocorrelated, but too large for the noise of a sensor": (
         Case(9.0, 9.0, NOISE, STRUCTURED, (), white=QUIET), Verdict.UNEXPLAINED,
         "too large for the noise of a sensor"),
