@@ -16,7 +16,7 @@ from cluster_est.closed_loop.candidates.arguments import (
     variables_of,
 )
 from cluster_est.closed_loop.candidates.equation import equation_text
-from cluster_est.closed_loop.candidates.resolution import communication_step
+from cluster_est.closed_loop.candidates.resolution import communication_step, fixed_step
 from cluster_est.closed_loop.candidates.scales import SignalScales
 from cluster_est.closed_loop.candidates.shapes import shape_of
 from cluster_est.closed_loop.candidates.sites import candidate_sites, forms_at, single_sites
@@ -112,8 +112,8 @@ def make_candidates(
         Where functions of a variable are tried; None for everywhere.
     """
     thresholds = settings.thresholds.candidates
-    exchanged = communication_step(problem.model, description)
-    scales = SignalScales(trajectories, frequencies, thresholds, exchanged)
+    exchanged, step = communication_step(problem.model, description), fixed_step(problem.model)
+    scales = SignalScales(trajectories, frequencies, thresholds, exchanged, step)
     arguments = open_arguments(problem, description, trajectories)
     known = {_identity(effect) for effect in problem.effects if effect.form}
     taken = {effect.name for effect in problem.effects}
@@ -176,7 +176,9 @@ def _candidate(
         )
         if not values:
             return None
-        low, high = _bounds(coefficient, way, strengths, values, scales, variables)
+        low, high = _bounds(
+            coefficient, way, strengths, values, scales, variables, free=bool(form.memory)
+        )
         axes.append(values)
         lows.append(low)
         highs.append(high)
@@ -194,8 +196,13 @@ def _bounds(
     values: Sequence[float],
     scales: SignalScales,
     variables: tuple[str, ...],
+    *,
+    free: bool,
 ) -> tuple[float, float]:
-    """Bounds of a coefficient in a refit; `way` is how the effect pushes its own variable."""
+    """Bounds of a coefficient in a refit; `way` is how the effect pushes its own variable.
+
+    Where a time costs a solver nothing (`free`: a delay of an input), it may be as short as may be.
+    """
     if coefficient.name in strengths:
         if not positive(coefficient, own=way != 0):
             return -np.inf, np.inf
@@ -206,7 +213,7 @@ def _bounds(
     thresholds = scales.thresholds
     if coefficient.positive:
         low = min(values) / thresholds.narrowest
-        if coefficient.scale is GridScale.STEP:
+        if coefficient.scale is GridScale.STEP and not free:
             low = max(low, thresholds.shortest * scales.resolution)
         return low, max(values) * thresholds.widest
     width = 10.0 * max(abs(v) for v in values) + 1e-12

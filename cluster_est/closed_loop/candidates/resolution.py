@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from workers.fmu.description import ModelDescription
 from workers.messages import Model
 
@@ -17,3 +19,14 @@ def communication_step(model: Model, description: ModelDescription) -> float:
         return 0.0
     own = (model.solver.step, description.fixed_internal_step, description.default_step)
     return next((step for step in own if step is not None and step > 0.0), 0.0)
+
+
+def fixed_step(model: Model) -> float:
+    """Return the longest step of a solver that does not shorten it where something switches.
+
+    In seconds; infinite where one step goes from each time in the data to the next, 0.0 for solvers
+    that control their error.
+    """
+    if model.solver.name != "rk4":
+        return 0.0
+    return model.solver.step or math.inf

@@ -21,13 +21,14 @@ class SignalScales:
     """Sizes of all signals over all training experiments.
 
     `communication` is the step at which an FMU exchanges them, 0.0 where it does so at all times of
-    the data.
+    the data. `step` is that of a solver which does not shorten it at a switch, 0.0 for others.
     """
 
     trajectories: Sequence[LinearisedTrajectory]
     frequencies: Sequence[float]
     thresholds: CandidateThresholds = field(default_factory=CandidateThresholds)
     communication: float = 0.0
+    step: float = 0.0
 
     def allow(self, form: EffectForm, site: EffectSite, variables: tuple[str, ...]) -> bool:
         """Return whether a form makes sense for these signals."""
@@ -64,6 +65,8 @@ class SignalScales:
         if signal is None:
             return ()
         values = self._spread(scale or GridScale.RMS_V, np.array(grid), signal, site, variables)
+        if coefficient.held and coefficient.positive and self.step and variables:
+            return tuple(dict.fromkeys(np.maximum(values, self._crossed(variables[0])).tolist()))
         return tuple(float(x) for x in values)
 
     def _spread(
@@ -131,6 +134,12 @@ class SignalScales:
         pairs = [(trajectory.signal(name), trajectory.times) for trajectory in self.trajectories]
         largest = max(float(np.abs(np.diff(s) / np.diff(t)).max(initial=0.0)) for s, t in pairs)
         return min(largest, float(np.ptp(pooled(self.trajectories, name))) / self._step())
+
+    def _crossed(self, name: str) -> float:
+        """How far a signal usually moves in a step: what is narrower is stepped across unseen."""
+        pairs = [(each.signal(name), each.times) for each in self.trajectories if each.has(name)]
+        moved = [np.abs(np.diff(s)) * np.minimum(self.step / np.diff(t), 1.0) for s, t in pairs]
+        return float(np.median(np.concatenate(moved)))
 
     def _travel(self, name: str) -> float:
         """Root mean square of the integral of a signal about its mean."""

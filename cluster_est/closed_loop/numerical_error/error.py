@@ -97,7 +97,7 @@ class NumericalError:
             why = f"no effect was looked for, because {self._said}"
             return (*self.beside, f"{why}; {self._advice} makes it negligible")
         if self.ratio > self.thresholds.small:
-            said = f"{self._said}; effects that explain no more than it could were refused"
+            said = f"{self._said}; an effect that explains no more than it could is refused"
             return (*self.beside, f"{said}; {self._advice} makes it negligible")
         if self.scale.rtol > self.thresholds.loose:
             said = f"{self._said}, which is negligible here"

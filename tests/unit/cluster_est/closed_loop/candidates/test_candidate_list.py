@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
-from cluster_est import Parameter
+from cluster_est import Parameter, Solver
 from cluster_est.closed_loop.candidates.equation import equation_text
 from cluster_est.closed_loop.candidates.kinematics import integrated_states
 from cluster_est.closed_loop.candidates.make import make_candidates
@@ -242,3 +242,24 @@ def test_no_functions_of_states_at_an_input_that_acts_on_one_of_them(name):
     found = [c for c in listed(missing_effect_problem(name)) if c.site.kind == "input"]
     assert "product" in {c.form.name for c in found}
     assert not {"coulomb", "quadratic", "hinge", "gap"} & {c.form.name for c in found}
+
+
+def test_a_time_constant_is_not_shorter_than_a_tenth_of_what_time_resolves():
+    """The spring is sampled every 0.01 s, and may communicate every 0.05 s only."""
+    found = listed(missing_effect_problem("mass_spring_damper"))
+    lags = [c for c in found if c.form.name == "lag"]
+    assert lags
+    assert [c.lowest[0] for c in lags] == pytest.approx([0.1 * 0.01] * len(lags))
+    delays = [c for c in found if c.form.name == "delay" and c.site.kind == "input"]
+    assert [c.lowest[0] for c in delays] == pytest.approx(
+        [0.05 * 0.01] * len(delays)
+    )  # costs no steps
+    together = missing_effect_problem("mass_spring_damper", interface="co_simulation")
+    model = replace(together.model, solver=Solver("fmu", step=0.05))
+    fixed = replace(together.describe(), variable_steps=False)
+    with opened(together) as bench:
+        trajectories = bench.trajectories(unfitted(bench))
+    found = make_candidates(replace(together, model=model), fixed, trajectories, (), LoopSettings())
+    lags = [c for c in found if c.form.name == "lag"]
+    assert [c.lowest[0] for c in lags] == pytest.approx([0.1 * 0.05] * len(lags))
+    assert [c.grid[0][0] for c in lags] == pytest.approx([0.05] * len(lags))

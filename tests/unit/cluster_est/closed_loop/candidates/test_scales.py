@@ -52,6 +52,28 @@ def test_scales_of_a_sine(scale, entry, expected):
     assert grid(scale, entry) == pytest.approx((expected,), abs=2e-2)
 
 
+def test_times_are_multiples_of_a_longer_communication_step():
+    scales = SignalScales([course(v=SWING)], (), communication=0.05)
+    found = scales.grid(FormCoefficient("tau", scale=GridScale("step"), grid=(4.0,)), DER, ("v",))
+    assert scales.resolution == 0.05
+    assert found == pytest.approx((0.2,))
+    assert SCALES.resolution == pytest.approx(0.005)
+
+
+@pytest.mark.parametrize(("step", "moved"), [(np.inf, 1.0), (0.005, 1.0), (0.001, 0.2)])
+def test_a_switch_is_no_narrower_than_what_a_fixed_step_goes_across(step, moved):
+    """|v'| = 3 RATE |cos| has the median 3 RATE / sqrt(2); an interval is 0.005 s."""
+    width = FORMS["derivative", "coulomb"].coefficients[-1]
+    assert width.name == "width"
+    scales = SignalScales([course(v=SWING)], (), step=step)
+    crossed = moved * 0.005 * 3.0 * RATE / np.sqrt(2.0)
+    rms = 3.0 / np.sqrt(2.0)
+    found = scales.grid(width, DER, ("v",))
+    expected = dict.fromkeys(max(share * rms, crossed) for share in width.grid)
+    assert found == pytest.approx(tuple(expected), rel=1e-2)
+    assert SCALES.grid(width, DER, ("v",)) == pytest.approx([s * rms for s in width.grid], rel=1e-2)
+
+
 def test_scales_of_the_signal_at_the_site():
     assert grid("range s", 0.25, 1.0, site=OUT) == pytest.approx((-0.5, 4.0))
     assert grid("max s", 0.5, site=OUT) == pytest.approx((2.0,))
