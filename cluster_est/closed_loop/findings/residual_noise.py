@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,6 +87,11 @@ class OutputNoise:
         return self.white**2 <= COLOURED * self.level**2
 
     @property
+    def like_noise(self) -> bool:
+        """It is white, or coloured as the noise of a sensor is."""
+        return self.first_order or self.level**2 - self.white**2 <= WHITE
+
+    @property
     def believed(self) -> bool:
         """The declared sigma is not contradicted by the data."""
         return self.declared and not (self.sigma_too_small or self.sigma_too_large)
@@ -139,9 +144,10 @@ def believed_noise(
 ) -> FloatArray:
     """Return the noise of each output, in units of the residual: (outputs,).
 
-    The declared sigma where the data do not contradict it, else the estimate.
+    The declared sigma where the data do not contradict it, and what is left looks like noise that
+    large; else the estimate.
     """
-    believed = {each.output for each in outputs if each.believed}
+    believed = {each.output for each in outputs if each.believed and each.like_noise}
     pairs = zip(workbench.records.outputs, noise.tolist(), strict=True)
     return np.array([max(1.0, own) if name in believed else own for name, own in pairs])
 
@@ -177,20 +183,26 @@ def is_noise_of_sensors(
 
 
 def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
-    """Say which declared sigma the data contradict; "" if none."""
-    small = [o for o in outputs if o.sigma_too_small]
-    large = [o for o in outputs if o.sigma_too_large]
-    said = [
-        f"the sigma that is declared for {o.output} is likely the error: its noise alone, from "
-        f"one sample to the next, is {o.white:.2g} times as large"
-        for o in small
-    ]
-    said += [
-        f"the sigma that is declared for {o.output} is likely the error: all that is left is "
-        f"{o.level:.2g} times as large"
-        for o in large
-    ]
+    """Say which declared sigmas the data contradict; "" if none."""
+    small = {o.output: o.white for o in outputs if o.sigma_too_small}
+    large = {o.output: o.level for o in outputs if o.sigma_too_large}
+    said = []
+    if small:
+        said.append(
+            f"the declared sigma of {' and '.join(small)} is likely the error: the noise alone, "
+            f"from one sample to the next, is {_times(small.values())} as large"
+        )
+    if large:
+        said.append(
+            f"the declared sigma of {' and '.join(large)} is likely the error: all that is left is "
+            f"{_times(large.values())} as large"
+        )
     return "; ".join(said)
+
+
+def _times(factors: Collection[float]) -> str:
+    least, most = (f"{factor:.2g}" for factor in (min(factors), max(factors)))
+    return f"{least} times" if least == most else f"{least} to {most} times"
 
 
 def _within_declared(output: OutputNoise, near: float) -> bool:

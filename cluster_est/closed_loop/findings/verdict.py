@@ -48,12 +48,16 @@ class ReasonedVerdict:
         Share of the gap to the noise that the effects close on the training experiments.
     least
         Share that they must close on held-out data.
+    noise
+        Of the outputs, over what their errors are put beside: above 1 where a declared sigma is too
+        small.
     """
 
     verdict: Verdict
     reason: str
     closed: float = np.nan
     least: float = 0.0
+    noise: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -92,9 +96,11 @@ def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
     now = _residual(workbench, found, found.current, found.last)
     judged = _judged(workbench, found, base, now)
     suspected = suspected_sigma(now.outputs)
-    if suspected:
-        judged = replace(judged, reason=f"{judged.reason}; {suspected}")
-    return judged
+    if not suspected:
+        return judged
+    noise = [o.white if o.sigma_too_small else 1.0 for o in now.outputs]
+    reason = f"{judged.reason}; {suspected}"
+    return replace(judged, reason=reason, noise=float(np.sqrt(np.mean(np.square(noise)))))
 
 
 def _judged(
@@ -160,8 +166,8 @@ def confirmed(
             "the noise, so nothing was added"
         )
         return ReasonedVerdict(Verdict.UNEXPLAINED, reason, judged.closed)
-    near = settings.near_noise
-    closed = (old**2 - new**2) / (old**2 - 1.0) if old > near else np.nan
+    near, noise = settings.near_noise, judged.noise
+    closed = (old**2 - new**2) / (old**2 - noise**2) if old > near * noise else np.nan
     reason = f"{judged.reason}; {what_is_left(errors)}"
     if closed < judged.least:
         reason = (

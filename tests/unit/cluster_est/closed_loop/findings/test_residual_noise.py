@@ -80,7 +80,7 @@ def test_coloured_noise_above_a_declared_sigma_is_not():
     ("declared", "said"),
     [
         (TRUE, ""),
-        (TRUE / 10.0, "its noise alone, from one sample to the next, is 10 times as large"),
+        (TRUE / 10.0, "the noise alone, from one sample to the next, is 10 times as large"),
         (TRUE * 10.0, "all that is left is 0.1 times as large"),
         (None, ""),
     ],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -196,3 +196,14 @@ def test_the_output_with_the_largest_error_decides():
 def test_a_verdict_without_effects_stays_as_it_is():
     none = ReasonedVerdict(Verdict.NONE, "no candidate is significant")
     assert confirmed(none, changes((9.0, 9.0), (9.0, 9.0)), LoopSettings()) is none
+
+
+def test_a_gap_on_held_out_data_is_that_to_the_noise_as_it_is():
+    """A sigma that is ten times too small makes noise of what was explained completely."""
+    judged = replace(FOUND, noise=10.0)
+    found = confirmed(judged, changes((30.0, 10.0), (15.7, 10.2)), LoopSettings())
+    assert found.verdict is Verdict.PARTIAL
+    assert "10.2 on held-out data" in found.reason
+    assert confirmed(FOUND, changes((30.0, 10.0), (15.7, 10.2)), LoopSettings()).verdict is (
+        Verdict.UNEXPLAINED
+    )
