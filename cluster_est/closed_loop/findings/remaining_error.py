@@ -10,14 +10,12 @@ from cluster_est.closed_loop.findings.effects import ErrorChange
 from workers.messages import Role
 
 
-def what_is_left(errors: Sequence[ErrorChange]) -> str:
-    """Say how large the error is that is left, beside the noise."""
+def what_is_left(errors: Sequence[ErrorChange], scale: str = "the noise") -> str:
+    """Say how large the error is that is left, beside the noise or what `scale` names."""
     train, test = (largest_error(errors, role) for role in ("train", "test"))
     if not np.isfinite(test):
-        return f"what is left is {train:.3g} times the noise"
-    return (
-        f"what is left is {train:.3g} times the noise on training and {test:.3g} on held-out data"
-    )
+        return f"what is left is {train:.3g} times {scale}"
+    return f"what is left is {train:.3g} times {scale} on training and {test:.3g} on held-out data"
 
 
 def largest_error(errors: Sequence[ErrorChange], role: Role) -> float:

@@ -168,7 +168,8 @@ def confirmed(
         return ReasonedVerdict(Verdict.UNEXPLAINED, reason, judged.closed)
     near, noise = settings.near_noise, judged.noise
     closed = (old**2 - new**2) / (old**2 - noise**2) if old > near * noise else np.nan
-    reason = f"{judged.reason}; {what_is_left(errors)}"
+    scale = "the declared sigma" if noise > 1.0 else "the noise"
+    reason = f"{judged.reason}; {what_is_left(errors, scale)}"
     if closed < judged.least:
         reason = (
             f"{judged.reason}; but on held-out data they close only {closed:.0%} of the gap, from "

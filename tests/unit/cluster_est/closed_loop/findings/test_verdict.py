@@ -203,7 +203,7 @@ def test_a_gap_on_held_out_data_is_that_to_the_noise_as_it_is():
     judged = replace(FOUND, noise=10.0)
     found = confirmed(judged, changes((30.0, 10.0), (15.7, 10.2)), LoopSettings())
     assert found.verdict is Verdict.PARTIAL
-    assert "10.2 on held-out data" in found.reason
+    assert "10 times the declared sigma on training and 10.2 on held-out" in found.reason
     assert confirmed(FOUND, changes((30.0, 10.0), (15.7, 10.2)), LoopSettings()).verdict is (
         Verdict.UNEXPLAINED
     )
