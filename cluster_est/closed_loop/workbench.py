@@ -211,14 +211,23 @@ class LoopWorkbench:
         return max(float(np.nansum(noise**2 * np.array(sizes))), 1e-300)
 
     def noise_in_units(self, noise: FloatArray) -> dict[str, float]:
-        """The noise of each output in its own unit, from that in units of its residual."""
-        sigmas = {
-            output.variable: output.sigma
-            for e in self.train
-            for output in self.problem.experiments[e].outputs
-        }
-        pairs = zip(self.records.outputs, noise.tolist(), strict=True)
-        return {name: value * sigmas[name] for name, value in pairs}
+        """The noise of each output in its own unit, from that in units of its residual.
+
+        Of sigmas that differ between experiments it is the root mean square over the samples.
+        """
+        sigmas, found = self.sigmas, {}
+        for number, name in enumerate(self.records.outputs):
+            own = sigmas[self.records.of_output(number)]
+            equal = not len(own) or bool(np.all(own == own[0]))
+            sigma = (own[0] if len(own) else 1.0) if equal else np.sqrt(np.mean(own**2))
+            found[name] = float(noise[number] * sigma)
+        return found
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """The sigma of each residual, (N,)."""
+        outputs = [o for e in self.train for o in self.problem.experiments[e].outputs]
+        return np.concatenate([np.full(len(o.times), o.sigma) for o in outputs])
 
     def generator(self, stream: int) -> np.random.Generator:
         """A generator of its own for each use, so that no use moves another."""

@@ -7,16 +7,21 @@ only take away.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
 from cluster_est.closed_loop.findings.remaining_error import (
+    comparable,
     largest_error,
+    no_longer_simulated,
+    not_simulated,
+    over_noise,
     pooled_error,
     what_is_left,
+    without_noise,
 )
 from cluster_est.closed_loop.findings.residual_noise import (
     OutputNoise,
@@ -48,12 +53,23 @@ class ReasonedVerdict:
         Share of the gap to the noise that the effects close on the training experiments.
     least
         Share that they must close on held-out data.
+    declared
+        A sigma is declared.
+    noise
+        Of outputs whose declared sigma is far too large, the noise, in units of that sigma.
     """
 
     verdict: Verdict
     reason: str
     closed: float = np.nan
     least: float = 0.0
+    declared: bool = False
+    noise: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def over(self) -> str:
+        """What errors are compared with."""
+        return "the declared sigma" if self.declared and not self.noise else "the noise"
 
 
 @dataclass(frozen=True)
@@ -81,8 +97,10 @@ class _Residual:
         worst = max(self.outputs, key=lambda o: o.level, default=None)
         if worst is None:
             return f"residual {np.sqrt(1.0 + self.excess):.2f} times the noise"
-        what = "declared sigma" if worst.declared else "noise"
         named = f" of {worst.output}" if len(self.outputs) > 1 else ""
+        if not np.isfinite(worst.level):
+            return f"the residual{named} has no noise in it"
+        what = "declared sigma" if worst.declared else "noise"
         return f"residual {worst.level:.3g} times the {what}{named}"
 
 
@@ -92,9 +110,9 @@ def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
     now = _residual(workbench, found, found.current, found.last)
     judged = _judged(workbench, found, base, now)
     suspected = suspected_sigma(now.outputs)
-    if suspected:
-        judged = replace(judged, reason=f"{judged.reason}; {suspected}")
-    return judged
+    reason = f"{judged.reason}; {suspected}" if suspected else judged.reason
+    smaller = {o.output: o.white for o in now.outputs if o.sigma_too_large and o.white > 0.0}
+    return replace(judged, reason=reason, declared=workbench.sigma_declared, noise=smaller)
 
 
 def _judged(
@@ -153,26 +171,36 @@ def confirmed(
     """
     if judged.verdict not in CLAIMS:
         return judged
-    old, new = (pooled_error(errors, "test", after=after) for after in (False, True))
-    if np.isfinite(old) and new > old:
-        reason = (
-            f"{judged.reason}; but the held-out error would grow from {old:.4g} to {new:.4g} times "
-            "the noise, so nothing was added"
-        )
-        return ReasonedVerdict(Verdict.UNEXPLAINED, reason, judged.closed)
-    near = settings.near_noise
+    near, errors = settings.near_noise, over_noise(errors, judged.noise)
+    veto = _veto(judged, errors, near)
+    if veto:
+        reason = f"{judged.reason}; but {veto}, so nothing was added"
+        return replace(judged, verdict=Verdict.UNEXPLAINED, reason=reason)
+    left = np.array([largest_error(errors, role) for role in ("train", "test")])
+    unknown = without_noise(errors) or not_simulated(errors)
+    verdict = judged.verdict
+    if verdict is Verdict.FOUND and (unknown or np.any(left > near)):
+        verdict = Verdict.PARTIAL
+    reason = "; ".join(filter(None, (judged.reason, what_is_left(errors, judged.over))))
+    return replace(judged, verdict=verdict, reason=reason)
+
+
+def _veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], near: float) -> str:
+    """What held-out data have against the effects; "" for nothing."""
+    lost = no_longer_simulated(errors)
+    if lost:
+        return f"with them experiment {', '.join(lost)} cannot be simulated any more"
+    both = comparable(errors)
+    old, new = (pooled_error(both, "test", after=after) for after in (False, True))
+    if new > old:
+        return f"the held-out error would grow from {old:.4g} to {new:.4g} times {judged.over}"
     closed = (old**2 - new**2) / (old**2 - 1.0) if old > near else np.nan
-    reason = f"{judged.reason}; {what_is_left(errors)}"
     if closed < judged.least:
-        reason = (
-            f"{judged.reason}; but on held-out data they close only {closed:.0%} of the gap, from "
-            f"{old:.3g} to {new:.3g} times the noise, so nothing was added"
+        return (
+            f"on held-out data they close only {closed:.0%} of the gap, from {old:.3g} to "
+            f"{new:.3g} times {judged.over}"
         )
-        return ReasonedVerdict(Verdict.UNEXPLAINED, reason, judged.closed)
-    left = [largest_error(errors, role) for role in ("train", "test")]
-    if judged.verdict is Verdict.FOUND and max(e for e in left if np.isfinite(e)) > near:
-        return ReasonedVerdict(Verdict.PARTIAL, reason, judged.closed)
-    return ReasonedVerdict(judged.verdict, reason, judged.closed)
+    return ""
 
 
 def _nothing_added(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -191,6 +191,63 @@ def test_the_output_with_the_largest_error_decides():
     both = changes((9.0, 1.0), (9.0, 1.0), "a") + changes((9.0, 1.0), (9.0, 1.9), "b")
     assert confirmed(FOUND, both, LoopSettings()).verdict is Verdict.PARTIAL
     assert confirmed(FOUND, both, LoopSettings(near_noise=2.0)).verdict is Verdict.FOUND
+
+
+def failing(when: str):
+    """Errors with a held-out experiment that was not simulated before, after, or either time."""
+    then, now = ((np.nan, 1.0), (9.0, np.nan), (np.nan, np.nan))[
+        ("before", "after", "both").index(when)
+    ]
+    lost = ErrorChange("lost", "test", "y", "m", 100, then, now, then, now)
+    return [*changes((9.0, 1.1), (9.0, 1.2)), lost]
+
+
+@pytest.mark.parametrize(
+    ("when", "expected", "said"),
+    [
+        ("before", Verdict.FOUND, "1.1 times the noise on training"),
+        ("after", Verdict.UNEXPLAINED, "experiment 'lost' cannot be simulated any more"),
+        ("both", Verdict.PARTIAL, "held-out experiment 'lost' could not be simulated"),
+    ],
+)
+def test_a_held_out_experiment_that_fails(when, expected, said):
+    judged = confirmed(FOUND, failing(when), LoopSettings())
+    assert judged.verdict is expected
+    assert said in judged.reason
+
+
+def test_the_only_held_out_experiment_fails_with_the_effects():
+    lost = ErrorChange("lost", "test", "y", "m", 100, 9.0, np.nan, 9.0, np.nan)
+    errors = [*changes((9.0, 1.1), None), lost]
+    assert confirmed(FOUND, errors, LoopSettings()).verdict is Verdict.UNEXPLAINED
+
+
+def test_without_a_noise_to_compare_with_nothing_is_found():
+    silent = [ErrorChange("train", "train", "y", "m", 100, 9.0, 1.0, np.nan, np.nan)]
+    judged = confirmed(FOUND, silent, LoopSettings())
+    assert judged.verdict is Verdict.PARTIAL
+    assert "no noise is known of y" in judged.reason
+
+
+def test_what_is_followed_exactly_needs_no_noise():
+    exact = ErrorChange("train", "train", "y", "m", 100, 0.0, 0.0, np.nan, np.nan)
+    errors = [exact, *changes((9.0, 1.0), (9.0, 1.0), "b")]
+    assert confirmed(FOUND, errors, LoopSettings()).verdict is Verdict.FOUND
+
+
+def test_a_sigma_that_is_too_large_does_not_make_an_error_small():
+    """What is left is 0.4 times the declared sigma, whose noise is a tenth of it."""
+    judged = replace(FOUND, declared=True, noise={"y": 0.1})
+    small = changes((9.0, 0.4), (9.0, 0.4))
+    assert confirmed(replace(judged, noise={}), small, LoopSettings()).verdict is Verdict.FOUND
+    found = confirmed(judged, small, LoopSettings())
+    assert found.verdict is Verdict.PARTIAL
+    assert "what is left is 4 times the noise" in found.reason
+
+
+def test_errors_over_a_declared_sigma_are_said_to_be_that():
+    judged = confirmed(replace(FOUND, declared=True), changes((9.0, 1.1), None), LoopSettings())
+    assert "1.1 times the declared sigma" in judged.reason
 
 
 def test_a_verdict_without_effects_stays_as_it_is():
