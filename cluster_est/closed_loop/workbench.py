@@ -10,6 +10,7 @@ import numpy as np
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, make_trajectory
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.simulation_meter import SimulationMeter
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import SyntheticKind
 from cluster_est.closed_loop.thresholds import LoopThresholds
@@ -18,12 +19,11 @@ from cluster_est.methods.base import Ending, Evaluation, Method
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
-from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.records import StackedRecords
 from workers.fmu.description import ModelDescription
-from workers.messages import Experiment, FloatArray, Outcome, Want
+from workers.messages import FloatArray, Want
 
 
 @dataclass(frozen=True)
@@ -121,29 +121,6 @@ class FitStart:
         )
         kept = tuple(c for i, c in enumerate(self.added) if i != position)
         return FitStart(problem, self.values, kept)
-
-
-class SimulationMeter:
-    """Counts simulations in units of a whole experiment, and hands them on to a record.
-
-    Parameters
-    ----------
-    experiments
-        Those that are installed; what has been shortened counts for its part.
-    record
-        Called for each simulation; may be None.
-    """
-
-    def __init__(self, experiments: Sequence[Experiment], record: Record | None) -> None:
-        longest = max(e.stop - e.start for e in experiments)
-        self._parts = [(e.stop - e.start) / longest for e in experiments]
-        self._record = record
-        self.full = 0.0
-
-    def __call__(self, origin: TaskOrigin, outcome: Outcome) -> None:
-        self.full += self._parts[origin.experiment]
-        if self._record is not None:
-            self._record(origin, outcome)
 
 
 @dataclass(frozen=True)

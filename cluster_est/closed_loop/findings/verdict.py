@@ -1,28 +1,18 @@
 """The verdict of a closed loop, with its reason.
 
 It is made in two steps. `judge` looks at the training experiments as the search left them;
-`confirmed` looks at what is left after the final fits, on training and on held-out data, and can
-only take away.
+`confirmed` (in `confirmation`) looks at what is left after the final fits, on training and on
+held-out data, and can only take away.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
-from cluster_est.closed_loop.findings.remaining_error import (
-    comparable,
-    largest_error,
-    no_longer_simulated,
-    not_simulated,
-    over_noise,
-    pooled_error,
-    what_is_left,
-    without_noise,
-)
+from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.residual_noise import (
     OutputNoise,
     believed_noise,
@@ -155,62 +145,13 @@ def _judged(
     )
 
 
-def confirmed(
-    judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings
-) -> ReasonedVerdict:
-    """Return the verdict after the final fits: what is left on training and on held-out data.
-
-    Parameters
-    ----------
-    judged
-        From the training experiments.
-    errors
-        Of the declared model fitted, and of the one with the effects.
-    settings
-        Of the loop.
-    """
-    if judged.verdict not in CLAIMS:
-        return judged
-    near, errors = settings.near_noise, over_noise(errors, judged.noise)
-    veto = _veto(judged, errors, near)
-    if veto:
-        reason = f"{judged.reason}; but {veto}, so nothing was added"
-        return replace(judged, verdict=Verdict.UNEXPLAINED, reason=reason)
-    left = np.array([largest_error(errors, role) for role in ("train", "test")])
-    unknown = without_noise(errors) or not_simulated(errors)
-    verdict = judged.verdict
-    if verdict is Verdict.FOUND and (unknown or np.any(left > near)):
-        verdict = Verdict.PARTIAL
-    reason = "; ".join(filter(None, (judged.reason, what_is_left(errors, judged.over))))
-    return replace(judged, verdict=verdict, reason=reason)
-
-
-def _veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], near: float) -> str:
-    """What held-out data have against the effects; "" for nothing."""
-    lost = no_longer_simulated(errors)
-    if lost:
-        return f"with them experiment {', '.join(lost)} cannot be simulated any more"
-    both = comparable(errors)
-    old, new = (pooled_error(both, "test", after=after) for after in (False, True))
-    if new > old:
-        return f"the held-out error would grow from {old:.4g} to {new:.4g} times {judged.over}"
-    closed = (old**2 - new**2) / (old**2 - 1.0) if old > near else np.nan
-    if closed < judged.least:
-        return (
-            f"on held-out data they close only {closed:.0%} of the gap, from {old:.3g} to "
-            f"{new:.3g} times {judged.over}"
-        )
-    return ""
-
-
 def _nothing_added(
     found: SelectionResult, now: _Residual, settings: LoopSettings
 ) -> ReasonedVerdict:
     why, screening = found.last.why, found.last.screening
     nowhere = why == RejectionReason.NO_CANDIDATE
     if now.structured and now.of_sensors and not nowhere:
-        reason = f"{_autocorrelated(now)}; no effect explains it once that is allowed for"
-        return ReasonedVerdict(Verdict.COLOURED, f"{reason} (family-wise p = {_p(found)})")
+        return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now, settings))
     if now.structured:
         return ReasonedVerdict(
             Verdict.UNEXPLAINED, f"something is missing ({now.level}), {_why_not(why)}"
@@ -219,8 +160,7 @@ def _nothing_added(
         return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {why}: {NOWHERE}")
     if why == RejectionReason.COLOURED_NOISE:
         if screening.omnibus.p <= settings.thresholds.verdict.smooth:
-            reason = f"{_autocorrelated(now)}; no effect explains it once that is allowed for"
-            return ReasonedVerdict(Verdict.COLOURED, f"{reason} (family-wise p = {_p(found)})")
+            return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now, settings))
         reason = "no candidate is significant once the residual is whitened"
         return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
     if why == RejectionReason.NOT_SIGNIFICANT:
@@ -246,6 +186,21 @@ def _why_not(why: RejectionReason | None) -> str:
             "sensor, and no effect explains it once that is allowed for"
         )
     return f"and nothing explains it: {why}"
+
+
+def _coloured(found: SelectionResult, now: _Residual, settings: LoopSettings) -> str:
+    """Why what is left counts as coloured noise, though some effect may carry a part of it."""
+    why, screening = found.last.why, found.last.screening
+    if why == RejectionReason.NOT_SIGNIFICANT:
+        rest = f"no candidate is significant (family-wise p = {screening.p:.2g})"
+    elif screening.p_white > settings.significance:
+        rest = (
+            "no effect explains it once that is allowed for "
+            f"(family-wise p = {screening.p_white:.2g})"
+        )
+    else:
+        rest = f"the best candidate was not accepted: {why}"
+    return f"{_autocorrelated(now)}; {rest}"
 
 
 def _p(found: SelectionResult) -> str:

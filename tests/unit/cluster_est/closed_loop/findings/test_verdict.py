@@ -16,9 +16,10 @@ from support.loop_objects import (
     made_selection,
 )
 
+from cluster_est.closed_loop.findings.confirmation import confirmed
 from cluster_est.closed_loop.findings.effects import ErrorChange
 from cluster_est.closed_loop.findings.result import Verdict
-from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, confirmed, judge
+from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.selection.rounds import RejectionReason
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.statistics.omnibus import OmnibusTest
@@ -45,6 +46,7 @@ class Case:
     left_out: float = np.nan
     white: OmnibusTest | None = None
     worse: int = 0
+    p_white: float = 0.3
 
     def search(self):
         after = self.now if np.isnan(self.left_out) else self.left_out
@@ -57,7 +59,7 @@ class Case:
         current = fit_with_squares(PROBLEM, self.now * FLOOR, added)
         screening = made_screening(
             current.jacobian, current.residuals, [], [],
-            omnibus=self.omnibus, omnibus_white=self.white,
+            omnibus=self.omnibus, omnibus_white=self.white, p_white=self.p_white,
         )  # fmt: skip
         return made_selection(base, current, made_round(self.why, screening), squares=squares)
 
@@ -71,7 +73,10 @@ CASES = {
         Case(1.5, 1.5, CLEAN, STRUCTURED, ()), Verdict.UNEXPLAINED, "smooth structure"),
     "autocorrelation, and nothing else": (
         Case(1.5, 1.5, CLEAN, STRUCTURED, (), white=QUIET), Verdict.COLOURED,
-        "no effect explains it"),
+        "no candidate is significant"),
+    "coloured noise, of which a candidate carries a part": (
+        Case(1.5, 1.5, LITTLE, STRUCTURED, (), white=QUIET, p_white=1e-9), Verdict.COLOURED,
+        "the best candidate was not accepted"),
     "structure below five percent": (
         Case(1.03, 1.03, CLEAN, STRUCTURED, ()), Verdict.NONE, "no candidate is significant"),
     "more than the noise, but no structure": (
