@@ -11,13 +11,14 @@ import numpy as np
 from cluster_est.closed_loop.measured_noise import noise_of
 from cluster_est.closed_loop.selection.declared_model import BRIEF
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.simulation_meter import SimulationMeter
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import (
     SyntheticKind,
     enlarged_kind,
     shortened_kinds,
 )
-from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench, SimulationMeter
+from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method

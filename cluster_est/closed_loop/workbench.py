@@ -10,6 +10,7 @@ import numpy as np
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, make_trajectory
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.simulation_meter import SimulationMeter
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import SyntheticKind
 from cluster_est.closed_loop.thresholds import LoopThresholds
@@ -18,12 +19,11 @@ from cluster_est.methods.base import Ending, Evaluation, Method
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
-from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.records import StackedRecords
 from workers.fmu.description import ModelDescription
-from workers.messages import Experiment, FloatArray, Outcome, Want
+from workers.messages import FloatArray, Want
 
 
 @dataclass(frozen=True)
@@ -123,29 +123,6 @@ class FitStart:
         return FitStart(problem, self.values, kept)
 
 
-class SimulationMeter:
-    """Counts simulations in units of a whole experiment, and hands them on to a record.
-
-    Parameters
-    ----------
-    experiments
-        Those that are installed; what has been shortened counts for its part.
-    record
-        Called for each simulation; may be None.
-    """
-
-    def __init__(self, experiments: Sequence[Experiment], record: Record | None) -> None:
-        longest = max(e.stop - e.start for e in experiments)
-        self._parts = [(e.stop - e.start) / longest for e in experiments]
-        self._record = record
-        self.full = 0.0
-
-    def __call__(self, origin: TaskOrigin, outcome: Outcome) -> None:
-        self.full += self._parts[origin.experiment]
-        if self._record is not None:
-            self._record(origin, outcome)
-
-
 @dataclass(frozen=True)
 class LoopWorkbench:
     """The queue with everything that the steps of the loop share.
@@ -211,14 +188,23 @@ class LoopWorkbench:
         return max(float(np.nansum(noise**2 * np.array(sizes))), 1e-300)
 
     def noise_in_units(self, noise: FloatArray) -> dict[str, float]:
-        """The noise of each output in its own unit, from that in units of its residual."""
-        sigmas = {
-            output.variable: output.sigma
-            for e in self.train
-            for output in self.problem.experiments[e].outputs
-        }
-        pairs = zip(self.records.outputs, noise.tolist(), strict=True)
-        return {name: value * sigmas[name] for name, value in pairs}
+        """The noise of each output in its own unit, from that in units of its residual.
+
+        Of sigmas that differ between experiments it is the root mean square over the samples.
+        """
+        sigmas, found = self.sigmas, {}
+        for number, name in enumerate(self.records.outputs):
+            own = sigmas[self.records.of_output(number)]
+            equal = not len(own) or bool(np.all(own == own[0]))
+            sigma = (own[0] if len(own) else 1.0) if equal else np.sqrt(np.mean(own**2))
+            found[name] = float(noise[number] * sigma)
+        return found
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """The sigma of each residual, (N,)."""
+        outputs = [o for e in self.train for o in self.problem.experiments[e].outputs]
+        return np.concatenate([np.full(len(o.times), o.sigma) for o in outputs])
 
     def generator(self, stream: int) -> np.random.Generator:
         """A generator of its own for each use, so that no use moves another."""

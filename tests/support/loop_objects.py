@@ -25,7 +25,8 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionRound,
 )
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench, SimulationMeter
+from cluster_est.closed_loop.simulation_meter import SimulationMeter
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.problem.space import make_space
 from cluster_est.results.output_errors import OutputError

@@ -18,6 +18,10 @@ SHORTEST = 16
 MOST = 0.9
 """Share of the power that lies below the frequency that is named."""
 
+GAPS = 2.0
+"""Times its samples that a record may have even steps: of one with long gaps, or sampled far more
+slowly than others, a spectrum would be that of straight lines."""
+
 NARROW = 0.5
 """Share of the power in one peak from which on it is named."""
 
@@ -33,7 +37,7 @@ class UnexplainedResidual:
     size
         Root mean square in that unit, without the noise.
     over_noise
-        The same over the standard deviation of the noise.
+        The same over the standard deviation of the noise; NaN where there is no noise.
     shortest_period
         Seconds: nine tenths of its power are in slower swings; NaN for records that are too short.
     period
@@ -51,7 +55,9 @@ class UnexplainedResidual:
     def sentence(self) -> str:
         """Say how large it is, and how fast."""
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
-        said = f"{self.size:.3g}{unit} rms at {self.output}, {self.over_noise:.3g} times the noise"
+        said = f"{self.size:.3g}{unit} rms at {self.output}"
+        if np.isfinite(self.over_noise):
+            said += f", {self.over_noise:.3g} times the noise"
         if np.isfinite(self.period):
             return f"{said}, most of it with a period of {readable_time(self.period)}"
         if np.isfinite(self.shortest_period):
@@ -63,7 +69,7 @@ class UnexplainedResidual:
 def unexplained_residuals(
     workbench: LoopWorkbench, fitted: FittedModel, noise: FloatArray
 ) -> tuple[UnexplainedResidual, ...]:
-    """Describe what a fit leaves of each output; the largest first.
+    """Describe what a fit leaves of each output beyond its noise; the largest first.
 
     Parameters
     ----------
@@ -73,27 +79,31 @@ def unexplained_residuals(
         Standard deviations of the noise, in units of the residual.
     """
     records = workbench.records
-    units = workbench.noise_in_units(np.ones(len(records.outputs)))
+    sigmas = workbench.sigmas
     found = []
     for number, name in enumerate(records.outputs):
         own = [item for item in records.items if item.output == number]
-        part = fitted.residuals[records.of_output(number)]
-        if not len(part):
+        rows = records.of_output(number)
+        part, level = fitted.residuals[rows], float(np.nan_to_num(noise[number]))
+        square = float(np.mean(part**2)) if len(part) else 0.0
+        if not square > level**2:
             continue
-        beyond = float(np.sqrt(max(np.mean(part**2) - noise[number] ** 2, 0.0)))
+        beyond = float(np.sqrt(square - level**2))
+        # in units of the output, whose sigma each experiment may have for itself
+        size = float(np.sqrt(np.mean((part * sigmas[rows]) ** 2) * (1.0 - level**2 / square)))
         variable = workbench.description.variables.get(name)
-        shortest, period = _periods(fitted.residuals, own, float(noise[number]))
+        shortest, period = _periods(fitted.residuals, own, level)
         found.append(
             UnexplainedResidual(
                 output=name,
                 unit=variable.unit if variable is not None else "",
-                size=beyond * units[name],
-                over_noise=beyond / float(noise[number]) if noise[number] > 0.0 else np.nan,
+                size=size,
+                over_noise=beyond / level if level > 0.0 else np.nan,
                 shortest_period=shortest,
                 period=period,
             )
         )
-    return tuple(sorted(found, key=lambda each: -np.nan_to_num(each.over_noise)))
+    return tuple(sorted(found, key=lambda each: -np.nan_to_num(each.over_noise, nan=np.inf)))
 
 
 def readable_time(seconds: float) -> str:
@@ -115,9 +125,10 @@ def _periods(
     if not long:
         return np.nan, np.nan
     step = float(np.median(np.concatenate([np.diff(item.times) for item in long])))
-    length = min(len(_even(residuals, item, step)) for item in long)
-    if not step > 0.0 or length < SHORTEST:
+    long = [r for r in long if SHORTEST <= _even_count(r, step) <= GAPS * len(r.times)]
+    if not long:
         return np.nan, np.nan
+    length = min(_even_count(item, step) for item in long)
     total = np.zeros(length // 2 + 1)
     for item in long:
         even = _even(residuals, item, step)
@@ -140,7 +151,10 @@ def _periods(
 
 def _even(residuals: FloatArray, record: OutputRecord, step: float) -> FloatArray:
     """A record's residual at even steps."""
-    times = record.times
-    count = int((times[-1] - times[0]) / step) + 1
-    even = times[0] + step * np.arange(count)
-    return np.asarray(np.interp(even, times, residuals[record.rows]))
+    even = record.times[0] + step * np.arange(_even_count(record, step))
+    return np.asarray(np.interp(even, record.times, residuals[record.rows]))
+
+
+def _even_count(record: OutputRecord, step: float) -> int:
+    """Number of even steps in a record."""
+    return int((record.times[-1] - record.times[0]) / step) + 1

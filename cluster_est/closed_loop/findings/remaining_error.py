@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,12 +11,62 @@ from cluster_est.closed_loop.findings.effects import ErrorChange
 from workers.messages import Role
 
 
-def what_is_left(errors: Sequence[ErrorChange], scale: str = "the noise") -> str:
-    """Say how large the error is that is left, beside the noise or what `scale` names."""
+def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise") -> str:
+    """Say how large the error is that is left, beside the noise, and where that is not known."""
     train, test = (largest_error(errors, role) for role in ("train", "test"))
-    if not np.isfinite(test):
-        return f"what is left is {train:.3g} times {scale}"
-    return f"what is left is {train:.3g} times {scale} on training and {test:.3g} on held-out data"
+    said = []
+    if np.isfinite(train) and np.isfinite(test):
+        said.append(
+            f"what is left is {train:.3g} times {over} on training and {test:.3g} on held-out data"
+        )
+    elif np.isfinite(train) or np.isfinite(test):
+        where = "" if np.isfinite(train) else " on held-out data"
+        said.append(f"what is left is {train if not where else test:.3g} times {over}{where}")
+    silent = without_noise(errors)
+    if silent:
+        said.append(f"no noise is known of {', '.join(silent)} to compare what is left with")
+    failed = not_simulated(errors)
+    if failed:
+        said.append(f"held-out experiment {', '.join(failed)} could not be simulated")
+    return "; ".join(said)
+
+
+def not_simulated(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
+    """Experiments with data that could not be simulated with the effects, each once."""
+    rows = [e for e in errors if e.samples and not np.isfinite(e.rmse_after)]
+    return tuple(dict.fromkeys(repr(e.experiment) for e in rows))
+
+
+def no_longer_simulated(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
+    """Those of them that could be simulated before."""
+    return not_simulated([e for e in errors if np.isfinite(e.rmse_before)])
+
+
+def without_noise(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
+    """Outputs that have an error, and no noise that it could be compared with."""
+    rows = [e for e in errors if e.rmse_after > 0.0 and not np.isfinite(e.normalised_after)]
+    return tuple(dict.fromkeys(e.output for e in rows))
+
+
+def over_noise(
+    errors: Sequence[ErrorChange], noise: Mapping[str, float]
+) -> tuple[ErrorChange, ...]:
+    """Return the errors over another noise than the declared sigma, in units of that, by output."""
+    return tuple(
+        replace(
+            e,
+            normalised_before=e.normalised_before / noise.get(e.output, 1.0),
+            normalised_after=e.normalised_after / noise.get(e.output, 1.0),
+        )
+        for e in errors
+    )
+
+
+def comparable(errors: Sequence[ErrorChange]) -> tuple[ErrorChange, ...]:
+    """Return the errors that are known both before and after."""
+    return tuple(
+        e for e in errors if np.isfinite(e.normalised_before) and np.isfinite(e.normalised_after)
+    )
 
 
 def largest_error(errors: Sequence[ErrorChange], role: Role) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2, norm
 
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.records import StackedRecords
@@ -26,6 +27,10 @@ LONGEST = 0.95
 """Correlation from one sample to the next above which a residual is a drift or an offset, and no
 noise of a sensor, which forgets within some twenty samples."""
 
+CHANCE = float(norm.sf(2.0))
+"""Probability that noise of the declared sigma is larger than what still counts as within it: that
+of two standard errors."""
+
 MEMORY = 50
 """Lags whose correlations count for the error of a mean square."""
 
@@ -34,7 +39,8 @@ MEMORY = 50
 class OutputNoise:
     """The residual of one output beside its noise, all in standard deviations that are declared.
 
-    Without a declared sigma they are in units of the estimated noise.
+    Without a declared sigma they are in units of the estimated noise; where that is 0, what is left
+    is infinitely larger.
 
     Attributes
     ----------
@@ -45,7 +51,8 @@ class OutputNoise:
     white
         Estimated standard deviation of the part that is white noise.
     error
-        Standard error of the square of `level`, which is large where the residual has a memory.
+        Standard error of the square of `level` over that square. It is large where the residual
+        has a memory.
     correlation
         Of one sample with the next.
     first_order
@@ -77,9 +84,16 @@ class OutputNoise:
 
     @property
     def within(self) -> bool:
-        """It is no larger than the declared sigma, by two standard errors, and no drift."""
-        forgets = self.correlation <= LONGEST
-        return self.declared and forgets and self.level**2 - 1.0 <= 2.0 * self.error
+        """It is no larger than noise of the declared sigma is by chance, and no drift.
+
+        The chance is that of a chi-squared number with as many degrees of freedom as the memory
+        leaves. A residual is not judged by its own error, which grows with it.
+        """
+        if not self.declared or self.correlation > LONGEST:
+            return False
+        degrees = 2.0 / self.error**2 if self.error > 0.0 else np.inf
+        most = chi2.isf(CHANCE, degrees) / degrees if np.isfinite(degrees) else 1.0
+        return bool(self.level**2 <= most)
 
     @property
     def coloured(self) -> bool:
@@ -114,24 +128,25 @@ def residual_noise(
     found = []
     for number, name in enumerate(records.outputs):
         part = fitted.residuals[records.of_output(number)]
-        white = float(noise[number])
-        if not len(part) or not white > 0.0:
+        rms = float(np.sqrt(np.mean(part**2))) if len(part) else 0.0
+        if not rms > 0.0:
             continue
-        scale = 1.0 if declared else white
+        white = float(noise[number]) if noise[number] > 0.0 else 0.0
+        unit = 1.0 if declared else white
         partial = partial_autocorrelations(fitted.residuals, records, number, ORDER)
         most = max(limit, 3.3 / np.sqrt(len(part)))
         found.append(
             OutputNoise(
                 output=name,
                 samples=len(part),
-                level=float(np.sqrt(np.mean(part**2))) / scale,
-                white=white / scale,
-                error=float(np.mean(part**2)) / scale**2 * _error(part, records, number),
+                level=rms / unit if unit else np.inf,
+                white=white / unit if unit else 1.0,
+                error=_error(part, records, number),
                 correlation=float(partial[0]),
                 first_order=bool(
                     partial[0] <= LONGEST
                     and np.abs(partial[1:]).max() <= most
-                    and white**2 <= COLOURED * np.mean(part**2)
+                    and white**2 <= COLOURED * rms**2
                 ),
                 declared=declared,
             )
@@ -173,7 +188,7 @@ def is_noise_of_sensors(
         if output.believed:
             known = _within_declared(output, near)
         else:
-            level = output.level / output.white
+            level = output.level / output.white if output.white > 0.0 else np.inf
             most = max(largest * output.first_order, near * whitened)
             white = WHITE + 5.0 / np.sqrt(output.samples)  # the estimate's own error
             known = level**2 <= 1.0 + white or level <= most

@@ -1,23 +1,18 @@
 """The verdict of a closed loop, with its reason.
 
 It is made in two steps. `judge` looks at the training experiments as the search left them;
-`confirmed` looks at what is left after the final fits, on training and on held-out data, and can
-only take away.
+`confirmed` (in `confirmation`) looks at what is left after the final fits, on training and on
+held-out data, and can only take away.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
-from cluster_est.closed_loop.findings.remaining_error import (
-    largest_error,
-    pooled_error,
-    what_is_left,
-)
+from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.residual_noise import (
     OutputNoise,
     believed_noise,
@@ -48,16 +43,27 @@ class ReasonedVerdict:
         Share of the gap to the noise that the effects close on the training experiments.
     least
         Share that they must close on held-out data.
+    declared
+        A sigma is declared.
     noise
-        Of the outputs, over what their errors are put beside: above 1 where a declared sigma is too
-        small.
+        Of outputs whose declared sigma is far too large, the noise, in units of that sigma.
+    floor
+        Error that the noise alone makes, over what errors are compared with: above 1 where a
+        declared sigma is far too small.
     """
 
     verdict: Verdict
     reason: str
     closed: float = np.nan
     least: float = 0.0
-    noise: float = 1.0
+    declared: bool = False
+    noise: Mapping[str, float] = field(default_factory=dict)
+    floor: float = 1.0
+
+    @property
+    def over(self) -> str:
+        """What errors are compared with."""
+        return "the declared sigma" if self.declared and not self.noise else "the noise"
 
 
 @dataclass(frozen=True)
@@ -85,8 +91,10 @@ class _Residual:
         worst = max(self.outputs, key=lambda o: o.level, default=None)
         if worst is None:
             return f"residual {np.sqrt(1.0 + self.excess):.2f} times the noise"
-        what = "declared sigma" if worst.declared else "noise"
         named = f" of {worst.output}" if len(self.outputs) > 1 else ""
+        if not np.isfinite(worst.level):
+            return f"the residual{named} has no noise in it"
+        what = "declared sigma" if worst.declared else "noise"
         return f"residual {worst.level:.3g} times the {what}{named}"
 
 
@@ -96,11 +104,16 @@ def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
     now = _residual(workbench, found, found.current, found.last)
     judged = _judged(workbench, found, base, now)
     suspected = suspected_sigma(now.outputs)
-    if not suspected:
-        return judged
-    noise = [o.white if o.sigma_too_small else 1.0 for o in now.outputs]
-    reason = f"{judged.reason}; {suspected}"
-    return replace(judged, reason=reason, noise=float(np.sqrt(np.mean(np.square(noise)))))
+    reason = f"{judged.reason}; {suspected}" if suspected else judged.reason
+    smaller = {o.output: o.white for o in now.outputs if o.sigma_too_large and o.white > 0.0}
+    floor = [o.white if o.sigma_too_small else 1.0 for o in now.outputs]
+    return replace(
+        judged,
+        reason=reason,
+        declared=workbench.sigma_declared,
+        noise=smaller,
+        floor=float(np.sqrt(np.mean(np.square(floor)))) if floor else 1.0,
+    )
 
 
 def _judged(
@@ -143,53 +156,13 @@ def _judged(
     )
 
 
-def confirmed(
-    judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings
-) -> ReasonedVerdict:
-    """Return the verdict after the final fits: what is left on training and on held-out data.
-
-    Parameters
-    ----------
-    judged
-        From the training experiments.
-    errors
-        Of the declared model fitted, and of the one with the effects.
-    settings
-        Of the loop.
-    """
-    if judged.verdict not in CLAIMS:
-        return judged
-    old, new = (pooled_error(errors, "test", after=after) for after in (False, True))
-    if np.isfinite(old) and new > old:
-        reason = (
-            f"{judged.reason}; but the held-out error would grow from {old:.4g} to {new:.4g} times "
-            "the noise, so nothing was added"
-        )
-        return ReasonedVerdict(Verdict.UNEXPLAINED, reason, judged.closed)
-    near, noise = settings.near_noise, judged.noise
-    closed = (old**2 - new**2) / (old**2 - noise**2) if old > near * noise else np.nan
-    scale = "the declared sigma" if noise > 1.0 else "the noise"
-    reason = f"{judged.reason}; {what_is_left(errors, scale)}"
-    if closed < judged.least:
-        reason = (
-            f"{judged.reason}; but on held-out data they close only {closed:.0%} of the gap, from "
-            f"{old:.3g} to {new:.3g} times the noise, so nothing was added"
-        )
-        return ReasonedVerdict(Verdict.UNEXPLAINED, reason, judged.closed)
-    left = [largest_error(errors, role) for role in ("train", "test")]
-    if judged.verdict is Verdict.FOUND and max(e for e in left if np.isfinite(e)) > near:
-        return ReasonedVerdict(Verdict.PARTIAL, reason, judged.closed)
-    return ReasonedVerdict(judged.verdict, reason, judged.closed)
-
-
 def _nothing_added(
     found: SelectionResult, now: _Residual, settings: LoopSettings
 ) -> ReasonedVerdict:
     why, screening = found.last.why, found.last.screening
     nowhere = why == RejectionReason.NO_CANDIDATE
     if now.structured and now.of_sensors and not nowhere:
-        reason = f"{_autocorrelated(now)}; no effect explains it once that is allowed for"
-        return ReasonedVerdict(Verdict.COLOURED, f"{reason} (family-wise p = {_p(found)})")
+        return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now, settings))
     if now.structured:
         return ReasonedVerdict(
             Verdict.UNEXPLAINED, f"something is missing ({now.level}), {_why_not(why)}"
@@ -198,8 +171,7 @@ def _nothing_added(
         return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {why}: {NOWHERE}")
     if why == RejectionReason.COLOURED_NOISE:
         if screening.omnibus.p <= settings.thresholds.verdict.smooth:
-            reason = f"{_autocorrelated(now)}; no effect explains it once that is allowed for"
-            return ReasonedVerdict(Verdict.COLOURED, f"{reason} (family-wise p = {_p(found)})")
+            return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now, settings))
         reason = "no candidate is significant once the residual is whitened"
         return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
     if why == RejectionReason.NOT_SIGNIFICANT:
@@ -225,6 +197,21 @@ def _why_not(why: RejectionReason | None) -> str:
             "sensor, and no effect explains it once that is allowed for"
         )
     return f"and nothing explains it: {why}"
+
+
+def _coloured(found: SelectionResult, now: _Residual, settings: LoopSettings) -> str:
+    """Why what is left counts as coloured noise, though some effect may carry a part of it."""
+    why, screening = found.last.why, found.last.screening
+    if why == RejectionReason.NOT_SIGNIFICANT:
+        rest = f"no candidate is significant (family-wise p = {screening.p:.2g})"
+    elif screening.p_white > settings.significance:
+        rest = (
+            "no effect explains it once that is allowed for "
+            f"(family-wise p = {screening.p_white:.2g})"
+        )
+    else:
+        rest = f"the best candidate was not accepted: {why}"
+    return f"{_autocorrelated(now)}; {rest}"
 
 
 def _p(found: SelectionResult) -> str:

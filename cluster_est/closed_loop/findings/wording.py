@@ -42,9 +42,8 @@ def error_changes(
     noise = workbench.noise_in_units(found.noise)
     rows = []
     for old, new in zip(before.errors, after.errors, strict=True):
-        sigma = old.rmse_after / old.normalised_after if old.normalised_after else np.nan
-        if not workbench.sigma_declared:
-            sigma = noise.get(old.output, np.nan)
+        sigma = noise.get(old.output, np.nan)
+        given = workbench.sigma_declared
         rows.append(
             ErrorChange(
                 experiment=old.experiment,
@@ -54,8 +53,8 @@ def error_changes(
                 samples=old.samples,
                 rmse_before=old.rmse_after,
                 rmse_after=new.rmse_after,
-                normalised_before=_over(old.rmse_after, sigma),
-                normalised_after=_over(new.rmse_after, sigma),
+                normalised_before=old.normalised_after if given else _over(old.rmse_after, sigma),
+                normalised_after=new.normalised_after if given else _over(new.rmse_after, sigma),
             )
         )
     return tuple(rows)
@@ -68,9 +67,13 @@ def _over(error: float, sigma: float) -> float:
 
 def where_left(workbench: LoopWorkbench, fitted: FittedModel) -> str:
     """Say in a sentence in which part of the data most of a residual lives."""
-    total = max(fitted.sse, 1e-300)
+    total = fitted.sse
+    if not total > 0.0:
+        return "nothing is left"
     best: tuple[float, str] = (0.0, "")
     for record in workbench.records.items:
+        if not len(record.times):
+            continue
         squares = fitted.residuals[record.rows] ** 2
         edges = np.linspace(record.times[0], record.times[-1], WINDOWS + 1)
         window = np.clip(np.searchsorted(edges, record.times, side="right") - 1, 0, WINDOWS - 1)

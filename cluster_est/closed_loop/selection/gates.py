@@ -47,13 +47,13 @@ def best_that_passes(
     current = begun.model
     better = [c for c in contenders if c.criterion < current.criterion(workbench.records)]
     left = believable(workbench, current, better)
+    why = RejectionReason.ONLY_WAVES if better and not left else RejectionReason.NO_IMPROVEMENT
     while left:
         chosen = plainest(left, workbench.thresholds.refinement)
         if stays_bounded(workbench, chosen.fitted, current):
             break
         left = [c for c in left if c is not chosen]
     if not left:
-        why = RejectionReason.NO_IMPROVEMENT
         return RoundEnd(SelectionRound(begun.screening, tuple(contenders), why))
     after = predict(workbench, chosen.fitted)
     gain, closed = _gain(workbench, begun, chosen), _closed(workbench, begun, after)

@@ -24,6 +24,10 @@ class RejectionReason(enum.StrEnum):
     LIMIT_OF_EFFECTS = "limit of effects"
     FREE_CURVE = "what a free curve leaves is partly its own error"
     NO_IMPROVEMENT = "no candidate improves the fit and stays bounded"
+    ONLY_WAVES = (
+        "the only candidates that help are waves in time, each seen too briefly, at a resonance of "
+        "the model, or with another phase in each experiment"
+    )
     LITTLE_GAIN = "the gain does not pay for the choice among so many candidates"
     NOT_PREDICTED = "left-out experiments are not predicted better"
     NUMERICAL_ERROR = "it explains no more than the error of the solver and its steps could be"

@@ -61,7 +61,8 @@ def _waves(fitted: FittedModel, current: FittedModel) -> list[EffectCandidate]:
 def _may_be_believed(workbench: LoopWorkbench, current: FittedModel, fitted: FittedModel) -> bool:
     for candidate in _waves(fitted, current):
         period = period_of(candidate, fitted)
-        longest = max(float(np.ptp(record.times)) for record in workbench.records.items)
+        records = [record for record in workbench.records.items if len(record.times)]
+        longest = max(float(np.ptp(record.times)) for record in records)
         if longest < workbench.thresholds.waves.periods * period:
             return False
         if _is_resonance(workbench, current, 2.0 * np.pi / period):

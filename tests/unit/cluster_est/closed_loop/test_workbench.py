@@ -16,9 +16,10 @@ from support.truth.systems_with_missing_effects import (
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.selection.declared_model import BRIEF
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.simulation_meter import SimulationMeter
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import ShortenedCopy
-from cluster_est.closed_loop.workbench import FitStart, SimulationMeter
+from cluster_est.closed_loop.workbench import FitStart
 from cluster_est.running.records import TaskOrigin
 from workers.messages import Outcome, Status
 

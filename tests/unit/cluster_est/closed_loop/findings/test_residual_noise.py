@@ -76,6 +76,33 @@ def test_coloured_noise_above_a_declared_sigma_is_not():
     assert not of_sensors(2.0 * TRUE * coloured(0.8, 1), TRUE)
 
 
+@pytest.mark.parametrize("amplitude", [3.0, 10.0, 30.0])
+def test_a_slow_wave_in_a_short_record_is_not_within_its_sigma(amplitude):
+    """Its mean square has a large error, because it is that of a wave."""
+    wave = amplitude * np.sin(2.0 * np.pi * np.arange(40) / 20.0)
+    residual = wave + np.random.default_rng(0).standard_normal(40)
+    problem = made_problem(40, sigma=TRUE)
+    bench, fitted = made_bench(problem), made_fit(problem, residual)
+    (output,) = residual_noise(bench, fitted, estimate_noise(residual, bench.records))
+    assert output.believed
+    assert not output.within
+
+
+@pytest.mark.parametrize("declared", [TRUE, 1.0])
+def test_a_residual_without_noise_is_none_of_a_sensor(declared):
+    problem = made_problem(60, sigma=declared)
+    bench, fitted = made_bench(problem), made_fit(problem, np.full(60, 5.0))
+    outputs = residual_noise(bench, fitted, np.zeros(1))
+    assert [o.output for o in outputs] == ["y0"]
+    assert not is_noise_of_sensors(outputs, near=1.5, largest=5.0, whitened=True)
+
+
+def test_an_output_that_is_followed_exactly_has_nothing_to_compare():
+    problem = made_problem(60, sigma=TRUE)
+    bench = made_bench(problem)
+    assert residual_noise(bench, made_fit(problem, np.zeros(60)), np.zeros(1)) == ()
+
+
 @pytest.mark.parametrize(
     ("declared", "said"),
     [

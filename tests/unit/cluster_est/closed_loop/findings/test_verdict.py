@@ -16,9 +16,10 @@ from support.loop_objects import (
     made_selection,
 )
 
+from cluster_est.closed_loop.findings.confirmation import confirmed
 from cluster_est.closed_loop.findings.effects import ErrorChange
 from cluster_est.closed_loop.findings.result import Verdict
-from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, confirmed, judge
+from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.selection.rounds import RejectionReason
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.statistics.omnibus import OmnibusTest
@@ -45,6 +46,7 @@ class Case:
     left_out: float = np.nan
     white: OmnibusTest | None = None
     worse: int = 0
+    p_white: float = 0.3
 
     def search(self):
         after = self.now if np.isnan(self.left_out) else self.left_out
@@ -57,7 +59,7 @@ class Case:
         current = fit_with_squares(PROBLEM, self.now * FLOOR, added)
         screening = made_screening(
             current.jacobian, current.residuals, [], [],
-            omnibus=self.omnibus, omnibus_white=self.white,
+            omnibus=self.omnibus, omnibus_white=self.white, p_white=self.p_white,
         )  # fmt: skip
         return made_selection(base, current, made_round(self.why, screening), squares=squares)
 
@@ -71,7 +73,10 @@ CASES = {
         Case(1.5, 1.5, CLEAN, STRUCTURED, ()), Verdict.UNEXPLAINED, "smooth structure"),
     "autocorrelation, and nothing else": (
         Case(1.5, 1.5, CLEAN, STRUCTURED, (), white=QUIET), Verdict.COLOURED,
-        "no effect explains it"),
+        "no candidate is significant"),
+    "coloured noise, of which a candidate carries a part": (
+        Case(1.5, 1.5, LITTLE, STRUCTURED, (), white=QUIET, p_white=1e-9), Verdict.COLOURED,
+        "the best candidate was not accepted"),
     "structure below five percent": (
         Case(1.03, 1.03, CLEAN, STRUCTURED, ()), Verdict.NONE, "no candidate is significant"),
     "more than the noise, but no structure": (
@@ -193,6 +198,63 @@ def test_the_output_with_the_largest_error_decides():
     assert confirmed(FOUND, both, LoopSettings(near_noise=2.0)).verdict is Verdict.FOUND
 
 
+def failing(when: str):
+    """Errors with a held-out experiment that was not simulated before, after, or either time."""
+    then, now = ((np.nan, 1.0), (9.0, np.nan), (np.nan, np.nan))[
+        ("before", "after", "both").index(when)
+    ]
+    lost = ErrorChange("lost", "test", "y", "m", 100, then, now, then, now)
+    return [*changes((9.0, 1.1), (9.0, 1.2)), lost]
+
+
+@pytest.mark.parametrize(
+    ("when", "expected", "said"),
+    [
+        ("before", Verdict.FOUND, "1.1 times the noise on training"),
+        ("after", Verdict.UNEXPLAINED, "experiment 'lost' cannot be simulated any more"),
+        ("both", Verdict.PARTIAL, "held-out experiment 'lost' could not be simulated"),
+    ],
+)
+def test_a_held_out_experiment_that_fails(when, expected, said):
+    judged = confirmed(FOUND, failing(when), LoopSettings())
+    assert judged.verdict is expected
+    assert said in judged.reason
+
+
+def test_the_only_held_out_experiment_fails_with_the_effects():
+    lost = ErrorChange("lost", "test", "y", "m", 100, 9.0, np.nan, 9.0, np.nan)
+    errors = [*changes((9.0, 1.1), None), lost]
+    assert confirmed(FOUND, errors, LoopSettings()).verdict is Verdict.UNEXPLAINED
+
+
+def test_without_a_noise_to_compare_with_nothing_is_found():
+    silent = [ErrorChange("train", "train", "y", "m", 100, 9.0, 1.0, np.nan, np.nan)]
+    judged = confirmed(FOUND, silent, LoopSettings())
+    assert judged.verdict is Verdict.PARTIAL
+    assert "no noise is known of y" in judged.reason
+
+
+def test_what_is_followed_exactly_needs_no_noise():
+    exact = ErrorChange("train", "train", "y", "m", 100, 0.0, 0.0, np.nan, np.nan)
+    errors = [exact, *changes((9.0, 1.0), (9.0, 1.0), "b")]
+    assert confirmed(FOUND, errors, LoopSettings()).verdict is Verdict.FOUND
+
+
+def test_a_sigma_that_is_too_large_does_not_make_an_error_small():
+    """What is left is 0.4 times the declared sigma, whose noise is a tenth of it."""
+    judged = replace(FOUND, declared=True, noise={"y": 0.1})
+    small = changes((9.0, 0.4), (9.0, 0.4))
+    assert confirmed(replace(judged, noise={}), small, LoopSettings()).verdict is Verdict.FOUND
+    found = confirmed(judged, small, LoopSettings())
+    assert found.verdict is Verdict.PARTIAL
+    assert "what is left is 4 times the noise" in found.reason
+
+
+def test_errors_over_a_declared_sigma_are_said_to_be_that():
+    judged = confirmed(replace(FOUND, declared=True), changes((9.0, 1.1), None), LoopSettings())
+    assert "1.1 times the declared sigma" in judged.reason
+
+
 def test_a_verdict_without_effects_stays_as_it_is():
     none = ReasonedVerdict(Verdict.NONE, "no candidate is significant")
     assert confirmed(none, changes((9.0, 9.0), (9.0, 9.0)), LoopSettings()) is none
@@ -200,7 +262,7 @@ def test_a_verdict_without_effects_stays_as_it_is():
 
 def test_a_gap_on_held_out_data_is_that_to_the_noise_as_it_is():
     """A sigma that is ten times too small makes noise of what was explained completely."""
-    judged = replace(FOUND, noise=10.0)
+    judged = replace(FOUND, floor=10.0, declared=True)
     found = confirmed(judged, changes((30.0, 10.0), (15.7, 10.2)), LoopSettings())
     assert found.verdict is Verdict.PARTIAL
     assert "10 times the declared sigma on training and 10.2 on held-out" in found.reason

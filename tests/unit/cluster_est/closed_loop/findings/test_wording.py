@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.loop_objects import (
@@ -67,6 +69,35 @@ def test_where_two_models_differ_most_for_their_noise():
     )  # fmt: skip
     assert (where, output) == ("run 2", "y1")
     assert (when, size) == pytest.approx((1.0, 4.0))
+
+
+def test_an_output_without_samples_in_an_experiment_is_passed_over():
+    runs = made_problem(50, 50, outputs=2).experiments
+    nothing = np.zeros(0)
+    shorter = replace(runs[0].outputs[1], times=nothing, values=nothing)
+    runs = (replace(runs[0], outputs=(runs[0].outputs[0], shorter)), runs[1])
+    problem = replace(made_problem(50, 50, outputs=2), experiments=runs)
+    residuals = np.ones(150)
+    residuals[-1] = 30.0
+    said = where_left(made_bench(problem), made_fit(problem, residuals))
+    assert "output y1 of experiment 'run 1'" in said
+
+
+def test_where_nothing_is_left_no_part_is_named():
+    problem = made_problem(50)
+    assert where_left(made_bench(problem), made_fit(problem, np.zeros(50))) == "nothing is left"
+
+
+def test_an_experiment_that_could_not_be_simulated_before_counts_after():
+    problem = made_problem(50, sigma=0.5)
+    fitted = fit_with_squares(problem, 1.0)
+    screening = made_screening(fitted.jacobian, fitted.residuals, [], [])
+    last = made_round(RejectionReason.NOT_SIGNIFICANT, screening)
+    found = made_selection(fitted, fitted, last, noise=[1.0])
+    before, after = (followed(problem, rmse, 0.5) for rmse in (np.nan, 2.0))
+    (row,) = error_changes(made_bench(problem), found, before, after)
+    assert np.isnan(row.normalised_before)
+    assert row.normalised_after == pytest.approx(4.0)
 
 
 def test_where_and_when_most_of_a_residual_lives():

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from support.loop_objects import made_screening
 from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.gates import best_that_passes
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundStart
 from cluster_est.closed_loop.selection.waves import believable, period_of
 from cluster_est.closed_loop.workbench import FitStart, FittedModel
 from workers.effects.forms import FORMS
@@ -88,6 +94,28 @@ def test_a_mechanism_that_does_nearly_as_much_comes_first(bench, left, first):
     friction = grown(bench, "coulomb", (1.0, 0.01), left * base.sse)
     found = believable(bench, base, [wave, friction])
     assert names(found) == [first, *({"sine", "coulomb"} - {first})]
+
+
+def test_where_only_waves_are_left_that_cannot_be_believed_that_is_the_reason(bench):
+    """The first has less than three periods in its records, the second does not fit better."""
+    base = unfitted(bench)
+    screening = made_screening(base.jacobian, base.residuals, [], [])
+    begun = RoundStart(base, LeaveOneOutPrediction(np.ones(2)), screening, 1.0)
+    brief = grown(bench, "sine", (1.0, 0.5, 2.0), 1.0)
+    brief = replace(brief, criterion=base.criterion(bench.records) - 100.0)
+    worse = replace(brief, criterion=base.criterion(bench.records) + 100.0)
+    assert best_that_passes(bench, begun, [brief]).seen.why is RejectionReason.ONLY_WAVES
+    assert best_that_passes(bench, begun, [worse]).seen.why is RejectionReason.NO_IMPROVEMENT
+
+
+def test_an_output_without_samples_has_no_periods(bench):
+    """Its record counts not, instead of ending the search."""
+    wave = grown(bench, "sine", (1.0, 0.5, 9.0), 1.0)
+    last = bench.records.items[-1]
+    empty = replace(last, rows=slice(last.rows.stop, last.rows.stop), times=np.zeros(0))
+    records = replace(bench.records, items=(*bench.records.items, empty))
+    found = believable(replace(bench, records=records), unfitted(bench), [wave])
+    assert names(found) == ["sine"]
 
 
 def test_what_is_no_wave_stays_in_its_order(bench):
