@@ -6,7 +6,7 @@ from argparse import Namespace
 from importlib import import_module
 
 COMMANDS = {
-    "init": "preparation",
+    "init": "first_config",
     "check": "preparation",
     "fit": "estimate",
     "close-loop": "estimate",

@@ -1,15 +1,13 @@
-"""The commands before a run: init and check."""
+"""The command before a run: check."""
 
 from __future__ import annotations
 
 from argparse import Namespace
 from dataclasses import replace
-from pathlib import Path
 
 from rich.console import Console
 
 from cluster_est.cli.display.preflight import print_page
-from cluster_est.cli.display.run import say
 from cluster_est.cli.display.start import print_check, print_model
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.terminal import complain, say_if_compiled_first
@@ -17,8 +15,8 @@ from cluster_est.config.former_keys import former_keys
 from cluster_est.config.reader import Config
 from cluster_est.config.settings import build_resources
 from cluster_est.configured_run import read_run
-from cluster_est.drafting import draft, read_mapping, unit_mismatches, write
-from cluster_est.errors import ConfigError, ModelError
+from cluster_est.drafting.mismatches import unit_mismatches
+from cluster_est.errors import ModelError
 from cluster_est.preflight import (
     SECONDS,
     CheckFinding,
@@ -31,32 +29,6 @@ from cluster_est.preflight import (
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.running.resources import Resources
-
-
-def init(options: Namespace) -> int:
-    """Write a first config, and say what to fill in or to do next."""
-    out = options.out or Path(f"{options.fmu.stem}.toml")
-    if out.is_dir():
-        raise ConfigError(f"--out: {out} must be a file but is a folder; name a file in it")
-    if out.exists() and not options.overwrite:
-        raise ConfigError(
-            f"--out: {out} is there already; choose another, or replace it with --overwrite"
-        )
-    found = draft(options.fmu, options.data, read_mapping(options.map))
-    text = write(found, out.parent)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text.toml, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise ConfigError(f"--out: {out} cannot be written ({error}); choose another") from error
-    console = Console()
-    for number, line in text.open:
-        say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
-    for name in dict.fromkeys(name for run in found.runs for name in run.missing_inputs):
-        where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
-        say(console, f"{out}: no column of {where} is like input {name!r}; it stays as it starts")
-    say(console, f"{out} is written; look through it, then: cluster-est check {out}")
-    return ExitCode.DONE
 
 
 def check(options: Namespace) -> int:

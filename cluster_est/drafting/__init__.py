@@ -2,7 +2,6 @@
 
 from cluster_est.drafting.draft import ConfigDraft, draft
 from cluster_est.drafting.mapping import read_mapping
-from cluster_est.drafting.mismatches import unit_mismatches
 from cluster_est.drafting.writing import ConfigText, write
 
-__all__ = ["ConfigDraft", "ConfigText", "draft", "read_mapping", "unit_mismatches", "write"]
+__all__ = ["ConfigDraft", "ConfigText", "draft", "read_mapping", "write"]

@@ -9,14 +9,8 @@ from typing import Any
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.folder import check_free
 from cluster_est.run_folder.reading import read_facts
-from cluster_est.run_folder.run_identity import (
-    DECISIVE,
-    FORMAT,
-    UNHASHED,
-    RunIdentity,
-    RunStatus,
-    versions,
-)
+from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, RunIdentity, versions
+from cluster_est.run_folder.run_status import RunStatus
 
 
 def is_finished(out: Path) -> bool:

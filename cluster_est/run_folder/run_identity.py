@@ -37,16 +37,6 @@ class RunKind(enum.Enum):
         return "closed_loop" if self is RunKind.FIT else "method"
 
 
-class RunStatus(enum.StrEnum):
-    """The state of a run, as run.json says it."""
-
-    RUNNING = "running"
-    DONE = "done"
-    NOT_CONVERGED = "not converged"
-    INTERRUPTED = "interrupted"
-    FAILED = "failed"
-
-
 @dataclass(frozen=True)
 class RunIdentity:
     """Everything that tells a run from others, known before it begins.

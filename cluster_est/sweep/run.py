@@ -18,7 +18,8 @@ from cluster_est.executors import executor_class
 from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.resume import check_resumable
-from cluster_est.run_folder.run_identity import RunIdentity, RunKind, RunStatus
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind
+from cluster_est.run_folder.run_status import RunStatus
 from cluster_est.running.shared_pools import SharedPools, pool_key
 from cluster_est.sweep.matrix import SweepRun
 from cluster_est.sweep.state import PlannedRun, clear_torn, fingerprint

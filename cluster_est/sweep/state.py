@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.folder import BEGUN
 from cluster_est.run_folder.reading import read_facts, read_run_table
-from cluster_est.run_folder.run_identity import RunIdentity, RunStatus, versions
+from cluster_est.run_folder.run_identity import RunIdentity, versions
+from cluster_est.run_folder.run_status import RunStatus
 from cluster_est.sweep.matrix import SweepRun
 from workers.messages import content_hash
 

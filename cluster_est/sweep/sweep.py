@@ -11,7 +11,7 @@ from typing import Any
 from cluster_est.configured_run import Listener
 from cluster_est.errors import ClusterEstError, ConfigError, RunFolderError
 from cluster_est.run_folder.lock import locked_by_sweep
-from cluster_est.run_folder.run_identity import RunStatus
+from cluster_est.run_folder.run_status import RunStatus
 from cluster_est.running.shared_pools import SharedPools
 from cluster_est.sweep.matrix import SweepRun, read_sweep
 from cluster_est.sweep.run import SweepSettings, check_run, do_sweep_run
