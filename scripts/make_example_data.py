@@ -1,4 +1,5 @@
-"""Write the measurements of the examples: a mass on a spring, and a spring with hysteresis.
+"""Write the measurements of the examples: a mass on a spring, with and without dry friction, and a
+spring with hysteresis.
 
 The equations are written here once more, apart from the FMU, and solved to a much tighter
 tolerance, so that an estimate from these data also checks the FMU. The noise is reproducible.
@@ -9,7 +10,7 @@ tolerance, so that an estimate from these data also checks the FMU. The noise is
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -23,6 +24,7 @@ SEED = 20240
 MASS, STIFFNESS, DAMPING = 1.2, 30.0, 0.6  # kg, N/m, N.s/m
 SAMPLES, INTERVAL = 500, 0.02  # -, s
 NOISE = 0.01  # standard deviation, relative to that of the position
+FRICTION, SWITCH = 0.6, 0.002  # N, m/s: the dry friction is FRICTION * tanh(v / SWITCH)
 
 AMPLITUDE, K_W, K_X = 1.02, 260.0, 190.0  # m, N, N/m; the angular frequency is 1 rad/s
 RHO, SIGMA, N, W_0 = 2.1, 1.4, 1.5, -0.35  # 1/m, -, -, -
@@ -72,7 +74,15 @@ EXPERIMENTS: list[tuple[Waveform, float]] = [  # waveform and initial position i
 ]
 
 
-def positions(time: Array, force: Array, initial: float) -> Array:
+RUBBING: list[tuple[Waveform, float]] = [  # those of the mass whose guide rubs
+    (multisine, 0.0),
+    (held_steps, 0.0),
+    (binary_sequence, 0.0),
+    (chirp, 0.0),
+]
+
+
+def positions(time: Array, force: Array, initial: float, friction: float = 0.0) -> Array:
     """Solve the equations of motion under a force that is linear between its samples.
 
     Parameters
@@ -81,6 +91,8 @@ def positions(time: Array, force: Array, initial: float) -> Array:
         The samples of the force.
     initial : float
         The initial position; the mass starts at rest.
+    friction : float
+        The dry friction in N.
 
     Returns
     -------
@@ -92,6 +104,7 @@ def positions(time: Array, force: Array, initial: float) -> Array:
 
         def rate(t: float, x: Array, n: int = n) -> list[float]:
             applied = np.interp(t, time[n : n + 2], force[n : n + 2])
+            applied -= friction * np.tanh(x[1] / SWITCH)
             return [x[1], (applied - STIFFNESS * x[0] - DAMPING * x[1]) / MASS]
 
         span = (time[n], time[n + 1])
@@ -159,16 +172,25 @@ def hysteresis_loop() -> dict[str, Array]:
 
 
 def write_masses() -> list[Path]:
-    """Write the experiments on the mass and return their paths."""
+    """Write the experiments on the mass, with and without dry friction, and return their paths."""
+    return [
+        *_write_mass("mass_spring_damper", EXPERIMENTS, 0.0, SEED),
+        *_write_mass("mass_with_friction", RUBBING, FRICTION, SEED + 1),
+    ]
+
+
+def _write_mass(
+    folder: str, experiments: Sequence[tuple[Waveform, float]], friction: float, seed: int
+) -> list[Path]:
     paths = []
     time = np.round(INTERVAL * np.arange(SAMPLES), 2)
-    for number, (waveform, initial) in enumerate(EXPERIMENTS, start=1):
-        random = np.random.default_rng([SEED, number])
+    for number, (waveform, initial) in enumerate(experiments, start=1):
+        random = np.random.default_rng([seed, number])
         force_text = six_digits(waveform(time, random))
-        true = positions(time, np.array(force_text, dtype=float), initial)
+        true = positions(time, np.array(force_text, dtype=float), initial, friction)
         measured = true + random.normal(0.0, NOISE * true.std(), SAMPLES)
         columns = {"time": six_digits(time), "force": force_text, "position": six_digits(measured)}
-        paths.append(DATA / "mass_spring_damper" / f"exp{number}.csv")
+        paths.append(DATA / folder / f"exp{number}.csv")
         write(paths[-1], columns)
     return paths
 

@@ -1,4 +1,7 @@
-"""A hook of mkdocs: the pages that are made from the code, at the time of the build."""
+"""A hook of mkdocs: the pages that are made from the code, at the time of the build.
+
+In the repository a page of the same name says so, so that links lead somewhere there too.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,10 @@ PAGES = {
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add them to the pages that are files."""
+    """Put them in the place of the files that only say where they are made."""
     for name, page in PAGES.items():
+        stand_in = files.get_file_from_path(name)
+        if stand_in is not None:
+            files.remove(stand_in)
         files.append(File.generated(config, name, content=page()))
     return files

@@ -2,8 +2,8 @@
 
 Published figures (Champneys et al., arXiv 2405.10779): Silverbox arrow 14.4 mV linear, 0.26 mV at
 best; cascaded tanks 0.588 V linear, 0.191 V at best. EMPS, relative error of the force by its
-authors with Coulomb friction: 8.94 % on the pulses. The loop's own figures are those of the README,
-here within a tenth.
+authors with Coulomb friction: 8.94 % on the pulses. The loop's own figures are those of
+cluster_est/docs/measured_data.md, here within a tenth.
 """
 
 from __future__ import annotations
