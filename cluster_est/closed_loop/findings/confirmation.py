@@ -45,11 +45,11 @@ def confirmed(
         return replace(judged, verdict=Verdict.UNEXPLAINED, reason=reason)
     left = np.array([largest_error(errors, role) for role in ("train", "test")])
     unknown = without_noise(errors) or not_simulated(errors)
-    verdict = judged.verdict
+    verdict, said = judged.verdict, what_is_left(errors, judged.over)
     if verdict is Verdict.FOUND and (unknown or np.any(left > near)):
         verdict = Verdict.PARTIAL
-    reason = "; ".join(filter(None, (judged.reason, what_is_left(errors, judged.over))))
-    return replace(judged, verdict=verdict, reason=reason)
+        said += f"; found would be at most {near:.3g} times everywhere"
+    return replace(judged, verdict=verdict, reason="; ".join(filter(None, (judged.reason, said))))
 
 
 def _veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], near: float) -> str:

@@ -140,7 +140,7 @@ def _judged(
         return ReasonedVerdict(Verdict.FOUND, share, closed, most)
     better = np.mean(found.prediction.squares < found.base_prediction.squares)
     if now.of_sensors and not tables and better >= thresholds.mostly_better:
-        rest = f"{share}; the rest is autocorrelated noise"
+        rest = f"{share}; the rest looks like autocorrelated noise of the sensor"
         return ReasonedVerdict(Verdict.FOUND, rest, closed, most)
     if closed > most:
         reason = f"{share}; structure is left in the residual"

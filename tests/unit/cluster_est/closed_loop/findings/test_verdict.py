@@ -194,7 +194,9 @@ def test_held_out_data_can_only_take_away(train, test, expected, said):
 
 def test_the_output_with_the_largest_error_decides():
     both = changes((9.0, 1.0), (9.0, 1.0), "a") + changes((9.0, 1.0), (9.0, 1.9), "b")
-    assert confirmed(FOUND, both, LoopSettings()).verdict is Verdict.PARTIAL
+    judged = confirmed(FOUND, both, LoopSettings())
+    assert judged.verdict is Verdict.PARTIAL
+    assert "found would be at most 1.5 times everywhere" in judged.reason
     assert confirmed(FOUND, both, LoopSettings(near_noise=2.0)).verdict is Verdict.FOUND
 
 

@@ -83,6 +83,13 @@ def test_an_output_without_samples_in_an_experiment_is_passed_over():
     assert "output y1 of experiment 'run 1'" in said
 
 
+def test_what_is_spread_evenly_is_in_no_part():
+    problem = made_problem(200, 200)
+    noise = np.random.default_rng(4).standard_normal(400)
+    said = where_left(made_bench(problem), made_fit(problem, noise))
+    assert said == "what is left is spread over all records, with no part that stands out"
+
+
 def test_where_nothing_is_left_no_part_is_named():
     problem = made_problem(50)
     assert where_left(made_bench(problem), made_fit(problem, np.zeros(50))) == "nothing is left"
