@@ -431,8 +431,8 @@ class VerdictThresholds:
     nearly_all
         Share of the gap to the noise, in squares, that effects must close for "found". Benchmark.
     most
-        The same for "partial": the error is at least halved, on training and on held-out data. By
-        definition: what explains less is a hint, and no model.
+        The same for "partial": the error is at least halved, on training and on held-out data.
+        By definition: what explains less is a hint, and no model.
     most_by_curve
         The same for "partial" with a free curve, which takes any shape: what it leaves says that
         the effect is another one. Benchmark.
