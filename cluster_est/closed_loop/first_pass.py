@@ -56,7 +56,7 @@ class OutliersOfOutput:
         return self.count <= thresholds.outliers * self.samples
 
     def sentence(self, thresholds: PreparationThresholds) -> str:
-        """How many there are, how large, and what becomes of them."""
+        """Return how many there are, how large, and what becomes of them."""
         counted = f"{self.count:,} of {self.samples:,}"
         largest = max(each.largest for each in self.found.values())
         held = "held out: " if self.held_out else ""

@@ -79,7 +79,7 @@ class ReportedRun:
 
     @property
     def residual_sentences(self) -> tuple[str, ...]:
-        """What the residuals of a fit say of its model, sigma and intervals."""
+        """Return what the residuals of a fit say of its model, sigma and intervals."""
         return tuple((self.facts.get("residuals") or {}).get("sentences") or ())
 
     @property

@@ -90,7 +90,7 @@ def _declared(space: SearchSpace, records: StackedRecords) -> tuple[bool, ...]:
 
 
 def _exact(space: SearchSpace, residuals: FloatArray, records: StackedRecords) -> tuple[bool, ...]:
-    """Whether each output is followed as closely as only numbers without noise can be."""
+    """Return whether each output is followed as closely as only numbers without noise can be."""
     outputs = [o for e in space.experiments for o in space.problem.experiments[e].outputs]
     errors, spreads = np.zeros(len(records.outputs)), np.zeros(len(records.outputs))
     for item, output in zip(records.items, outputs, strict=True):

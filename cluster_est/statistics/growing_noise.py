@@ -17,7 +17,7 @@ ORDER = 6
 
 @dataclass(frozen=True)
 class NoiseGrowth:
-    """How the noise depends on the size of the signal.
+    """The dependence of noise on the size of the signal.
 
     Attributes
     ----------

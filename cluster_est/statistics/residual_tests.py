@@ -190,13 +190,13 @@ class _Size:
 
     @property
     def large(self) -> bool:
-        """Whether it is above sigma by more than chance and carelessness."""
+        """Return whether it is above sigma by more than chance and carelessness."""
         p = chi2.sf(self.square / self.correlation, self.degrees / self.correlation)
         return self.rms > LARGE and bool(p < self.level)
 
     @property
     def outlying(self) -> bool:
-        """Whether the largest residual lies too far off for normal noise of this size.
+        """Return whether the largest residual lies too far off for normal noise of this size.
 
         The test of F. E. Grubbs, Ann. Math. Statist. 21 (1950) 27-58, doi:10.1214/aoms/1177729885,
         with a normal distribution in place of Student's, and Bonferroni's inequality.
@@ -205,7 +205,7 @@ class _Size:
 
     @property
     def small(self) -> bool:
-        """Whether it is below."""
+        """Return whether it is below."""
         p = chi2.cdf(self.square / self.correlation, self.degrees / self.correlation)
         return self.rms < SMALL and bool(p < self.level)
 

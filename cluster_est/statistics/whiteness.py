@@ -64,7 +64,7 @@ class StructureKernel:
         return max(0, min(int(REACH * self.length), count - 1))
 
     def fits(self, count: int) -> bool:
-        """Whether a record of so many samples has room for it."""
+        """Return whether a record of so many samples has room for it."""
         return SAMPLES_PER_LENGTH * self.length <= count
 
     def at(self, lags: IntArray) -> FloatArray:

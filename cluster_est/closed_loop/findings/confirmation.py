@@ -53,7 +53,7 @@ def confirmed(
 
 
 def _veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], near: float) -> str:
-    """What held-out data have against the effects; "" for nothing."""
+    """Return what held-out data have against the effects; "" for nothing."""
     lost = no_longer_simulated(errors)
     if lost:
         return f"with them experiment {', '.join(lost)} cannot be simulated any more"

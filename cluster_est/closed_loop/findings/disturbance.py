@@ -28,7 +28,7 @@ NARROW = 0.5
 
 @dataclass(frozen=True)
 class UnexplainedResidual:
-    """What is left of an output beyond its noise, and nothing explains.
+    """The part of an output beyond its noise that nothing explains.
 
     Attributes
     ----------

@@ -62,13 +62,13 @@ class ReasonedVerdict:
 
     @property
     def over(self) -> str:
-        """What errors are compared with."""
+        """Return what errors are compared with."""
         return "the declared sigma" if self.declared and not self.noise else "the noise"
 
 
 @dataclass(frozen=True)
 class _Residual:
-    """What a model leaves: beside its noise, and its structure.
+    """The residual of a model: beside its noise, and its structure.
 
     `excess` is that of its squares over those of the white part of the noise; `structured` says
     that it is smooth, and larger; `of_sensors` that it may be the noise of sensors for all that.

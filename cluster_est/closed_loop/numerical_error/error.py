@@ -78,7 +78,7 @@ class NumericalError:
 
     @property
     def refusal(self) -> str:
-        """Why no effect is looked for, in a sentence."""
+        """Return why no effect is looked for, in a sentence."""
         return (
             f"{self._said}, so no missing effect can be told from it: set {self._advice} first, "
             "and run this again"

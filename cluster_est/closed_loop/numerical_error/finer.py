@@ -79,7 +79,7 @@ class SolverScale:
         return not self.own_step or _is_whole(self.step / self.ratio**2 / self.own_step)
 
     def advice(self, factor: float, order: float) -> str:
-        """What to set so that an error falls by a factor: keys of a config.
+        """Return what to set so that an error falls by a factor: keys of a config.
 
         The error of a step h of a method of order p goes with h^p; that of a tolerance with the
         tolerance itself (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential

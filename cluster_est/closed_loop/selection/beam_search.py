@@ -114,7 +114,7 @@ def _revised(
     won: RefittedCandidate,
     rivals: Rivals,
 ) -> tuple[FittedModel, Rivals]:
-    """What has won a round, refitted and revised, and the rivals of its effects."""
+    """Return what has won a round, refitted and revised, and the rivals of its effects."""
     found = rivals_of(won, end.seen.contenders, workbench.thresholds.refinement)
     rivals = {**found, **rivals, **{name: own for name, own in found.items() if own[1]}}
     grown = won.fitted
