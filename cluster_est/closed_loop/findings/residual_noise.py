@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.statistics.noise import estimate_noise
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import partial_autocorrelations
 from workers.messages import FloatArray
@@ -26,6 +27,9 @@ left beside it is then something else."""
 LONGEST = 0.95
 """Correlation from one sample to the next above which a residual is a drift or an offset, and no
 noise of a sensor, which forgets within some twenty samples."""
+
+TOO_SMALL = 2.0
+"""Times the declared sigma that the white part may reach before the sigma counts as wrong."""
 
 CHANCE = float(norm.sf(2.0))
 """Probability that noise of the declared sigma is larger than what still counts as within it: that
@@ -61,6 +65,9 @@ class OutputNoise:
         is smoother.
     declared
         The sigma is the user's.
+    loud
+        Where experiments have sigmas of their own, the ids of those that alone are noisier than
+        twice theirs, if others are not.
     """
 
     output: str
@@ -71,11 +78,12 @@ class OutputNoise:
     correlation: float
     first_order: bool
     declared: bool
+    loud: tuple[str, ...] = ()
 
     @property
     def sigma_too_small(self) -> bool:
         """The white part alone is more than twice the sigma that is declared."""
-        return self.declared and self.white > 2.0
+        return self.declared and self.white > TOO_SMALL
 
     @property
     def sigma_too_large(self) -> bool:
@@ -144,6 +152,7 @@ def residual_noise(
                     and white**2 <= COLOURED * rms**2
                 ),
                 declared=declared,
+                loud=_loud(workbench, fitted, number) if declared else (),
             )
         )
     return tuple(found)
@@ -196,8 +205,9 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     small = [o for o in outputs if o.sigma_too_small]
     large = [o for o in outputs if o.sigma_too_large]
     said = [
-        f"the sigma that is declared for {o.output} is likely the error: its noise alone, from "
-        f"one sample to the next, is {o.white:.2g} times as large"
+        f"the sigma that is declared for {o.output}{_in(o.loud)} is likely the error: its noise "
+        f"alone, from one sample to the next, is {o.white:.2g} times as large"
+        + (" over all experiments" if o.loud else "")
         for o in small
     ]
     said += [
@@ -206,6 +216,24 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
         for o in large
     ]
     return "; ".join(said)
+
+
+def _in(experiments: Sequence[str]) -> str:
+    return f" in {', '.join(map(repr, experiments))}" if experiments else ""
+
+
+def _loud(workbench: LoopWorkbench, fitted: FittedModel, number: int) -> tuple[str, ...]:
+    """Experiments whose own sigma is too small for one output, where those of others are not."""
+    records, sigmas = workbench.records, workbench.sigmas
+    own = [r for r in records.items if r.output == number and len(r.times)]
+    if len({float(sigmas[record.rows.start]) for record in own}) < 2:
+        return ()
+    loud = []
+    for record in own:
+        alone = StackedRecords(records.outputs, (record,))
+        if estimate_noise(fitted.residuals, alone)[number] > TOO_SMALL:
+            loud.append(workbench.problem.experiments[workbench.train[record.experiment]].id)
+    return tuple(loud) if len(loud) < len(own) else ()
 
 
 def _within_declared(output: OutputNoise, near: float) -> bool:
