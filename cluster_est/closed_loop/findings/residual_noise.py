@@ -126,36 +126,41 @@ def residual_noise(
     noise : (outputs,)
         Estimated standard deviations of the noise, in units of the residual.
     """
+    found = [
+        _of_output(workbench, fitted, number, float(noise[number]))
+        for number in range(len(workbench.records.outputs))
+    ]
+    return tuple(each for each in found if each is not None)
+
+
+def _of_output(
+    workbench: LoopWorkbench, fitted: FittedModel, number: int, noise: float
+) -> OutputNoise | None:
+    """One output's residual beside its noise; None where nothing is left."""
     records, declared = workbench.records, workbench.sigma_declared
-    limit = workbench.thresholds.verdict.partial
-    found = []
-    for number, name in enumerate(records.outputs):
-        part = fitted.residuals[records.of_output(number)]
-        rms = float(np.sqrt(np.mean(part**2))) if len(part) else 0.0
-        if not rms > 0.0:
-            continue
-        white = float(noise[number]) if noise[number] > 0.0 else 0.0
-        unit = 1.0 if declared else white
-        partial = partial_autocorrelations(fitted.residuals, records, number, ORDER)
-        most = max(limit, 3.3 / np.sqrt(len(part)))
-        found.append(
-            OutputNoise(
-                output=name,
-                samples=len(part),
-                level=rms / unit if unit else np.inf,
-                white=white / unit if unit else 1.0,
-                error=_error(part, records, number),
-                correlation=float(partial[0]),
-                first_order=bool(
-                    partial[0] <= LONGEST
-                    and np.abs(partial[1:]).max() <= most
-                    and white**2 <= COLOURED * rms**2
-                ),
-                declared=declared,
-                loud=_loud(workbench, fitted, number) if declared else (),
-            )
-        )
-    return tuple(found)
+    part = fitted.residuals[records.of_output(number)]
+    rms = float(np.sqrt(np.mean(part**2))) if len(part) else 0.0
+    if not rms > 0.0:
+        return None
+    white = noise if noise > 0.0 else 0.0
+    unit = 1.0 if declared else white
+    partial = partial_autocorrelations(fitted.residuals, records, number, ORDER)
+    most = max(workbench.thresholds.verdict.partial, 3.3 / np.sqrt(len(part)))
+    return OutputNoise(
+        output=records.outputs[number],
+        samples=len(part),
+        level=rms / unit if unit else np.inf,
+        white=white / unit if unit else 1.0,
+        error=_error(part, records, number),
+        correlation=float(partial[0]),
+        first_order=bool(
+            partial[0] <= LONGEST
+            and np.abs(partial[1:]).max() <= most
+            and white**2 <= COLOURED * rms**2
+        ),
+        declared=declared,
+        loud=_loud(workbench, fitted, number) if declared else (),
+    )
 
 
 def believed_noise(
