@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.statistics.noise import estimate_noise
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import partial_autocorrelations
 from workers.messages import FloatArray
@@ -26,6 +27,9 @@ left beside it is then something else."""
 LONGEST = 0.95
 """Correlation from one sample to the next above which a residual is a drift or an offset, and no
 noise of a sensor, which forgets within some twenty samples."""
+
+TOO_SMALL = 2.0
+"""Times the declared sigma that the white part may reach before the sigma counts as wrong."""
 
 CHANCE = float(norm.sf(2.0))
 """Probability that noise of the declared sigma is larger than what still counts as within it: that
@@ -61,6 +65,9 @@ class OutputNoise:
         is smoother.
     declared
         The sigma is the user's.
+    loud
+        Where experiments have sigmas of their own, the ids of those that alone are noisier than
+        twice theirs, if others are not.
     """
 
     output: str
@@ -71,11 +78,12 @@ class OutputNoise:
     correlation: float
     first_order: bool
     declared: bool
+    loud: tuple[str, ...] = ()
 
     @property
     def sigma_too_small(self) -> bool:
         """The white part alone is more than twice the sigma that is declared."""
-        return self.declared and self.white > 2.0
+        return self.declared and self.white > TOO_SMALL
 
     @property
     def sigma_too_large(self) -> bool:
@@ -123,35 +131,41 @@ def residual_noise(
     noise : (outputs,)
         Estimated standard deviations of the noise, in units of the residual.
     """
+    found = [
+        _of_output(workbench, fitted, number, float(noise[number]))
+        for number in range(len(workbench.records.outputs))
+    ]
+    return tuple(each for each in found if each is not None)
+
+
+def _of_output(
+    workbench: LoopWorkbench, fitted: FittedModel, number: int, noise: float
+) -> OutputNoise | None:
+    """One output's residual beside its noise; None where nothing is left."""
     records, declared = workbench.records, workbench.sigma_declared
-    limit = workbench.thresholds.verdict.partial
-    found = []
-    for number, name in enumerate(records.outputs):
-        part = fitted.residuals[records.of_output(number)]
-        rms = float(np.sqrt(np.mean(part**2))) if len(part) else 0.0
-        if not rms > 0.0:
-            continue
-        white = float(noise[number]) if noise[number] > 0.0 else 0.0
-        unit = 1.0 if declared else white
-        partial = partial_autocorrelations(fitted.residuals, records, number, ORDER)
-        most = max(limit, 3.3 / np.sqrt(len(part)))
-        found.append(
-            OutputNoise(
-                output=name,
-                samples=len(part),
-                level=rms / unit if unit else np.inf,
-                white=white / unit if unit else 1.0,
-                error=_error(part, records, number),
-                correlation=float(partial[0]),
-                first_order=bool(
-                    partial[0] <= LONGEST
-                    and np.abs(partial[1:]).max() <= most
-                    and white**2 <= COLOURED * rms**2
-                ),
-                declared=declared,
-            )
-        )
-    return tuple(found)
+    part = fitted.residuals[records.of_output(number)]
+    rms = float(np.sqrt(np.mean(part**2))) if len(part) else 0.0
+    if not rms > 0.0:
+        return None
+    white = noise if noise > 0.0 else 0.0
+    unit = 1.0 if declared else white
+    partial = partial_autocorrelations(fitted.residuals, records, number, ORDER)
+    most = max(workbench.thresholds.verdict.partial, 3.3 / np.sqrt(len(part)))
+    return OutputNoise(
+        output=records.outputs[number],
+        samples=len(part),
+        level=rms / unit if unit else np.inf,
+        white=white / unit if unit else 1.0,
+        error=_error(part, records, number),
+        correlation=float(partial[0]),
+        first_order=bool(
+            partial[0] <= LONGEST
+            and np.abs(partial[1:]).max() <= most
+            and white**2 <= COLOURED * rms**2
+        ),
+        declared=declared,
+        loud=_loud(workbench, fitted, number) if declared else (),
+    )
 
 
 def believed_noise(
@@ -199,9 +213,14 @@ def is_noise_of_sensors(
 
 def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     """Say which declared sigmas the data contradict; "" if none."""
-    small = {o.output: o.white for o in outputs if o.sigma_too_small}
+    small = {o.output: o.white for o in outputs if o.sigma_too_small and not o.loud}
     large = {o.output: o.level for o in outputs if o.sigma_too_large}
-    said = []
+    said = [
+        f"the declared sigma of {o.output} in {', '.join(map(repr, o.loud))} is likely the error: "
+        f"over all experiments the noise alone is {o.white:.2g} times as large"
+        for o in outputs
+        if o.sigma_too_small and o.loud
+    ]
     if small:
         said.append(
             f"the declared sigma of {' and '.join(small)} is likely the error: the noise alone, "
@@ -218,6 +237,20 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
 def _times(factors: Collection[float]) -> str:
     least, most = (f"{factor:.2g}" for factor in (min(factors), max(factors)))
     return f"{least} times" if least == most else f"{least} to {most} times"
+
+
+def _loud(workbench: LoopWorkbench, fitted: FittedModel, number: int) -> tuple[str, ...]:
+    """Experiments whose own sigma is too small for one output, where those of others are not."""
+    records, sigmas = workbench.records, workbench.sigmas
+    own = [r for r in records.items if r.output == number and len(r.times)]
+    if len({float(sigmas[record.rows.start]) for record in own}) < 2:
+        return ()
+    loud = []
+    for record in own:
+        alone = StackedRecords(records.outputs, (record,))
+        if estimate_noise(fitted.residuals, alone)[number] > TOO_SMALL:
+            loud.append(workbench.problem.experiments[workbench.train[record.experiment]].id)
+    return tuple(loud) if len(loud) < len(own) else ()
 
 
 def _within_declared(output: OutputNoise, near: float) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -119,6 +121,34 @@ def test_a_wrong_sigma_is_named_and_not_believed(declared, said):
     assert bool(sentence) is bool(said)
     sigma = 1.0 if declared is None else declared
     assert sigma * believed_noise(bench, outputs, noise)[0] == pytest.approx(TRUE, rel=0.1)
+
+
+def with_sigmas(*sigmas: float):
+    """A problem whose experiments have a sigma of their own each."""
+    problem = made_problem(*LENGTHS)
+    runs = tuple(
+        replace(run, outputs=tuple(replace(o, sigma=sigma) for o in run.outputs))
+        for run, sigma in zip(problem.experiments, sigmas, strict=True)
+    )
+    return replace(problem, experiments=runs)
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "named"),
+    [
+        ((TRUE, TRUE, TRUE / 10.0, TRUE), "declared sigma of y0 in 'run 2' is likely the error"),
+        ((TRUE / 9.0, TRUE / 9.0, TRUE / 10.0, TRUE / 9.0), "declared sigma of y0 is likely the error"),
+        ((TRUE, 1.1 * TRUE, 1.2 * TRUE, TRUE), ""),
+    ],
+)
+def test_the_experiment_whose_sigma_is_wrong_is_named(sigmas, named):
+    problem = with_sigmas(*sigmas)
+    residual = TRUE * coloured(0.0, 2) / np.repeat(sigmas, LENGTHS)
+    bench, fitted = made_bench(problem), made_fit(problem, residual)
+    outputs = residual_noise(bench, fitted, estimate_noise(residual, bench.records))
+    said = suspected_sigma(outputs)
+    assert named in said
+    assert bool(said) is bool(named)
 
 
 def test_scaling_changes_nothing():

@@ -196,7 +196,7 @@ def test_the_output_with_the_largest_error_decides():
     both = changes((9.0, 1.0), (9.0, 1.0), "a") + changes((9.0, 1.0), (9.0, 1.9), "b")
     judged = confirmed(FOUND, both, LoopSettings())
     assert judged.verdict is Verdict.PARTIAL
-    assert "found would be at most 1.5 times everywhere" in judged.reason
+    assert "more than the 1.5 times up to which all counts as found" in judged.reason
     assert confirmed(FOUND, both, LoopSettings(near_noise=2.0)).verdict is Verdict.FOUND
 
 
@@ -214,7 +214,11 @@ def failing(when: str):
     [
         ("before", Verdict.FOUND, "1.1 times the noise on training"),
         ("after", Verdict.UNEXPLAINED, "experiment 'lost' cannot be simulated any more"),
-        ("both", Verdict.PARTIAL, "held-out experiment 'lost' could not be simulated"),
+        (
+            "both",
+            Verdict.PARTIAL,
+            "held-out experiment 'lost' could not be simulated, so it is not known",
+        ),
     ],
 )
 def test_a_held_out_experiment_that_fails(when, expected, said):
