@@ -137,7 +137,10 @@ def with_sigmas(*sigmas: float):
     ("sigmas", "named"),
     [
         ((TRUE, TRUE, TRUE / 10.0, TRUE), "declared sigma of y0 in 'run 2' is likely the error"),
-        ((TRUE / 9.0, TRUE / 9.0, TRUE / 10.0, TRUE / 9.0), "declared sigma of y0 is likely the error"),
+        (
+            (TRUE / 9.0, TRUE / 9.0, TRUE / 10.0, TRUE / 9.0),
+            "declared sigma of y0 is likely the error",
+        ),
         ((TRUE, 1.1 * TRUE, 1.2 * TRUE, TRUE), ""),
     ],
 )
