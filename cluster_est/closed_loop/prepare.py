@@ -90,7 +90,7 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     description = problem.describe()
     _check_shape(problem, request.settings)
     _check_choices(problem, request.settings, description)
-    declared = any(o.sigma != 1.0 for e in problem.experiments for o in e.outputs)
+    declared = _declares_sigma(problem)
     weights: tuple[str, ...] = ()
     if _unweighted(problem):
         with _opened(request, description) as workbench:
@@ -214,8 +214,13 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
 
 def _unweighted(problem: Problem) -> bool:
     """Return whether there are several outputs, all without a sigma."""
-    outputs = [o for e in problem.experiments for o in e.outputs]
-    return len({o.variable for o in outputs}) > 1 and all(o.sigma == 1.0 for o in outputs)
+    outputs = {o.variable for e in problem.experiments for o in e.outputs}
+    return len(outputs) > 1 and not _declares_sigma(problem)
+
+
+def _declares_sigma(problem: Problem) -> bool:
+    """Return whether some output has a sigma."""
+    return any(o.sigma != 1.0 for e in problem.experiments for o in e.outputs)
 
 
 def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:

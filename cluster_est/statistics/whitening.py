@@ -36,8 +36,7 @@ def fit_autoregression(
     """
     coefficients = np.zeros((len(records.outputs), order))
     for output, row in enumerate(coefficients):
-        signals = [residuals[item.rows] for item in records.items if item.output == output]
-        covariances = sum((_autocovariances(s, order) for s in signals), np.zeros(order + 1))
+        covariances = _pooled_autocovariances(residuals, records, output, order)
         if order and covariances[0] > 0.0:
             row[:] = solve_toeplitz(covariances[:order], covariances[1:])
     return coefficients
@@ -61,8 +60,7 @@ def partial_autocorrelations(
     (order,)
         Zeros for an output whose residual is zero.
     """
-    signals = [residuals[item.rows] for item in records.items if item.output == output]
-    covariances = sum((_autocovariances(s, order) for s in signals), np.zeros(order + 1))
+    covariances = _pooled_autocovariances(residuals, records, output, order)
     found = np.zeros(order)
     if not covariances[0] > 0.0:
         return found
@@ -103,6 +101,14 @@ def whiten(a: FloatArray, records: StackedRecords, coefficients: FloatArray) -> 
         for t, (lower, scale) in enumerate(starts[item.output][: len(past)]):
             now[t] = scale * (past[t] - np.tensordot(lower, past[:t][::-1], axes=1))
     return white
+
+
+def _pooled_autocovariances(
+    residuals: FloatArray, records: StackedRecords, output: int, order: int
+) -> FloatArray:
+    """Autocovariances of one output, summed over its records; no product spans two."""
+    signals = [residuals[item.rows] for item in records.items if item.output == output]
+    return sum((_autocovariances(s, order) for s in signals), np.zeros(order + 1))
 
 
 def _autocovariances(signal: FloatArray, order: int) -> FloatArray:
