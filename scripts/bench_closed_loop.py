@@ -2,9 +2,12 @@
 
     python scripts/bench_closed_loop.py --out results.jsonl --split tune --every 10
     python scripts/bench_closed_loop.py --out results.jsonl --page closed-loop-benchmark.md
+    python scripts/bench_closed_loop.py --compare old.jsonl new.jsonl
 
 The first prints one line a case and appends to the file, one record a line; cases that are in it
 already are skipped, so a run can be continued. The second writes the tables of all that is there.
+The third lists the cases of both files that were right and are no longer; there must be none, and
+the exit code is 1 if there is one.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from multiprocessing.queues import SimpleQueue
 from pathlib import Path
 from typing import Any, get_args
 
+from closed_loop_benchmark.comparison import compare_runs
 from closed_loop_benchmark.data import make
 from closed_loop_benchmark.oracle import ask
 from closed_loop_benchmark.problem import make_problem
@@ -37,11 +41,16 @@ from cluster_est.closed_loop.settings import LoopSettings
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def main() -> None:
+def main() -> int:
+    """Do what the arguments ask for; 1 if a comparison finds a case that is no longer right."""
     options = parse()
+    if options.compare:
+        text, lost = compare_runs(*(read(file) for file in options.compare))
+        print(text)
+        return int(lost > 0)
     if options.page:
         options.page.write_text(page(list(read(options.out).values())), encoding="utf-8")
-        return
+        return 0
     done = read(options.out)
     if options.again:
         done = {name: known for name, known in done.items() if not known.error}
@@ -53,12 +62,16 @@ def main() -> None:
             file.write(one.to_json() + "\n")
             file.flush()
             print(one_line(one), flush=True)
+    return 0
 
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("results.jsonl"), help="file of records")
     parser.add_argument("--page", type=Path, help="write this Markdown page and run nothing")
+    parser.add_argument(
+        "--compare", nargs=2, type=Path, metavar=("OLD", "NEW"), help="two files; run nothing"
+    )
     parser.add_argument("--kinds", type=names_of(get_args(Kind)), default=get_args(Kind))
     parser.add_argument("--systems", type=names_of(tuple(SYSTEMS)), default=tuple(SYSTEMS))
     parser.add_argument("--split", choices=get_args(Split))
@@ -200,4 +213,4 @@ def run_case(case: Scenario, settings: LoopSettings) -> Score:
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+from cluster_est.plug_in import check_class_attributes
 from workers.messages import FloatArray, IntArray, Reduction
 
 
@@ -12,7 +13,9 @@ class Cost(ABC):
     """Makes one number F of the residuals of all experiments. Its attributes are its options.
 
     `outputs` says which residuals belong together: those of one output have one number, counted
-    from 0, in all experiments. Costs that treat all residuals alike need not look at it.
+    from 0, in all experiments. It is empty where nobody knows, as where a Python function returns
+    the residuals, and all of them count as one output's then. Costs that treat all residuals alike
+    need not look at it.
     """
 
     name: ClassVar[str]
@@ -24,6 +27,9 @@ class Cost(ABC):
     reduction: ClassVar[Reduction | None] = None
     """A number that may take the place of the residuals of an output in an experiment, because
     `value` of it is the same. None for a cost that needs each residual, as most costs do."""
+
+    def __init_subclass__(cls) -> None:
+        check_class_attributes(cls)
 
     @abstractmethod
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:

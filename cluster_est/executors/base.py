@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from types import TracebackType
 from typing import ClassVar, Self
 
+from cluster_est.plug_in import check_class_attributes
 from workers.messages import Experiment, Limits, Model, Outcome, Task, Want
 
 
@@ -78,6 +79,9 @@ class WorkerPool(Executor):
 
     on_cluster: ClassVar[bool] = False
     """Whether all pools of a process run on one cluster, which is joined once: see `join`."""
+
+    def __init_subclass__(cls) -> None:
+        check_class_attributes(cls)
 
     @classmethod
     def join(cls, workers: int | None, address: str | None) -> Callable[[], None]:

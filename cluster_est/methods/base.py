@@ -27,6 +27,7 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.methods.block_matrix import BlockMatrix
+from cluster_est.plug_in import check_class_attributes
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray, Outcome
 
@@ -263,6 +264,9 @@ class Method(ABC):
 
     asynchronous: ClassVar[bool] = False
     """True if its result may depend on the order in which simulations end."""
+
+    def __init_subclass__(cls) -> None:
+        check_class_attributes(cls)
 
     def check(self, space: SearchSpace) -> None:  # noqa: B027 - a method may have nothing to refuse
         """Refuse, before anything is simulated, a space that this method cannot search.

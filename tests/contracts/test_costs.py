@@ -52,6 +52,16 @@ class TestCost:
         size = np.abs(NORMAL)
         assert kind().value(2.0 * size, OUTPUTS) > kind().value(size, OUTPUTS)
 
+    def test_without_numbers_all_residuals_are_of_one_output(self, kind):
+        """As where a Python function returns them (`cost.function`)."""
+        nobody_knows, one = np.zeros(0, np.int64), np.zeros(60, np.int64)
+        assert kind().value(NORMAL, nobody_knows) == kind().value(NORMAL, one)
+        weights, expected = (kind().weights(NORMAL, outputs) for outputs in (nobody_knows, one))
+        if expected is None:
+            assert weights is None
+        else:
+            np.testing.assert_array_equal(weights, expected)
+
     def test_weights_give_the_gradient(self, kind):
         weights = kind().weights(NORMAL, OUTPUTS)
         if weights is None:

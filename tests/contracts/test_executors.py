@@ -154,6 +154,11 @@ def test_every_executor_is_tested() -> None:
     assert {name for name, _ in OPENERS.values()} == set(EXECUTORS), "add a line to OPENERS"
 
 
+@pytest.mark.parametrize("name", EXECUTORS)
+def test_an_executor_is_called_what_the_config_calls_it(name: str) -> None:
+    assert executor_class(name).name == name, "EXECUTORS and the class name it differently"
+
+
 def test_a_process_for_each_simulation_is_refused_where_there_is_but_this_one() -> None:
     parameters = tuple(Parameter(p, 1.0, 0.1, 100.0) for p in SPRING.parameters)
     problem = Problem(replace(SPRING, reset="process"), parameters, EXPERIMENTS[:1])

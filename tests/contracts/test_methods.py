@@ -36,6 +36,11 @@ def test_every_registered_method_is_tested():
     assert tested == set(METHODS.values()), "add an entry to ENTRIES in method_entries.py"
 
 
+@pytest.mark.parametrize("name", METHODS)
+def test_a_method_is_called_what_the_config_calls_it(name):
+    assert METHODS[name].name == name, "METHODS and the class name it differently"
+
+
 def methods_on(kind):
     """The methods that the product has on this kind of problem, which must not be empty."""
     assert any(case.kind == kind for case in CASES)
@@ -45,9 +50,15 @@ def methods_on(kind):
 def test_methods_that_claim_to_keep_constraints_are_tested_with_constraints_and_no_others():
     claimed = {method for method in METHODS.values() if method.keeps_constraints}
     # gives a front, not a minimum: its own tests cut the front with a constraint
-    assert methods_on(INEQUALITY) == claimed - {Nsga2}
+    assert methods_on(INEQUALITY) == claimed - {Nsga2}, (
+        "a method whose keeps_constraints is True has INEQUALITY among the kinds of its entry in "
+        "ENTRIES, and no other has"
+    )
     refused = {method for method in claimed if not method.keeps_equality}
-    assert methods_on(EQUALITY) == claimed - refused
+    assert methods_on(EQUALITY) == claimed - refused, (
+        "a method whose keeps_constraints and keeps_equality are True has EQUALITY among the kinds "
+        "of its entry in ENTRIES, and no other has"
+    )
 
 
 ROSENBROCK = PROBLEMS[0]
@@ -68,7 +79,10 @@ class TestProduct:
         solution = problem.solve(entry.method)
         allowed = case.tolerance + entry.accuracy_on(case) * case.scale
         nearest = min(case.minima, key=lambda minimum: abs(solution.cost - minimum))
-        assert solution.cost == pytest.approx(nearest, rel=1e-7, abs=allowed)
+        assert solution.cost == pytest.approx(nearest, rel=1e-7, abs=allowed), (
+            f"its entry allows {entry.accuracy_on(case):.1e} of how far the start is from the "
+            f"minimum, and it left {abs(solution.cost - nearest) / case.scale:.1e}"
+        )
         if isinstance(entry.method, ScipyLeastSquares):  # it gives no evaluation back
             assert solution.at is None
         else:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from workers.kernels.fmi.calling import inlined, kernel
+from workers.kernels.fmi.calling import inlined, kernel, subroutine
 from workers.kernels.fmi.failure import EVENT, FINISHED, OUTPUT, failed
 from workers.kernels.fmi.hooks import select_point
 from workers.kernels.fmi.values import DISCARD, get_values, set_reals
@@ -157,7 +157,7 @@ def _step_on_grid(  # type: ignore[no-untyped-def]
     return code, time, proposed, steps_left
 
 
-@kernel
+@subroutine
 def _linearise_at(c, references, hooks, offsets, grid, i, work, perturbed, result):  # type: ignore[no-untyped-def]
     """Take all derivatives at grid time i, which the FMU is set to. Returns the worst status."""
     time, x = grid.times[i], work.states
@@ -181,7 +181,7 @@ def _linearise_at(c, references, hooks, offsets, grid, i, work, perturbed, resul
     return status
 
 
-@kernel
+@subroutine
 def _by_states(c, references, hooks, time, i, work, perturbed, result):  # type: ignore[no-untyped-def]
     x, trial = work.states, work.trial
     status = 0
@@ -203,7 +203,7 @@ def _by_states(c, references, hooks, time, i, work, perturbed, result):  # type:
     return status
 
 
-@kernel
+@subroutine
 def _by_inputs(c, references, hooks, time, i, work, perturbed, result):  # type: ignore[no-untyped-def]
     x, status = work.states, 0
     for j in range(len(perturbed.inputs.nominals)):
@@ -230,7 +230,7 @@ def _set_input(hooks, work, perturbed, j, u, value):  # type: ignore[no-untyped-
         work.inputs[j] = value
 
 
-@kernel
+@subroutine
 def _by_parameters(c, references, hooks, time, i, work, perturbed, result):  # type: ignore[no-untyped-def]
     """Take the derivatives by parameters at the FMU's present states; each is restored."""
     x, status = work.states, 0
@@ -272,7 +272,7 @@ def _perturbed_values(value, nominal, within, j):  # type: ignore[no-untyped-def
     return value + step, value - step
 
 
-@kernel
+@subroutine
 def _evaluate_at(c, references, hooks, time, states, work, result, upper):  # type: ignore[no-untyped-def]
     """Set the states and evaluate derivatives and outputs, at one end of a difference."""
     status = set_time_and_states(c, references, hooks, time, states, work)
@@ -281,7 +281,7 @@ def _evaluate_at(c, references, hooks, time, states, work, result, upper):  # ty
     return max(status, _evaluate(c, references, hooks, time, states, work, result, upper))
 
 
-@kernel
+@subroutine
 def _evaluate(c, references, hooks, time, states, work, result, upper):  # type: ignore[no-untyped-def]
     derivatives = result.upper_derivatives if upper else result.lower_derivatives
     outputs = result.upper_outputs if upper else result.lower_outputs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from workers.kernels.fmi.calling import kernel
+from workers.kernels.fmi.calling import kernel, subroutine
 from workers.kernels.fmi.failure import FINISHED, HAS_EVENTS, OUTPUT, SENSITIVITIES, failed
 from workers.kernels.fmi.functions import get_directional_derivative
 from workers.kernels.fmi.progress import count_simulation
@@ -63,13 +63,13 @@ def simulate_forward(  # type: ignore[no-untyped-def]
     return code, time
 
 
-@kernel
+@subroutine
 def _start_compiled_once(c, references, starts, settings, hooks, grid, point, work):  # type: ignore[no-untyped-def]
     """Start a simulation; one compiled function for all callers here, which compiles faster."""
     return start_simulation(c, references, starts, settings, hooks, grid, point, work)
 
 
-@kernel
+@subroutine
 def _start_sensitivities(c, references, starts, settings, hooks, grid, point, work, forward):  # type: ignore[no-untyped-def]
     """Compute S(t0) by differences of initial states; perturbed instances are initialised too."""
     for p in range(len(forward.kinds)):

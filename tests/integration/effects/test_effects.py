@@ -4,10 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from support.problems.springs import FMU
+from support.truth.form_terms import (
+    DERIVATIVE,
+    FORCES,
+    INPUT,
+    OUTPUT,
+    OUTPUT_OF_OTHERS,
+    OWN_TESTS,
+    PARAMETER,
+    forms_with_a_truth,
+)
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, pushed, solve
 
 from cluster_est import Experiment, Input, Model, Output, Parameter, Problem, Solver, fit
@@ -47,49 +58,15 @@ def simulated(effects, coefficients, solver=EXACT):
 
 
 BASE = solve(plain)
-TABLE = (1.0, 0.8, 0.9, -0.1, -0.6, -0.5, -1.2)
-DERIVATIVE = {
-    "constant": ((0.5,), (), lambda t, x, f: 0.5),
-    "drift": ((0.2,), (), lambda t, x, f: 0.2 * t),
-    "sine": ((0.3, 0.2, 7.0), (), lambda t, x, f: 0.3 * np.sin(7 * t) + 0.2 * np.cos(7 * t)),
-    "viscous": ((0.5,), (), lambda t, x, f: -0.5 * x[1]),
-    "quadratic": ((0.7,), (), lambda t, x, f: -0.7 * x[1] * abs(x[1])),
-    "cubic": ((0.7,), (), lambda t, x, f: -0.7 * x[1] ** 3),
-    "coulomb": ((0.5, 0.05), (), lambda t, x, f: -0.5 * np.tanh(x[1] / 0.05)),
-    "stribeck": (
-        (0.5, 0.4, 0.1, 0.05),
-        (),
-        lambda t, x, f: -(0.5 + 0.4 * np.exp(-((x[1] / 0.1) ** 2))) * np.tanh(x[1] / 0.05),
-    ),
-    "asymmetric_coulomb": (
-        (0.5, 0.2, 0.05),
-        (),
-        lambda t, x, f: -(0.5 if x[1] > 0.0 else 0.2) * np.tanh(x[1] / 0.05),
-    ),
-    "periodic": (
-        (0.3, 0.2, 40.0),
-        ("x",),
-        lambda t, x, f: 0.3 * np.sin(40.0 * x[0]) + 0.2 * np.cos(40.0 * x[0]),
-    ),
-    "linear": ((-4.0,), ("x",), lambda t, x, f: -4.0 * x[0]),
-    "saturating": ((-2.0, 0.05), ("x",), lambda t, x, f: -2.0 * x[0] / (0.05 + abs(x[0]))),
-    "square": ((9.0,), ("x",), lambda t, x, f: 9.0 * x[0] ** 2),
-    "product": ((0.1,), ("x", "F"), lambda t, x, f: 0.1 * x[0] * f),
-    "hinge": ((-50.0, 0.05), ("x",), lambda t, x, f: -50.0 * max(x[0] - 0.05, 0.0)),
-    "hinge_below": ((50.0, 0.02), ("x",), lambda t, x, f: 50.0 * max(0.02 - x[0], 0.0)),
-    "gap": (
-        (40.0, 0.04),
-        ("x",),
-        lambda t, x, f: -40.0 * (max(x[0] - 0.04, 0.0) - max(-x[0] - 0.04, 0.0)),
-    ),
-    "square_root": ((0.5,), ("x",), lambda t, x, f: -0.5 * np.sqrt(max(x[0], 0.0))),
-    "signed_root": ((0.5,), ("F",), lambda t, x, f: -0.5 * np.sign(f) * np.sqrt(abs(f))),
-    "table": (
-        (*TABLE, -0.2, 0.3),
-        (),
-        lambda t, x, f: np.interp(x[1], np.linspace(-0.2, 0.3, 7), TABLE),
-    ),
-}
+
+
+def test_every_form_has_a_truth():
+    listed = forms_with_a_truth()
+    assert set(FORMS) - listed == set(), "add its truth to a table of support/truth/form_terms.py"
+    assert listed - set(FORMS) == set(), "it is no form any more"
+    here = [file.read_text(encoding="utf-8") for file in Path(__file__).parent.glob("test_*.py")]
+    named = {test for test in OWN_TESTS.values() if f"def {test}(" in "".join(here)}
+    assert named == set(OWN_TESTS.values()), "write this test of the form"
 
 
 @pytest.mark.parametrize("form", DERIVATIVE)
@@ -123,15 +100,6 @@ def test_a_lagged_coupling_has_a_state_of_its_own():
     np.testing.assert_allclose(simulated([effect], (-6.0, 0.3)), truth, atol=1e-8)
 
 
-OWN_TESTS = {"dahl", "lagged", "periodic_travel"}
-"""Forms at a derivative that have a test each."""
-
-
-def test_every_form_at_a_derivative_has_a_truth():
-    forms = {name for kind, name in FORMS if kind == "derivative"}
-    assert forms == set(DERIVATIVE) | OWN_TESTS, "add its truth to DERIVATIVE"
-
-
 def test_a_ripple_of_the_way_travelled_begins_at_nought():
     def slope(t, x, force):
         v, dv = plain(t, x, force)
@@ -143,60 +111,14 @@ def test_a_ripple_of_the_way_travelled_begins_at_nought():
     np.testing.assert_allclose(simulated([effect], (0.3, 0.2, 40.0)), truth, atol=1e-7)
 
 
-INPUT = {
-    "bias": ((0.5,), lambda f: f + 0.5),
-    "gain": ((0.2,), lambda f: 1.2 * f),
-    "square": ((0.1,), lambda f: f + 0.1 * f**2),
-    "cubic": ((0.05,), lambda f: f + 0.05 * f**3),
-    "characteristic": (
-        (*TABLE[1:-1], -4.0, 3.0),
-        lambda f: f + np.interp(f, np.linspace(-4.0, 3.0, 7), (0.0, *TABLE[1:-1], 0.0)),
-    ),
-    "asymmetry": ((0.3,), lambda f: f + 0.3 * max(f, 0.0)),
-    "saturation": ((2.0,), lambda f: min(max(f, -2.0), 2.0)),
-    "dead_zone": ((1.0,), lambda f: f - np.sign(f) if abs(f) > 1.0 else 0.0),
-}
-
-
 @pytest.mark.parametrize(("solver", "bar"), [(EXACT, 2e-7), (CO_SIMULATION, 1e-3)])
 @pytest.mark.parametrize("form", INPUT)
 def test_functions_of_an_input(form, solver, bar):
     """In co-simulation the changed input counts as linear between communication points."""
     coefficients, change = INPUT[form]
-    truth = solve(lambda t, x, f: plain(t, x, change(f)))[:, 0]
+    truth = solve(lambda t, x, f: plain(t, x, change(t, f)))[:, 0]
     result = simulated([Effect("e", "input F", form)], coefficients, solver)
     np.testing.assert_allclose(result, truth, atol=bar)
-
-
-FORCES = {
-    "viscous": ((0.5,), "v", lambda x, f: -0.5 * x[1]),
-    "quadratic": ((0.7,), "v", lambda x, f: -0.7 * x[1] * abs(x[1])),
-    "coulomb": ((0.5, 0.05), "v", lambda x, f: -0.5 * np.tanh(x[1] / 0.05)),
-    "stribeck": (
-        (0.5, 0.4, 0.1, 0.05),
-        "v",
-        lambda x, f: -(0.5 + 0.4 * np.exp(-((x[1] / 0.1) ** 2))) * np.tanh(x[1] / 0.05),
-    ),
-    "asymmetric_coulomb": (
-        (0.5, 0.2, 0.05),
-        "v",
-        lambda x, f: -(0.5 if x[1] > 0.0 else 0.2) * np.tanh(x[1] / 0.05),
-    ),
-    "linear": ((-4.0,), "x", lambda x, f: -4.0 * x[0]),
-    "hinge": ((-50.0, 0.05), "x", lambda x, f: -50.0 * max(x[0] - 0.05, 0.0)),
-    "hinge_below": ((50.0, 0.02), "x", lambda x, f: 50.0 * max(0.02 - x[0], 0.0)),
-    "gap": (
-        (40.0, 0.04),
-        "x",
-        lambda x, f: -40.0 * (max(x[0] - 0.04, 0.0) - max(-x[0] - 0.04, 0.0)),
-    ),
-    "signed_root": ((0.5,), "F", lambda x, f: -0.5 * np.sign(f) * np.sqrt(abs(f))),
-    "table": (
-        (*TABLE, -0.2, 0.3),
-        "x",
-        lambda x, f: np.interp(x[0], np.linspace(-0.2, 0.3, 7), TABLE),
-    ),
-}
 
 
 @pytest.mark.parametrize("form", FORCES)
@@ -235,29 +157,6 @@ def test_a_delay_of_an_input(solver, bar):
     np.testing.assert_allclose(result, truth[np.searchsorted(times, TIMES)], atol=bar)
 
 
-OUTPUT = {
-    "bias": ((0.02,), (), lambda y, v: y + 0.02),
-    "drift": ((0.02,), (), lambda y, v: y + 0.02 * TIMES),
-    "gain": ((0.1,), (), lambda y, v: 1.1 * y),
-    "square": ((2.0,), (), lambda y, v: y + 2.0 * y**2),
-    "cubic": ((9.0,), (), lambda y, v: y + 9.0 * y**3),
-    "characteristic": (
-        (*TABLE[1:-1], -0.2, 0.3),
-        (),
-        lambda y, v: y + np.interp(y, np.linspace(-0.2, 0.3, 7), (0.0, *TABLE[1:-1], 0.0)),
-    ),
-    "saturation": ((0.1,), (), lambda y, v: np.clip(y, -0.1, 0.1)),
-    "clip_above": ((0.04,), (), lambda y, v: np.minimum(y, 0.04)),
-    "clip_below": ((-0.03,), (), lambda y, v: np.maximum(y, -0.03)),
-    "absolute": ((0.3,), (), lambda y, v: y + 0.3 * abs(y)),
-    "delay": ((0.03,), (), lambda y, v: np.interp(TIMES - 0.03, TIMES, y)),
-}
-OUTPUT_OF_OTHERS = {
-    "F": ((0.01,), ("F",), lambda y, v: y + 0.01 * FORCE),
-    "v": ((0.01,), ("v",), lambda y, v: y + 0.01 * v),
-}
-
-
 @pytest.mark.parametrize("solver", [EXACT, CO_SIMULATION])
 @pytest.mark.parametrize(
     ("form", "case"),
@@ -281,35 +180,41 @@ def test_a_lag_of_an_output(tau):
     np.testing.assert_allclose(result, truth, atol=1e-6)
 
 
-@pytest.mark.parametrize(("solver", "bar"), [(EXACT, 2e-8), (CO_SIMULATION, 1e-4)])
-def test_a_parameter_that_varies(solver, bar):
+def test_a_parameter_that_varies_in_co_simulation():
+    """It is set at the communication points."""
     truth = solve(pushed(lambda t, x, f: -C / M * 0.8 * (t - 2.0) * x[1]))[:, 0]
-    result = simulated([Effect("e", "parameter c", "drift")], (0.8, 2.0), solver)
-    np.testing.assert_allclose(result, truth, atol=bar)
+    result = simulated([Effect("e", "parameter c", "drift")], (0.8, 2.0), CO_SIMULATION)
+    np.testing.assert_allclose(result, truth, atol=1e-4)
 
 
-def test_a_parameter_that_saturates_with_a_state():
-    truth = solve(pushed(lambda t, x, f: C / M * 0.8 * abs(x[1]) / (0.1 + abs(x[1])) * x[1]))[:, 0]
-    result = simulated([Effect("e", "parameter c", "saturating", ("v",))], (0.8, 0.1))
+def test_an_output_that_shows_a_lagged_state():
+    """A lag that begins at nought, of what is linear between the measured times."""
+
+    def slope(t, x, force):
+        return [*plain(t, x, force), (force - x[2]) / 0.3]
+
+    y, _, lagged = solve(slope, (*START, 0.0)).T
+    effect = Effect("e", "output y", "lagged_feed_through", ("F",))
+    np.testing.assert_allclose(simulated([effect], (0.05, 0.3)), y + 0.05 * lagged, atol=1e-6)
+
+
+@pytest.mark.parametrize("form", PARAMETER)
+def test_variations_of_a_parameter(form):
+    coefficients, variables, share = PARAMETER[form]
+    truth = solve(pushed(lambda t, x, f: -C / M * share(t, x[1]) * x[1]))[:, 0]
+    result = simulated([Effect("e", "parameter c", form, variables)], coefficients)
+    np.testing.assert_allclose(result, truth, atol=1e-6 if form == "table" else 2e-8)
+
+
+def test_a_parameter_that_heats_up():
+    def slope(t, x, force):
+        v, dv = plain(t, x, force)
+        share = 0.9 * (x[2] - 0.02)
+        return [v, dv - C / M * share * x[1], (x[1] ** 2 - x[2]) / 0.6]
+
+    truth = solve(slope, (*START, 0.0))[:, 0]
+    result = simulated([Effect("e", "parameter c", "heating", ("v",))], (0.9, 0.02, 0.6))
     np.testing.assert_allclose(result, truth, atol=2e-8)
-
-
-def test_a_parameter_with_a_rhythm():
-    rhythm = lambda t: 0.4 * np.sin(3.0 * t) - 0.2 * np.cos(3.0 * t)  # noqa: E731
-    truth = solve(pushed(lambda t, x, f: -C / M * rhythm(t) * x[1]))[:, 0]
-    result = simulated([Effect("e", "parameter c", "sine")], (0.4, -0.2, 3.0))
-    np.testing.assert_allclose(result, truth, atol=2e-8)
-
-
-def test_a_parameter_that_is_a_curve_of_a_state():
-    """It is piecewise linear between seven places, and itself in the middle."""
-    values = (*TABLE[:3], 0.0, *TABLE[4:])
-    share = lambda v: np.interp(v, np.linspace(-0.2, 0.3, 7), values)  # noqa: E731
-    truth = solve(pushed(lambda t, x, f: -C / M * share(x[1]) * x[1]))[:, 0]
-    result = simulated(
-        [Effect("e", "parameter c", "table", ("v",))], (*TABLE[:3], *TABLE[4:], -0.2, 0.3)
-    )
-    np.testing.assert_allclose(result, truth, atol=1e-6)
 
 
 def test_effects_combine():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from support.problems.springs import ROOT
+from support.truth.form_terms import PAIR, TRAVEL
 
 from cluster_est.export.text import effect_equation
 from workers.effects.definition import define
@@ -60,7 +61,6 @@ def simulated(effect, coefficients):
     return outcome.trajectory.values
 
 
-TRAVEL = ("z_body - z_wheel",)
 DEPTH = "max(z_wheel - z_body - at, 0)"
 STOP = Effect(
     "stop",
@@ -69,17 +69,6 @@ STOP = Effect(
     coefficients=(("k", 0.0), ("back", 0.0), ("at", None)),
     reaction=f"-back * {DEPTH}",
 )
-FORMS = {
-    "joint": ((30.0, 220.0, 0.01), TRAVEL, lambda v: np.clip(v, -0.01, 0.01)),
-    "gap": ((30.0, 220.0, 0.01), TRAVEL, lambda v: v - np.clip(v, -0.01, 0.01)),
-    "hinge": ((30.0, 220.0, 0.005), TRAVEL, lambda v: max(v - 0.005, 0.0)),
-    "hinge_below": ((30.0, 220.0, -0.005), TRAVEL, lambda v: min(v + 0.005, 0.0)),
-    "linear": ((2.0, 15.0), (), lambda v: v),
-    "quadratic": ((2.0, 15.0), (), lambda v: v * abs(v)),
-    "cubic": ((2e3, 15e3), TRAVEL, lambda v: v**3),
-    "coulomb": ((0.3, 2.2, 0.05), (), lambda v: np.tanh(v / 0.05)),
-    "leak": ((1.0, 7.5), ("v_wheel",), lambda v: np.sign(v) * np.sqrt(abs(v))),
-}
 PLACES = {
     TRAVEL: lambda x: x[0] - x[2],
     (): lambda x: x[1] - x[3],
@@ -87,9 +76,9 @@ PLACES = {
 }
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", PAIR)
 def test_a_force_between_two_states(form):
-    coefficients, variables, law = FORMS[form]
+    coefficients, variables, law = PAIR[form]
     k, back, *_ = coefficients
 
     def force(x):

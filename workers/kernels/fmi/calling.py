@@ -17,7 +17,11 @@ from numba import config, njit
 from numba.core import types
 from numba.extending import intrinsic
 
-inlined = njit(forceinline=True, nogil=True, _nrt=False)
+_WITHOUT_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""What only compiled code calls needs no way in from Python or from C, which takes a third of the
+time of compiling."""
+
+inlined = njit(forceinline=True, nogil=True, _nrt=False, **_WITHOUT_WRAPPERS)
 """Compiles a helper into each loop that uses it."""
 
 
@@ -42,15 +46,24 @@ def compiled_before() -> bool:
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a loop, and without reference counting.
+    """Compile a loop that Python calls, without reference counting.
 
     Atomic counters around every call would cost several times the call. Nothing can be allocated
     inside; numba refuses to compile it.
     """
+    return _kept_on_disk(function, no_cfunc_wrapper=True)
+
+
+def subroutine(function: Callable[..., Any]) -> Any:
+    """Compile what only other loops call, like `kernel` otherwise; Python cannot call it."""
+    return _kept_on_disk(function, **_WITHOUT_WRAPPERS)
+
+
+def _kept_on_disk(function: Callable[..., Any], **wrappers: bool) -> Any:
     before = config.CACHE_DIR
     config.CACHE_DIR = _CACHE_FOLDER  # read while decorating, and other users of numba keep theirs
     try:
-        return njit(nogil=True, cache=True, _nrt=False)(function)
+        return njit(nogil=True, cache=True, _nrt=False, **wrappers)(function)
     finally:
         config.CACHE_DIR = before
 

@@ -16,9 +16,9 @@ from workers.kernels.fmi.calling import (
     c_function,
     inlined,
     is_fmi_2,
-    kernel,
     peek,
     poke,
+    subroutine,
 )
 from workers.messages import IntArray
 
@@ -118,13 +118,13 @@ def get_first(c, access, buffer):  # type: ignore[no-untyped-def]
     return 0
 
 
-@kernel
+@subroutine
 def _get_first_element(version, handle, accessors, elements, buffer):  # type: ignore[no-untyped-def]
     function = accessors[0, elements[0, CODE]]
     return _call(version, handle, function, elements, 0, elements[0, SIZE], buffer)
 
 
-@kernel
+@subroutine
 def _set_elements(version, handle, accessors, elements, row, buffer):  # type: ignore[no-untyped-def]
     status, first = 0, 0
     while first < len(elements) and status < DISCARD:
@@ -142,7 +142,7 @@ def _set_elements(version, handle, accessors, elements, row, buffer):  # type: i
     return status
 
 
-@kernel
+@subroutine
 def _get_elements(version, handle, accessors, elements, row, buffer):  # type: ignore[no-untyped-def]
     status, first = 0, 0
     while first < len(elements):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from workers.kernels.fmi.calling import inlined, kernel
+from workers.kernels.fmi.calling import inlined, subroutine
 from workers.kernels.fmi.functions import get_derivatives, set_continuous_states, set_time
 from workers.kernels.fmi.hooks import add_derivatives, interpolate_inputs, modify_inputs
 from workers.kernels.fmi.progress import note_call
@@ -30,7 +30,7 @@ def set_time_and_states(c, references, hooks, time, states, work):  # type: igno
     return status
 
 
-@kernel
+@subroutine
 def set_time_inputs_and_states(c, references, hooks, grid, i, time, states, work):  # type: ignore[no-untyped-def]
     """Set time, states and inputs, at a time after grid time i. Returns the worst status.
 

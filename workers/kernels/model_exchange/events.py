@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from workers.kernels.fmi.calling import inlined, kernel
+from workers.kernels.fmi.calling import inlined, subroutine
 from workers.kernels.fmi.failure import CHATTERING, EVENT, FINISHED, TERMINATED, failed
 from workers.kernels.fmi.functions import (
     NOMINALS_CHANGED,
@@ -73,7 +73,7 @@ def iterate_event(c, settings, work):  # type: ignore[no-untyped-def]
     return status, FINISHED
 
 
-@kernel
+@subroutine
 def handle_event(  # type: ignore[no-untyped-def]
     c, references, settings, hooks, grid, interval_before, i, time, repeated_events, work
 ):
@@ -220,7 +220,7 @@ def _move_bracket_end(moved_end, indicators, other_end, times):  # type: ignore[
             other_end[j] *= 0.5
 
 
-@kernel
+@subroutine
 def dense_output(_time, step, part, coefficients, work):  # type: ignore[no-untyped-def]
     """Interpolate the states within a step of a Runge-Kutta method from `work.states`.
 

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 from numba.core import types
 from numba.extending import intrinsic
 
-from workers.kernels.fmi.calling import inlined, kernel
+from workers.kernels.fmi.calling import inlined, subroutine
 from workers.kernels.fmi.functions import (
     completed_integrator_step,
     get_derivatives,
@@ -87,7 +87,7 @@ class ForwardSensitivities(NamedTuple):
     sensitivities: FloatArray
 
 
-@kernel
+@subroutine
 def advance_sensitivities(c, references, hooks, grid, i, time, step, work, forward):  # type: ignore[no-untyped-def]
     """Advance S over a step whose stages are in `work`, before it is accepted. Returns the status.
 
@@ -169,7 +169,7 @@ def _return_to_step_end(c, references, hooks, grid, i, time, work, forward):  # 
     return status
 
 
-@kernel
+@subroutine
 def _evaluate_derivatives(c, references, hooks, time, work, forward, p):  # type: ignore[no-untyped-def]
     """Compute df/dx s + df/dtheta into `result`, s being `seed`. Returns the worst status."""
     n = len(forward.stage_states)
@@ -189,7 +189,7 @@ def _evaluate_derivatives(c, references, hooks, time, work, forward, p):  # type
     return status
 
 
-@kernel
+@subroutine
 def record_sensitivities(c, references, hooks, grid, i, work, forward):  # type: ignore[no-untyped-def]
     """Record dy/dtheta at grid time i, which the FMU is set to. Returns the worst status."""
     status = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from workers.kernels.fmi.calling import inlined, is_fmi_2, kernel
+from workers.kernels.fmi.calling import inlined, is_fmi_2, kernel, subroutine
 from workers.kernels.fmi.failure import (
     FINISHED,
     INITIALISATION,
@@ -65,7 +65,7 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
     return len(points)
 
 
-@kernel
+@subroutine
 def _co_simulate(c, references, starts, settings, hooks, grid, point, work, outputs):  # type: ignore[no-untyped-def]
     times = grid.times
     tolerance = settings.fmu_tolerance
@@ -82,7 +82,7 @@ def _co_simulate(c, references, starts, settings, hooks, grid, point, work, outp
     return _step_through_grid(c, references, settings, grid, work, outputs)
 
 
-@kernel
+@subroutine
 def _step_through_grid(c, references, settings, grid, work, outputs):  # type: ignore[no-untyped-def]
     """Step from the first time of the grid to the last. Returns (code, time)."""
     times, steps_left = grid.times, settings.max_steps
@@ -108,7 +108,7 @@ def _step_through_grid(c, references, settings, grid, work, outputs):  # type: i
     return FINISHED, times[-1]
 
 
-@kernel
+@subroutine
 def _step_through_grid_with_effects(c, references, settings, hooks, grid, work, outputs):  # type: ignore[no-untyped-def]
     """Do the same where effects change inputs or parameters; apart, to keep the other one fast."""
     times, steps_left = grid.times, settings.max_steps
@@ -177,7 +177,7 @@ def _communication_point(grid, i, s, steps, step):  # type: ignore[no-untyped-de
     return grid.times[i] + s * step
 
 
-@kernel
+@subroutine
 def _advance_to_next_time_with_effects(c, references, settings, hooks, grid, i, steps, work):  # type: ignore[no-untyped-def]
     """Do the same where effects change inputs or parameters, which are linear within a step."""
     step = settings.fixed or grid.intervals[i] / steps
@@ -203,7 +203,7 @@ def _advance_to_next_time_with_effects(c, references, settings, hooks, grid, i, 
     return status
 
 
-@kernel
+@subroutine
 def _set_effective_inputs(c, references, hooks, grid, i, time, work):  # type: ignore[no-untyped-def]
     """Set the inputs and parameters with their effects. Returns the worst status."""
     interpolate_inputs(grid, i, time, work)

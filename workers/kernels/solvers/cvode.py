@@ -12,7 +12,7 @@ import numpy as np
 from numba.core.types import float64, int32, intp
 
 from workers.kernels.fmi.arguments import KernelArguments
-from workers.kernels.fmi.calling import c_function, kernel
+from workers.kernels.fmi.calling import c_function, kernel, subroutine
 from workers.kernels.fmi.failure import (
     FINISHED,
     OUTPUT,
@@ -121,7 +121,7 @@ def _cvode_batch(  # type: ignore[no-untyped-def]
     return len(points)
 
 
-@kernel
+@subroutine
 def _simulate(s, c, references, starts, settings, hooks, grid, point, work, outputs, states_out):  # type: ignore[no-untyped-def]
     times = grid.times
     code = start_simulation(c, references, starts, settings, hooks, grid, point, work)

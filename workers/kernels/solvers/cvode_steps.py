@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from numba.core.types import float64, int32, intp
 
-from workers.kernels.fmi.calling import address_of, c_function, inlined, kernel
+from workers.kernels.fmi.calling import address_of, c_function, inlined, subroutine
 from workers.kernels.fmi.failure import (
     EVENT,
     FINISHED,
@@ -64,7 +64,7 @@ def has_reached(s, time):  # type: ignore[no-untyped-def]
     return abs(s.time[0] - time) <= time_resolution(s.time[0], time)
 
 
-@kernel
+@subroutine
 def set_next_stop(s, settings, grid, i, work):  # type: ignore[no-untyped-def]
     """At grid time i, reinitialise after a jump, and set the next time to stop at."""
     if i == 0 or _has_jump(grid, i):
@@ -125,7 +125,7 @@ def advance_to(s, c, references, settings, hooks, grid, i, work):  # type: ignor
     return FINISHED
 
 
-@kernel
+@subroutine
 def _handle_event(s, c, references, settings, hooks, grid, work):  # type: ignore[no-untyped-def]
     """Handle an event at the present time, and reinitialise. Returns the code."""
     s.flags[REPEATED_EVENTS] = s.flags[REPEATED_EVENTS] + 1 if s.flags[JUST_STARTED] == 1 else 0
@@ -172,7 +172,7 @@ def _step(s, c, references, hooks, grid, work):  # type: ignore[no-untyped-def]
     return failed(STEP, status) if status >= DISCARD else FINISHED
 
 
-@kernel
+@subroutine
 def _find_state_event(s, c, references, hooks, grid, step_start, work):  # type: ignore[no-untyped-def]
     """Go back to the first state event in the last step. Returns the worst status."""
     step = s.time[0] - step_start

@@ -15,7 +15,7 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from workers.kernels.fmi.calling import inlined, kernel
+from workers.kernels.fmi.calling import inlined, kernel, subroutine
 from workers.kernels.fmi.failure import (
     EVENT,
     FINISHED,
@@ -94,7 +94,7 @@ def dormand_prince_batch(  # type: ignore[no-untyped-def]
     return len(points)
 
 
-@kernel
+@subroutine
 def _simulate(c, references, starts, settings, hooks, grid, point, work, outputs):  # type: ignore[no-untyped-def]
     times, steps_left = grid.times, settings.max_steps
     time, proposed = times[0], 0.0

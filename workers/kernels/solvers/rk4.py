@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from workers.kernels.fmi.calling import inlined, kernel
+from workers.kernels.fmi.calling import inlined, kernel, subroutine
 from workers.kernels.fmi.failure import (
     EVENT,
     FINISHED,
@@ -65,7 +65,7 @@ def rk4_batch(  # type: ignore[no-untyped-def]
     return len(points)
 
 
-@kernel
+@subroutine
 def _simulate(c, references, starts, settings, hooks, grid, point, work, outputs):  # type: ignore[no-untyped-def]
     times, steps_left = grid.times, settings.max_steps
     time = times[0]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from workers.kernels.fmi.calling import inlined, kernel
+from workers.kernels.fmi.calling import inlined, kernel, subroutine
 from workers.kernels.fmi.failure import FINISHED, STEP, STEP_TOO_SMALL, failed
 from workers.kernels.fmi.hooks import select_point
 from workers.kernels.fmi.values import DISCARD, ERROR
@@ -77,7 +77,7 @@ def stiffness(c, references, starts, settings, hooks, grid, point, work):  # typ
     return False, code
 
 
-@kernel
+@subroutine
 def _accepted_step(c, references, settings, hooks, grid, i, time, proposed, work):  # type: ignore[no-untyped-def]
     """Try steps until one is accepted. Returns (code, its length, length to try next)."""
     while True:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 
 from workers.effects.definition import coefficients, split_variable
@@ -54,3 +55,52 @@ def test_only_known_names_tell_what_a_minus_is():
     assert split_variable(" x-1 ", known) == ("x-1",)
     assert split_variable("x - x-1", known) == ("x", "x-1")
     assert split_variable("2 * x", known) == ()
+
+
+MATHEMATICS = {
+    "sin": np.sin, "cos": np.cos, "tanh": np.tanh, "exp": np.exp, "sqrt": np.sqrt, "abs": abs,
+    "sign": np.sign, "max": max, "min": min, "where": lambda yes, a, b: a if yes else b,
+}  # fmt: skip
+
+
+def size_of(unit, scales):
+    """By which factor a number changes whose unit is that, where its words change by `scales`."""
+    over, _, under = unit.partition(" / ")
+    factors = [
+        scales[word] ** (sign * float(power or 1.0))
+        for sign, part in ((1.0, over), (-1.0, under))
+        for word, power in re.findall(r"([a-z]+)(?:\^([\d.]+))?", part)
+    ]
+    return float(np.prod(factors))
+
+
+def evaluated(equation, values):
+    return eval(equation.replace("^", "**"), {"__builtins__": {}}, MATHEMATICS | values)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("kind", "name"), FORMS)
+def test_units_of_coefficients_are_those_that_the_equation_needs(kind, name, seed):
+    """In other units of everything, the same term comes out in other units, and nothing else."""
+    form, generator = FORMS[kind, name], np.random.default_rng(seed)
+    words = ("site", "other", "v", "w", "second")
+    scales = dict(zip(words, generator.uniform(0.5, 2.0, 5), strict=True))
+    scales |= {"s": scales["site"], "rad": 1.0, "travel": scales["v"] * scales["second"]}
+    units = {"s": "site", "v": "v", "w": "w", "t": "second"}
+    units |= {c.name: c.unit for c in form.coefficients}
+    values = {word: generator.uniform(0.2, 0.9) for word in units}
+    values |= {"low": 0.1, "high": 0.95} if "low" in units else {}
+    other = {word: value * size_of(units[word], scales) for word, value in values.items()}
+    for state in form.states:
+        here = evaluated(state.derivative, values | {state.name: 0.6})
+        fitting = [
+            unit
+            for unit in ("v", "travel", "v^2", "s", "1")
+            if evaluated(state.derivative, other | {state.name: 0.6 * size_of(unit, scales)})
+            == pytest.approx(here * size_of(unit, scales) / scales["second"], rel=1e-9)
+        ]
+        assert fitting, f"no unit of {state.name} makes its derivative one of {state.name} / second"
+        values[state.name], other[state.name] = 0.6, 0.6 * size_of(fitting[0], scales)
+    for equation, unit in ((form.equation, "site"), (form.reaction or "0", "other")):
+        expected = evaluated(equation, values) * scales[unit]
+        assert evaluated(equation, other) == pytest.approx(expected, rel=1e-9, abs=1e-12)

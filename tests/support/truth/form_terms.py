@@ -1,0 +1,206 @@
+"""What each form of the library is, written down again: as terms of the springs' equations.
+
+A form that is not in one of the tables has a test of its own, which `OWN_TESTS` names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from support.truth.springs_with_effects import FORCE, TIMES
+
+TABLE = (1.0, 0.8, 0.9, -0.1, -0.6, -0.5, -1.2)
+"""Seven values of a curve."""
+
+DERIVATIVE = {
+    "constant": ((0.5,), (), lambda t, x, f: 0.5),
+    "drift": ((0.2,), (), lambda t, x, f: 0.2 * t),
+    "sine": ((0.3, 0.2, 7.0), (), lambda t, x, f: 0.3 * np.sin(7 * t) + 0.2 * np.cos(7 * t)),
+    "viscous": ((0.5,), (), lambda t, x, f: -0.5 * x[1]),
+    "quadratic": ((0.7,), (), lambda t, x, f: -0.7 * x[1] * abs(x[1])),
+    "cubic": ((0.7,), (), lambda t, x, f: -0.7 * x[1] ** 3),
+    "coulomb": ((0.5, 0.05), (), lambda t, x, f: -0.5 * np.tanh(x[1] / 0.05)),
+    "stribeck": (
+        (0.5, 0.4, 0.1, 0.05),
+        (),
+        lambda t, x, f: -(0.5 + 0.4 * np.exp(-((x[1] / 0.1) ** 2))) * np.tanh(x[1] / 0.05),
+    ),
+    "asymmetric_coulomb": (
+        (0.5, 0.2, 0.05),
+        (),
+        lambda t, x, f: -(0.5 if x[1] > 0.0 else 0.2) * np.tanh(x[1] / 0.05),
+    ),
+    "periodic": (
+        (0.3, 0.2, 40.0),
+        ("x",),
+        lambda t, x, f: 0.3 * np.sin(40.0 * x[0]) + 0.2 * np.cos(40.0 * x[0]),
+    ),
+    "linear": ((-4.0,), ("x",), lambda t, x, f: -4.0 * x[0]),
+    "saturating": ((-2.0, 0.05), ("x",), lambda t, x, f: -2.0 * x[0] / (0.05 + abs(x[0]))),
+    "square": ((9.0,), ("x",), lambda t, x, f: 9.0 * x[0] ** 2),
+    "product": ((0.1,), ("x", "F"), lambda t, x, f: 0.1 * x[0] * f),
+    "hinge": ((-50.0, 0.05), ("x",), lambda t, x, f: -50.0 * max(x[0] - 0.05, 0.0)),
+    "hinge_below": ((50.0, 0.02), ("x",), lambda t, x, f: 50.0 * max(0.02 - x[0], 0.0)),
+    "gap": (
+        (40.0, 0.04),
+        ("x",),
+        lambda t, x, f: -40.0 * (max(x[0] - 0.04, 0.0) - max(-x[0] - 0.04, 0.0)),
+    ),
+    "square_root": ((0.5,), ("x",), lambda t, x, f: -0.5 * np.sqrt(max(x[0], 0.0))),
+    "signed_root": ((0.5,), ("F",), lambda t, x, f: -0.5 * np.sign(f) * np.sqrt(abs(f))),
+    "table": (
+        (*TABLE, -0.2, 0.3),
+        (),
+        lambda t, x, f: np.interp(x[1], np.linspace(-0.2, 0.3, 7), TABLE),
+    ),
+}
+"""At der(v): coefficients, variables, and the term as a function of time, states and force."""
+
+
+INPUT = {
+    "bias": ((0.5,), lambda t, f: f + 0.5),
+    "drift": ((0.2,), lambda t, f: f + 0.2 * t),
+    "gain": ((0.2,), lambda t, f: 1.2 * f),
+    "square": ((0.1,), lambda t, f: f + 0.1 * f**2),
+    "cubic": ((0.05,), lambda t, f: f + 0.05 * f**3),
+    "characteristic": (
+        (*TABLE[1:-1], -4.0, 3.0),
+        lambda t, f: f + np.interp(f, np.linspace(-4.0, 3.0, 7), (0.0, *TABLE[1:-1], 0.0)),
+    ),
+    "asymmetry": ((0.3,), lambda t, f: f + 0.3 * max(f, 0.0)),
+    "saturation": ((2.0,), lambda t, f: min(max(f, -2.0), 2.0)),
+    "dead_zone": ((1.0,), lambda t, f: f - np.sign(f) if abs(f) > 1.0 else 0.0),
+}
+"""At the input F: coefficients, and what takes its place at a time."""
+
+
+FORCES = {
+    "viscous": ((0.5,), "v", lambda x, f: -0.5 * x[1]),
+    "quadratic": ((0.7,), "v", lambda x, f: -0.7 * x[1] * abs(x[1])),
+    "coulomb": ((0.5, 0.05), "v", lambda x, f: -0.5 * np.tanh(x[1] / 0.05)),
+    "stribeck": (
+        (0.5, 0.4, 0.1, 0.05),
+        "v",
+        lambda x, f: -(0.5 + 0.4 * np.exp(-((x[1] / 0.1) ** 2))) * np.tanh(x[1] / 0.05),
+    ),
+    "asymmetric_coulomb": (
+        (0.5, 0.2, 0.05),
+        "v",
+        lambda x, f: -(0.5 if x[1] > 0.0 else 0.2) * np.tanh(x[1] / 0.05),
+    ),
+    "linear": ((-4.0,), "x", lambda x, f: -4.0 * x[0]),
+    "product": ((0.8,), "x", lambda x, f: 0.8 * f * x[0]),
+    "periodic": (
+        (0.3, 0.2, 40.0),
+        "x",
+        lambda x, f: 0.3 * np.sin(40.0 * x[0]) + 0.2 * np.cos(40.0 * x[0]),
+    ),
+    "hinge": ((-50.0, 0.05), "x", lambda x, f: -50.0 * max(x[0] - 0.05, 0.0)),
+    "hinge_below": ((50.0, 0.02), "x", lambda x, f: 50.0 * max(0.02 - x[0], 0.0)),
+    "gap": (
+        (40.0, 0.04),
+        "x",
+        lambda x, f: -40.0 * (max(x[0] - 0.04, 0.0) - max(-x[0] - 0.04, 0.0)),
+    ),
+    "signed_root": ((0.5,), "F", lambda x, f: -0.5 * np.sign(f) * np.sqrt(abs(f))),
+    "table": (
+        (*TABLE, -0.2, 0.3),
+        "x",
+        lambda x, f: np.interp(x[0], np.linspace(-0.2, 0.3, 7), TABLE),
+    ),
+}
+"""At the input F: coefficients, the variable, and what is added to it."""
+
+
+OUTPUT = {
+    "bias": ((0.02,), (), lambda y, v: y + 0.02),
+    "drift": ((0.02,), (), lambda y, v: y + 0.02 * TIMES),
+    "gain": ((0.1,), (), lambda y, v: 1.1 * y),
+    "square": ((2.0,), (), lambda y, v: y + 2.0 * y**2),
+    "cubic": ((9.0,), (), lambda y, v: y + 9.0 * y**3),
+    "characteristic": (
+        (*TABLE[1:-1], -0.2, 0.3),
+        (),
+        lambda y, v: y + np.interp(y, np.linspace(-0.2, 0.3, 7), (0.0, *TABLE[1:-1], 0.0)),
+    ),
+    "saturation": ((0.1,), (), lambda y, v: np.clip(y, -0.1, 0.1)),
+    "clip_above": ((0.04,), (), lambda y, v: np.minimum(y, 0.04)),
+    "clip_below": ((-0.03,), (), lambda y, v: np.maximum(y, -0.03)),
+    "absolute": ((0.3,), (), lambda y, v: y + 0.3 * abs(y)),
+    "hum": (
+        (0.03, 0.02, 7.0),
+        (),
+        lambda y, v: y + 0.03 * np.sin(7.0 * TIMES) + 0.02 * np.cos(7.0 * TIMES),
+    ),
+    "delay": ((0.03,), (), lambda y, v: np.interp(TIMES - 0.03, TIMES, y)),
+}
+"""At the output y: coefficients, variables, and what is shown of y and v."""
+
+OUTPUT_OF_OTHERS = {
+    "F": ((0.01,), ("F",), lambda y, v: y + 0.01 * FORCE),
+    "v": ((0.01,), ("v",), lambda y, v: y + 0.01 * v),
+}
+"""`feed_through` of an input and of a state."""
+
+
+_MIDDLE = (*TABLE[:3], 0.0, *TABLE[4:])
+PARAMETER = {
+    "drift": ((0.8, 2.0), (), lambda t, v: 0.8 * (t - 2.0)),
+    "sine": ((0.4, -0.2, 3.0), (), lambda t, v: 0.4 * np.sin(3.0 * t) - 0.2 * np.cos(3.0 * t)),
+    "linear": ((0.9, 0.1), ("v",), lambda t, v: 0.9 * (v - 0.1)),
+    "magnitude": ((0.9, 0.1), ("v",), lambda t, v: 0.9 * (abs(v) - 0.1)),
+    "square": ((3.0, 0.02), ("v",), lambda t, v: 3.0 * (v**2 - 0.02)),
+    "saturating": ((0.8, 0.1), ("v",), lambda t, v: -0.8 * abs(v) / (0.1 + abs(v))),
+    "table": (
+        (*TABLE[:3], *TABLE[4:], -0.2, 0.3),
+        ("v",),
+        lambda t, v: np.interp(v, np.linspace(-0.2, 0.3, 7), _MIDDLE),
+    ),
+}
+"""At the parameter c: coefficients, variables, and the share of itself that is added to it."""
+
+TRAVEL = ("z_body - z_wheel",)
+PAIR = {
+    "joint": ((30.0, 220.0, 0.01), TRAVEL, lambda v: np.clip(v, -0.01, 0.01)),
+    "gap": ((30.0, 220.0, 0.01), TRAVEL, lambda v: v - np.clip(v, -0.01, 0.01)),
+    "hinge": ((30.0, 220.0, 0.005), TRAVEL, lambda v: max(v - 0.005, 0.0)),
+    "hinge_below": ((30.0, 220.0, -0.005), TRAVEL, lambda v: min(v + 0.005, 0.0)),
+    "overflow": ((30.0, 220.0, 0.01), TRAVEL, lambda v: max(v - 0.01, 0.0)),
+    "linear": ((2.0, 15.0), (), lambda v: v),
+    "quadratic": ((2.0, 15.0), (), lambda v: v * abs(v)),
+    "cubic": ((2e3, 15e3), TRAVEL, lambda v: v**3),
+    "coulomb": ((0.3, 2.2, 0.05), (), lambda v: np.tanh(v / 0.05)),
+    "leak": ((1.0, 7.5), ("v_wheel",), lambda v: np.sign(v) * np.sqrt(abs(v))),
+}
+"""Between the masses of a quarter car: coefficients, variables, and the law of the force."""
+
+OWN_TESTS = {
+    ("derivative", "dahl"): "test_dahl_friction_has_a_state_of_its_own",
+    ("derivative", "lagged"): "test_a_lagged_coupling_has_a_state_of_its_own",
+    ("derivative", "periodic_travel"): "test_a_ripple_of_the_way_travelled_begins_at_nought",
+    ("pair", "table"): "test_a_curve_between_two_states_acts_on_both_in_proportion",
+    ("input", "dahl"): "test_dahl_friction_at_an_input",
+    ("input", "lag"): "test_a_lag_of_an_input",
+    ("input", "delay"): "test_a_delay_of_an_input",
+    ("input", "backlash"): "test_backlash_at_an_input",
+    ("input", "rate_limit"): "test_a_limited_rate_of_an_input",
+    ("output", "lag"): "test_a_lag_of_an_output",
+    ("output", "lagged_feed_through"): "test_an_output_that_shows_a_lagged_state",
+    ("output", "hysteresis"): "test_hysteresis_of_a_sensor",
+    ("parameter", "heating"): "test_a_parameter_that_heats_up",
+}
+"""Forms with memory, or that need more than a term: their tests in `tests/integration/effects`."""
+
+
+def forms_with_a_truth() -> set[tuple[str, str]]:
+    """Return kind and name of every form that a table or a test of its own has."""
+    tables: dict[str, tuple[Iterable[str], ...]] = {
+        "derivative": (DERIVATIVE,),
+        "pair": (PAIR,),
+        "input": (INPUT, FORCES),
+        "output": (OUTPUT, ("feed_through",)),
+        "parameter": (PARAMETER,),
+    }
+    listed = {(kind, form) for kind, all_of in tables.items() for table in all_of for form in table}
+    return listed | set(OWN_TESTS)
