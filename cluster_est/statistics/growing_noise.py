@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import comb
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from cluster_est.statistics.noise import MEDIAN_OF_NORMAL
 from workers.messages import FloatArray
@@ -58,6 +57,8 @@ def noise_growth(residuals: FloatArray, size: FloatArray) -> NoiseGrowth:
     centre = size[ORDER // 2 : len(size) - ORDER // 2][:: ORDER + 1]
     if len(noise) < 9 or not np.ptp(noise) > 0.0 or not np.ptp(centre) > 0.0:
         return nothing
+    from scipy.stats import spearmanr  # slow to import, and no plain fit asks for it
+
     found = spearmanr(noise, centre, alternative="greater")
     order = np.argsort(centre, kind="stable")
     third = len(order) // 3

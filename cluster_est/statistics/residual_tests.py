@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtr, chdtrc, ndtr
 
 from cluster_est.statistics.autocorrelation import autocorrelation
 from cluster_est.statistics.noise import estimate_noise
@@ -191,7 +191,7 @@ class _Size:
     @property
     def large(self) -> bool:
         """Return whether it is above sigma by more than chance and carelessness."""
-        p = chi2.sf(self.square / self.correlation, self.degrees / self.correlation)
+        p = chdtrc(self.degrees / self.correlation, self.square / self.correlation)
         return self.rms > LARGE and bool(p < self.level)
 
     @property
@@ -201,12 +201,12 @@ class _Size:
         The test of F. E. Grubbs, Ann. Math. Statist. 21 (1950) 27-58, doi:10.1214/aoms/1177729885,
         with a normal distribution in place of Student's, and Bonferroni's inequality.
         """
-        return bool(2.0 * self.degrees * norm.sf(self.largest / self.rms) < self.level)
+        return bool(2.0 * self.degrees * ndtr(-self.largest / self.rms) < self.level)
 
     @property
     def small(self) -> bool:
         """Return whether it is below."""
-        p = chi2.cdf(self.square / self.correlation, self.degrees / self.correlation)
+        p = chdtr(self.degrees / self.correlation, self.square / self.correlation)
         return self.rms < SMALL and bool(p < self.level)
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.stats import gamma, norm
+from scipy.special import gammaincc, ndtr
 
 from cluster_est.statistics.records import OutputRecord
 from workers.messages import FloatArray, IntArray
@@ -235,9 +235,9 @@ def _above_zero(mean: float, variance: float, third: float) -> float:
         return 1.0
     x, skewness = -mean / np.sqrt(variance), third / variance**1.5
     if skewness < NEARLY_NORMAL:
-        return float(norm.sf(x))
+        return float(ndtr(-x))
     shape = 4.0 / skewness**2
-    return float(gamma.sf(shape + x * np.sqrt(shape), shape))
+    return float(gammaincc(shape, shape + x * np.sqrt(shape)))
 
 
 def smoothed(

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtr
 
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.noise import estimate_noise
@@ -31,7 +31,7 @@ noise of a sensor, which forgets within some twenty samples."""
 TOO_SMALL = 2.0
 """Times the declared sigma that the white part may reach before the sigma counts as wrong."""
 
-CHANCE = float(norm.sf(2.0))
+CHANCE = float(ndtr(-2.0))
 """Probability that noise of the declared sigma is larger than what still counts as within it: that
 of two standard errors."""
 
@@ -100,7 +100,7 @@ class OutputNoise:
         if not self.declared or self.correlation > LONGEST:
             return False
         degrees = 2.0 / self.error**2 if self.error > 0.0 else np.inf
-        most = chi2.isf(CHANCE, degrees) / degrees if np.isfinite(degrees) else 1.0
+        most = chdtri(degrees, CHANCE) / degrees if np.isfinite(degrees) else 1.0
         return bool(self.level**2 <= most)
 
     @property

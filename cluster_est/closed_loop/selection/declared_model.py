@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import qmc
 
 from cluster_est.closed_loop.measured_noise import noise_of
 from cluster_est.closed_loop.stages import LoopStage
@@ -78,6 +77,8 @@ def _grow(workbench: LoopWorkbench, start: FitStart) -> list[FittedModel | None]
 
 def _spread(workbench: LoopWorkbench, start: FitStart) -> list[FitStart]:
     """The user's start, and points of a Sobol sequence around it for the shared values."""
+    from scipy.stats import qmc  # slow to import, and only a fit that misses the noise asks for it
+
     space = workbench.space(start)
     shared = [i for i, unknown in enumerate(space.unknowns) if not unknown.scope]
     sampler = qmc.Sobol(max(1, len(shared)), rng=workbench.generator(1))
