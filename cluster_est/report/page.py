@@ -5,21 +5,17 @@ from __future__ import annotations
 import base64
 import hashlib
 import importlib.resources
-import importlib.util
 import os
-from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from cluster_est.errors import RunFolderError
 from cluster_est.report.activity import LogActivity
-from cluster_est.report.blocks import ExplorerBlock, FigureBlock, ReportSection
-from cluster_est.report.encode import json_text
+from cluster_est.report.error_sizes import error_picture
 from cluster_est.report.folder import ReportedRun, read_run
 from cluster_est.report.sections.curves import curves
 from cluster_est.report.sections.effects import candidates, effects
@@ -89,35 +85,24 @@ def _replace(path: Path, text: str) -> None:
 def render(run: ReportedRun, reload: float | None = None) -> str:
     """The page as text; the same run gives the same page."""
     sections = [section for make in SECTIONS if (section := make(run)).blocks]
-    scripts = {"plotly": _plotly(), "own": _asset("report.js")}
+    script = _asset("report.js")
     return _template().render(
         run=run,
         summary=summarise(run),
+        picture=error_picture(run),
         sections=sections,
-        data=Markup(json_text(_data(sections))),
         style=Markup(_asset("report.css")),
-        scripts={name: Markup(text) for name, text in scripts.items()},
-        policy=_policy(scripts.values()),
+        script=Markup(script),
+        policy=_policy(script),
         reload=reload if run.is_running else None,
     )
 
 
-def _data(sections: Sequence[ReportSection]) -> dict[str, Any]:
-    """Return the data that the page's script draws."""
-    blocks = [block for section in sections for block in section.blocks]
-    figures = {
-        b.id: {"traces": b.traces, "layout": b.layout} for b in blocks if isinstance(b, FigureBlock)
-    }
-    explorers = [b.experiments for b in blocks if isinstance(b, ExplorerBlock)]
-    return {"figures": figures, "experiments": explorers[0] if explorers else []}
-
-
-def _policy(scripts: Any) -> str:
-    """Nothing may be fetched, and only these scripts may run."""
-    hashes = " ".join(f"'sha256-{_sha256(text)}'" for text in scripts)
+def _policy(script: str) -> str:
+    """Nothing may be fetched, and only this script may run."""
     return (
-        f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; img-src data:; "
-        "base-uri 'none'; form-action 'none'"
+        f"default-src 'none'; script-src 'sha256-{_sha256(script)}'; style-src 'unsafe-inline'; "
+        "img-src data:; base-uri 'none'; form-action 'none'"
     )
 
 
@@ -140,24 +125,3 @@ def _template() -> Template:
 def _asset(name: str) -> str:
     file = importlib.resources.files("cluster_est.report").joinpath("templates", name)
     return file.read_text(encoding="utf-8")
-
-
-@cache
-def _plotly() -> str:
-    """Plotly's script; found without importing its Python package, which takes long.
-
-    Raises
-    ------
-    RunFolderError
-        If it is not there.
-    """
-    found = importlib.util.find_spec("plotly")
-    for folder in (found.submodule_search_locations if found is not None else None) or []:
-        file = Path(folder) / "package_data" / "plotly.min.js"
-        if file.is_file():
-            text = file.read_text(encoding="utf-8").replace("\r\n", "\n").replace("\r", "\n")
-            return text.replace("</script", "<\\/script").replace("<!--", "<\\!--")
-    raise RunFolderError(
-        "report: needs the script of the package plotly, which is not installed whole; install it "
-        "again: pip install --force-reinstall plotly"
-    )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cluster_est.report.blocks import Tone
+from cluster_est.report.error_sizes import error_sentence
 from cluster_est.report.folder import RUNNING, ReportedRun, Row
 from cluster_est.report.numbers import count, digits, duration, percent
 
@@ -52,9 +53,26 @@ def summarise(run: ReportedRun) -> ReportSummary:
     verdict, tone = VERDICTS.get(str(known), (str(known), ""))
     if run.too_narrow and not run.is_loop:
         verdict, tone = f"{verdict}; its intervals are too narrow", "" if tone == "good" else tone
-    sentences = [*_opening(run), *_costs(run), *_errors(run), *_bounds(run), *_failed(run)]
+    sentences = [
+        *_fitted(run), *_opening(run), *_costs(run), *_errors(run), *_bounds(run), *_failed(run)
+    ]  # fmt: skip
     notes = tuple(_sentence(note) for note in run.facts.get("notes") or ())
     return ReportSummary(verdict, tone, tuple(sentences), _figures(run), notes)
+
+
+def _fitted(run: ReportedRun) -> list[str]:
+    """Return sentences on what was fitted to what, and how the error went."""
+    if not run.finished:
+        return []
+    searched = ("train", "test")
+    numbers = sum(row["estimated_on"] in searched for row in run.tables["parameters"])
+    roles = {row["experiment"]: row["role"] for row in run.tables["errors"]}
+    train = sum(role == "train" for role in roles.values())
+    model = (run.facts.get("fmu") or {}).get("name") or "the model"
+    were = "parameter value of" if numbers == 1 else "parameter values of"
+    said = f"{numbers} {were} {model} {'was' if numbers == 1 else 'were'} fitted to {train} "
+    said += "experiment." if train == 1 else "experiments."
+    return [said, *filter(None, [error_sentence(run)])]
 
 
 def _opening(run: ReportedRun) -> list[str]:

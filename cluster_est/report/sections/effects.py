@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.report.blocks import (
     Block,
-    FigureBlock,
     ItemsBlock,
     ReportSection,
     SourceBlock,
     TableBlock,
     TableCell,
     TextBlock,
-    axis,
     cells,
     columns,
-    with_unit,
 )
-from cluster_est.report.encode import short
 from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import beside, digits, interval
-
-MARGIN = 1.5
-"""Heights of a curve by which its band may be drawn beyond it: a wide one would hide it."""
+from cluster_est.report.sections.shapes import shape_figure
 
 
 def effects(run: ReportedRun) -> ReportSection:
@@ -73,46 +65,13 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
     evidence = tuple(effect.get("evidence") or ())
     blocks += [ItemsBlock(evidence)] if evidence else []
     shapes = [row for row in run.tables["shapes"] if row["effect"] == effect["name"]]
-    blocks += [_curve(row, i) for i, row in enumerate(shapes) if not row["why_not"]]
+    blocks += [shape_figure(row, i) for i, row in enumerate(shapes) if not row["why_not"]]
     blocks += [TextBlock(f"No shape is drawn: {row['why_not']}.", "faint")
                for row in shapes if row["why_not"]]  # fmt: skip
     if not shapes:
         blocks.append(TextBlock("This run's folder holds no shapes to draw.", "faint"))
     blocks.append(SourceBlock("As a block for a config", effect["config"]))
     return blocks
-
-
-def _curve(row: Row, number: int) -> FigureBlock:
-    x, y, low, high = (np.array(row[name], float) for name in ("x", "y", "lower", "upper"))
-    traces: list[dict[str, Any]] = []
-    height = float(np.nanmax(y) - np.nanmin(y)) or abs(float(y[0])) or 1.0
-    floor, ceiling = float(np.nanmin(y)) - MARGIN * height, float(np.nanmax(y)) + MARGIN * height
-    known = bool(np.isfinite(low).all() and np.isfinite(high).all())
-    wide = known and bool((low < floor).any() or (high > ceiling).any())
-    if known:
-        hidden = {"mode": "lines", "line": {"width": 0}, "x": short(x), "hoverinfo": "skip"}
-        low, high = np.clip(low, floor, ceiling), np.clip(high, floor, ceiling)
-        traces.append({**hidden, "y": short(low), "showlegend": False})
-        name = "95 % band, cut off" if wide else "95 % band"
-        traces.append({**hidden, "y": short(high), "fill": "tonexty", "fillcolor": "$band",
-                       "name": name})  # fmt: skip
-    line = {"color": "$after", "width": 2}
-    traces.append({"x": short(x), "y": short(y), "mode": "lines", "line": line, "name": "effect"})
-    edges = np.array(row["edges"], float)
-    middles, width = 0.5 * (edges[1:] + edges[:-1]), float(edges[1] - edges[0])
-    bars = {"type": "bar", "x": short(middles), "y": row["counts"], "width": width, "yaxis": "y2"}
-    traces.append({**bars, "marker": {"color": "$faint"}, "name": "samples", "showlegend": False})
-    over = with_unit(row["variable"], row["variable_unit"])
-    layout = {
-        "xaxis": axis(over, anchor="y2"),
-        "yaxis": axis(with_unit(row["part"], row["unit"]), domain=[0.3, 1.0]),
-        "yaxis2": axis("samples", domain=[0.0, 0.2], anchor="x", nticks=3),
-        "bargap": 0,
-    }
-    title = f"{row['part']} over {over}, where the training data were"
-    if not known:
-        title += "; the data do not determine every coefficient, so there is no band"
-    return FigureBlock(f"shape-{row['effect']}-{number}", title, traces, layout, 320)
 
 
 def candidates(run: ReportedRun) -> ReportSection:
