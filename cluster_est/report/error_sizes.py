@@ -97,7 +97,8 @@ def _noise(output: Mapping[str, Any] | None) -> float:
 def error_sentence(run: ReportedRun) -> str:
     """How the error went, against the noise, on training and on held-out experiments."""
     sizes = error_sizes(run)
-    parts, last = [], ""
+    parts: list[str] = []
+    last = ""
     for role, where in (("train", "training"), ("test", "held-out")):
         chosen = sizes.of_role(role)
         before, after = sizes.of(chosen, "before"), sizes.of(chosen, "after")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cluster_est.closed_loop.screening.evidence import CandidateStage
@@ -20,12 +22,18 @@ from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import beside, digits, interval
 from cluster_est.report.sections.shapes import shape_figure
 
+COEFFICIENTS = columns("coefficient", "#value", "#95 % interval", "unit", "")
+
 
 def effects(run: ReportedRun) -> ReportSection:
     """Make the section of the effects that were added, or of those that did not pass."""
     blocks: list[Block] = []
     for effect in run.facts.get("effects") or []:
         blocks += _effect(run, effect)
+    found = {effect["name"] for effect in run.facts.get("effects") or []}
+    shapes = [row for row in run.tables["shapes"] if row["effect"] not in found]
+    for name in dict.fromkeys(row["effect"] for row in shapes):
+        blocks += _declared(run, name, [row for row in shapes if row["effect"] == name])
     rejected = run.facts.get("rejected") or []
     if rejected:
         blocks.append(
@@ -38,11 +46,11 @@ def effects(run: ReportedRun) -> ReportSection:
             for e in rejected
         ]
         blocks.append(TableBlock(columns("site", "form", "equation"), tuple(rows)))
-    return ReportSection("effects", "What the model lacked", tuple(blocks))
+    title = "What the model lacked" if run.is_loop else "Effects that were declared"
+    return ReportSection("effects", title, tuple(blocks))
 
 
 def _effect(run: ReportedRun, effect: Row) -> list[Block]:
-    names = columns("coefficient", "#value", "#95 % interval", "unit", "")
     rows = []
     for name, row in effect["parameters"].items():
         low, high = row["lower95"], row["upper95"]
@@ -60,18 +68,41 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
     blocks: list[Block] = [
         TextBlock(f"{effect['name']}: {effect['family']} at {effect['site']}", kind="heading"),
         TextBlock(effect["equation"], kind="equation"),
-        TableBlock(names, tuple(rows)),
+        TableBlock(COEFFICIENTS, tuple(rows)),
     ]
     evidence = tuple(effect.get("evidence") or ())
     blocks += [ItemsBlock(evidence)] if evidence else []
     shapes = [row for row in run.tables["shapes"] if row["effect"] == effect["name"]]
-    blocks += [shape_figure(row, i) for i, row in enumerate(shapes) if not row["why_not"]]
-    blocks += [TextBlock(f"No shape is drawn: {row['why_not']}.", "faint")
-               for row in shapes if row["why_not"]]  # fmt: skip
+    blocks += _shapes(shapes)
     if not shapes:
         blocks.append(TextBlock("This run's folder holds no shapes to draw.", "faint"))
     blocks.append(SourceBlock("As a block for a config", effect["config"]))
     return blocks
+
+
+def _shapes(rows: Sequence[Row]) -> list[Block]:
+    """The shapes of one effect, and why there are none."""
+    blocks: list[Block] = [shape_figure(row, i) for i, row in enumerate(rows) if not row["why_not"]]
+    missing = dict.fromkeys(row["why_not"] for row in rows if row["why_not"])
+    return [*blocks, *(TextBlock(f"No shape is drawn: {why}.", "faint") for why in missing)]
+
+
+def _declared(run: ReportedRun, name: str, shapes: Sequence[Row]) -> list[Block]:
+    """An effect that the config declares: its coefficients and its shapes."""
+    own = [row for row in run.tables["parameters"] if row["parameter"].startswith(f"{name}.")]
+    rows = tuple(
+        cells(
+            TableCell(row["label"].removeprefix(f"{name}."), code=True),
+            beside(row["value"], row["upper95"] - row["lower95"]),
+            interval(row["lower95"], row["upper95"]),
+            row["unit"],
+            TableCell("held" if row["estimated_on"] == "known" else "", "faint"),
+        )
+        for row in own
+    )
+    places = ", ".join(dict.fromkeys(row["part"] for row in shapes))
+    table = TableBlock(COEFFICIENTS, rows)
+    return [TextBlock(f"{name} at {places}", kind="heading"), table, *_shapes(shapes)]
 
 
 def candidates(run: ReportedRun) -> ReportSection:
