@@ -24,7 +24,7 @@
     const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
     const found = [];
     for (let i = Math.ceil(low / step); i <= Math.floor(high / step); i += 1) {
-      const text = Math.abs(i * step) < 1e5 && decimals < 7 ? (i * step).toFixed(decimals) : String(Number((i * step).toPrecision(8)));
+      const text = i === 0 ? "0" : Math.abs(i * step) < 1e5 && decimals < 7 ? (i * step).toFixed(decimals) : String(Number((i * step).toPrecision(8)));
       found.push([i * step, text.replace("-", "\u2212")]);
     }
     return found;
