@@ -130,12 +130,20 @@ def _by_run(
     name: str, title: str, below: str, across: Scale, marks: Sequence[Mark], drawn: Sequence[Row]
 ) -> FigureBlock:
     """A picture with a row for each run."""
-    names = [row["run"] for row in drawn]
+    axes = _axes(drawn)
+    choices = [", ".join(str(row[axis]) for axis in axes if row[axis]) for row in drawn]
+    names = [own or row["run"] for own, row in zip(choices, drawn, strict=True)]
     upright = Scale(len(names) - 0.5, -0.5)
     plot = Plot(title, "", across, upright, marks, max(60, 20 * len(names)), names)
     legend = len(marks) > 1
     chart = Chart((plot,), below, legend=legend, gutter=gutter(names), zooms=False)
     return FigureBlock(name, title, chart)
+
+
+def _axes(rows: Sequence[Row]) -> list[str]:
+    """The names of the sweep's axes."""
+    names = rows[0] if rows else ()
+    return [name for name in names if name not in KNOWN and not name.startswith(PARAMETER)]
 
 
 def _left_out(rows: Sequence[Row], drawn: Sequence[Row]) -> list[Block]:
@@ -163,7 +171,7 @@ def _estimates(rows: Sequence[Row]) -> ReportSection:
 
 def _runs(rows: Sequence[Row]) -> ReportSection:
     """The summary table as people read it."""
-    axes = [n for n in (rows[0] if rows else ()) if n not in KNOWN and not n.startswith(PARAMETER)]
+    axes = _axes(rows)
     names = columns("run", *axes, "", "#training", "#held out", "#cost", "#simulations", "#time")
     lines = tuple(
         cells(

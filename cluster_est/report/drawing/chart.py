@@ -122,7 +122,9 @@ class Chart:
             plot.html(across=self.across, last=i == last, zooms=self.zooms)
             for i, plot in enumerate(self.plots)
         ]
-        gutter = Markup(' style="--gutter:{}px"').format(self.gutter) if self.gutter else ""
+        gutter = (
+            Markup(' style="--gutter:min({}px,40vw)"').format(self.gutter) if self.gutter else ""
+        )
         return CHART.format(
             classes=" zooms" if self.zooms else "",
             gutter=gutter,
@@ -143,7 +145,7 @@ class Chart:
 
 def gutter(names: Sequence[str]) -> int:
     """Return pixels that names at the left of a plot take; longer ones are cut off."""
-    return min(180, 16 + 7 * max(map(len, names), default=0))
+    return min(240, 16 + 7 * max(map(len, names), default=0))
 
 
 def _ends(scale: Scale) -> str:
