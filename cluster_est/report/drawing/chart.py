@@ -62,7 +62,7 @@ class Plot:
             return tuple((float(i), name) for i, name in enumerate(self.rows))
         return self.y.ticks(max(2, round(self.height / PIXELS_A_TICK)))
 
-    def html(self, *, across: int, last: bool, zooms: bool) -> Markup:
+    def html(self, *, across: int, last: bool) -> Markup:
         """The plot as HTML; values of x are written below the `last` one of a chart."""
         up = [(place, text) for place, text in self._placed(self.y, self.beside())]
         right = self._placed(self.x, self.x.ticks(across))
@@ -70,7 +70,7 @@ class Plot:
         grid += [f"M{round(place)} 0V{UNITS}" for place, _ in right]
         return PLOT.format(
             height=self.height,
-            x=_ends(self.x) if zooms else "",
+            x=_ends(self.x),
             y=_ends(self.y) if not self.rows else "",
             label=Markup('<p class="label">{}</p>').format(self.label) if self.label else "",
             beside=_texts("y-axis", "bottom", up),
@@ -118,10 +118,7 @@ class Chart:
     def html(self) -> Markup:
         """The chart as HTML."""
         last = len(self.plots) - 1
-        plots = [
-            plot.html(across=self.across, last=i == last, zooms=self.zooms)
-            for i, plot in enumerate(self.plots)
-        ]
+        plots = [plot.html(across=self.across, last=i == last) for i, plot in enumerate(self.plots)]
         gutter = (
             Markup(' style="--gutter:min({}px,40vw)"').format(self.gutter) if self.gutter else ""
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from support.drawn import DrawnFigure, Figures
+from support.drawn import UNITS, DrawnFigure, DrawnPlot, Figures, points, value
 from support.reported import Page, fitted_run
 
 from cluster_est.report import write_report
@@ -155,12 +156,26 @@ def test_every_chart_says_what_it_shows(run):
     assert figures.titles == len(figures.svgs) >= 8
 
 
+def plot_of_rows(plot: DrawnPlot, name: str) -> tuple[np.ndarray, list[int]]:
+    """Values across of a mark in a plot of rows, and the row of each, from above."""
+    (path,) = plot.paths[name]
+    across, down = points(path)
+    rows = np.rint(down / UNITS * 3 - 0.5).astype(int)
+    return value(plot.x, across), rows.tolist()
+
+
 def test_the_first_picture_has_before_after_and_noise(run):
     figure = Figures(write_report(run)).by_id("before-and-after")
     assert {"noise", "before", "after", "e0", "e1", "e2 (held out)"} <= set(figure.texts)
     (plot,) = figure.plots
-    low, high = map(float, plot.x.split()[:2])
-    assert low < 1.0 < high
+    errors = pq.read_table(run / "errors.parquet").to_pandas()
+    noise = json.loads((run / "run.json").read_text())["residuals"]["outputs"][0]
+    divisor = 1.0 if noise["declared"] else noise["noise_over_sigma"]
+    for name in ("before", "after"):
+        sizes, rows = plot_of_rows(plot, name)
+        assert rows == [0, 1, 2]
+        expected = errors[f"normalised_{name}"].to_numpy() / divisor
+        assert sizes == pytest.approx(expected, rel=2e-3)
 
 
 def test_it_opens_on_the_experiment_where_the_error_has_changed_most(run):
