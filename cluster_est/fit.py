@@ -188,6 +188,10 @@ def fit_on(runner: Runner, train: SearchSpace, plan: FitPlan) -> Result:
     starts, minima = rows.starts_and_minima(train, found)
     left = diagnose_residuals(train, linear, result.simulations)
     result = replace(result, starts=starts, minima=minima, diagnostics=left)
+    if problem.effects and not runner.interrupted:
+        from cluster_est.results.visited_signals import declared_shapes  # SymPy is slow to import
+
+        result = replace(result, shapes=declared_shapes(runner, train, result))
     if solution.ending.success and not runner.interrupted:
         result = refine(runner, train, result, plan)
     return replace(result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin)

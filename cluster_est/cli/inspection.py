@@ -26,10 +26,15 @@ def show(options: Namespace) -> int:
 
 
 def report(options: Namespace) -> int:
-    """Write the report of a run."""
-    from cluster_est.report import write_report  # not everybody wants to wait for Jinja
+    """Write the report of a run or of a sweep."""
+    from cluster_est import report as reports  # not everybody wants to wait for Jinja
 
-    say(Console(), f"report: {write_report(options.run_folder, options.out)}")
+    folder, out = options.run_folder, options.out
+    is_sweep = reports.is_sweep(folder)
+    path = (
+        reports.write_sweep_report(folder, out) if is_sweep else reports.write_report(folder, out)
+    )
+    say(Console(), f"report: {path}")
     return ExitCode.DONE
 
 

@@ -110,11 +110,13 @@ def _add_init(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 
 def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    summary = "write a run's report, one HTML file that needs no network"
+    summary = "write the report of a run or a sweep, one HTML file that needs no network"
     report = commands.add_parser(
         "report", help=summary, description=summary[0].upper() + summary[1:]
     )
-    report.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    report.add_argument(
+        "run_folder", metavar="RUN", type=Path, help="folder of the run or of the sweep"
+    )
     report.add_argument("--out", type=Path, help="file to write; without: RUN/report.html")
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
+
+from cluster_est.report.drawing import Chart
 
 Tone = Literal["", "good", "bad", "faint"]
 
@@ -56,25 +57,72 @@ class TableBlock:
 
 @dataclass(frozen=True)
 class FigureBlock:
-    """A plot: traces and layout as Plotly takes them, drawn when it comes into view.
-
-    A text "$name" in them stands for a colour of the page's theme.
-    """
+    """A chart under its title; `note` says how to read it."""
 
     id: str
     title: str
-    traces: Sequence[Mapping[str, Any]] = field(repr=False)
-    layout: Mapping[str, Any] = field(repr=False)
-    height: int = 320
+    chart: Chart = field(repr=False)
+    note: str = ""
     kind: str = "figure"
 
 
 @dataclass(frozen=True)
-class ExplorerBlock:
-    """The curves of all experiments, of which one is shown; `curves` is read by the script."""
+class CurvePanel:
+    """The curves of one output of one experiment.
 
-    experiments: Sequence[Mapping[str, Any]] = field(repr=False)
-    kind: str = "explorer"
+    Attributes
+    ----------
+    experiment, output
+        Whose curves.
+    note
+        What stands behind these names: the role of the experiment and its errors.
+    chart
+        What was measured and simulated, and the residuals below.
+    first
+        Whether it is the one that a reader sees first, in large.
+    """
+
+    experiment: str
+    output: str
+    note: str
+    chart: Chart = field(repr=False)
+    first: bool = False
+
+
+@dataclass(frozen=True)
+class PanelsBlock:
+    """Curves of many experiments as small charts, of which the reader enlarges those of interest.
+
+    `curves` has the name and the ink of each curve that is drawn in them.
+    """
+
+    panels: tuple[CurvePanel, ...]
+    curves: tuple[tuple[str, str], ...]
+    kind: str = "panels"
+
+    @property
+    def experiments(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(panel.experiment for panel in self.panels))
+
+
+@dataclass(frozen=True)
+class MapCell:
+    """A cell of a map: from -1 to 1, None for nothing; `text` is shown where there is room."""
+
+    value: float | None
+    text: str = ""
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class MapBlock:
+    """Numbers from -1 to 1 as a table of coloured cells, with names at its sides."""
+
+    title: str
+    above: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[MapCell, ...]], ...]
+    note: str = ""
+    kind: str = "map"
 
 
 @dataclass(frozen=True)
@@ -86,7 +134,7 @@ class SourceBlock:
     kind: str = "source"
 
 
-Block = TextBlock | ItemsBlock | TableBlock | FigureBlock | ExplorerBlock | SourceBlock
+Block = TextBlock | ItemsBlock | TableBlock | FigureBlock | PanelsBlock | MapBlock | SourceBlock
 
 
 @dataclass(frozen=True)
@@ -106,16 +154,6 @@ def columns(*names: str) -> tuple[ReportColumn, ...]:
 def cells(*texts: str | TableCell) -> tuple[TableCell, ...]:
     """A row."""
     return tuple(text if isinstance(text, TableCell) else TableCell(text) for text in texts)
-
-
-def plain(text: str) -> str:
-    """A text for Plotly, which takes some tags for formatting."""
-    return text.replace("&", "&amp;").replace("<", "&lt;")
-
-
-def axis(title: str, **more: Any) -> dict[str, Any]:
-    """An axis with a title that may come from a file."""
-    return {"title": {"text": plain(title)}, **more}
 
 
 def with_unit(name: str, unit: str) -> str:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cluster_est.report.blocks import Tone
+from cluster_est.report.error_sizes import error_sentence, error_sizes
 from cluster_est.report.folder import RUNNING, ReportedRun, Row
 from cluster_est.report.numbers import count, digits, duration, percent
 
@@ -52,9 +52,26 @@ def summarise(run: ReportedRun) -> ReportSummary:
     verdict, tone = VERDICTS.get(str(known), (str(known), ""))
     if run.too_narrow and not run.is_loop:
         verdict, tone = f"{verdict}; its intervals are too narrow", "" if tone == "good" else tone
-    sentences = [*_opening(run), *_costs(run), *_errors(run), *_bounds(run), *_failed(run)]
+    sentences = [
+        *_fitted(run), *_opening(run), *_costs(run), *_errors(run), *_bounds(run), *_failed(run)
+    ]  # fmt: skip
     notes = tuple(_sentence(note) for note in run.facts.get("notes") or ())
     return ReportSummary(verdict, tone, tuple(sentences), _figures(run), notes)
+
+
+def _fitted(run: ReportedRun) -> list[str]:
+    """Return sentences on what was fitted to what, and how the error went."""
+    if not run.finished:
+        return []
+    searched = ("train", "test")
+    numbers = sum(row["estimated_on"] in searched for row in run.tables["parameters"])
+    roles = {row["experiment"]: row["role"] for row in run.tables["errors"]}
+    train = sum(role == "train" for role in roles.values())
+    model = (run.facts.get("fmu") or {}).get("name") or "the model"
+    were = "parameter value of" if numbers == 1 else "parameter values of"
+    said = f"{numbers} {were} {model} {'was' if numbers == 1 else 'were'} fitted to {train} "
+    said += "experiment." if train == 1 else "experiments."
+    return [said, *filter(None, [error_sentence(run)])]
 
 
 def _opening(run: ReportedRun) -> list[str]:
@@ -96,26 +113,11 @@ def _costs(run: ReportedRun) -> list[str]:
 
 
 def _errors(run: ReportedRun) -> list[str]:
-    """Return sentences on the change of the held-out error."""
-    rows = [row for row in run.tables["errors"] if row["role"] == "test"]
-    before, after = (_pooled(rows, when) for when in ("before", "after"))
-    if math.isnan(before) or math.isnan(after) or not before:
-        if run.finished and not rows:
-            return ["There is no held-out experiment, so nothing tells how it predicts."]
-        return []
-    moved = "fell" if after <= before else "grew"
-    return [
-        f"On held-out experiments the error {moved} to {percent(after / before)} of what it was."
-    ]
-
-
-def _pooled(rows: Sequence[Row], when: str) -> float:
-    """Root mean square of the normalised errors over samples."""
-    samples = sum(row["samples"] for row in rows)
-    if not samples:
-        return math.nan
-    squares = sum(row["samples"] * row[f"normalised_{when}"] ** 2 for row in rows)
-    return math.sqrt(squares / samples)
+    """Return a sentence where nothing was held out."""
+    held_out = any(row["role"] == "test" for row in run.tables["errors"])
+    if run.finished and not held_out:
+        return ["There is no held-out experiment, so nothing tells how it predicts."]
+    return []
 
 
 def _bounds(run: ReportedRun) -> list[str]:
@@ -144,13 +146,15 @@ def _figures(run: ReportedRun) -> tuple[HeadlineFigure, ...]:
         found.append(
             HeadlineFigure("Cost", digits(facts["cost"]), f"before {digits(facts['cost_before'])}")
         )
+    sizes = error_sizes(run)
     for role, label in (("train", "Error, training"), ("test", "Error, held out")):
-        rows = [row for row in run.tables["errors"] if row["role"] == role]
-        after = _pooled(rows, "after")
+        chosen = sizes.of_role(role)
+        after = sizes.of(chosen, "after")
         if not math.isnan(after):
-            over = facts.get("errors_over") or "sigma"
-            before = digits(_pooled(rows, "before"), 3)
-            found.append(HeadlineFigure(label, digits(after, 3), f"before {before}, over {over}"))
+            before = digits(sizes.of(chosen, "before"), 3)
+            found.append(
+                HeadlineFigure(label, digits(after, 3), f"before {before}, over {sizes.measure}")
+            )
     simulations = run.activity.simulations or facts.get("simulations")
     if simulations:
         failures = sum(each.count for each in run.activity.failures)

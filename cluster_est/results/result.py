@@ -18,9 +18,16 @@ from cluster_est.problem.problem import Problem
 from cluster_est.results import actions
 from cluster_est.results.curves import residual_table, trajectory_table
 from cluster_est.results.display_tables import fit_tables
+from cluster_est.results.effect_table import curve_table
 from cluster_est.results.facts import fit_facts, fit_notes
 from cluster_est.results.output_errors import OutputError, Simulation
-from cluster_est.results.row_types import ConstraintValue, Estimate, PointValue, StartResult
+from cluster_est.results.row_types import (
+    ConstraintValue,
+    EffectCurve,
+    Estimate,
+    PointValue,
+    StartResult,
+)
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
 from cluster_est.uncertainty.rows import (
@@ -78,6 +85,8 @@ class Result:
     diagnostics
         Whether the training residuals are white and as large as sigma says; None where that means
         nothing, see `diagnose_residuals`.
+    shapes
+        Of the effects that the problem declares.
     interrupted
         Whether the user or the budget ended it.
     seed
@@ -105,6 +114,7 @@ class Result:
     profiles: tuple[ProfileResult, ...] = field(default=(), repr=False)
     bootstrap: BootstrapResult | None = field(default=None, repr=False)
     diagnostics: ResidualDiagnostics | None = field(default=None, repr=False)
+    shapes: tuple[EffectCurve, ...] = field(default=(), repr=False)
     interrupted: bool = False
     seed: int = 0
     before: tuple[Simulation, ...] = field(default=(), repr=False)
@@ -172,7 +182,8 @@ class Result:
     def tables(self) -> tuple[str, ...]:
         """Names of its tables, those of a run folder's files."""
         optional = (name for name, rows in self.optional_rows().items() if rows)
-        return ("parameters", "errors", "residuals", "trajectories", *optional)
+        shapes = ("shapes",) if self.shapes else ()
+        return ("parameters", "errors", "residuals", "trajectories", *shapes, *optional)
 
     @property
     def status(self) -> str:
@@ -257,6 +268,8 @@ class Result:
             return residual_table(self.problem, self.simulations, self.before)
         if name == "trajectories":
             return trajectory_table(self.problem, self.simulations, self.before)
+        if name == "shapes" and self.shapes:
+            return curve_table(self.shapes)
         rows: dict[str, Sequence[Any]] = {"parameters": self.estimates, "errors": self.errors}
         rows |= self.optional_rows()
         if not rows.get(name) and name not in self.tables:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from workers.messages import FloatArray
 
 
 @dataclass(frozen=True)
@@ -96,3 +100,43 @@ class PointValue:
     value: float
     cost: float
     objectives: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class EffectCurve:
+    """The curve of an effect: what it adds, as a function of the one variable that it depends on.
+
+    Attributes
+    ----------
+    effect, part
+        Its name, and the site: "der(v)". A pair has two of them.
+    variable, variable_unit, unit
+        Its argument, and both units; "" where the FMU names none.
+    x, y, lower, upper : (n,)
+        The curve and its 95 % band, to first order in the coefficients; NaN where the data do not
+        determine one of them.
+    edges : (bins + 1,)
+    counts : (bins,)
+        Samples of the training experiments in each bin.
+    free_x, free_y, free_error : (places,)
+        What the residuals ask for without any form, and its standard error, at a few places; empty
+        where that was not computed.
+    why_not
+        Reason why it has no curve, in a sentence; the arrays are empty then.
+    """
+
+    effect: str
+    part: str
+    variable: str = ""
+    variable_unit: str = ""
+    unit: str = ""
+    x: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    y: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    lower: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    upper: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    edges: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    counts: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    free_x: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    free_y: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    free_error: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    why_not: str = ""

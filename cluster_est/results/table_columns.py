@@ -382,8 +382,8 @@ TABLES = (
     ),
     TableMeaning(
         "shapes",
-        "effect that was added, and place where it acts",
-        IN_LOOPS,
+        "effect that was added or declared, and place where it acts",
+        "in runs of close-loop, and in fits with `[[effects]]`",
         (
             ColumnDescription("effect", TEXT, "", "its name"),
             ColumnDescription("part", TEXT, "", 'where it acts, such as "der(v)"'),
@@ -400,6 +400,11 @@ TABLES = (
                 "edges", NUMBERS, "the variable's", "of the histogram of the training data"
             ),
             ColumnDescription("counts", NUMBERS, "", "samples between two edges"),
+            ColumnDescription("free_x", NUMBERS, "the variable's", "a few places; empty in a fit"),
+            ColumnDescription(
+                "free_y", NUMBERS, "", "what the residuals ask for there without a form, in `unit`"
+            ),
+            ColumnDescription("free_error", NUMBERS, "", "its standard error, in `unit`"),
             ColumnDescription("why_not", TEXT, "", "why it has no shape; the lists are empty then"),
         ),
     ),

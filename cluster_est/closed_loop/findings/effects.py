@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from cluster_est.results.row_types import Estimate
-from workers.messages import Effect, FloatArray, Role
+from workers.messages import Effect, Role
 
 
 class Verdict(enum.StrEnum):
@@ -108,37 +108,3 @@ class ErrorChange:
     rmse_after: float
     normalised_before: float
     normalised_after: float
-
-
-@dataclass(frozen=True)
-class EffectCurve:
-    """The curve of an effect: what it adds, as a function of the one variable that it depends on.
-
-    Attributes
-    ----------
-    effect, part
-        Its name, and the site: "der(v)". A pair has two of them.
-    variable, variable_unit, unit
-        Its argument, and both units; "" where the FMU names none.
-    x, y, lower, upper : (n,)
-        The curve and its 95 % band, to first order in the coefficients; NaN where the data do not
-        determine one of them.
-    edges : (bins + 1,)
-    counts : (bins,)
-        Samples of the training experiments in each bin.
-    why_not
-        Reason why it has no curve, in a sentence; the arrays are empty then.
-    """
-
-    effect: str
-    part: str
-    variable: str = ""
-    variable_unit: str = ""
-    unit: str = ""
-    x: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    y: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    lower: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    upper: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    edges: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    counts: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    why_not: str = ""

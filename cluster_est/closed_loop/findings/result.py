@@ -15,7 +15,6 @@ import pyarrow as pa
 from cluster_est.closed_loop.findings import tables
 from cluster_est.closed_loop.findings.disturbance import UnexplainedResidual
 from cluster_est.closed_loop.findings.effects import (
-    EffectCurve,
     ErrorChange,
     NamedEffect,
     Verdict,
@@ -26,8 +25,10 @@ from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display
 from cluster_est.results import actions
 from cluster_est.results.display_tables import fit_tables
+from cluster_est.results.effect_table import curve_table
 from cluster_est.results.facts import fit_facts
 from cluster_est.results.result import Result
+from cluster_est.results.row_types import EffectCurve
 from workers.messages import FloatArray, Role
 
 if TYPE_CHECKING:  # it needs SymPy, which is slow
@@ -175,7 +176,7 @@ class LoopResult:
         if name == "structures":
             return tables.structure_table(self.structures)
         if name == "shapes":
-            return tables.curve_table(self.curves)
+            return curve_table(self.curves)
         if name == "parameters":
             return tables.parameter_table(self.before.estimates, self.after.estimates)
         if name == "errors":

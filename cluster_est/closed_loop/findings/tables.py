@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.closed_loop.findings.config_block import config_block
-from cluster_est.closed_loop.findings.effects import EffectCurve, ErrorChange, NamedEffect
+from cluster_est.closed_loop.findings.effects import ErrorChange, NamedEffect
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.results.output_errors import OutputError
@@ -48,16 +48,6 @@ STRUCTURES = pa.schema(
         ("effects", pa.list_(pa.string())),
         *((name, pa.float64()) for name in ("criterion", "closed")),
         *((name, pa.bool_()) for name in ("converged", "accepted")),
-    ]
-)
-SHAPES = pa.schema(
-    [
-        *((name, pa.string()) for name in ("effect", "part", "variable", "variable_unit", "unit")),
-        *(
-            (name, pa.list_(pa.float64()))
-            for name in ("x", "y", "lower", "upper", "edges", "counts")
-        ),
-        ("why_not", pa.string()),
     ]
 )
 RENAMED = {"imitated_by": "confounded_with"}
@@ -105,11 +95,6 @@ def effect_table(effects: Sequence[NamedEffect]) -> pa.Table:
         for estimate in effect.coefficients
     ]
     return pa.Table.from_pylist(rows, schema=EFFECTS)
-
-
-def curve_table(curves: Sequence[EffectCurve]) -> pa.Table:
-    """Make a row for each curve of each effect that was added; its points are lists."""
-    return pa.Table.from_pylist([dataclasses.asdict(each) for each in curves], schema=SHAPES)
 
 
 def finding_table(findings: Sequence[CandidateEvidence]) -> pa.Table:

@@ -2,96 +2,209 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from cluster_est.report.blocks import ExplorerBlock, ReportSection, TextBlock, with_unit
-from cluster_est.report.decimate import peaks
-from cluster_est.report.encode import doubles, floats
-from cluster_est.report.folder import ReportedRun
-from cluster_est.report.numbers import count
+from cluster_est.report.blocks import (
+    CurvePanel,
+    PanelsBlock,
+    ReportSection,
+    TextBlock,
+    with_unit,
+)
+from cluster_est.report.drawing import Chart, Dots, Line, Mark, Plot, Rules, Scale
+from cluster_est.report.drawing.decimate import extremes
+from cluster_est.report.drawing.time_unit import TimeUnit, time_unit
+from cluster_est.report.folder import ReportedRun, Row
+from cluster_est.report.numbers import count, digits
 from workers.messages import FloatArray
 
-MOST_POINTS = 80_000
-"""Of all curves together: about 32 bytes each in the page."""
-FEWEST, MOST = 100, 20_000
-"""Points of one output of one experiment."""
+MOST_POINTS = 90_000
+"""Of all curves together: about 7 bytes each in the page."""
+FEWEST, MOST = 20, 600
+"""Columns of one chart, each with the lowest and the highest sample of every curve."""
+MOST_PANELS = 400
+FEW_SAMPLES = 150
+"""Up to so many measured values are dots."""
+CURVES = (("measured", "measured"), ("before", "before"), ("after", "after"))
+"""Names and inks."""
+HEIGHT, RESIDUAL_HEIGHT = 170, 84
+Key = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class OutputCurves:
+    """One output of one experiment: what was measured and simulated, at the measured times.
+
+    `before` is NaN where it is not known; `fine` are the simulated curves with a time of their own.
+    """
+
+    time: FloatArray = field(repr=False)
+    measured: FloatArray = field(repr=False)
+    after: FloatArray = field(repr=False)
+    before: FloatArray = field(repr=False)
+    residual: FloatArray = field(repr=False)
+    fine: tuple[FloatArray, FloatArray, FloatArray] | None = field(default=None, repr=False)
 
 
 def curves(run: ReportedRun) -> ReportSection:
-    """All experiments, of which the page shows one."""
+    """Every output of every experiment as a small chart, the most telling one in large."""
     table = run.residuals
     if table is None or not table.num_rows:
         return ReportSection("curves", "Curves", ())
     measured, simulated = _parts(table), _parts(run.trajectories)
-    units = {row["output"]: row["unit"] for row in run.tables["errors"]}
-    most = int(np.clip(MOST_POINTS / max(1, len(measured)), FEWEST, MOST))
-    found: dict[str, dict[str, Any]] = {}
-    samples, drawn = 0, 0
-    for (experiment, output), part in measured.items():
-        unit = units.get(output, "")
-        panel, size, kept = _panel(part, simulated.get((experiment, output)), output, unit, most)
-        role = part["role"][0].as_py()
-        entry = found.setdefault(experiment, {"id": experiment, "role": role, "outputs": []})
-        entry["outputs"].append(panel)
-        samples, drawn = samples + size, drawn + kept
-    how = (
-        "Every sample is drawn."
-        if samples == drawn
-        else f"Of {count(samples)} samples {count(drawn)} are drawn: the lowest and the highest of "
-        "each curve in each short stretch, so that no peak is lost."
-    )
-    text = TextBlock(f"Before: {run.before}. Drag to zoom, double-click to see all. {how}")
+    known = {key: _curves(part, simulated.get(key)) for key, part in measured.items()}
+    errors = {(row["experiment"], row["output"]): row for row in run.tables["errors"]}
+    roles = {key: str(part["role"][0].as_py()) for key, part in measured.items()}
+    first = _most_telling(errors, list(known))
+    shown = list(known) if len(known) <= MOST_PANELS else _largest(errors, list(known))
+    columns = int(np.clip(MOST_POINTS / (10 * len(shown)), FEWEST, MOST))
+    unit = time_unit(max((_span(each.time) for each in known.values()), default=0.0))
+    panels = [
+        CurvePanel(
+            experiment=key[0],
+            output=key[1],
+            note=_note(roles[key], errors.get(key)),
+            chart=_chart(key, known[key], errors.get(key), unit, columns),
+            first=key == first,
+        )
+        for key in shown
+    ]
+    inks = tuple(each for each in CURVES if _has(known, each[0]))
+    text = TextBlock(_how(run, known, len(shown), columns))
     return ReportSection(
-        "curves", "Measured and simulated", (text, ExplorerBlock(tuple(found.values())))
+        "curves", "Measured and simulated", (text, PanelsBlock(tuple(panels), inks))
     )
 
 
-def _panel(
-    table: pa.Table, finer: pa.Table | None, output: str, unit: str, most: int
-) -> tuple[dict[str, Any], int, int]:
-    """One output of one experiment, with how many samples it has and how many are drawn."""
-    time, measured, after, before = (
-        _column(table, name) for name in ("time", "measured", "simulated", "simulated_before")
-    )
-    panel: dict[str, Any] = {"name": output, "label": with_unit(output, unit), "unit": unit}
-    if not np.isfinite(time).any():  # a distance to a curve belongs to no time
-        distances = _column(table, "residual")
-        kept = peaks([distances], most)
-        panel |= {"segment": doubles(kept.astype(float)), "distance": floats(distances[kept])}
-        return panel, len(distances), len(kept)
-    curves = [c for c in (measured, after, before, measured - after) if np.isfinite(c).any()]
-    kept = peaks(curves, most)
-    panel |= {"t": doubles(time[kept]), "measured": floats(measured[kept])}
-    for name, curve in (("after", after), ("before", before)):
+def _how(run: ReportedRun, known: Mapping[Key, OutputCurves], shown: int, columns: int) -> str:
+    """Say what is drawn and what is left out."""
+    said = f"Before: {run.before}. The lower part of each chart is measured less simulated."
+    longest = max(len(each.measured) for each in known.values())
+    if longest > 2 * columns + 2:
+        samples = sum(len(each.measured) for each in known.values())
+        said += (
+            f" Of {count(samples)} measured values, each of {columns} columns of a chart shows the "
+            "lowest and the highest, so that no peak is lost; on zooming in, no others appear."
+        )
+    else:
+        said += " Every sample is drawn."
+    if shown < len(known):
+        said += f" Of {count(len(known))} charts the {shown} with the largest errors are drawn."
+    return said
+
+
+def _has(known: Mapping[Key, OutputCurves], name: str) -> bool:
+    return any(np.isfinite(getattr(each, name)).any() for each in known.values())
+
+
+def _size(row: Row | None, name: str) -> float:
+    value = math.nan if row is None else row[name]
+    return -1.0 if value is None or math.isnan(value) else float(value)
+
+
+def _most_telling(errors: Mapping[Key, Row], keys: Sequence[Key]) -> Key:
+    """Where the error has changed most."""
+
+    def change(key: Key) -> float:
+        row = errors.get(key)
+        return abs(_size(row, "normalised_before") - _size(row, "normalised_after"))
+
+    return max(keys, key=change)
+
+
+def _largest(errors: Mapping[Key, Row], keys: Sequence[Key]) -> list[Key]:
+    """Those with the largest errors, in their order."""
+    ranked = sorted(keys, key=lambda key: -_size(errors.get(key), "normalised_after"))
+    kept = set(ranked[:MOST_PANELS])
+    return [key for key in keys if key in kept]
+
+
+def _note(role: str, row: Row | None) -> str:
+    parts = ["held out"] if role == "test" else []
+    if row is not None:
+        unit = f" {row['unit']}" if row["unit"] else ""
+        before, after = digits(row["rmse_before"], 3), digits(row["rmse_after"], 3)
+        parts.append(f"error {before} \u2192 {after}{unit}")
+    return ", ".join(parts)
+
+
+def _chart(key: Key, each: OutputCurves, row: Row | None, unit: TimeUnit, columns: int) -> Chart:
+    """The chart of one output of one experiment."""
+    name, quantity = " of ".join(reversed(key)), row["unit"] if row is not None else ""
+    if not np.isfinite(each.time).any():
+        return _distances(name, each, columns)
+    time = each.time / unit.seconds
+    upper: list[Mark] = [_thinned("measured", time, each.measured, columns)]
+    if len(time) <= FEW_SAMPLES:
+        upper = [Dots("measured", "measured", time, each.measured)]
+    lower: list[Mark] = [Rules("", "faint", y=(0.0,))]
+    fine_time, fine_after, fine_before = each.fine or (each.time, each.after, each.before)
+    for label, curve, fine in (
+        ("before", each.before, fine_before),
+        ("after", each.after, fine_after),
+    ):
         if np.isfinite(curve).any():
-            panel[name] = floats(curve[kept])
-            panel[f"{name}_residual"] = floats(measured[kept] - curve[kept])
-    panel |= _finer(finer, len(time), most)
-    return panel, len(time), len(kept)
+            upper.append(_thinned(label, fine_time / unit.seconds, fine, columns))
+            lower.append(_thinned(label, time, each.measured - curve, columns))
+    x = Scale.around(time, fine_time / unit.seconds, margin=0.0)
+    values = (each.measured, fine_after, fine_before)
+    rest = (each.measured - each.after, each.measured - each.before)
+    plots = (
+        Plot(f"{name}: measured and simulated over time", with_unit(key[1], quantity), x,
+             Scale.around(*values), upper, HEIGHT),
+        Plot(f"{name}: measured less simulated over time", with_unit("residual", quantity), x,
+             Scale.around(*rest, np.zeros(1)), lower, RESIDUAL_HEIGHT),
+    )  # fmt: skip
+    return Chart(plots, f"time ({unit.name})", legend=False, across=5)
 
 
-def _finer(table: pa.Table | None, samples: int, most: int) -> dict[str, Any]:
-    """The simulated curves between the measured times, where they are known there."""
-    if table is None or table.num_rows <= samples:
-        return {}
-    time = _column(table, "time")
-    found = {
-        n: _column(table, c) for n, c in (("after", "simulated"), ("before", "simulated_before"))
-    }
-    found = {name: curve for name, curve in found.items() if np.isfinite(curve).any()}
-    if not found:
-        return {}
-    kept = peaks(list(found.values()), most)
-    more = {f"{name}_fine": floats(curve[kept]) for name, curve in found.items()}
-    return {"t_fine": doubles(time[kept]), **more}
+def _distances(name: str, each: OutputCurves, columns: int) -> Chart:
+    """Of a curve without times: how far each of its segments is from what was simulated."""
+    segment = np.arange(len(each.residual), dtype=float)
+    marks = [_thinned("after", segment, each.residual, columns)]
+    plot = Plot(
+        f"{name}: distance of each segment",
+        "distance, relative",
+        Scale.around(segment, margin=0.0),
+        Scale.around(each.residual, np.zeros(1)),
+        marks,
+        HEIGHT + RESIDUAL_HEIGHT,
+    )
+    return Chart((plot,), "segment", legend=False, across=5)
 
 
-def _parts(table: pa.Table | None) -> dict[tuple[str, str], pa.Table]:
+def _thinned(name: str, x: FloatArray, y: FloatArray, columns: int) -> Line:
+    kept = extremes(x, y, columns)
+    return Line(name, name, x[kept], y[kept])
+
+
+def _span(time: FloatArray) -> float:
+    known = time[np.isfinite(time)]
+    return float(np.ptp(known)) if len(known) else 0.0
+
+
+def _curves(table: pa.Table, finer: pa.Table | None) -> OutputCurves:
+    """The rows of one output of one experiment as curves."""
+    time, measured, after, before, residual = (
+        _column(table, name)
+        for name in ("time", "measured", "simulated", "simulated_before", "residual")
+    )
+    fine = None
+    if finer is not None and finer.num_rows > len(time):
+        own, *both = (_column(finer, n) for n in ("time", "simulated", "simulated_before"))
+        if np.isfinite(both[0]).any():
+            fine = own, both[0], both[1]
+    return OutputCurves(time, measured, after, before, residual, fine)
+
+
+def _parts(table: pa.Table | None) -> dict[Key, pa.Table]:
     """The rows of each output of each experiment, which stand behind each other in the table."""
     if table is None or not {"experiment", "output"} <= set(table.column_names):
         return {}
@@ -100,7 +213,7 @@ def _parts(table: pa.Table | None) -> dict[tuple[str, str], pa.Table]:
     ]
     codes = np.array([np.asarray(each.indices) for each in encoded])
     changes = np.flatnonzero((codes[:, 1:] != codes[:, :-1]).any(axis=0)) + 1
-    found: dict[tuple[str, str], pa.Table] = {}
+    found: dict[Key, pa.Table] = {}
     for begin, end in pairwise([0, *changes.tolist(), table.num_rows]):
         key = tuple(str(each[begin].as_py()) for each in encoded)
         part = table.slice(begin, end - begin)

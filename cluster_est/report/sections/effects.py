@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.report.blocks import (
     Block,
-    FigureBlock,
     ItemsBlock,
     ReportSection,
     SourceBlock,
     TableBlock,
     TableCell,
     TextBlock,
-    axis,
     cells,
     columns,
-    with_unit,
 )
-from cluster_est.report.encode import short
 from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import beside, digits, interval
+from cluster_est.report.sections.shapes import shape_figure
 
-MARGIN = 1.5
-"""Heights of a curve by which its band may be drawn beyond it: a wide one would hide it."""
+COEFFICIENTS = columns("coefficient", "#value", "#95 % interval", "unit", "")
 
 
 def effects(run: ReportedRun) -> ReportSection:
@@ -34,6 +30,10 @@ def effects(run: ReportedRun) -> ReportSection:
     blocks: list[Block] = []
     for effect in run.facts.get("effects") or []:
         blocks += _effect(run, effect)
+    found = {effect["name"] for effect in run.facts.get("effects") or []}
+    shapes = [row for row in run.tables["shapes"] if row["effect"] not in found]
+    for name in dict.fromkeys(row["effect"] for row in shapes):
+        blocks += _declared(run, name, [row for row in shapes if row["effect"] == name])
     rejected = run.facts.get("rejected") or []
     if rejected:
         blocks.append(
@@ -46,11 +46,11 @@ def effects(run: ReportedRun) -> ReportSection:
             for e in rejected
         ]
         blocks.append(TableBlock(columns("site", "form", "equation"), tuple(rows)))
-    return ReportSection("effects", "What the model lacked", tuple(blocks))
+    title = "What the model lacked" if run.is_loop else "Effects that were declared"
+    return ReportSection("effects", title, tuple(blocks))
 
 
 def _effect(run: ReportedRun, effect: Row) -> list[Block]:
-    names = columns("coefficient", "#value", "#95 % interval", "unit", "")
     rows = []
     for name, row in effect["parameters"].items():
         low, high = row["lower95"], row["upper95"]
@@ -68,51 +68,41 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
     blocks: list[Block] = [
         TextBlock(f"{effect['name']}: {effect['family']} at {effect['site']}", kind="heading"),
         TextBlock(effect["equation"], kind="equation"),
-        TableBlock(names, tuple(rows)),
+        TableBlock(COEFFICIENTS, tuple(rows)),
     ]
     evidence = tuple(effect.get("evidence") or ())
     blocks += [ItemsBlock(evidence)] if evidence else []
     shapes = [row for row in run.tables["shapes"] if row["effect"] == effect["name"]]
-    blocks += [_curve(row, i) for i, row in enumerate(shapes) if not row["why_not"]]
-    blocks += [TextBlock(f"No shape is drawn: {row['why_not']}.", "faint")
-               for row in shapes if row["why_not"]]  # fmt: skip
+    blocks += _shapes(shapes)
     if not shapes:
         blocks.append(TextBlock("This run's folder holds no shapes to draw.", "faint"))
     blocks.append(SourceBlock("As a block for a config", effect["config"]))
     return blocks
 
 
-def _curve(row: Row, number: int) -> FigureBlock:
-    x, y, low, high = (np.array(row[name], float) for name in ("x", "y", "lower", "upper"))
-    traces: list[dict[str, Any]] = []
-    height = float(np.nanmax(y) - np.nanmin(y)) or abs(float(y[0])) or 1.0
-    floor, ceiling = float(np.nanmin(y)) - MARGIN * height, float(np.nanmax(y)) + MARGIN * height
-    known = bool(np.isfinite(low).all() and np.isfinite(high).all())
-    wide = known and bool((low < floor).any() or (high > ceiling).any())
-    if known:
-        hidden = {"mode": "lines", "line": {"width": 0}, "x": short(x), "hoverinfo": "skip"}
-        low, high = np.clip(low, floor, ceiling), np.clip(high, floor, ceiling)
-        traces.append({**hidden, "y": short(low), "showlegend": False})
-        name = "95 % band, cut off" if wide else "95 % band"
-        traces.append({**hidden, "y": short(high), "fill": "tonexty", "fillcolor": "$band",
-                       "name": name})  # fmt: skip
-    line = {"color": "$after", "width": 2}
-    traces.append({"x": short(x), "y": short(y), "mode": "lines", "line": line, "name": "effect"})
-    edges = np.array(row["edges"], float)
-    middles, width = 0.5 * (edges[1:] + edges[:-1]), float(edges[1] - edges[0])
-    bars = {"type": "bar", "x": short(middles), "y": row["counts"], "width": width, "yaxis": "y2"}
-    traces.append({**bars, "marker": {"color": "$faint"}, "name": "samples", "showlegend": False})
-    over = with_unit(row["variable"], row["variable_unit"])
-    layout = {
-        "xaxis": axis(over, anchor="y2"),
-        "yaxis": axis(with_unit(row["part"], row["unit"]), domain=[0.3, 1.0]),
-        "yaxis2": axis("samples", domain=[0.0, 0.2], anchor="x", nticks=3),
-        "bargap": 0,
-    }
-    title = f"{row['part']} over {over}, where the training data were"
-    if not known:
-        title += "; the data do not determine every coefficient, so there is no band"
-    return FigureBlock(f"shape-{row['effect']}-{number}", title, traces, layout, 320)
+def _shapes(rows: Sequence[Row]) -> list[Block]:
+    """The shapes of one effect, and why there are none."""
+    blocks: list[Block] = [shape_figure(row, i) for i, row in enumerate(rows) if not row["why_not"]]
+    missing = dict.fromkeys(row["why_not"] for row in rows if row["why_not"])
+    return [*blocks, *(TextBlock(f"No shape is drawn: {why}.", "faint") for why in missing)]
+
+
+def _declared(run: ReportedRun, name: str, shapes: Sequence[Row]) -> list[Block]:
+    """An effect that the config declares: its coefficients and its shapes."""
+    own = [row for row in run.tables["parameters"] if row["parameter"].startswith(f"{name}.")]
+    rows = tuple(
+        cells(
+            TableCell(row["label"].removeprefix(f"{name}."), code=True),
+            beside(row["value"], row["upper95"] - row["lower95"]),
+            interval(row["lower95"], row["upper95"]),
+            row["unit"],
+            TableCell("held" if row["estimated_on"] == "known" else "", "faint"),
+        )
+        for row in own
+    )
+    places = ", ".join(dict.fromkeys(row["part"] for row in shapes))
+    table = TableBlock(COEFFICIENTS, rows)
+    return [TextBlock(f"{name} at {places}", kind="heading"), table, *_shapes(shapes)]
 
 
 def candidates(run: ReportedRun) -> ReportSection:

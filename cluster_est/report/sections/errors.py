@@ -30,8 +30,8 @@ def errors(run: ReportedRun) -> ReportSection:
         return ReportSection("errors", "Errors", ())
     blocks: list[Block] = [
         TextBlock(
-            f"Root mean square of measured less simulated. Before: {run.before}. The last column "
-            "is the error as a share of the measured signal's standard deviation."
+            f"Root mean square of measured less simulated. Before: {run.before}. Of the signal: "
+            "the error after as a share of the measured signal's standard deviation."
         )
     ]
     outputs = list(dict.fromkeys((row["output"], row["role"]) for row in rows))
@@ -47,8 +47,8 @@ def _table(
     caption: str, groups: Sequence[Sequence[Row]], *, pooled: bool = False, folded: bool = False
 ) -> TableBlock:
     first = "#experiments" if pooled else "experiment"
-    names = columns("output", "", first, "#samples", "#before", "#after", "unit", "#change",
-                    "#of the signal")  # fmt: skip
+    names = columns("output", "", first, "#before", "#after", "unit", "#change",
+                    "#of the signal", "#samples")  # fmt: skip
     lines = []
     for group in groups:
         before, after = (_pooled(group, f"rmse_{when}") for when in ("before", "after"))
@@ -58,12 +58,12 @@ def _table(
                 TableCell(group[0]["output"], code=True),
                 TableCell(ROLES.get(str(group[0]["role"]), ""), "faint"),
                 who,
-                count(sum(row["samples"] for row in group)),
                 digits(before),
                 digits(after),
                 group[0]["unit"],
                 _change(before, after),
                 percent(_pooled(group, "relative_after")),
+                count(sum(row["samples"] for row in group)),
             )
         )
     return TableBlock(names, tuple(lines), caption, folded)

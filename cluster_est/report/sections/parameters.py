@@ -8,19 +8,19 @@ import numpy as np
 
 from cluster_est.report.blocks import (
     Block,
-    FigureBlock,
     ItemsBlock,
+    MapBlock,
+    MapCell,
     ReportSection,
     TableBlock,
     TableCell,
     TextBlock,
     cells,
     columns,
-    plain,
 )
-from cluster_est.report.encode import short
 from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import MINUS, beside, compact, digits, interval, percent
+from workers.messages import FloatArray
 
 MOST_IN_MAP = 60
 MOST_OPEN = 30
@@ -165,41 +165,30 @@ def _two_places(value: float) -> str:
     )
 
 
-def _map(labels: list[str], rows: tuple[Row, ...]) -> FigureBlock:
+def _map(labels: list[str], rows: tuple[Row, ...]) -> MapBlock:
     place = {label: i for i, label in enumerate(labels)}
     matrix = np.full((len(labels), len(labels)), np.nan)
     for row in rows:
         if row["label"] in place and row["other"] in place:
             i, j = sorted((place[row["label"]], place[row["other"]]))
             matrix[j, i] = row["correlation"]
-    matrix = matrix[1:, :-1]  # below the diagonal: the rest says the same again
     small = len(labels) <= 14
-    named = [plain(label) for label in labels]
-    trace = {
-        "type": "heatmap",
-        "z": [short(line) for line in matrix],
-        "x": list(range(len(labels) - 1)),
-        "y": list(range(1, len(labels))),
-        "zmin": -1,
-        "zmax": 1,
-        "xgap": 1,
-        "ygap": 1,
-        "colorscale": "$diverging",
-        "hoverongaps": False,
-        "text": [[_two_places(v) for v in line] for line in matrix],
-        "customdata": [[[a, b] for a in named[:-1]] for b in named[1:]],
-        "hovertemplate": "%{customdata[1]}, %{customdata[0]}: %{text}<extra></extra>",
-        "colorbar": {"thickness": 10, "outlinewidth": 0, "tickvals": [-1, 0, 1]},
-    }
-    if small:
-        trace["texttemplate"] = "%{text}"
-    angle = 0 if sum(map(len, labels)) < 90 else -40
-    ticks = {"showgrid": False, "zeroline": False, "showline": False, "ticks": ""}
-    layout = {
-        "xaxis": {**ticks, "tickvals": trace["x"], "ticktext": named[:-1], "tickangle": angle},
-        "yaxis": {**ticks, "tickvals": trace["y"], "ticktext": named[1:], "autorange": "reversed"},
-        "hovermode": "closest",
-        "dragmode": False,
-    }
-    size = 26 if small else 18
-    return FigureBlock("correlations", "Correlations", [trace], layout, 150 + size * len(labels))
+    lines = tuple(
+        (labels[j], tuple(_cell(labels, matrix, i, j, small=small) for i in range(len(labels) - 1)))
+        for j in range(1, len(labels))  # below the diagonal: the rest says the same again
+    )
+    return MapBlock(
+        "Correlations",
+        tuple(labels[:-1]),
+        lines,
+        "How far an error of one estimate goes with an error of another: where the size is near 1, "
+        "the data hardly tell the two apart.",
+    )
+
+
+def _cell(labels: list[str], matrix: FloatArray, i: int, j: int, *, small: bool) -> MapCell:
+    value = float(matrix[j, i])
+    if i >= j or not math.isfinite(value):
+        return MapCell(None)
+    text = _two_places(value)
+    return MapCell(value, text if small else "", f"{labels[j]}, {labels[i]}: {text}")

@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -17,12 +16,10 @@ from cluster_est.report.blocks import (
     TableBlock,
     TableCell,
     TextBlock,
-    axis,
     cells,
     columns,
-    plain,
 )
-from cluster_est.report.encode import short
+from cluster_est.report.drawing import Chart, Dots, Line, Plot, Rules, Scale
 from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import digits
 
@@ -32,8 +29,8 @@ AFTERWARDS = ("derivatives", "profile", "bootstrap")
 """How the names of searches begin that look around a solution."""
 MOST_POINTS = 3000
 SMALL_MULTIPLES = 12
-LOG_FROM = 10.0
-"""Ratio of the costs beyond which their axis is logarithmic."""
+FEW_POINTS, MOST_NAMED, SERIES = 60, 12, 8
+PATH_NOTE = "The best way down is steep and then level; one that still falls has not ended."
 
 
 def search(run: ReportedRun) -> ReportSection:
@@ -59,27 +56,19 @@ def _convergence(run: ReportedRun) -> list[Block]:
     names = sorted(searches, key=lambda name: (best[name], name))[:MOST_LINES]
     lead = next((n for n in ("train", "final", "base", *names) if n in searches), names[0])
     order = [name for name in searches if name in names and name != lead] + [lead]
-    traces = [
-        {
-            "x": [row["evaluations"] for row in searches[name]],
-            "y": short(np.array([row["cost"] for row in searches[name]], float)),
-            "name": plain(name),
-            "mode": "lines+markers" if len(searches[name]) < 60 else "lines",
-            "marker": {"size": 4},
-            "line": {"width": 2 if name == lead else 1, "shape": "hv"},
-            **({"line": {"color": "$after", "width": 2, "shape": "hv"}} if name == lead else {}),
-        }
-        for name in order
-    ]
-    costs = [row["cost"] for name in order for row in searches[name]]
-    layout = {
-        "xaxis": axis("evaluations of the search"),
-        "yaxis": _cost_axis(costs),
-        "hovermode": "closest",
-        "showlegend": 1 < len(order) <= 12,
-    }
+    marks: list[Line | Dots] = []
+    for number, name in enumerate(order):
+        x = np.array([row["evaluations"] for row in searches[name]], float)
+        y = np.array([row["cost"] for row in searches[name]], float)
+        ink = "after" if name == lead else f"series-{number % SERIES}"
+        marks.append(Line(name, ink, x, y, steps=True))
+        if len(x) < FEW_POINTS:
+            marks.append(Dots("", ink, x, y))
     shown = "" if len(names) == len(searches) else f", the best {len(names)} of {len(searches)}"
-    return [FigureBlock("convergence", f"Cost over evaluations{shown}", traces, layout)]
+    title = f"Cost over evaluations{shown}"
+    plot = _plot(title, "cost", marks)
+    chart = Chart((plot,), "evaluations of the search", legend=1 < len(order) <= MOST_NAMED)
+    return [FigureBlock("convergence", title, chart, PATH_NOTE)]
 
 
 def _begins_again(rows: Sequence[Row]) -> bool:
@@ -95,39 +84,33 @@ def _all_searches(run: ReportedRun) -> list[Block]:
         if math.isfinite(row["cost"])
     ]
     rows = rows[:: max(1, len(rows) // MOST_POINTS)]
-    traces = [
-        {
-            "x": [number for number, row in rows if row["search"] == name],
-            "y": short(np.array([row["cost"] for _, row in rows if row["search"] == name], float)),
-            "name": plain(name),
-            "mode": "markers",
-            "marker": {"size": 5, "opacity": 0.7},
-        }
-        for name in dict.fromkeys(row["search"] for _, row in rows)
-    ]
-    if not traces:
+    if not rows:
         return [
             TextBlock("The folder does not tell its searches apart, so none is drawn.", "faint")
         ]
-    layout = {
-        "xaxis": axis("iterations of all searches, in their order"),
-        "yaxis": _cost_axis([row["cost"] for _, row in rows]),
-        "hovermode": "closest",
-        "showlegend": len(traces) <= 12,
-    }
-    return [FigureBlock("convergence", "Costs of all searches", traces, layout, 360)]
+    marks = []
+    for place, name in enumerate(dict.fromkeys(row["search"] for _, row in rows)):
+        own = [(number, row["cost"]) for number, row in rows if row["search"] == name]
+        x, y = (np.array(values, float) for values in zip(*own, strict=True))
+        marks.append(Dots(name, f"series-{place % SERIES}", x, y))
+    title = "Costs of all searches"
+    chart = Chart(
+        (_plot(title, "cost", marks),),
+        "iterations of all searches, in their order",
+        legend=len(marks) <= MOST_NAMED,
+    )
+    note = (
+        "A closed loop makes many searches. Each dot is an iteration of one of them: the lower it "
+        "is, the better that model fits the training experiments."
+    )
+    return [FigureBlock("convergence", title, chart, note)]
 
 
-def _cost_axis(costs: Sequence[float], title: str = "cost") -> dict[str, Any]:
-    """Logarithmic where the costs span much."""
-    low, high = min(costs), max(costs)
-    if low > 0.0 and high / low > LOG_FROM:
-        return axis(
-            title, type="log", exponentformat="power", dtick=1 if high / low > 100 else "D2"
-        )
-    if high - low < 1e-3 * abs(high):  # nothing but rounding would fill the axis
-        return axis(title, range=sorted((0.5 * low, 1.5 * high)))
-    return axis(title)
+def _plot(title: str, label: str, marks: Sequence[Line | Dots], height: int = 260) -> Plot:
+    """A plot around lines and dots, logarithmic upwards where the values span much."""
+    x = Scale.around(*(mark.x for mark in marks))
+    y = Scale.around(*(mark.y for mark in marks), may_be_log=True)
+    return Plot(title, label, x, y, marks, height)
 
 
 def _starts(run: ReportedRun) -> list[Block]:
@@ -136,34 +119,22 @@ def _starts(run: ReportedRun) -> list[Block]:
         return []
     ended = sorted((r for r in rows if r["cost"] is not None and math.isfinite(r["cost"])),
                    key=lambda r: (r["cost"], r["start"]))  # fmt: skip
-    traces = []
-    for sign, name, colour in (
-        (0, "best minimum", "$after"),
-        (1, "other minima", "$before"),
-        (-1, "no minimum", "$muted"),
+    marks = []
+    for sign, name, ink in (
+        (0, "best minimum", "after"),
+        (1, "other minima", "before"),
+        (-1, "no minimum", "faint"),
     ):
-        own = [(i + 1, r) for i, r in enumerate(ended) if np.sign(r["minimum"]) == sign]
+        own = [(i + 1.0, r["cost"]) for i, r in enumerate(ended) if np.sign(r["minimum"]) == sign]
         if own:
-            traces.append(
-                {
-                    "x": [i for i, _ in own],
-                    "y": short(np.array([r["cost"] for _, r in own], float)),
-                    "text": [f"start {r['start']}, {plain(r['ending'])}" for _, r in own],
-                    "hovertemplate": "%{text}: %{y}<extra></extra>",
-                    "mode": "markers",
-                    "marker": {"color": colour, "size": 7},
-                    "name": name,
-                }
-            )
+            x, y = (np.array(values, float) for values in zip(*own, strict=True))
+            marks.append(Dots(name, ink, x, y))
     blocks: list[Block] = []
-    if traces:
-        layout = {
-            "xaxis": axis("starts, the best first", dtick=max(1, len(ended) // 10)),
-            "yaxis": _cost_axis([r["cost"] for r in ended]),
-            "hovermode": "closest",
-        }
+    if marks:
         title = f"Waterfall of {len(rows)} starts"
-        blocks.append(FigureBlock("waterfall", title, traces, layout, 280))
+        chart = Chart((_plot(title, "cost", marks),), "starts, the best first")
+        note = "A level step at the left is one minimum that many starts have reached."
+        blocks.append(FigureBlock("waterfall", title, chart, note))
     return [*blocks, *_minima(run, rows)]
 
 
@@ -194,26 +165,18 @@ def _profiles(run: ReportedRun) -> list[Block]:
     blocks: list[Block] = []
     for number, label in enumerate(labels[:SMALL_MULTIPLES]):
         own = sorted((r for r in rows if r["label"] == label), key=lambda r: r["value"])
-        traces = [
-            {
-                "x": short(np.array([r["value"] for r in own], float)),
-                "y": short(np.array([r["cost"] for r in own], float)),
-                "mode": "lines+markers",
-                "marker": {"size": 4},
-                "line": {"color": "$after"},
-                "name": "profile",
-                "showlegend": False,
-            }
-        ]
+        x = np.array([r["value"] for r in own], float)
+        y = np.array([r["cost"] for r in own], float)
         found = ends.get(label, {"lower": None, "upper": None})
-        shapes = [
-            {"type": "line", "x0": end, "x1": end, "y0": 0, "y1": 1, "yref": "paper",
-             "line": {"color": "$muted", "dash": "dot", "width": 1}}
-            for end in (found["lower"], found["upper"])
-            if end is not None and math.isfinite(end)
-        ]  # fmt: skip
-        layout = {"xaxis": axis(label), "yaxis": axis("cost"), "shapes": shapes}
-        blocks.append(FigureBlock(f"profile-{number}", f"Profile of {label}", traces, layout, 240))
+        known = [e for e in (found["lower"], found["upper"]) if e is not None and math.isfinite(e)]
+        marks = [
+            Rules("ends of the interval", "faint", known),
+            Line("profile", "after", x, y),
+            Dots("", "after", x, y),
+        ]
+        title = f"Profile of {label}"
+        plot = Plot(title, "cost", Scale.around(x), Scale.around(y), marks, 170)
+        blocks.append(FigureBlock(f"profile-{number}", title, Chart((plot,), label, legend=False)))
     if len(labels) > SMALL_MULTIPLES:
         blocks.append(TextBlock(f"{SMALL_MULTIPLES} of {len(labels)} profiles are drawn.", "faint"))
     return blocks
@@ -224,17 +187,7 @@ def _front(run: ReportedRun) -> list[Block]:
     if not points or min(map(len, points.values())) < 2:
         return []
     first, second = ([values[i] for values in points.values()] for i in (0, 1))
-    trace = {
-        "x": short(np.array(first, float)),
-        "y": short(np.array(second, float)),
-        "text": [f"point {p}" for p in points],
-        "mode": "markers",
-        "marker": {"color": "$after", "size": 6},
-        "name": "front",
-    }
-    layout = {
-        "xaxis": axis("first objective"),
-        "yaxis": axis("second objective"),
-        "hovermode": "closest",
-    }
-    return [FigureBlock("front", f"Front of {len(points)} points", [trace], layout)]
+    marks = [Dots("front", "after", np.array(first, float), np.array(second, float))]
+    title = f"Front of {len(points)} points"
+    plot = _plot(title, "second objective", marks)
+    return [FigureBlock("front", title, Chart((plot,), "first objective", legend=False))]

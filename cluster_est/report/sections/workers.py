@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from cluster_est.report.activity import busy_shares, without_breaks
 from cluster_est.report.blocks import (
     Block,
@@ -12,12 +10,12 @@ from cluster_est.report.blocks import (
     TableBlock,
     TableCell,
     TextBlock,
-    axis,
     cells,
     columns,
-    plain,
 )
-from cluster_est.report.encode import short
+from cluster_est.report.drawing import Cells, Chart, Plot, Scale
+from cluster_est.report.drawing.chart import gutter
+from cluster_est.report.drawing.time_unit import time_unit
 from cluster_est.report.folder import ReportedRun
 from cluster_est.report.numbers import count, duration, percent
 
@@ -57,33 +55,25 @@ def _time_line(run: ReportedRun) -> list[Block]:
         return []
     activity, idle = without_breaks(activity)
     edges, shares = busy_shares(activity, BINS)
-    middles = 0.5 * (edges[1:] + edges[:-1])
     order = sorted(range(len(activity.workers)), key=lambda i: activity.workers[i])[:MOST_WORKERS]
-    names = [plain(activity.workers[i]) for i in order]
-    trace = {
-        "type": "heatmap",
-        "x": short(middles),
-        "y": list(range(len(order))),
-        "z": [short(np.round(shares[i], 3)) for i in order],
-        "zmin": 0,
-        "zmax": 1,
-        "ygap": 2,
-        "colorscale": "$sequential",
-        "colorbar": {"thickness": 10, "outlinewidth": 0, "tickvals": [0, 0.5, 1],
-                     "ticktext": ["idle", "half", "busy"]},
-        "hovertemplate": "%{x:.4g} s: busy %{z:.0%}<extra></extra>",
-    }  # fmt: skip
-    layout = {
-        "xaxis": axis("s since the first simulation began", showgrid=False),
-        "yaxis": {"tickvals": trace["y"], "ticktext": names, "autorange": "reversed",
-                  "showgrid": False, "zeroline": False},
-        "hovermode": "closest",
-    }  # fmt: skip
+    names = [activity.workers[i] for i in order]
     shown = "" if len(order) == len(activity.workers) else f", {len(order)} of them"
-    height = 120 + max(22, min(44, 400 // len(order))) * len(order)
     cut = f"; breaks of {duration(idle)} are cut out" if idle else ""
     title = f"When the workers were busy{shown}{cut}"
-    return [FigureBlock("time-line", title, [trace], layout, height)]
+    unit = time_unit(float(edges[-1]))
+    seconds = edges / unit.seconds
+    plot = Plot(
+        title,
+        "",
+        Scale.around(seconds, margin=0.0),
+        Scale(len(order) - 0.5, -0.5),
+        [Cells("busy", "after", seconds, shares[order])],
+        max(22, min(44, 400 // len(order))) * len(order),
+        names,
+    )
+    below = f"{unit.name} since the first simulation began; the darker, the busier"
+    chart = Chart((plot,), below, legend=False, gutter=gutter(names), zooms=False)
+    return [FigureBlock("time-line", title, chart)]
 
 
 def _table(run: ReportedRun) -> list[Block]:

@@ -1,189 +1,235 @@
-// Draws what the page holds: nothing is fetched, and a plot is drawn when it comes into view.
+// Shows values under the pointer, zooms and enlarges; everything is drawn already, and nothing is fetched.
 "use strict";
 (() => {
-  const data = JSON.parse(document.getElementById("data").textContent);
-  const dark = window.matchMedia("(prefers-color-scheme: dark)");
-  const printing = window.matchMedia("print");
-  const PAPER = 660; // pixels between the margins of A4 or Letter
-  const NARROW = 520;
-  let onPaper = false;
-  const drawn = new Map();
+  const UNITS = 10000; // places across a plot and up a plot, as in its paths
+  const points = new WeakMap();
 
-  function colours() {
-    const style = getComputedStyle(document.documentElement);
-    const found = {};
-    for (const name of ["page", "line", "text", "muted", "faint", "measured", "before", "after", "band"]) {
-      found["$" + name] = style.getPropertyValue("--" + name).trim();
+  // ---- scales: whole[0] is the value at the low end of a plot as drawn, whole[1] at its high end
+
+  function scaleOf(text) {
+    const [low, high, log] = text.split(" ");
+    return log ? { low: Math.log10(low), high: Math.log10(high), log: true } : { low: +low, high: +high };
+  }
+  const valueAt = (scale, place) => {
+    const value = scale.low + (place / UNITS) * (scale.high - scale.low);
+    return scale.log ? 10 ** value : value;
+  };
+  function shown(value, span) {
+    const digits = Math.max(1, Math.min(9, Math.ceil(Math.log10(Math.abs(value) / (span / 2000) + 1e-300)) || 1));
+    return String(Number(value.toPrecision(digits))).replace("-", "\u2212");
+  }
+  function ticks(low, high, count) {
+    const raw = (high - low) / (1.35 * count), power = 10 ** Math.floor(Math.log10(raw));
+    const step = [1, 2, 5, 10].map((each) => each * power).find((each) => each >= raw * (1 - 1e-9));
+    const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+    const found = [];
+    for (let i = Math.ceil(low / step); i <= Math.floor(high / step); i += 1) {
+      const text = i === 0 ? "0" : Math.abs(i * step) < 1e5 && decimals < 7 ? (i * step).toFixed(decimals) : String(Number((i * step).toPrecision(8)));
+      found.push([i * step, text.replace("-", "\u2212")]);
     }
-    found["$diverging"] = [[0, found["$before"]], [0.5, found["$page"]], [1, found["$after"]]];
-    found["$sequential"] = [[0, found["$line"]], [1, found["$after"]]];
     return found;
   }
 
-  function themed(value, theme) {
-    if (typeof value === "string") return value in theme ? theme[value] : value;
-    if (Array.isArray(value)) return value.map((each) => themed(each, theme));
-    if (value === null || typeof value !== "object" || ArrayBuffer.isView(value)) return value;
-    return Object.fromEntries(Object.entries(value).map(([key, each]) => [key, themed(each, theme)]));
-  }
+  // ---- points of a path, read back once
 
-  // Base64 of little-endian numbers; 32-bit ones are differences from an offset.
-  function numbers(packed) {
-    const text = atob(packed.f8 ?? packed.f4);
-    const bytes = Uint8Array.from(text, (sign) => sign.charCodeAt(0));
-    if (packed.f8 !== undefined) return new Float64Array(bytes.buffer);
-    return Float64Array.from(new Float32Array(bytes.buffer), (each) => each + packed.offset);
-  }
-
-  function layoutOf(own, theme, height) {
-    const axes = {};
-    for (const name of Object.keys(own).filter((key) => /^[xy]axis\d*$/.test(key))) {
-      axes[name] = {
-        gridcolor: theme["$line"], zerolinecolor: theme["$line"], linecolor: theme["$faint"],
-        automargin: true, ...own[name],
-        title: { font: { size: 12, color: theme["$muted"] }, standoff: 8, ...own[name].title },
-      };
+  function pointsOf(path) {
+    if (points.has(path)) return points.get(path);
+    const found = [];
+    for (const part of path.getAttribute("d").split("M").slice(1)) {
+      const numbers = (part.match(/-?\d+/g) || []).map(Number);
+      if (part.includes("h")) numbers.length = 2;
+      let x = 0, y = 0;
+      for (let i = 0; i + 1 < numbers.length; i += 2) found.push([(x += numbers[i]), UNITS - (y += numbers[i + 1])]);
     }
-    const size = onPaper ? { width: PAPER, height } : { height };
-    return {
-      ...size, paper_bgcolor: theme["$page"], plot_bgcolor: theme["$page"],
-      font: { family: "system-ui, sans-serif", size: 12, color: theme["$text"] },
-      margin: { l: 8, r: 8, t: 26, b: 8 }, hovermode: "x unified", dragmode: "zoom",
-      hoverlabel: { bgcolor: theme["$page"], bordercolor: theme["$line"] },
-      colorway: [theme["$before"], "#6a8f3c", "#8e5ea8", "#3b9aa8", "#b8862b", "#a8506b", theme["$muted"], theme["$after"], "#7a5c3e", "#4f8f7b"],
-      legend: { orientation: "h", x: 0, y: 1.0, yanchor: "bottom", font: { color: theme["$muted"] } },
-      ...own, ...axes,
+    points.set(path, found);
+    return found;
+  }
+  function nearest(path, place) {
+    let best = null;
+    for (const each of pointsOf(path)) if (!best || Math.abs(each[0] - place) < Math.abs(best[0] - place)) best = each;
+    return best;
+  }
+  const read = (plot) => [...plot.querySelectorAll("path[data-name]")].filter((path) => getComputedStyle(path).display !== "none");
+
+  // ---- one chart: a window [left, right] of places that all of its plots show
+
+  function live(chart) {
+    const plots = [...chart.querySelectorAll(".plot")].filter((plot) => plot.dataset.x && plot.dataset.y);
+    if (!plots.length) return;
+    const x = scaleOf(plots[0].dataset.x);
+    const first = plots.map((plot) => ({ axis: plot.querySelector(".x-axis")?.innerHTML, upright: plot.querySelector(".y-axis").innerHTML, grid: plot.querySelector(".grid").getAttribute("d") }));
+    const tip = document.createElement("div"), choice = document.createElement("div");
+    tip.className = "tip";
+    choice.className = "choice";
+    tip.hidden = choice.hidden = true;
+    chart.append(tip);
+    const cursors = plots.map((plot) => {
+      const line = document.createElement("div");
+      line.className = "cursor";
+      line.hidden = true;
+      plot.append(line);
+      return line;
+    });
+    let view = [0, UNITS], from = null;
+
+    const share = (plot, event) => {
+      const box = plot.getBoundingClientRect();
+      return Math.min(1, Math.max(0, (event.clientX - box.left) / box.width));
     };
+    const place = (part) => view[0] + part * (view[1] - view[0]);
+
+    function entry(name, ink, text) {
+      const row = document.createElement("div"), label = document.createElement("b");
+      label.className = ink;
+      label.textContent = name;
+      row.append(label, " " + text);
+      return row;
+    }
+    function hover(plot, event) {
+      const part = share(plot, event), at = place(part);
+      const rows = [];
+      let found = null;
+      for (const each of plots) {
+        const y = scaleOf(each.dataset.y);
+        for (const path of read(each)) {
+          const point = nearest(path, at);
+          if (!point || point[0] < view[0] - 1 || point[0] > view[1] + 1) continue;
+          const ink = [...path.classList].slice(1).join(" ");
+          const name = (path.dataset.name || "") + (each !== plots[0] && plots.length > 1 ? ", residual" : "");
+          if (path.dataset.name) rows.push(entry(name, ink, shown(valueAt(y, point[1]), Math.abs(y.high - y.low))));
+          if (found === null || Math.abs(point[0] - at) < Math.abs(found - at)) found = point[0];
+        }
+      }
+      if (found === null) return leave();
+      const below = chart.querySelector(".below")?.textContent || "";
+      tip.replaceChildren(entry(below, "faint", shown(valueAt(x, found), Math.abs(x.high - x.low))), ...rows);
+      tip.hidden = false;
+      const box = plot.getBoundingClientRect(), own = chart.getBoundingClientRect();
+      const left = box.left - own.left + part * box.width;
+      tip.style.left = (part < 0.5 ? left + 14 : Math.max(0, left - 14 - tip.offsetWidth)) + "px";
+      tip.style.top = box.top - own.top + 8 + "px";
+      for (const line of cursors) {
+        line.hidden = false;
+        line.style.left = (100 * (found - view[0])) / (view[1] - view[0]) + "%";
+      }
+    }
+    function leave() {
+      tip.hidden = true;
+      for (const line of cursors) line.hidden = true;
+    }
+
+    function written(plot, kind, side, places) {
+      const box = plot.querySelector(kind);
+      if (!box) return;
+      box.replaceChildren(...places.map(([at, text]) => {
+        const span = document.createElement("span");
+        span.style[side] = 100 * at + "%";
+        span.textContent = text;
+        return span;
+      }));
+    }
+    // The heights that are seen between two places, with a margin.
+    function heights(plot) {
+      let low = Infinity, high = -Infinity;
+      for (const path of read(plot)) {
+        for (const [at, up] of pointsOf(path)) {
+          if (at < view[0] || at > view[1]) continue;
+          low = Math.min(low, up);
+          high = Math.max(high, up);
+        }
+      }
+      if (!(high > low)) return [0, UNITS];
+      const margin = 0.06 * (high - low);
+      return [low - margin, high + margin];
+    }
+    function show(next) {
+      view = next;
+      const whole = view[0] === 0 && view[1] === UNITS;
+      chart.dataset.view = whole ? "" : `${valueAt(x, view[0])} ${valueAt(x, view[1])}`;
+      plots.forEach((plot, number) => {
+        const svg = plot.querySelector("svg"), y = scaleOf(plot.dataset.y);
+        const [low, high] = whole ? [0, UNITS] : heights(plot);
+        svg.setAttribute("viewBox", `${view[0]} ${UNITS - high} ${view[1] - view[0]} ${high - low}`);
+        const grid = plot.querySelector(".grid");
+        if (whole) {
+          if (first[number].axis !== undefined) plot.querySelector(".x-axis").innerHTML = first[number].axis;
+          plot.querySelector(".y-axis").innerHTML = first[number].upright;
+          return grid.setAttribute("d", first[number].grid);
+        }
+        const across = ticks(valueAt(x, view[0]), valueAt(x, view[1]), Math.max(3, Math.round(plot.clientWidth / 100)));
+        const up = ticks(valueAt(y, low), valueAt(y, high), Math.max(2, Math.round(plot.clientHeight / 40)));
+        const right = across.map(([value, text]) => [(value - x.low) / (x.high - x.low), text]);
+        const raised = up.map(([value, text]) => [(value - y.low) / (y.high - y.low), text]);
+        grid.setAttribute("d", right.map(([at]) => `M${at * UNITS} ${UNITS - high}v${high - low}`).join("") +
+          raised.map(([at]) => `M${view[0]} ${UNITS - at * UNITS}h${view[1] - view[0]}`).join(""));
+        written(plot, ".x-axis", "left", right.map(([at, text]) => [(at * UNITS - view[0]) / (view[1] - view[0]), text]));
+        written(plot, ".y-axis", "bottom", raised.map(([at, text]) => [(at * UNITS - low) / (high - low), text]));
+      });
+    }
+
+    for (const plot of plots) {
+      plot.addEventListener("pointerdown", (event) => {
+        if (x.log || event.button) return;
+        from = share(plot, event);
+        plot.append(choice);
+        plot.setPointerCapture(event.pointerId);
+      });
+      plot.addEventListener("pointermove", (event) => {
+        hover(plot, event);
+        if (from === null) return;
+        const to = share(plot, event);
+        choice.hidden = false;
+        choice.style.left = 100 * Math.min(from, to) + "%";
+        choice.style.width = 100 * Math.abs(to - from) + "%";
+      });
+      plot.addEventListener("pointerup", (event) => {
+        const to = share(plot, event), begin = from;
+        from = null;
+        choice.hidden = true;
+        if (begin === null || Math.abs(to - begin) < 0.02) return;
+        show([place(Math.min(begin, to)), place(Math.max(begin, to))]);
+        leave();
+      });
+      plot.addEventListener("pointercancel", () => ((from = null), (choice.hidden = true)));
+      plot.addEventListener("pointerleave", leave);
+      plot.addEventListener("dblclick", () => show([0, UNITS]));
+    }
   }
 
-  function plot(place, given, layout) {
-    const theme = colours();
-    const narrow = place.clientWidth < NARROW;
-    const traces = narrow ? given.map(({ texttemplate, ...each }) => each) : given;
-    const made = layoutOf(themed(layout, theme), theme, Number(place.dataset.height));
-    if (narrow) tighten(traces, made);
-    const options = { displaylogo: false, responsive: true, displayModeBar: false };
-    return Plotly.react(place, themed(traces, theme), made, options);
-  }
+  for (const chart of document.querySelectorAll(".chart.zooms")) live(chart);
 
-  // On a phone, there is no room for texts in the cells of a map and below its columns.
-  function tighten(traces, layout) {
-    if (!traces.some((each) => each.type === "heatmap" && each.customdata)) return;
-    layout.xaxis.showticklabels = false;
-    layout.height = Math.max(260, layout.height - 60);
-  }
-
-  function drawFigure(place) {
-    const figure = data.figures[place.dataset.figure];
-    return plot(place, figure.traces, figure.layout);
-  }
-
-  // ---- the curves of one output of one experiment
+  // ---- the charts of the experiments
 
   const form = document.querySelector(".controls");
-  const curves = document.getElementById("curves-plot");
+  const panels = [...document.querySelectorAll(".panel")];
 
-  function panelNow() {
-    const outputs = data.experiments[Number(form.experiment.value)].outputs;
-    return outputs[Number(form.output.value)] ?? outputs[0];
-  }
-
-  function listOutputs() {
-    const outputs = data.experiments[Number(form.experiment.value)].outputs;
-    const before = form.output.selectedOptions[0]?.textContent;
-    form.output.replaceChildren(...outputs.map((each, index) => new Option(each.name, index)));
-    const same = outputs.findIndex((each) => each.name === before);
-    form.output.value = String(Math.max(same, 0));
-    form.output.parentElement.hidden = outputs.length < 2;
-  }
-
-  const escaped = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;");
-
-  function line(panel, name, x, y, more) {
-    const under = name === "measured"; // wide and pale, so that a curve that follows it hides nothing
-    return {
-      x: numbers(panel[x]), y: numbers(panel[y]), type: "scatter", mode: "lines", name,
-      visible: form[name].checked, opacity: under ? 0.5 : 1,
-      line: { color: "$" + name, width: under ? 3.5 : 1.4 }, ...more,
-    };
-  }
-
-  function tracesOf(panel) {
-    if (panel.distance !== undefined) {
-      return [{ ...line(panel, "after", "segment", "distance"), yaxis: "y2", name: "distance" }];
+  function size(panel, wide) {
+    panel.classList.toggle("wide", wide);
+    panel.querySelector("button").textContent = wide ? "smaller" : "larger";
+    for (const plot of panel.querySelectorAll(".plot")) {
+      plot.dataset.height ??= plot.style.height;
+      plot.style.height = parseFloat(plot.dataset.height) * (wide ? 1.7 : 1) + "px";
     }
-    const few = panel.t.f8.length < 2200;
-    const points = few ? { mode: "lines+markers", marker: { size: 3.5 } } : {};
-    const found = [line(panel, "measured", "t", "measured", points)];
-    for (const name of ["before", "after"]) {
-      if (panel[name] === undefined) continue;
-      const fine = panel[name + "_fine"] !== undefined;
-      found.push(line(panel, name, fine ? "t_fine" : "t", fine ? name + "_fine" : name));
-      const rest = { yaxis: "y2", showlegend: false, name: name + ", residual" };
-      found.push({ ...line(panel, name, "t", name + "_residual"), ...rest });
-    }
-    return found;
   }
-
-  function drawCurves() {
-    const panel = panelNow();
-    const alone = panel.distance !== undefined;
-    const layout = {
-      xaxis: { title: { text: alone ? "segment" : "time (s)" }, anchor: "y2" },
-      yaxis: { title: { text: escaped(panel.label) }, domain: [0.36, 1], visible: !alone },
-      yaxis2: {
-        title: { text: alone ? "distance, relative" : "residual" + (panel.unit ? ` (${escaped(panel.unit)})` : "") },
-        domain: alone ? [0, 1] : [0, 0.28],
-      },
-      uirevision: form.experiment.value + "/" + form.output.value,
-    };
-    const shown = data.experiments[Number(form.experiment.value)].id;
-    form.dataset.shown = `Experiment ${shown}, output ${panel.name}`;
-    const traces = tracesOf(panel);
-    for (const name of ["measured", "before", "after"]) {
-      form[name].parentElement.hidden = panel[name] === undefined;
-    }
-    return plot(curves, traces, layout);
+  for (const panel of panels) {
+    const button = panel.querySelector("button");
+    button.hidden = false;
+    size(panel, panel.classList.contains("wide"));
+    button.addEventListener("click", () => size(panel, !panel.classList.contains("wide")));
   }
-
-  // ---- when
-
-  function draw(place) {
-    const maker = place === curves ? drawCurves : () => drawFigure(place);
-    drawn.set(place, maker);
-    return maker();
-  }
-
-  const places = [...document.querySelectorAll(".plot")];
-  for (const place of places) place.style.minHeight = place.dataset.height + "px";
   if (form) {
-    listOutputs();
-    form.addEventListener("change", (event) => {
-      if (event.target === form.experiment) listOutputs();
-      draw(curves);
-    });
+    form.querySelector(".hint").hidden = false;
     form.addEventListener("submit", (event) => event.preventDefault());
-  }
-  const watcher = new IntersectionObserver(
-    (entries) => {
-      for (const { target, isIntersecting } of entries) {
-        if (!isIntersecting) continue;
-        watcher.unobserve(target);
-        if (!drawn.has(target)) draw(target);
+    form.addEventListener("change", (event) => {
+      const { name, value, checked } = event.target;
+      if (name !== "experiment") return document.body.classList.toggle("hide-" + name, !checked);
+      const few = panels.filter((panel) => panel.dataset.experiment === value);
+      for (const panel of panels) {
+        panel.hidden = value !== "" && !few.includes(panel);
+        if (few.includes(panel)) size(panel, true);
       }
-    },
-    { rootMargin: "300px" },
-  );
-  for (const place of places) watcher.observe(place);
-  dark.addEventListener("change", () => drawn.forEach((maker) => maker()));
-  const print = (on) => {
-    onPaper = on;
-    if (on) places.forEach((place) => draw(place));
-    else drawn.forEach((maker) => maker());
-  };
-  window.addEventListener("beforeprint", () => print(true));
-  window.addEventListener("afterprint", () => print(false));
-  printing.addEventListener("change", (event) => print(event.matches));
+    });
+  }
   if (document.body.dataset.reload) {
     setTimeout(() => location.reload(), 1000 * Number(document.body.dataset.reload));
   }

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from support.reported import chromium, fitted_run
@@ -65,99 +67,124 @@ def opened(browser: Any, file: Path, **options: Any) -> Seen:
 @pytest.fixture
 def seen(browser, run) -> Iterator[Seen]:
     found = opened(browser, write_report(run), viewport={"width": 1440, "height": 900})
-    found.page.locator("#curves-plot").scroll_into_view_if_needed()
-    found.page.wait_for_selector("#curves-plot .scatterlayer .trace")
+    found.page.locator(".panel.wide").scroll_into_view_if_needed()
     yield found
     found.page.close()
 
 
-def lines(page: Any) -> int:
-    """How many curves are drawn."""
-    return int(page.locator("#curves-plot .scatterlayer .trace").count())
+def view(page: Any) -> list[float]:
+    """The times between which the large chart shows its curves; none where it shows all."""
+    text = page.locator(".panel.wide .chart").get_attribute("data-view")
+    return [float(number) for number in (text or "").split()]
 
 
-def until_lines(page: Any, count: int) -> None:
-    """Wait until so many are; as a function, because the page's policy lets no text be run."""
-    traces = "document.querySelectorAll('#curves-plot .scatterlayer .trace')"
-    page.wait_for_function(f"() => {traces}.length == {count}")
+def visible(page: Any, ink: str) -> int:
+    """How many curves of one kind are seen."""
+    return sum(path.is_visible() for path in page.locator(f".panel path.{ink}").all())
 
 
-def axis(page: Any, name: str) -> list[float]:
-    found: list[float] = page.evaluate(
-        f"document.getElementById('curves-plot')._fullLayout.{name}.range"
-    )
-    return found
-
-
-def measured(page: Any) -> list[float]:
-    found: list[float] = page.evaluate(
-        "Array.from(document.getElementById('curves-plot').data[0].y)"
-    )
-    return found
-
-
-def test_every_plot_is_drawn_and_nobody_is_asked(seen, run):
+def test_everything_is_drawn_and_nobody_is_asked(seen, run):
     page = seen.page
     for place in page.locator(".plot").all():
-        place.scroll_into_view_if_needed()
-        place.locator(".main-svg").first.wait_for()
+        box = place.bounding_box()
+        assert box["width"] > 100
+        assert place.locator("svg").bounding_box() == pytest.approx(box)
     assert seen.said == []
     assert seen.asked == [(run / "report.html").as_uri()]
     assert page.evaluate("document.documentElement.scrollWidth") <= 1440
-    paints = page.evaluate("performance.getEntriesByType('paint').length")
-    assert paints > 0
 
 
-def test_dragging_zooms_and_a_double_click_shows_all_again(seen):
+def test_what_is_written_beside_the_plots_does_not_overlap(seen):
     page = seen.page
-    before = axis(page, "xaxis")
-    box = page.locator("#curves-plot .nsewdrag").first.bounding_box()
+    for kind, place, size in ((".x-axis", "x", "width"), (".y-axis", "y", "height")):
+        for axis in page.locator(kind).all():
+            boxes = sorted((t.bounding_box() for t in axis.locator("span").all()),
+                           key=lambda box: box[place])  # fmt: skip
+            for first, second in pairwise(boxes):
+                assert first[place] + first[size] <= second[place] + 1.0
+
+
+def test_dragging_zooms_and_a_double_click_shows_all_again(seen, run):
+    page = seen.page
+    plot = page.locator(".panel.wide .plot").first
+    whole = plot.locator("svg").get_attribute("viewBox")
+    box = plot.bounding_box()
     x, y, width, height = box["x"], box["y"], box["width"], box["height"]
+    assert view(page) == []
     page.mouse.move(x + 0.3 * width, y + 0.3 * height)
     page.mouse.down()
     page.mouse.move(x + 0.6 * width, y + 0.7 * height, steps=5)
     page.mouse.up()
-    page.wait_for_function(
-        "([a, b]) => { const r = document.getElementById('curves-plot')._fullLayout.xaxis.range;"
-        " return r[1] - r[0] < 0.5 * (b - a); }",
-        arg=before,
-    )
-    low, high = axis(page, "xaxis")
-    span = before[1] - before[0]
-    assert low == pytest.approx(before[0] + 0.3 * span, abs=0.02 * span)
-    assert high == pytest.approx(before[0] + 0.6 * span, abs=0.02 * span)
+    low, high = view(page)
+    end = float(pq.read_table(run / "trajectories.parquet").to_pandas().time.max())
+    assert low == pytest.approx(0.3 * end, abs=0.02 * end)
+    assert high == pytest.approx(0.6 * end, abs=0.02 * end)
+    texts = page.locator(".panel.wide .x-axis span").all_text_contents()
+    assert all(low <= float(text) <= high for text in texts)
+    assert len(texts) >= 3
     page.mouse.dblclick(x + 0.5 * width, y + 0.5 * height)
-    page.wait_for_function(
-        "([a, b]) => { const r = document.getElementById('curves-plot')._fullLayout.xaxis.range;"
-        " return Math.abs(r[0] - a) < 1e-6 && Math.abs(r[1] - b) < 1e-6; }",
-        arg=before,
-    )
+    assert view(page) == []
+    assert plot.locator("svg").get_attribute("viewBox") == whole
+    assert seen.said == []
+
+
+def test_values_are_shown_under_the_pointer(seen, run):
+    page = seen.page
+    name = page.locator(".panel.wide").get_attribute("data-experiment")
+    table = pq.read_table(run / "residuals.parquet").to_pandas()
+    own = table[table.experiment == name]
+    box = page.locator(".panel.wide .plot").first.bounding_box()
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    lines = page.locator(".panel.wide .tip div").all_text_contents()
+    assert len(lines) == 6  # the time, three curves and two residuals
+    shown = {line.rsplit(" ", 1)[0]: line.rsplit(" ", 1)[1] for line in lines}
+    measured = float(shown["measured"].replace("\u2212", "-"))
+    middle = 0.5 * (own.time.min() + own.time.max())
+    row = own.iloc[(own.time - middle).abs().argmin()]
+    assert measured == pytest.approx(row.measured, abs=5e-3 * np.ptp(own.measured))
+    page.mouse.move(5, 5)
+    assert page.locator(".panel.wide .tip").is_hidden()
     assert seen.said == []
 
 
 def test_curves_are_toggled(seen):
     page = seen.page
-    assert lines(page) == 5  # measured, and before and after with their residuals
+    assert (visible(page, "before"), visible(page, "after")) == (6, 6)
     page.locator("input[name=before]").uncheck()
-    until_lines(page, 3)
+    assert (visible(page, "before"), visible(page, "after")) == (0, 6)
     page.locator("input[name=after]").uncheck()
-    until_lines(page, 1)
+    assert (visible(page, "before"), visible(page, "after")) == (0, 0)
     page.locator("input[name=before]").check()
-    until_lines(page, 3)
+    assert (visible(page, "before"), visible(page, "after")) == (6, 0)
     assert seen.said == []
 
 
-def test_another_experiment_shows_its_own_curves(seen, run):
+def test_another_experiment_is_shown_in_large(seen):
     page = seen.page
-    table = pq.read_table(run / "residuals.parquet").to_pandas()
     options = page.locator("select[name=experiment] option").all_text_contents()
-    assert options == ["e0", "e1", "e2 (held out)"]
-    for number, name in enumerate(["e0", "e1", "e2"]):
-        page.locator("select[name=experiment]").select_option(str(number))
-        until_lines(page, 5)
-        own = table[table.experiment == name].measured.to_numpy()
-        assert measured(page) == pytest.approx(own, abs=1e-7)
-    assert page.locator("select[name=output]").is_hidden()
+    assert options == ["all", "e0", "e1", "e2"]
+    for name in ["e0", "e1", "e2"]:
+        page.locator("select[name=experiment]").select_option(name)
+        seen_now = [p for p in page.locator(".panel").all() if p.is_visible()]
+        assert [p.get_attribute("data-experiment") for p in seen_now] == [name]
+        assert seen_now[0].bounding_box()["width"] > 900
+    page.locator("select[name=experiment]").select_option("")
+    assert sum(p.is_visible() for p in page.locator(".panel").all()) == 3
+    assert seen.said == []
+
+
+def test_a_small_chart_is_enlarged_and_made_small_again(seen):
+    page = seen.page
+    small = page.locator(".panel:not(.wide)").first
+    name = small.get_attribute("data-experiment")
+    panel = page.locator(f".panel[data-experiment={name}]")
+    before = panel.bounding_box()
+    panel.locator("button").click()
+    after = panel.bounding_box()
+    assert after["width"] > 2 * before["width"]
+    assert after["height"] > before["height"]
+    panel.locator("button").click()
+    assert panel.bounding_box()["width"] == pytest.approx(before["width"])
     assert seen.said == []
 
 
@@ -165,25 +192,36 @@ def test_it_fits_a_phone_and_follows_dark_mode(browser, run):
     phone = {"viewport": {"width": 390, "height": 844}}
     seen = opened(browser, write_report(run), color_scheme="dark", **phone)
     page = seen.page
-    colour = "getComputedStyle(document.documentElement).getPropertyValue('--page')"
-    dark = page.evaluate(colour)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    page.locator("#curves-plot").scroll_into_view_if_needed()
-    page.wait_for_selector("#curves-plot .scatterlayer .trace")
-    paper = "document.getElementById('curves-plot')._fullLayout.paper_bgcolor"
-    assert page.evaluate(paper) == dark.strip()
+    colour = "getComputedStyle(document.body).backgroundColor"
+    ink = "getComputedStyle(document.querySelector('.panel path.after')).stroke"
+    dark = page.evaluate(f"[{colour}, {ink}]")
     page.emulate_media(color_scheme="light")
-    page.wait_for_function(f"() => {paper} != '{dark.strip()}'")
+    light = page.evaluate(f"[{colour}, {ink}]")
+    assert dark[0] != light[0]
+    assert dark[1] != light[1]
     assert seen.said == []
     page.close()
 
 
-def test_on_paper_every_plot_is_drawn_and_none_is_wider_than_the_page(browser, run, tmp_path):
-    seen = opened(browser, write_report(run), viewport={"width": 1440, "height": 900})
+def test_it_is_whole_without_scripts(browser, run):
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(write_report(run).as_uri())
+    assert page.locator(".panel path.after").count() == 6
+    assert all(path.is_visible() for path in page.locator(".panel path.after").all())
+    assert page.locator(".panel button").first.is_hidden()
+    context.close()
+
+
+def test_on_paper_no_chart_is_wider_than_the_page(browser, run, tmp_path):
+    seen = opened(browser, write_report(run), viewport={"width": 700, "height": 900})
     page = seen.page
     page.emulate_media(media="print")
-    widths = "[...document.querySelectorAll('.plot')].map((each) => each._fullLayout?.width)"
-    page.wait_for_function(f"() => {widths}.every((width) => width === 660)")
+    for chart in page.locator(".chart").all():
+        box = chart.bounding_box()
+        assert box["x"] + box["width"] <= 701
+    assert page.locator(".panel button").first.is_hidden()
     assert len(page.pdf(format="A4", path=tmp_path / "report.pdf")) > 10_000
     assert seen.said == []
     page.close()

@@ -1,0 +1,169 @@
+"""How large the errors are beside the noise: the headline of a run, and its first picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from cluster_est.report.blocks import FigureBlock
+from cluster_est.report.drawing import Chart, Dots, Line, Mark, Plot, Rules, Scale
+from cluster_est.report.drawing.chart import gutter
+from cluster_est.report.folder import ReportedRun, Row
+from cluster_est.report.numbers import digits
+
+MOST_ROWS = 24
+"""Rows of the picture that are one output of one experiment each; else each is of an output."""
+ROW_PIXELS = 22
+When = Literal["before", "after"]
+
+
+@dataclass(frozen=True)
+class ErrorSizes:
+    """The errors of a run over one measure of their size.
+
+    Attributes
+    ----------
+    measure
+        What they are divided by, in words.
+    is_noise
+        Whether that is the noise, so that 1 is as good as a model can be.
+    rows
+        Of errors.parquet.
+    divisors
+        For each row, what its normalised error is divided by once more.
+    """
+
+    measure: str
+    is_noise: bool
+    rows: tuple[Row, ...] = field(repr=False)
+    divisors: tuple[float, ...] = field(repr=False)
+
+    def of(self, chosen: Sequence[int], when: When) -> float:
+        """Root mean square over the samples of some rows; NaN where one of them failed."""
+        rows = [self.rows[i] for i in chosen]
+        samples = sum(row["samples"] for row in rows)
+        if not samples:
+            return math.nan
+        name = "normalised" if self.is_noise else "relative"
+        sizes = [
+            row[f"{name}_{when}"] / self.divisors[i] for i, row in zip(chosen, rows, strict=True)
+        ]
+        squares = sum(row["samples"] * s**2 for row, s in zip(rows, sizes, strict=True))
+        return math.sqrt(squares / samples)
+
+    def of_role(self, role: str) -> list[int]:
+        """The rows of training or of held-out experiments."""
+        return [i for i, row in enumerate(self.rows) if row["role"] == role]
+
+
+def error_sizes(run: ReportedRun) -> ErrorSizes:
+    """Measure the errors by the noise where it is known, else by the signals' own size."""
+    rows = run.tables["errors"]
+    if run.is_loop:
+        estimated = run.facts.get("errors_over") == "estimated noise"
+        measure = "the estimated noise" if estimated else "the declared noise (sigma)"
+        return ErrorSizes(measure, True, rows, (1.0,) * len(rows))
+    outputs: Mapping[str, Mapping[str, Any]] = {
+        each["output"]: each for each in (run.facts.get("residuals") or {}).get("outputs") or ()
+    }
+    noise = [_noise(outputs.get(row["output"])) for row in rows]
+    if not rows or not all(map(math.isfinite, noise)):
+        return ErrorSizes("the signal's standard deviation", False, rows, (1.0,) * len(rows))
+    declared = {bool(outputs[row["output"]]["declared"]) for row in rows}
+    measure = (
+        "the declared noise (sigma)"
+        if declared == {True}
+        else "the estimated noise"
+        if declared == {False}
+        else "the noise, declared or estimated"
+    )
+    return ErrorSizes(measure, True, rows, tuple(noise))
+
+
+def _noise(output: Mapping[str, Any] | None) -> float:
+    """The noise of an output in sigmas, NaN where it is not known."""
+    if output is None:
+        return math.nan
+    if output["declared"]:
+        return 1.0
+    found = output["noise_over_sigma"]
+    return float(found) if found else math.nan
+
+
+def error_sentence(run: ReportedRun) -> str:
+    """How the error went, against the noise, on training and on held-out experiments."""
+    sizes = error_sizes(run)
+    parts: list[str] = []
+    last = ""
+    for role, where in (("train", "training"), ("test", "held-out")):
+        chosen = sizes.of_role(role)
+        before, after = sizes.of(chosen, "before"), sizes.of(chosen, "after")
+        if math.isnan(after):
+            continue
+        moved = "is" if math.isnan(before) else "fell" if after <= before else "rose"
+        size = (
+            digits(after, 3) if moved == "is" else f"from {digits(before, 3)} to {digits(after, 3)}"
+        )
+        verb = "" if moved == last else f"{moved} "
+        measured = "" if parts else f" times {sizes.measure}"
+        parts.append(f"{verb}{size}{measured} on {where} experiments")
+        last = moved
+    return f"The error {' and '.join(parts)}." if parts else ""
+
+
+def error_picture(run: ReportedRun) -> FigureBlock | None:
+    """Before, after and noise of each output of each experiment; None without errors."""
+    sizes = error_sizes(run)
+    groups = _groups(sizes)
+    if not groups:
+        return None
+    place = np.arange(len(groups), dtype=float)
+    before, after = (
+        np.array([sizes.of(chosen, when) for chosen in groups.values()])
+        for when in ("before", "after")
+    )
+    path_x = np.column_stack([before, after, np.full(len(place), np.nan)]).ravel()
+    path_y = np.column_stack([place, place, np.full(len(place), np.nan)]).ravel()
+    marks: list[Mark] = [
+        Rules("noise", "measured", x=(1.0,)) if sizes.is_noise else Rules("", "faint"),
+        Line("", "faint", path_x, path_y),
+        Dots("before", "before", before, place),
+        Dots("after", "after", after, place),
+    ]
+    ends = np.array([1.0 if sizes.is_noise else 0.0])
+    across = Scale.around(before[before > 0.0], after[after > 0.0], ends, may_be_log=True)
+    title = f"Error before and after, over {sizes.measure}"
+    names = list(groups)
+    upright = Scale(len(names) - 0.5, -0.5)
+    plot = Plot(title, "", across, upright, marks, max(60, ROW_PIXELS * len(names)), names)
+    note = f"Before: {run.before}."
+    if sizes.is_noise:
+        note += " A model cannot be expected to come below the line of the noise."
+    if sizes.is_noise and "estimated" in sizes.measure:
+        note += " The noise of an output is estimated over all training experiments together."
+    below = f"error over {sizes.measure}"
+    return FigureBlock(
+        "before-and-after", title, Chart((plot,), below, gutter=gutter(names), zooms=False), note
+    )
+
+
+def _groups(sizes: ErrorSizes) -> dict[str, list[int]]:
+    """Rows of the picture: names, and which errors are taken together."""
+    found: dict[str, list[int]] = {}
+    single = len({row["output"] for row in sizes.rows}) == 1
+    for i, row in enumerate(sizes.rows):
+        held = " (held out)" if row["role"] == "test" else ""
+        if len(sizes.rows) <= MOST_ROWS:
+            own = row["experiment"] if single else f"{row['experiment']}, {row['output']}"
+        else:
+            own = row["output"]
+        found.setdefault(f"{own}{held}", []).append(i)
+    return {name: chosen for name, chosen in found.items() if _known(sizes, chosen)}
+
+
+def _known(sizes: ErrorSizes, chosen: Sequence[int]) -> bool:
+    return not math.isnan(sizes.of(chosen, "after"))

@@ -1,0 +1,256 @@
+"""Shapes of effects: what each adds over its argument, with a band, where the data were."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import sympy as sp
+
+from cluster_est.results.result import Result
+from cluster_est.results.row_types import EffectCurve, Estimate
+from workers.effects.definition import (
+    SIGNAL,
+    TIME,
+    EffectDefinition,
+    define,
+    split_variable,
+    variable_symbol,
+)
+from workers.effects.site import EffectSite
+from workers.fmu.description import ModelDescription
+from workers.messages import FloatArray
+
+POINTS, BINS = 201, 48
+NORMAL95 = 1.959963984540054
+Visited = Callable[[EffectSite, str], FloatArray]
+"""The values of a variable by its name in the training experiments, at a site: empty if unknown."""
+Shape = Callable[[FloatArray, FloatArray], FloatArray]
+"""What an effect adds, as a function of its argument and its coefficients."""
+
+
+@dataclass(frozen=True)
+class EffectShape:
+    """One part of an effect as a function of the one variable that it depends on.
+
+    Attributes
+    ----------
+    target
+        The state, input, output or parameter where it acts.
+    argument
+        The name of the variable; "time" for the time.
+    shape
+        The function.
+    """
+
+    target: str
+    argument: str
+    shape: Shape = field(repr=False)
+
+
+def effect_shapes(
+    result: Result, description: ModelDescription, visited: Visited
+) -> tuple[EffectCurve, ...]:
+    """Compute the curves of all effects of a fitted model.
+
+    Parameters
+    ----------
+    result
+        Values of the coefficients, and their covariance.
+    description
+        Of the FMU, for units.
+    visited
+        Where the training experiments were.
+    """
+    problem = result.problem
+    signals = tuple({s.variable: None for e in problem.experiments for s in e.signals})
+    interface = problem.model.interface
+    found: list[EffectCurve] = []
+    for effect in problem.effects:
+        definition = define(effect, description, interface, signals)
+        found += _curves(definition, result, description, visited)
+    return tuple(found)
+
+
+def _none(definition: EffectDefinition, why: str) -> EffectCurve:
+    return EffectCurve(definition.effect.name, str(definition.site), why_not=why)
+
+
+def _curves(
+    definition: EffectDefinition,
+    result: Result,
+    description: ModelDescription,
+    visited: Visited,
+) -> list[EffectCurve]:
+    if definition.form.memory or definition.states:
+        why = "it depends on the past, so no curve over one variable shows it"
+        return [_none(definition, why)]
+    signal = next((e.value for e in result.estimates if e.label == definition.site.target), 1.0)
+    parts = part_shapes(definition, signal)
+    if not parts:
+        return [_none(definition, "it is no function of one variable alone")]
+    found = []
+    for part in parts:
+        seen = visited(definition.site, part.argument)
+        seen = seen[np.isfinite(seen)]
+        if len(seen):
+            found.append(_curve(definition, part, seen, result, description))
+        else:
+            found.append(_none(definition, f"nothing is known of {part.argument}"))
+    return found
+
+
+def part_shapes(definition: EffectDefinition, signal: float = 1.0) -> list[EffectShape]:
+    """Make a function of each part of an effect; none where it depends on more than a variable.
+
+    Parameters
+    ----------
+    definition
+        Of an effect without memory and states of its own.
+    signal
+        The value of the parameter that the effect changes, if it acts on one.
+    """
+    found = []
+    for target, equation in definition.equations:
+        made = _part(definition, equation, signal)
+        if made is None:
+            return []
+        argument, symbol, shown = made
+        found.append(EffectShape(target, argument, _compiled(definition, shown, symbol)))
+    return found
+
+
+def _part(
+    definition: EffectDefinition, equation: sp.Expr, signal: float
+) -> tuple[str, sp.Symbol, sp.Expr] | None:
+    """The argument of a part, by its name and symbol, and what the part adds there.
+
+    Where an effect takes the place of a signal and depends on that alone, it is the new signal.
+    """
+    site = definition.site
+    if site.kind == "parameter":
+        equation = equation.subs(SIGNAL, signal)
+    elif not site.at_rates and _arguments(definition, equation) != {SIGNAL}:
+        equation = sp.expand(equation - SIGNAL)
+    used = _arguments(definition, equation)
+    if used == {TIME}:
+        return "time", TIME, equation
+    if used == {SIGNAL}:
+        return site.target, SIGNAL, equation
+    if len(used) == 1:
+        (symbol,) = used
+        return str(symbol).removeprefix("fmu:"), symbol, equation
+    return _difference(definition, equation) if len(used) == 2 else None
+
+
+def _arguments(definition: EffectDefinition, equation: sp.Expr) -> set[sp.Symbol]:
+    return set(equation.free_symbols) - set(definition.coefficients)
+
+
+def _difference(
+    definition: EffectDefinition, equation: sp.Expr
+) -> tuple[str, sp.Symbol, sp.Expr] | None:
+    """The same of a part that depends on the difference of two variables alone."""
+    effect, site = definition.effect, definition.site
+    given = effect.variables[0] if effect.variables else " - ".join(site.targets)
+    names = split_variable(given, definition.uses)
+    if len(names) != 2:
+        return None
+    first, second = map(variable_symbol, names)
+    between = sp.Symbol("between", real=True)
+    equation = sp.expand(equation.subs(first, second + between))
+    if _arguments(definition, equation) != {between}:
+        equation = sp.simplify(equation)
+    if _arguments(definition, equation) != {between}:
+        return None
+    return given, between, equation
+
+
+def _compiled(definition: EffectDefinition, equation: sp.Expr, argument: sp.Symbol) -> Shape:
+    compiled = sp.lambdify([argument, *definition.coefficients], equation, "numpy")
+
+    def shape(x: FloatArray, values: FloatArray) -> FloatArray:
+        with np.errstate(all="ignore"):
+            found = np.asarray(compiled(x, *values), np.float64)
+        return np.array(np.broadcast_to(found, x.shape))
+
+    return shape
+
+
+def coefficient_estimates(definition: EffectDefinition, result: Result) -> list[Estimate]:
+    """The estimates of an effect's coefficients, in the order of its form."""
+    rows = {e.label: e for e in result.estimates}
+    return [rows[str(symbol)] for symbol in definition.coefficients]
+
+
+def _curve(
+    definition: EffectDefinition,
+    part: EffectShape,
+    seen: FloatArray,
+    result: Result,
+    description: ModelDescription,
+) -> EffectCurve:
+    """One part of an effect with its band."""
+    own = coefficient_estimates(definition, result)
+    values = np.array([e.value for e in own])
+    x = np.linspace(float(seen.min()), float(seen.max()), POINTS)
+    y = part.shape(x, values)
+    if not np.isfinite(y).any():
+        return _none(definition, "it is not finite where the data were")
+    counts, edges = np.histogram(seen, BINS)
+    spread = NORMAL95 * spread_of(part.shape, x, values, _covariance(result, own))
+    units = {name: variable.unit for name, variable in description.variables.items()}
+    unit, at_rates = units.get(part.target, ""), definition.site.at_rates
+    first = part.argument.partition(" - ")[0]
+    return EffectCurve(
+        effect=definition.effect.name,
+        part=f"der({part.target})" if at_rates else str(definition.site),
+        variable=part.argument,
+        variable_unit="s" if part.argument == "time" else units.get(first, ""),
+        unit=f"{unit}/s" if unit and at_rates else unit,
+        x=x,
+        y=y,
+        lower=y - spread,
+        upper=y + spread,
+        edges=edges,
+        counts=counts.astype(np.float64),
+    )
+
+
+def _covariance(result: Result, coefficients: Sequence[Estimate]) -> FloatArray:
+    """Of the coefficients; those that are held do not vary."""
+    labels = [e.label for e in coefficients]
+    known = result.uncertainty
+    shared = () if known is None else known.shared
+    errors = np.array([0.0 if e.estimated_on == "known" else e.std_error for e in coefficients])
+    correlations = np.eye(len(labels))
+    for i, one in enumerate(labels):
+        for j, other in enumerate(labels[:i]):
+            if known is not None and one in shared and other in shared:
+                found = known.correlations[shared.index(one), shared.index(other)]
+                correlations[i, j] = correlations[j, i] = found
+    return np.asarray(correlations * errors * errors[:, None])
+
+
+def spread_of(
+    shape: Shape, x: FloatArray, values: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """The standard deviation of a shape, to first order, by central differences."""
+    if not np.isfinite(covariance).all():
+        return np.full(len(x), np.nan)
+    slopes = np.zeros((len(x), len(values)))
+    for i, step in enumerate(1e-3 * np.sqrt(np.diag(covariance))):
+        if step > 0.0:
+            moved = np.eye(len(values))[i] * step
+            slopes[:, i] = (shape(x, values + moved) - shape(x, values - moved)) / (2.0 * step)
+    variance = np.einsum("ni,ij,nj->n", slopes, covariance, slopes)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def with_evidence(
+    curve: EffectCurve, at: FloatArray, more: FloatArray, error: FloatArray
+) -> EffectCurve:
+    """The curve beside what the residuals ask for: `more` than it at some places."""
+    free = np.interp(at, curve.x, curve.y) + more
+    return replace(curve, free_x=at, free_y=free, free_error=error)

@@ -1,0 +1,83 @@
+"""Where the signals of the training experiments were, for the shapes of declared effects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cluster_est.problem.space import SearchSpace
+from cluster_est.results.effect_shapes import effect_shapes
+from cluster_est.results.result import Result
+from cluster_est.results.row_types import EffectCurve
+from cluster_est.running.runner import Runner
+from workers.effects.site import EffectSite
+from workers.messages import Experiment, FloatArray, Input, Outcome
+
+Signals = Mapping[str, FloatArray]
+
+PLAIN = "before effects: "
+"""Stands before the name of an output as it is before effects act on it."""
+
+
+def declared_shapes(runner: Runner, train: SearchSpace, result: Result) -> tuple[EffectCurve, ...]:
+    """Compute the shapes of the effects that a problem declares.
+
+    In model exchange, each training experiment is linearised once at the estimates, which tells
+    where all its states were. In co-simulation, what is known is measured or an output.
+    """
+    problem = result.problem
+    outcomes = {s.experiment: s.outcome for s in result.simulations}
+    chosen = [outcomes[e] for e in train.experiments]
+    if problem.model.interface == "model_exchange":
+        values = train.physical(result.solution.x)
+        found = runner.simulate(
+            values, train.experiments, "linearisation", "shapes", problem.effects
+        )
+        chosen = [new if new.ok else old for new, old in zip(found, chosen, strict=True)]
+    pairs = zip(train.experiments, chosen, strict=True)
+    known = [_signals(problem.experiments[e], outcome) for e, outcome in pairs]
+
+    def visited(site: EffectSite, name: str) -> FloatArray:
+        if site.kind == "output" and any(PLAIN + name in each for each in known):
+            name = PLAIN + name
+        whole = any(name in each for each in known)
+        first, _, second = (name, "", "") if whole else name.partition(" - ")
+        parts = [s[first] - (s[second] if second else 0.0) for s in known if _has(s, first, second)]
+        return np.concatenate(parts or [np.zeros(0)])
+
+    return effect_shapes(result, problem.describe(), visited)
+
+
+def _has(signals: Signals, first: str, second: str) -> bool:
+    return first in signals and (not second or second in signals)
+
+
+def _signals(experiment: Experiment, outcome: Outcome) -> Signals:
+    """Signals of an experiment by name, along the times of its simulation."""
+    linear, trajectory = outcome.linearisation, outcome.trajectory
+    if linear is not None:
+        plain = [PLAIN + name for name in linear.output_names]
+        found = {
+            **dict(zip(plain, linear.plain_outputs.T, strict=True)),
+            **dict(zip(linear.output_names, linear.outputs.T, strict=True)),
+            **dict(zip(linear.state_names, linear.states.T, strict=True)),
+            **dict(zip(linear.input_names, linear.effective_inputs.T, strict=True)),
+        }
+        times = linear.times
+    elif trajectory is not None:
+        found = dict(zip(trajectory.variables, trajectory.values.T, strict=True))
+        times = trajectory.times
+    else:
+        return {}
+    for given in (*experiment.inputs, *experiment.signals):
+        found.setdefault(given.variable, _sampled(given, times))
+    return found | {"time": times}
+
+
+def _sampled(given: Input, at: FloatArray) -> FloatArray:
+    """A measured signal at other times, between its samples as it is declared."""
+    if given.interpolation == "linear":
+        return np.asarray(np.interp(at, given.times, given.values))
+    latest = np.searchsorted(given.times, at, side="right") - 1
+    return np.asarray(given.values[np.maximum(latest, 0)])

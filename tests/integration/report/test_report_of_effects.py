@@ -1,0 +1,104 @@
+"""The report of a loop and of a fit with effects: their shapes, and the path of the search."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support.drawn import Figures
+from support.reported import Page
+from support.truth.springs_with_friction import FRICTION, WIDTH, write_config
+
+from cluster_est.cli import main
+from cluster_est.report import write_report
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("closed")
+    config = write_config(folder)
+    assert main(["close-loop", str(config), "--out", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+@pytest.fixture(scope="module")
+def declared(closed) -> Path:
+    """A fit of the same experiments with the effect in its config, as the loop has written it."""
+    (effect,) = json.loads((closed / "run.json").read_text())["effects"]
+    config = closed.parent / "declared.toml"
+    original = (closed.parent / "config.toml").read_text()
+    config.write_text(f"{original}\n{effect['config']}")
+    assert main(["fit", str(config), "--out", str(closed.parent / "fit")]) == 0
+    return closed.parent / "fit"
+
+
+def test_a_closed_loop_shows_its_effect_with_its_band_and_where_the_data_were(closed):
+    path = write_report(closed)
+    text = Page(path).text
+    for said in ("The missing effects were found", "der(v) += -k * tanh(v / width)", "Candidates"):
+        assert said in text
+    (shape,) = pq.read_table(closed / "shapes.parquet").to_pylist()
+    x, y, low, high = (np.array(shape[name]) for name in ("x", "y", "lower", "upper"))
+    assert (shape["part"], shape["variable"], shape["variable_unit"]) == ("der(v)", "v", "m/s")
+    fast = np.abs(x) > 5.0 * WIDTH
+    assert y[fast] == pytest.approx(-FRICTION * np.sign(x[fast]), rel=0.05)
+    assert np.all((low <= y) & (y <= high))
+    (row,) = [r for r in pq.read_table(closed / "effects.parquet").to_pylist()
+              if r["coefficient"] == "k"]  # fmt: skip
+    assert (high - low)[fast] == pytest.approx(2 * 1.96 * row["std_error"], rel=0.01)
+    samples = pq.read_table(closed / "trajectories.parquet").to_pandas()
+    train = pq.read_table(closed / "errors.parquet").to_pandas().query("role == 'train'")
+    expected = samples[samples.experiment.isin(train.experiment)]
+    assert sum(shape["counts"]) == len(expected)
+    figure = Figures(path).by_id(f"shape-{shape['effect']}-0")
+    across, up = figure.plots[0].curve("effect")
+    drawn = np.interp(across, x, y)
+    assert up[np.abs(across) > 5.0 * WIDTH] == pytest.approx(
+        drawn[np.abs(across) > 5.0 * WIDTH], abs=2.0 * figure.plots[0].grain(figure.plots[0].y)
+    )
+
+
+def test_what_the_residuals_ask_for_without_a_form_is_the_friction(closed):
+    (shape,) = pq.read_table(closed / "shapes.parquet").to_pylist()
+    at, free, error = (np.array(shape[name]) for name in ("free_x", "free_y", "free_error"))
+    assert len(at) >= 8
+    inside = np.histogram(at, shape["edges"])[0]
+    assert inside.sum() == len(at)
+    known = (np.abs(at) > 5.0 * WIDTH) & (error < 0.2 * FRICTION)
+    assert known.sum() >= 4
+    truth = -FRICTION * np.sign(at[known])
+    assert np.all(np.abs(free[known] - truth) < 4.0 * error[known] + 0.1 * FRICTION)
+    plot = Figures(write_report(closed)).by_id(f"shape-{shape['effect']}-0").plots[0]
+    across, up = plot.curve("what the residuals ask for")
+    order = [int(np.abs(at - x).argmin()) for x in across]
+    assert up == pytest.approx(free[order], abs=plot.grain(plot.y))
+
+
+def test_a_fit_shows_the_shapes_of_the_effects_that_it_declares(closed, declared):
+    (found,) = pq.read_table(closed / "shapes.parquet").to_pylist()
+    (shape,) = pq.read_table(declared / "shapes.parquet").to_pylist()
+    for name in ("effect", "part", "variable", "variable_unit", "unit"):
+        assert shape[name] == found[name]
+    low, high = (np.interp([-0.5, 0.5], row["x"], row["y"]) for row in (shape, found))
+    assert low == pytest.approx(high, rel=0.02)
+    assert sum(shape["counts"]) == sum(found["counts"])
+    page = Page(write_report(declared))
+    assert "Effects that were declared" in page.text
+    assert "der(v) over v (m/s), where the training data were" in page.text
+
+
+def test_searches_of_one_name_are_points_in_their_order(closed):
+    (plot,) = Figures(write_report(closed)).by_id("convergence").plots
+    lines = [json.loads(line) for line in (closed / "progress.jsonl").read_text().splitlines()]
+    lines = [line for line in lines if "search" in line]
+    drawn = {}
+    for name in plot.paths:
+        across, up = plot.curve(name)
+        drawn |= dict(zip(np.rint(across).astype(int).tolist(), up.tolist(), strict=True))
+    expected = {i: line["cost"] for i, line in enumerate(lines) if line["cost"] is not None}
+    assert drawn.keys() == expected.keys()
+    for number, cost in expected.items():
+        assert drawn[number] == pytest.approx(cost, rel=2e-3)

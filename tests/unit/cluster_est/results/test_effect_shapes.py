@@ -1,0 +1,84 @@
+"""The shapes that are drawn of effects are those of their equations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cluster_est.results.effect_shapes import part_shapes, spread_of
+from workers.effects.definition import EffectDefinition, _definition, variable_symbol
+from workers.effects.expression import FUNCTIONS
+from workers.effects.forms import FORMS
+from workers.effects.site import EffectSite
+from workers.messages import Effect
+
+NUMPY = {
+    "abs": np.abs,
+    "exp": np.exp,
+    "sign": np.sign,
+    "sqrt": np.sqrt,
+    "log": np.log,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "atan": np.arctan,
+    "tanh": np.tanh,
+    "min": np.minimum,
+    "max": np.maximum,
+    "where": np.where,
+}
+PLAIN = [(kind, f) for (kind, _), f in FORMS.items() if not f.memory and not f.states]
+X = np.linspace(-3.0, 4.0, 57)
+
+
+def test_every_function_of_an_equation_is_known_here():
+    assert set(NUMPY) == set(FUNCTIONS)
+
+
+def definition(kind: str, form) -> EffectDefinition:
+    site = EffectSite(kind, "a", "b" if kind == "pair" else "")
+    variables = ("v", "w")[: form.variables]
+    effect = Effect("e", str(site), form.name, variables)
+    return _definition(effect, site, {name: variable_symbol(name) for name in ("v", "w")})
+
+
+@pytest.mark.parametrize(("kind", "form"), PLAIN, ids=lambda each: getattr(each, "name", each))
+def test_every_form_is_drawn_as_its_equation(kind, form):
+    parts = part_shapes(definition(kind, form), 2.5)
+    if not parts:
+        assert form.name == "product" or form.equation == "k"  # of two, or of none
+        return
+    values = np.linspace(0.6, 1.7, len(form.coefficients))
+    names = {c.name: v for c, v in zip(form.coefficients, values, strict=True)}
+    for part, text in zip(parts, (form.equation, form.reaction), strict=False):
+        over_signal = part.argument == "a"
+        at = {"t": X, "v": X, "s": X if over_signal else 2.5} | names
+        with np.errstate(all="ignore"):
+            expected = eval(text.replace("^", "**"), {"__builtins__": {}}, NUMPY | at)
+            if kind in ("input", "output") and not over_signal:
+                expected = expected - 2.5
+        found = part.shape(X, values)
+        assert found == pytest.approx(np.broadcast_to(expected, X.shape), rel=1e-9, abs=1e-12)
+
+
+def test_a_difference_of_two_states_is_one_argument():
+    effect = Effect("e", "pair a,b", "linear", ("a - b",))
+    site = EffectSite("pair", "a", "b")
+    made = _definition(effect, site, {name: variable_symbol(name) for name in ("a", "b")})
+    first, second = part_shapes(made)
+    assert (first.argument, second.argument) == ("a - b", "a - b")
+    values = np.array([0.7, 0.3])[: len(made.coefficients)]
+    assert first.shape(X, values) == pytest.approx(-0.7 * X)
+    assert np.all(np.sign(second.shape(X, values)) == np.sign(X))
+
+
+def test_the_band_is_that_of_a_straight_line():
+    """Of a + b x, whose variance is known exactly."""
+    covariance = np.array([[0.04, -0.01], [-0.01, 0.09]])
+    found = spread_of(lambda x, c: c[0] + c[1] * x, X, np.array([1.0, 2.0]), covariance)
+    assert found == pytest.approx(np.sqrt(0.04 - 0.02 * X + 0.09 * X**2), rel=1e-6)
+
+
+def test_a_coefficient_that_is_not_determined_leaves_no_band():
+    found = spread_of(lambda x, c: c[0] * x, X, np.array([1.0]), np.array([[np.nan]]))
+    assert np.isnan(found).all()
