@@ -72,7 +72,7 @@ def run_checks(
         return CheckPage(tuple(data), ())
     # before the time of the checks begins: Ray takes a second to import
     in_process = executor_class(resources.executor).in_process
-    with ProbeBench(problem.model, problem.experiments) as bench:
+    with ProbeBench.open(problem.model, problem.experiments) as bench:
         loaded = bench.ask(None, 1e4 if seconds == np.inf else max(seconds, 1.0) * LOADING)
         if isinstance(loaded, NoAnswer):
             return CheckPage((_not_loaded(loaded),), (), loads=False)

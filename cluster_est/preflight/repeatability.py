@@ -15,16 +15,18 @@ from workers.probes.probes import (
     RepetitionResult,
     differences,
 )
+from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer
 
 FACTOR = 1.37
 """Of every value, to see whether it survives a reset: no round number."""
+FRESH = "processes" if CAN_FORK else "instances"
 TRIED: tuple[tuple[ResetPolicy, ...], ...] = (("reset", "instance"), ("instance",), ())
 """What is tried, one after the other, as long as the process crashes."""
 
 
 def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy | None]:
-    """Compare a reset instance with a fresh one, and two fresh processes with each other.
+    """Compare a reset instance with a fresh one, and two fresh processes (or instances) together.
 
     Returns also the reset policy for all further checks; None if none makes simulations in one
     process the same.
@@ -46,7 +48,7 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy |
         again = other.first
     if again.tobytes() != found.first.tobytes():
         return [_not_repeatable(subject, again, found.first)], None
-    same = CheckFinding(CheckVerdict.OK, "repeatable", "two fresh processes give the same bits")
+    same = CheckFinding(CheckVerdict.OK, "repeatable", f"two fresh {FRESH} give the same bits")
     lines = [same, _reset(subject, found, crash)]
     if found.reset == 0.0:
         return lines + _leftovers(subject), "reset"
@@ -58,7 +60,7 @@ def _not_repeatable(subject: CheckSubject, one: FloatArray, other: FloatArray) -
     far = dict(zip(names, differences(one, other).tolist(), strict=True))
     differing = [name for name in names if not far[name] <= 0.0]
     sizes = [f"{name} (by {far[name]:.2g} of its size)" for name in differing]
-    said = f"no: two fresh processes differ in {listed(sizes)}"
+    said = f"no: two fresh {FRESH} differ in {listed(sizes)}"
     do = (
         "export it without a random generator or clock; else choose a method.name that takes "
         'no differences, such as "pattern_search"'

@@ -8,6 +8,7 @@ from cluster_est.executors.backlog import BATCH_SECONDS
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from workers.probes.probes import CostProbe, SimulationCost
+from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer
 
 SECONDS = 1.0
@@ -46,6 +47,8 @@ def _time(subject: CheckSubject, seconds: float, count: int) -> CheckFinding:
     if seconds < SHORT:
         said += "; too short to be worth the way to another process"
         do = "" if subject.in_process else 'executor.name = "local" is enough'
+    elif cores > 1 and not CAN_FORK:
+        do = f"executor.workers = {cores}"
     elif subject.in_process and cores > 1:
         do = f'executor.name = "processes" and executor.workers = {cores}, or "ray" for a cluster'
     else:

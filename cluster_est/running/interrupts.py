@@ -6,6 +6,7 @@ noted, and raised where the runner waits for workers.
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import signal
 import sys
@@ -170,5 +171,7 @@ def _remove(path: Path) -> None:
 def interrupt() -> None:
     """Interrupt the main thread as Ctrl-C does, even if it waits in a system call."""
     main = threading.main_thread().ident
-    if main is not None:
+    if main is not None and hasattr(signal, "pthread_kill"):
         signal.pthread_kill(main, signal.SIGINT)
+    else:  # Windows, where it comes when the system call is over
+        _thread.interrupt_main()

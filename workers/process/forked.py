@@ -12,8 +12,12 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from workers.errors import ModelError
 from workers.process.fork_server import FORK, FORK_FOR_EFFECTS
 from workers.process.watch import SharedProgress
+
+CAN_FORK = hasattr(os, "fork")
+"""Whether this system has processes of this kind; Windows has not."""
 
 
 class ForkClient:
@@ -30,9 +34,20 @@ class ForkClient:
     ----------
     progress
         What the process has done that was forked last; see `workers.kernels.fmi.progress`.
+
+    Raises
+    ------
+    ModelError
+        On a system that cannot fork.
     """
 
     def __init__(self, installation: tuple[Any, ...]) -> None:
+        if not CAN_FORK:
+            raise ModelError(
+                "an FMU in a process of its own needs a system that can fork processes, as Linux "
+                'and macOS can, but this one cannot; there is executor.name = "local", in this '
+                "process"
+            )
         self._installation = installation
         self._shared = SharedProgress()
         self.progress = self._shared.progress

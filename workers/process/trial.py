@@ -6,16 +6,20 @@ import contextlib
 import os
 import signal
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, final
+
+from typing_extensions import override
 
 from workers.errors import ModelError
+from workers.evaluate import Evaluator
 from workers.messages import Experiment, Model
 from workers.probes.base import FmuProbe
-from workers.process.forked import ForkClient
+from workers.process.forked import CAN_FORK, ForkClient
 
 
 @dataclass(frozen=True)
@@ -40,28 +44,57 @@ class NoAnswer:
     crashed: bool = False
 
 
-class ProbeBench:
-    """Asks probes about an FMU. Whatever it does, only the process that is asked suffers.
+class ProbeBench(ABC):
+    """Asks probes about an FMU: in processes of their own, or here where there are none."""
 
-    Parameters
-    ----------
-    model, experiments
-        What is tried out.
-    """
+    @staticmethod
+    def open(model: Model, experiments: Sequence[Experiment]) -> ProbeBench:
+        """Open the bench that this system has.
 
-    def __init__(self, model: Model, experiments: Sequence[Experiment]) -> None:
-        self._forks = ForkClient((model, tuple(experiments), "check"))
+        Parameters
+        ----------
+        model, experiments
+            What is tried out.
+        """
+        return (ForkedBench if CAN_FORK else BenchHere)(model, tuple(experiments))
 
+    @abstractmethod
     def ask(self, probe: FmuProbe | None, seconds: float) -> Any:
-        """Load the FMU in a new process and ask it; `NoAnswer` if there is no answer.
+        """Load the FMU anew and ask it; `NoAnswer` if there is no answer.
 
         Parameters
         ----------
         probe
             What is asked; None to load the FMU only.
         seconds
-            When the process is ended.
+            When it is given up, where that can be done.
         """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give everything back."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+@final
+class ForkedBench(ProbeBench):
+    """Whatever the FMU does, only the process that is asked suffers."""
+
+    def __init__(self, model: Model, experiments: tuple[Experiment, ...]) -> None:
+        self._forks = ForkClient((model, experiments, "check"))
+
+    @override
+    def ask(self, probe: FmuProbe | None, seconds: float) -> Any:
         process, connection = self._forks.fork()
         end = time.monotonic() + seconds
         try:
@@ -81,19 +114,43 @@ class ProbeBench:
                 os.kill(process, signal.SIGKILL)
             connection.close()
 
+    @override
     def close(self) -> None:
         self._forks.close()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
+@final
+class BenchHere(ProbeBench):
+    """Asks in this process, for systems without `fork`: an FMU that crashes takes it along.
+
+    Nor can a question be given up that takes too long.
+    """
+
+    def __init__(self, model: Model, experiments: tuple[Experiment, ...]) -> None:
+        self._model, self._experiments = model, experiments
+
+    @override
+    def ask(self, probe: FmuProbe | None, seconds: float) -> Any:
+        try:
+            evaluator = Evaluator(self._model, self._experiments, "check")
+            with contextlib.closing(evaluator):
+                evaluator.load()
+                if probe is None:
+                    return None
+                return _answered(probe, evaluator)
+        except ModelError as error:
+            return NoAnswer(str(error), loading=True)
+
+    @override
+    def close(self) -> None:
+        """Every question has closed what it opened."""
+
+
+def _answered(probe: FmuProbe, evaluator: Evaluator) -> Any:
+    try:
+        return probe.answer(evaluator)
+    except ModelError as error:
+        return NoAnswer(str(error))
 
 
 def _receive(connection: Connection, end: float, seconds: float, *, loading: bool) -> Any:

@@ -10,7 +10,6 @@ two or three simulations beside hundreds; `model.reset` in the config saves them
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -24,6 +23,7 @@ from cluster_est.running.trials.known_fmus import Trial
 from cluster_est.running.trials.side_by_side import what_disturbs
 from workers.errors import ModelError
 from workers.messages import Experiment, Limits, Outcome, ResetPolicy, Status, Task
+from workers.process.forked import CAN_FORK
 
 WAYS: tuple[ResetPolicy, ...] = ("reset", "instance", "process")
 NO_ANSWER = (Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY)
@@ -186,6 +186,11 @@ def _open(
         # what is tried apart for an executor in this process has no more limits than there
         limits = resources.limits if kind == resources.executor else NO_LIMITS
         pool = executor_class(kind)
+        if not (CAN_FORK or pool.in_process):
+            raise UnsuitableExecutorError(
+                f'executor.name: "{kind}" needs a system that can fork processes, as Linux and '
+                'macOS can, but this one cannot; choose "local"'
+            )
         if policy == "process" and pool.in_process:
             raise UnsuitableExecutorError(
                 'model.reset: "process" needs workers that are processes of their own but '
@@ -217,12 +222,11 @@ def _find_policy(
     tried in a process of its own: it may crash.
     """
     file, here = problem.model.name, executor_class(resources.executor).in_process
-    forks = hasattr(os, "fork")
     question = RepeatabilityTest.of(problem)
     trial = Trial("survived", problem.model, problem.experiments, question.tasks)
-    apart = here and forks and not trial.passed
+    apart = here and CAN_FORK and not trial.passed
     answers: dict[ResetPolicy, RepeatabilityAnswer] = {}
-    for policy in WAYS if forks or not here else WAYS[:-1]:
+    for policy in WAYS if CAN_FORK or not here else WAYS[:-1]:
         elsewhere = apart or (here and policy == "process")
         where = ("processes", 1) if elsewhere else (resources.executor, resources.workers)
         try:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.trials.known_fmus import Trial
-from workers.errors import ModelError
-from workers.evaluate import Evaluator
 from workers.messages import FloatArray, Task
 from workers.probes.side_by_side import InstanceSimulation, SideBySideProbe
 from workers.process.trial import NoAnswer, ProbeBench
@@ -58,9 +54,7 @@ def what_disturbs(problem: Problem) -> str:
     trial = Trial("undisturbed", problem.model, problem.experiments, tasks)
     if trial.passed:
         return ""
-    if not hasattr(os, "fork"):
-        return _said(_ask_here(problem, probe))
-    with ProbeBench(problem.model, problem.experiments) as bench:
+    with ProbeBench.open(problem.model, problem.experiments) as bench:
         found = bench.ask(probe, NO_HURRY)
         if isinstance(found, NoAnswer) and found.crashed:
             alone = SideBySideProbe(probe.one, probe.other, together=False)
@@ -68,24 +62,7 @@ def what_disturbs(problem: Problem) -> str:
             return f"crash ({found.message})" if survives else ""
     if found is False:
         trial.remember()
-    return _said(found)
-
-
-def _said(found: bool | NoAnswer | None) -> str:
     return DISTURBED if found is True else ""
-
-
-def _ask_here(problem: Problem, probe: SideBySideProbe) -> bool | None:
-    try:
-        evaluator = Evaluator(problem.model, problem.experiments, "side by side")
-    except ModelError:
-        return None
-    try:
-        return probe.answer(evaluator)
-    except ModelError:
-        return None
-    finally:
-        evaluator.close()
 
 
 def _beside(space: SearchSpace) -> FloatArray:

@@ -71,7 +71,7 @@ def test_nothing_is_said_where_there_are_none(problem: Problem) -> None:
 
 def test_what_is_timed_gives_sensitivities(problem: Problem) -> None:
     space = make_space(problem, (0,))
-    with ProbeBench(problem.model, problem.experiments) as bench:
+    with ProbeBench.open(problem.model, problem.experiments) as bench:
         found = bench.ask(SensitivityCostProbe(0, space.physical(space.start)[0]), 300.0)
     assert isinstance(found, SensitivityCost)
     assert min(found.plain, found.carrying) > 0.0

@@ -227,7 +227,7 @@ def test_a_simulation_without_an_answer_says_nothing_of_a_reset(status: Status) 
 def test_chance_is_named_where_there_are_no_processes_to_be_copied(
     fitted: Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(renewal.os, "fork")
+    monkeypatch.setattr(renewal, "CAN_FORK", False)
     fitted("random_output", 2, "budget.evaluations=3")
 
     assert chosen(tmp_path) == "reset"
@@ -312,7 +312,7 @@ def test_what_was_undisturbed_is_not_tried_again(
 ) -> None:
     assert fitted("dahlquist", 2, "executor.workers=2") in (0, 1)
     monkeypatch.setattr(
-        side_by_side, "ProbeBench", lambda *_: pytest.fail("it is tried side by side again")
+        side_by_side.ProbeBench, "open", lambda *_: pytest.fail("it is tried side by side again")
     )
     assert fitted("dahlquist", 2, "executor.workers=2", "--overwrite") in (0, 1)
 
