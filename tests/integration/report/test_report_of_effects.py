@@ -99,7 +99,7 @@ def test_the_path_of_the_search_has_every_set_of_effects(closed):
     assert [t for t in texts if t[:2] in {f"{row['step']}:" for row in rows}] == [
         f"{row['step']}: {' + '.join(row['effects'])}" for row in rows
     ]
-    accepted, _ = plot.curve("accepted")
+    accepted = plot.across("accepted")
     expected = [100.0 * row["closed"] for row in rows if row["accepted"]]
     assert accepted == pytest.approx(expected, abs=plot.grain(plot.x))
 
