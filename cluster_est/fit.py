@@ -189,12 +189,19 @@ def fit_on(runner: Runner, train: SearchSpace, plan: FitPlan) -> Result:
     left = diagnose_residuals(train, linear, result.simulations)
     result = replace(result, starts=starts, minima=minima, diagnostics=left)
     if problem.effects and not runner.interrupted:
-        from cluster_est.results.visited_signals import declared_shapes  # SymPy is slow to import
-
-        result = replace(result, shapes=declared_shapes(runner, train, result))
+        result = with_shapes(runner, train, result)
     if solution.ending.success and not runner.interrupted:
         result = refine(runner, train, result, plan)
     return replace(result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin)
+
+
+def with_shapes(runner: Runner, train: SearchSpace, result: Result) -> Result:
+    """Add the shapes of the effects that the problem declares."""
+    from cluster_est.results.visited_signals import declared_shapes  # SymPy is slow to import
+
+    shapes = declared_shapes(runner, train, result)
+    simulated, failures = runner.simulations, runner.failures
+    return replace(result, shapes=shapes, simulated=simulated, failures=failures)
 
 
 def refine(runner: Runner, train: SearchSpace, result: Result, plan: FitPlan) -> Result:

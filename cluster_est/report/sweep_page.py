@@ -100,9 +100,10 @@ def _known(row: Row, name: str) -> bool:
 
 
 def _ranked(rows: Sequence[Row]) -> list[Row]:
-    """Runs with an error, the best first: by the held-out one where every run has it."""
-    name = "rmse_test" if all(_known(r, "rmse_test") for r in rows) else "rmse_train"
-    return sorted((r for r in rows if _known(r, name)), key=lambda r: _value(r, name))
+    """Runs with an error, the best first: by the held-out one where each of them has it."""
+    ended = [row for row in rows if _known(row, "rmse_train")]
+    name = "rmse_test" if all(_known(row, "rmse_test") for row in ended) else "rmse_train"
+    return sorted(ended, key=lambda row: _value(row, name))
 
 
 def _errors(rows: Sequence[Row]) -> ReportSection:

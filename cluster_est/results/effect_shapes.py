@@ -23,6 +23,8 @@ from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray
 
 POINTS, BINS = 201, 48
+NOTHING_KNOWN = "nothing is known of"
+"""Begins the reason where an argument's values are not to be had."""
 NORMAL95 = 1.959963984540054
 Visited = Callable[[EffectSite, str], FloatArray]
 """The values of a variable by its name in the training experiments, at a site: empty if unknown."""
@@ -97,7 +99,7 @@ def _curves(
         if len(seen):
             found.append(_curve(definition, part, seen, result, description))
         else:
-            found.append(_none(definition, f"nothing is known of {part.argument}"))
+            found.append(_none(definition, f"{NOTHING_KNOWN} {part.argument}"))
     return found
 
 

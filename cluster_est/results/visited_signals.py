@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from cluster_est.problem.space import SearchSpace
-from cluster_est.results.effect_shapes import effect_shapes
+from cluster_est.results.effect_shapes import NOTHING_KNOWN, effect_shapes
 from cluster_est.results.result import Result
 from cluster_est.results.row_types import EffectCurve
 from cluster_est.running.runner import Runner
@@ -16,6 +16,9 @@ from workers.messages import Experiment, FloatArray, Input, Outcome
 
 Signals = Mapping[str, FloatArray]
 
+MOST_ENTRIES = 20_000_000
+"""Of the matrices of all linearisations: 160 MB."""
+
 PLAIN = "before effects: "
 """Stands before the name of an output as it is before effects act on it."""
 
@@ -23,19 +26,35 @@ PLAIN = "before effects: "
 def declared_shapes(runner: Runner, train: SearchSpace, result: Result) -> tuple[EffectCurve, ...]:
     """Compute the shapes of the effects that a problem declares.
 
-    In model exchange, each training experiment is linearised once at the estimates, which tells
-    where all its states were. In co-simulation, what is known is measured or an output.
+    Outputs, inputs and measured signals are known from the simulations at the estimates. Where a
+    shape needs a state besides, each training experiment is linearised once there, in model
+    exchange and unless that takes much memory.
     """
     problem = result.problem
     outcomes = {s.experiment: s.outcome for s in result.simulations}
     chosen = [outcomes[e] for e in train.experiments]
-    if problem.model.interface == "model_exchange":
-        values = train.physical(result.solution.x)
-        found = runner.simulate(
-            values, train.experiments, "linearisation", "shapes", problem.effects
-        )
-        chosen = [new if new.ok else old for new, old in zip(found, chosen, strict=True)]
-    pairs = zip(train.experiments, chosen, strict=True)
+    shapes = _shapes(train, chosen, result)
+    unknown = any(shape.why_not.startswith(NOTHING_KNOWN) for shape in shapes)
+    if not unknown or problem.model.interface != "model_exchange" or not _fits(chosen, result):
+        return shapes
+    values = train.physical(result.solution.x)
+    found = runner.simulate(values, train.experiments, "linearisation", "shapes", problem.effects)
+    chosen = [new if new.ok else old for new, old in zip(found, chosen, strict=True)]
+    return _shapes(train, chosen, result)
+
+
+def _fits(outcomes: Sequence[Outcome], result: Result) -> bool:
+    """Return whether linearisations of all experiments are small enough."""
+    times = sum(len(o.trajectory.times) for o in outcomes if o.trajectory is not None)
+    return times * len(result.problem.describe().states) ** 2 <= MOST_ENTRIES
+
+
+def _shapes(
+    train: SearchSpace, outcomes: Sequence[Outcome], result: Result
+) -> tuple[EffectCurve, ...]:
+    """The shapes, as far as their arguments are known from these outcomes."""
+    problem = result.problem
+    pairs = zip(train.experiments, outcomes, strict=True)
     known = [_signals(problem.experiments[e], outcome) for e, outcome in pairs]
 
     def visited(site: EffectSite, name: str) -> FloatArray:

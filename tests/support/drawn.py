@@ -27,6 +27,11 @@ class DrawnPlot:
         across, down = points(path)
         return value(self.x, across), value(self.y, UNITS - down)
 
+    def across(self, name: str) -> np.ndarray:
+        """The values across of a mark in a plot whose rows have names."""
+        (path,) = self.paths[name]
+        return value(self.x, points(path)[0])
+
     def grain(self, scale: str) -> float:
         """Half of what one place is worth, and a little."""
         low, high = map(float, scale.split()[:2])

@@ -56,7 +56,8 @@ def free_values(
         return None
     shares = np.linspace(0.0, 1.0, PLACES)
     even = known.min() + shares * np.ptp(known)
-    at = np.unique(0.5 * (even + np.quantile(known, shares)))
+    between = 0.5 * (even + np.quantile(known, shares))
+    at = np.unique(np.clip(between, known.min(), known.max()))
     parts = [
         _directions(site, each, _hats(at, values, len(each.times)))
         for each, values in zip(trajectories, arguments, strict=True)

@@ -20,6 +20,7 @@ from cluster_est.report.blocks import (
     columns,
 )
 from cluster_est.report.drawing import Chart, Dots, Line, Plot, Rules, Scale
+from cluster_est.report.drawing.chart import gutter
 from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import digits
 
@@ -30,13 +31,49 @@ AFTERWARDS = ("derivatives", "profile", "bootstrap")
 MOST_POINTS = 3000
 SMALL_MULTIPLES = 12
 FEW_POINTS, MOST_NAMED, SERIES = 60, 12, 8
+MOST_SETS = 20
+LEAST_CLOSED = -25.0
+"""Per cent below which a set of effects stands at the lower end of its picture."""
+STEPS_NOTE = (
+    "The number is the step of the search. At 100 %, nothing but noise is left; below 0 %, a set "
+    "fits worse than the declared model."
+)
 PATH_NOTE = "The best way down is steep and then level; one that still falls has not ended."
 
 
 def search(run: ReportedRun) -> ReportSection:
     """Everything about the search that the folder holds."""
-    blocks = [*_convergence(run), *_starts(run), *_profiles(run), *_front(run)]
+    blocks = [*_steps(run), *_convergence(run), *_starts(run), *_profiles(run), *_front(run)]
     return ReportSection("search", "How the search went", tuple(blocks))
+
+
+def _steps(run: ReportedRun) -> list[Block]:
+    """The path of a closed loop: what each set of effects closed of the gap, step by step."""
+    rows = [row for row in run.tables["structures"] if math.isfinite(row["closed"])]
+    best = sorted(rows, key=lambda row: (not row["accepted"], -row["closed"]))[:MOST_SETS]
+    best.sort(key=lambda row: (row["step"], -row["closed"]))
+    closed = np.clip([100.0 * row["closed"] for row in best], LEAST_CLOSED, None)
+    accepted = np.array([bool(row["accepted"]) for row in best])
+    place = np.arange(len(best), dtype=float)
+    marks = [
+        Dots(name, ink, closed[chosen], place[chosen])
+        for chosen, name, ink in (
+            (~accepted, "refitted", "faint"),
+            (accepted, "accepted", "after"),
+        )
+        if len(best) and chosen.any()
+    ]
+    if not marks:
+        return []
+    names = [f"{row['step']}: {' + '.join(row['effects'])}" for row in best]
+    across = Scale.around(closed, np.array([0.0, 100.0]))
+    upright = Scale(len(best) - 0.5, -0.5)
+    shown = "" if len(best) == len(rows) else f", the best {len(best)} of {len(rows)}"
+    title = f"What each set of effects closed of the gap between error and noise{shown}"
+    plot = Plot(title, "", across, upright, marks, max(60, 20 * len(best)), names)
+    below = "% of the gap that is closed, in training"
+    chart = Chart((plot,), below, gutter=gutter(names), zooms=False)
+    return [FigureBlock("steps", title, chart, STEPS_NOTE)]
 
 
 def _convergence(run: ReportedRun) -> list[Block]:
@@ -100,8 +137,8 @@ def _all_searches(run: ReportedRun) -> list[Block]:
         legend=len(marks) <= MOST_NAMED,
     )
     note = (
-        "A closed loop makes many searches. Each dot is an iteration of one of them: the lower it "
-        "is, the better that model fits the training experiments."
+        "A closed loop makes many searches, here by their purposes. Each dot is an iteration of "
+        "one of them. Some look at a part of the experiments alone, and have lower costs for that."
     )
     return [FigureBlock("convergence", title, chart, note)]
 

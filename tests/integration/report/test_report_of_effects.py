@@ -90,6 +90,20 @@ def test_a_fit_shows_the_shapes_of_the_effects_that_it_declares(closed, declared
     assert "der(v) over v (m/s), where the training data were" in page.text
 
 
+def test_the_path_of_the_search_has_every_set_of_effects(closed):
+    rows = pq.read_table(closed / "structures.parquet").to_pylist()
+    rows.sort(key=lambda row: (row["step"], -row["closed"]))
+    figure = Figures(write_report(closed)).by_id("steps")
+    (plot,) = figure.plots
+    texts = figure.texts
+    assert [t for t in texts if t[:2] in {f"{row['step']}:" for row in rows}] == [
+        f"{row['step']}: {' + '.join(row['effects'])}" for row in rows
+    ]
+    accepted = plot.across("accepted")
+    expected = [100.0 * row["closed"] for row in rows if row["accepted"]]
+    assert accepted == pytest.approx(expected, abs=plot.grain(plot.x))
+
+
 def test_searches_of_one_name_are_points_in_their_order(closed):
     (plot,) = Figures(write_report(closed)).by_id("convergence").plots
     lines = [json.loads(line) for line in (closed / "progress.jsonl").read_text().splitlines()]

@@ -1,0 +1,96 @@
+"""Draw the pictures of the page on the report: parts of a report, each as an SVG file of its own.
+
+    cluster-est close-loop configs/mass_with_friction.toml --out runs/friction
+    python scripts/docs/report_pictures.py runs/friction
+
+Writes cluster_est/docs/report_*.svg from the tables of that run, with the report's own charts and
+colours, for a light and for a dark page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.resources
+from collections.abc import Iterator
+from pathlib import Path
+
+from markupsafe import Markup
+
+from cluster_est.report.blocks import FigureBlock, PanelsBlock, ReportSection
+from cluster_est.report.drawing import Chart
+from cluster_est.report.error_sizes import error_picture
+from cluster_est.report.folder import read_run
+from cluster_est.report.sections.curves import curves
+from cluster_est.report.sections.effects import effects
+from cluster_est.report.sections.search import search
+
+DOCS = Path(__file__).resolve().parents[2] / "cluster_est" / "docs"
+WIDTH = 820
+AROUND = 92
+"""Pixels of a chart besides its plots: title, legend, and what is written below."""
+BETWEEN = 44
+"""Pixels above and below each plot."""
+
+PICTURE = Markup(
+    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" '
+    'height="{height}" role="img"><title>{title}</title><style>{style}</style>'
+    '<foreignObject width="{width}" height="{height}">'
+    '<div xmlns="http://www.w3.org/1999/xhtml" class="sheet"><figure>'
+    "<figcaption>{title}</figcaption>{chart}</figure></div></foreignObject></svg>\n"
+)
+SHEET = """
+.sheet { background: var(--page); color: var(--text); height: 100%; padding: 2px 14px;
+  font: 14px/1.5 system-ui, sans-serif; }
+.sheet figure { margin: 8px 0; }
+"""
+
+
+def main() -> None:
+    """Read the run and write the pictures."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("run", type=Path, help="folder of the closed loop")
+    for name, text in pictures(parser.parse_args().run):
+        path = DOCS / f"report_{name}.svg"
+        path.write_text(text, encoding="utf-8")
+        print(path.name, f"{len(text) / 1e3:.0f} kB")
+
+
+def pictures(folder: Path) -> Iterator[tuple[str, str]]:
+    """The name and the text of each picture."""
+    run = read_run(folder)
+    errors = error_picture(run)
+    if errors is not None:
+        yield "errors", drawn(errors.title, errors.chart)
+    for block in curves(run).blocks:
+        if isinstance(block, PanelsBlock):
+            panel = next(panel for panel in block.panels if panel.first)
+            title = f"{panel.experiment}, {panel.output}: {panel.note}"
+            yield "curves", drawn(title, panel.chart)
+    for name, section in (("shape", effects(run)), ("search", search(run))):
+        figure = first_figure(section)
+        yield name, drawn(figure.title, figure.chart)
+
+
+def first_figure(section: ReportSection) -> FigureBlock:
+    """The first chart of a section."""
+    return next(block for block in section.blocks if isinstance(block, FigureBlock))
+
+
+def drawn(title: str, chart: Chart) -> str:
+    """A chart as a picture that needs no page around it."""
+    height = AROUND + sum(plot.height + BETWEEN for plot in chart.plots)
+    css = importlib.resources.files("cluster_est.report").joinpath("templates", "report.css")
+    html = str(chart.html()).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ')
+    return str(
+        PICTURE.format(
+            width=WIDTH,
+            height=height,
+            title=title,
+            style=Markup(css.read_text(encoding="utf-8") + SHEET),
+            chart=Markup(html),
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()

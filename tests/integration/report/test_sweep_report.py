@@ -1,0 +1,100 @@
+"""The report of a sweep sets its runs beside each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from support.drawn import UNITS, Figures, points, value
+from support.reported import HOSTILE, Page
+
+from cluster_est.cli import main
+
+RUNS = (("a", 3.0, 2.5, 1.0), ("b", 1.1, 1.4, 2.0), ("c", 1.0, 9.0, 2.5))
+"""Method, training error, held-out error and estimate of k."""
+
+
+def row(method: str, train: float, test: float, k: float) -> dict[str, object]:
+    run = {"run": f"spring-{method}", "config": "spring", "method": method, "status": "done"}
+    numbers = {"cost_before": 9.0, "cost": 1.0, "rmse_train": train, "rmse_test": test}
+    counts = {"iterations": 5, "evaluations": 20, "simulations": 60, "failures": 0}
+    return run | {"message": "converged"} | numbers | counts | {"seconds": 75.0, "parameter k": k}
+
+
+def failed(method: str, why: str) -> dict[str, object]:
+    whole = dict.fromkeys(row("", 0.0, 0.0, 0.0))
+    return whole | {"run": f"spring-{method}", "config": "spring", "method": method,
+                    "status": "failed", "message": why}  # fmt: skip
+
+
+def written(folder: Path, rows: list[dict[str, object]]) -> Path:
+    folder.mkdir()
+    pq.write_table(pa.Table.from_pylist(rows), folder / "summary.parquet")
+    return folder
+
+
+@pytest.fixture
+def sweep(tmp_path) -> Path:
+    return written(tmp_path / "results", [*(row(*each) for each in RUNS), failed("d", HOSTILE)])
+
+
+def page_of(sweep: Path) -> Path:
+    assert main(["report", str(sweep)]) == 0
+    return sweep / "report.html"
+
+
+def test_it_says_how_many_runs_ended_well_and_which_are_best(sweep, capsys):
+    page = Page(page_of(sweep))
+    assert capsys.readouterr().out == f"report: {sweep / 'report.html'}\n"
+    assert "3 of 4 runs reached a solution" in page.text
+    assert "Of the others: 1 failed." in page.text
+    assert "The least held-out error, 1.40 over sigma, is that of spring-b." in page.text
+    assert "The least training error, 1.00 over sigma, is that of spring-c." in page.text
+    assert "1 min 15 s" in page.text
+
+
+def test_its_pictures_show_the_errors_and_the_estimates_of_every_run(sweep):
+    figures = Figures(page_of(sweep))
+    errors, estimates = figures.by_id("errors-of-runs"), figures.by_id("estimates-0")
+    for figure, name, column in (
+        (errors, "training", 1),
+        (errors, "held out", 2),
+        (estimates, "k", 3),
+    ):
+        (plot,) = figure.plots
+        (path,) = plot.paths[name]
+        across, down = points(path)
+        place = np.rint(down / UNITS * 3 - 0.5).astype(int)
+        best_first = [each[column] for each in sorted(RUNS, key=lambda each: each[2])]
+        expected = [best_first[i] for i in place]
+        assert value(plot.x, across) == pytest.approx(expected, rel=2e-3)
+        assert sorted(place.tolist()) == [0, 1, 2]
+
+
+def test_texts_of_its_table_are_escaped_and_nothing_is_fetched(sweep):
+    page = Page(page_of(sweep))
+    assert HOSTILE in page.text
+    assert not page.of("img")
+    assert not page.of("b")
+    assert not page.of("link")
+    assert len(page.of("script")) == 1
+    assert not [a for tag, a in page.elements if "src" in a]
+
+
+def test_a_sweep_in_which_nothing_has_run_yet_has_a_page_too(tmp_path):
+    sweep = written(tmp_path / "results", [failed("a", "stopped"), failed("b", "stopped")])
+    page = Page(page_of(sweep))
+    assert "0 of 2 runs reached a solution" in page.text
+    ids = [attributes["id"] for attributes in page.of("section") if "id" in attributes]
+    assert ids == ["runs"]
+
+
+def test_a_summary_that_is_damaged_is_said_in_a_sentence(sweep, capsys):
+    (sweep / "summary.parquet").write_bytes(b"PAR1 not really")
+    assert main(["report", str(sweep)]) == 2
+    error = capsys.readouterr().err
+    assert "damaged" in error
+    assert error.count("\n") == 1
