@@ -53,7 +53,7 @@ def _steps(run: ReportedRun) -> list[Block]:
     best = sorted(rows, key=lambda row: (not row["accepted"], -row["closed"]))[:MOST_SETS]
     best.sort(key=lambda row: (row["step"], -row["closed"]))
     closed = np.clip([100.0 * row["closed"] for row in best], LEAST_CLOSED, None)
-    accepted = np.array([bool(row["accepted"]) for row in best])
+    accepted = np.array([row["accepted"] for row in best], bool)
     place = np.arange(len(best), dtype=float)
     marks = [
         Dots(name, ink, closed[chosen], place[chosen])
