@@ -11,7 +11,7 @@ from typing import Any
 from cluster_est.toml import to_toml
 
 ROOT = Path(__file__).resolve().parents[2]
-CONFIGS = ROOT / "configs" / "league"
+CONFIGS = ROOT / "configs"
 
 Tree = dict[str, Any]
 
@@ -36,31 +36,30 @@ class LeagueCase:
 
     @property
     def title(self) -> str:
-        """The first sentence of the config, which says what was measured."""
-        return first_sentence(self.config)
+        """What was measured: the comment that opens the config, up to its source."""
+        return _opening(self.config).split(": ")[0] + "."
 
     @property
     def lacking(self) -> str:
-        """The first sentence of the textbook's file: the effect that the base model lacks."""
-        return first_sentence(self.textbook)
+        """The effect that the base model lacks, in the words of the textbook's file."""
+        return _opening(self.textbook)
 
 
-def all_cases(folder: Path = CONFIGS) -> tuple[LeagueCase, ...]:
-    """Every case, in the order of their names."""
+def all_cases(configs: Path = CONFIGS) -> tuple[LeagueCase, ...]:
+    """Every case that has a textbook's file, in the order of their names.
+
+    Its base model is that of the league's own config, or else of an example of the same name.
+    """
+    league = configs / "league"
     return tuple(
-        LeagueCase(path.stem, path, folder / "textbook" / path.name)
-        for path in sorted(folder.glob("*.toml"))
+        LeagueCase(path.stem, _config(path.name, league, configs), path)
+        for path in sorted((league / "textbook").glob("*.toml"))
     )
 
 
-def first_sentence(config: Path) -> str:
-    """The comment that opens a file, up to its first full stop."""
-    words = []
-    for line in config.read_text(encoding="utf-8").splitlines():
-        if not line.startswith("# "):
-            break
-        words.append(line.removeprefix("# "))
-    return " ".join(words).split(". ")[0].rstrip(".") + "."
+def _config(name: str, league: Path, examples: Path) -> Path:
+    own = league / name
+    return own if own.is_file() else examples / name
 
 
 def textbook_config(case: LeagueCase) -> str:
@@ -112,3 +111,13 @@ def _experiments(old: Sequence[Tree], change: Sequence[Tree]) -> list[Tree]:
     if unknown:
         raise ValueError(f"the textbook names experiments that the base lacks: {sorted(unknown)}")
     return [changed(each, changes.get(each["id"], {})) for each in old]
+
+
+def _opening(config: Path) -> str:
+    """The comment that opens a file, up to its first empty line."""
+    words = []
+    for line in config.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("# "):
+            break
+        words.append(line.removeprefix("# "))
+    return " ".join(words)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from measured_league.cases import LeagueCase
-from measured_league.running import Kind, run_folder
+from measured_league.running import Kind, finished_facts, run_folder
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ def read_case(case: LeagueCase, out: Path) -> CaseFigures:
     out
         The folder of the league.
     """
-    facts = {kind: _facts(run_folder(out, case, kind)) for kind in Kind}
+    facts = {kind: finished_facts(run_folder(out, case, kind)) for kind in Kind}
     base, textbook, loop = (_figures(out, case, kind, facts[kind]) for kind in Kind)
     return CaseFigures(
         case,
@@ -96,14 +95,6 @@ def pooled(rows: Iterable[Mapping[str, Any]], role: str) -> float:
     count = sum(row["samples"] for row in own)
     squares = math.fsum(row["samples"] * row["rmse_after"] ** 2 for row in own)
     return math.sqrt(squares / count) if count else math.nan
-
-
-def _facts(folder: Path) -> dict[str, Any] | None:
-    file = folder / "run.json"
-    if not file.is_file():
-        return None
-    facts: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return facts if facts["status"] in ("done", "not converged") else None
 
 
 def _figures(

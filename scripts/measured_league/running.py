@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -9,11 +10,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
+from cluster_est.run_folder.run_status import RunStatus
 from measured_league.cases import LeagueCase, textbook_config
 from measured_league.convert import convert
 
 PROGRAM = [sys.executable, "-c", "from cluster_est.cli import run; run()"]
+FINISHED = (RunStatus.DONE, RunStatus.NOT_CONVERGED)
 DATA, CONVERTED = "CLUSTER_EST_DATA", "CLUSTER_EST_CONVERTED"
 
 
@@ -60,7 +64,7 @@ def run_cases(
     chosen = list(kinds)
     for case in cases:
         for kind in chosen:
-            if not run_folder(out, case, kind).joinpath("run.json").is_file():
+            if finished_facts(run_folder(out, case, kind)) is None:
                 how = _run(case, kind, out, minutes, workers, environment)
                 yield Ended(case.name, kind, how)
 
@@ -76,6 +80,15 @@ def prepared_environment(out: Path) -> dict[str, str]:
 def run_folder(out: Path, case: LeagueCase, kind: Kind) -> Path:
     """The folder of a run."""
     return out / case.name / kind.value
+
+
+def finished_facts(folder: Path) -> dict[str, Any] | None:
+    """What a run says of itself; None where there is none, or where it has not ended by itself."""
+    file = folder / "run.json"
+    if not file.is_file():
+        return None
+    facts: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return facts if facts["status"] in FINISHED else None
 
 
 def _run(
