@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,15 +74,15 @@ class Panel:
         return f'<path class="measured" d="{dots}"/>'
 
     def grid(self) -> list[str]:
-        """Lines at bottom, middle and top, with their values at the left."""
+        """Lines at round values, which stand at the left."""
         parts = []
-        for share in (0.0, 0.5, 1.0):
-            y = self.bottom + share * (self.top - self.bottom)
-            value = self.low + share * (self.high - self.low)
-            parts.append(f'<path class="rule" d="M{LEFT} {y:.1f}H{RIGHT}"/>')
+        for tick in round_values(self.low, self.high):
+            (point,) = self.points(np.array([self.start]), np.array([tick]))
+            y = float(point.split()[1])
+            parts.append(f'<path class="rule" d="M{LEFT} {y}H{RIGHT}"/>')
             parts.append(
                 f'<text class="small" x="{LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">'
-                f"{value:.4g}</text>"
+                f"{tick:.6g}</text>"
             )
         return parts
 
@@ -112,6 +113,14 @@ def stretch(errors: Array) -> slice:
     middle, half = int(np.argmax(errors)), MOST_SAMPLES // 2
     first = max(0, min(middle - half, len(errors) - MOST_SAMPLES))
     return slice(first, first + MOST_SAMPLES)
+
+
+def round_values(low: float, high: float) -> list[float]:
+    """Two to five multiples of 1, 2 or 5 times a power of ten between two numbers."""
+    step = 10.0 ** math.floor(math.log10((high - low) / 2.0))
+    step *= max(each for each in (1.0, 2.0, 5.0) if each * step <= (high - low) / 2.0)
+    first, last = math.ceil(low / step), math.floor(high / step)
+    return [step * i for i in range(first, last + 1)]
 
 
 def picture(record: Record, title: str, unit: str) -> str:

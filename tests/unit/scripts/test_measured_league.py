@@ -20,7 +20,7 @@ from measured_league.figures import (
 )
 from measured_league.judging import CaseJudgements, Judgement, Rightness, read_judgements
 from measured_league.page import made_worse, near_textbook, page_text, says_so
-from measured_league.picture import MOST_SAMPLES, Record, picture, stretch
+from measured_league.picture import MOST_SAMPLES, Record, picture, round_values, stretch
 
 from cluster_est.config.reader import parse_config
 
@@ -165,3 +165,16 @@ def test_a_stretch_holds_the_largest_error():
         assert part.sum() == 1.0
         assert len(part) == MOST_SAMPLES
     assert len(errors[:9][stretch(errors[:9])]) == 9
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (-3.4, 3.3, [-2.0, 0.0, 2.0]),
+        (0.0, 1.0, [0.0, 0.5, 1.0]),
+        (19.2, 57.6, [20.0, 30.0, 40.0, 50.0]),
+        (3.466, 3.773, [3.5, 3.6, 3.7]),
+    ],
+)
+def test_round_values(low, high, expected):
+    assert round_values(low, high) == pytest.approx(expected)
