@@ -230,6 +230,8 @@ def add_structure(root: ET.Element, model: Model) -> None:
         "InitialUnknowns": sorted(outputs + derivatives),
     }
     for tag, indices in sections.items():
+        if not indices:  # a model without states: the standard allows no empty list
+            continue
         section = element(structure, tag)
         for index in indices:
             element(section, "Unknown", index=index)

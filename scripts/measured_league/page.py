@@ -1,0 +1,243 @@
+"""The page of the league: one table of all cases, then each case with a picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+
+from measured_league.cases import LeagueCase
+from measured_league.figures import CaseFigures, RunFigures, read_case
+from measured_league.judging import CaseJudgements, Rightness
+from measured_league.picture import CURVES, held_out_record, picture
+from measured_league.running import Kind, run_folder
+
+NEAR_TEXTBOOK, NEAR_NOISE = 1.05, 1.5
+"""Times the textbook's held-out error, and times the noise, that count as good."""
+HONEST = ("none", "none (coloured noise)", "partial", "unexplained")
+SAME = 1e-3
+"""Held-out errors that differ by less than this part are the same."""
+
+INTRODUCTION = """# The league of measured cases
+
+Each case is a public measurement with a base model from the textbook and the effect that this
+model lacks. `cluster-est close-loop` is told nothing of that effect. The base model and the
+textbook's are fitted by name to the same data. Errors are root mean squares over all samples of all
+outputs and records. What is held out chooses nothing; where a held-out record begins at a state
+that is unknown, that is fitted to it for each of the three.
+
+The splits, base models and effects were chosen with all data in view, so the gap between base and
+textbook flatters the latter. Anything may be tuned on these cases: a good score here proves nothing
+about others.
+"""
+
+
+def write_page(
+    cases: Sequence[LeagueCase], judgements: Mapping[str, CaseJudgements], out: Path, page: Path
+) -> list[Path]:
+    """Write the page and its pictures.
+
+    Parameters
+    ----------
+    cases
+        The cases, in their order.
+    judgements
+        What people have said about names, by case.
+    out
+        The folder of the league's runs.
+    page
+        The Markdown file; the pictures go into a folder of its name beside it.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+    """
+    found = [read_case(case, out) for case in cases]
+    pictures = page.with_suffix("")
+    written = []
+    drawn: dict[str, str] = {}
+    for each in found:
+        svg = _picture(each, out)
+        if svg:
+            pictures.mkdir(parents=True, exist_ok=True)
+            file = pictures / f"{each.case.name}.svg"
+            file.write_text(svg, encoding="utf-8")
+            drawn[each.case.name] = f"{pictures.name}/{file.name}"
+            written.append(file)
+    page.write_text(page_text(found, judgements, drawn), encoding="utf-8")
+    return [page, *written]
+
+
+def page_text(
+    found: Sequence[CaseFigures],
+    judgements: Mapping[str, CaseJudgements],
+    pictures: Mapping[str, str],
+) -> str:
+    """The page as Markdown.
+
+    Parameters
+    ----------
+    found
+        The figures of all cases.
+    judgements
+        What people have said about names, by case.
+    pictures
+        The picture of each case that has one, from the page's folder.
+    """
+    known = {
+        each.case.name: judgements.get(each.case.name, CaseJudgements("", ())) for each in found
+    }
+    parts = [INTRODUCTION.rstrip(), _summary(found, known), _all_cases(found, known)]
+    parts += [_case(each, known[each.case.name], pictures) for each in found]
+    return "\n\n".join(parts) + "\n"
+
+
+def _summary(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]) -> str:
+    """How many cases are as they should be, of those with a loop and a textbook fit."""
+    ended = [each for each in found if each.loop and each.base and each.textbook]
+    questions: tuple[tuple[str, Callable[[CaseFigures], bool]], ...] = (
+        (f"held-out error at most {NEAR_TEXTBOOK} times the textbook's", near_textbook),
+        ("the effect of the textbook named, or an alias", lambda each: named(each, known)),
+        ("held-out error made worse", made_worse),
+        (f"more than {NEAR_NOISE} times the noise left, and the verdict says so", says_so),
+        (f"more than {NEAR_NOISE} times the noise left, and `found` said", overclaims),
+    )
+    rows = [[text, f"{sum(map(question, ended))} of {len(ended)}"] for text, question in questions]
+    text = table(["", "cases"], rows)
+    missing = [each.case.name for each in found if each not in ended]
+    if missing:
+        text += f"\n\nNot all runs have ended in: {', '.join(missing)}."
+    return text
+
+
+def near_textbook(each: CaseFigures) -> bool:
+    """Whether the loop predicts what was held out about as well as the textbook's effect."""
+    return _loop(each).test <= NEAR_TEXTBOOK * _of(each.textbook).test
+
+
+def named(each: CaseFigures, known: Mapping[str, CaseJudgements]) -> bool:
+    """Whether the loop named the effect or an alias of it."""
+    return _rightness(each, known[each.case.name]) in (Rightness.RIGHT, Rightness.ALIAS)
+
+
+def made_worse(each: CaseFigures) -> bool:
+    """Whether the loop added something that predicts worse than the base model."""
+    return bool(each.loop and each.loop.effects) and (
+        _loop(each).test > (1.0 + SAME) * _of(each.base).test
+    )
+
+
+def more_than_noise(each: CaseFigures) -> bool:
+    """Whether more than noise is left, on the training or on the held-out data."""
+    loop = _loop(each)
+    return max(loop.train, loop.test) > NEAR_NOISE * each.noise
+
+
+def says_so(each: CaseFigures) -> bool:
+    """Whether more than noise is left and the verdict claims no more than that."""
+    return more_than_noise(each) and each.loop is not None and each.loop.verdict in HONEST
+
+
+def overclaims(each: CaseFigures) -> bool:
+    """Whether more than noise is left and the verdict is "found" all the same."""
+    return more_than_noise(each) and not says_so(each)
+
+
+def _all_cases(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]) -> str:
+    head = ["case", "unit", "base", "loop", "textbook", "noise", "verdict", "named"]
+    rows = []
+    for each in found:
+        base, loop, textbook = (pair(run) for run in _runs(each))
+        unit = each.base.unit if each.base else "-"
+        verdict = each.loop.verdict if each.loop else "-"
+        rightness = _rightness(each, known[each.case.name]) or "-"
+        anchor = f"[{each.case.name}](#{each.case.name})"
+        noise = number(each.noise)
+        row = [anchor, unit, base, loop, textbook, noise, verdict, str(rightness)]
+        rows.append([*row, *_cost(each.loop.figures if each.loop else None)])
+    return f"Errors as training / held out.\n\n{table([*head, 'simulations', 's'], rows)}"
+
+
+def _case(each: CaseFigures, known: CaseJudgements, pictures: Mapping[str, str]) -> str:
+    case = each.case
+    parts = [f"## {case.name}", f"{case.title} The textbook adds: {case.lacking}"]
+    if known.remark:
+        parts.append(known.remark)
+    if each.loop:
+        parts.append(_said(each))
+        rows = [
+            [f"`{effect.name}`", f"`{effect.equation}`", judged.rightness.value, judged.why]
+            for effect in each.loop.effects
+            for judged in [known.of(effect.name)]
+        ]
+        if rows:
+            parts.append(table(["added", "equation", "is", "why"], rows))
+    else:
+        parts.append("The closed loop has no result here.")
+    if case.name in pictures:
+        parts.append(f"![{case.title}]({pictures[case.name]})")
+    return "\n\n".join(parts)
+
+
+def _said(each: CaseFigures) -> str:
+    """The verdict, and what is left of the held-out error."""
+    assert each.loop is not None
+    text = f"Verdict of the closed loop: `{each.loop.verdict}`"
+    text += "." if each.loop.effects else "; nothing was added."
+    loop = each.loop.figures
+    for name, run in (("base model's", each.base), ("textbook's", each.textbook)):
+        if run:
+            text += f" Its held-out error is {loop.test / run.test:.2f} times the {name}."
+    if math.isfinite(each.noise):
+        times = [f"{error / each.noise:.3g}" for error in (loop.train, loop.test)]
+        text += f" It leaves {times[0]} times the noise in training and {times[1]} held out."
+    return text
+
+
+def _picture(each: CaseFigures, out: Path) -> str:
+    """The picture of a case, or "" where its base model has not been fitted."""
+    there = dict(zip(CURVES, _runs(each), strict=True))
+    runs = {name: run_folder(out, each.case, Kind(name)) for name, run in there.items() if run}
+    if "base" not in runs:
+        return ""
+    return picture(held_out_record(runs), each.case.title, _of(each.base).unit)
+
+
+def _runs(each: CaseFigures) -> tuple[RunFigures | None, ...]:
+    """In the order of `CURVES`."""
+    return each.base, each.loop.figures if each.loop else None, each.textbook
+
+
+def _rightness(each: CaseFigures, known: CaseJudgements) -> Rightness | None:
+    return known.overall([effect.name for effect in each.loop.effects]) if each.loop else None
+
+
+def _loop(each: CaseFigures) -> RunFigures:
+    return _of(each.loop.figures if each.loop else None)
+
+
+def _of(run: RunFigures | None) -> RunFigures:
+    if run is None:
+        raise ValueError("a case without this run was asked for its figures")
+    return run
+
+
+def _cost(run: RunFigures | None) -> list[str]:
+    return [f"{run.simulations}", f"{run.seconds:.0f}"] if run else ["-", "-"]
+
+
+def pair(run: RunFigures | None) -> str:
+    """Both errors of a run, as training / held out."""
+    return f"{number(run.train)} / {number(run.test)}" if run else "-"
+
+
+def number(value: float) -> str:
+    """Three digits, or a dash where there is no number."""
+    return f"{value:.3g}" if math.isfinite(value) else "-"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Write a table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(c.replace('|', '&#124;') for c in line)} |" for line in lines)

@@ -1,0 +1,180 @@
+"""The league: configs that fit together, conversions, figures, judgements, the page."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from measured_league.cases import all_cases, changed, textbook_config
+from measured_league.convert import CONVERSIONS, convert, with_logarithm, without_repeated_times
+from measured_league.figures import (
+    CaseFigures,
+    LoopFigures,
+    NamedEffect,
+    RunFigures,
+    effect_name,
+    pooled,
+)
+from measured_league.judging import CaseJudgements, Judgement, Rightness, read_judgements
+from measured_league.page import made_worse, near_textbook, page_text, says_so
+from measured_league.picture import MOST_SAMPLES, Record, picture, round_values, stretch
+
+from cluster_est.config.reader import parse_config
+
+CASES = {case.name: case for case in all_cases()}
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_textbook_is_fitted_to_the_same_split(name):
+    case = CASES[name]
+    base = parse_config(tomllib.loads(case.config.read_text(encoding="utf-8")), name)
+    textbook = parse_config(tomllib.loads(textbook_config(case)), name)
+    assert len(base.experiments) == len(textbook.experiments)
+    for own, other in zip(base.experiments, textbook.experiments, strict=True):
+        assert own.model_dump(exclude={"values"}) == other.model_dump(exclude={"values"})
+    assert {each.role for each in base.experiments} == {"train", "test"}
+    more = {*textbook.parameters} - {*base.parameters}
+    assert textbook.effects or more, "the textbook must add something"
+    assert not base.effects
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_base_config_has_default_settings_and_no_path_of_a_machine(name):
+    config = tomllib.loads(CASES[name].config.read_text(encoding="utf-8"))
+    assert all(each.startswith(("$", ".")) for each in config["data_folders"])
+    if CASES[name].config.parent.name == "league":
+        sections = {"data_folders", "model", "parameters", "values", "experiments"}
+        assert set(config) <= sections | {"experiment_defaults"}
+
+
+def test_every_case_has_words_for_the_page():
+    assert set(read_judgements()) == set(CASES)
+    for case in CASES.values():
+        assert case.title.endswith(".")
+        assert case.lacking.endswith(".")
+
+
+def test_a_change_joins_tables_by_name_and_experiments_by_id():
+    base = {
+        "parameters": {"k": {"start": 1.0, "scale": "log"}},
+        "experiments": [{"id": "a", "values": {"x": 1.0}}, {"id": "b"}],
+    }
+    change = {
+        "parameters": {"k": {"start": 2.0}, "c": {"start": 3.0}},
+        "experiments": [{"id": "a", "values": {"y": 2.0}}],
+    }
+    assert changed(base, change) == {
+        "parameters": {"k": {"start": 2.0, "scale": "log"}, "c": {"start": 3.0}},
+        "experiments": [{"id": "a", "values": {"x": 1.0, "y": 2.0}}, {"id": "b"}],
+    }
+    with pytest.raises(ValueError, match="the base lacks"):
+        changed(base, {"experiments": [{"id": "c"}]})
+
+
+def test_conversions(tmp_path):
+    rows = [["time", "V"], ["0", "100"], ["1", "1000"], ["1", "1000"], ["2", "20"]]
+    assert without_repeated_times(rows) == [*rows[:3], rows[4]]
+    logged = with_logarithm(rows)
+    assert logged[0] == ["time", "lgV"]
+    assert [float(value) for _, value in logged[1:]] == [2.0, 3.0, 3.0, math.log10(20.0)]
+    before, (after, _) = next(iter(CONVERSIONS.items()))
+    file = tmp_path / "data" / before
+    file.parent.mkdir(parents=True)
+    file.write_text("time,V\n0,1\n0,1\n1,2\n", encoding="utf-8")
+    (written,) = convert(tmp_path / "data", tmp_path / "out")
+    assert written == tmp_path / "out" / after
+    assert written.read_text(encoding="utf-8") == "time,V\n0,1\n1,2\n"
+
+
+def test_errors_are_pooled_over_samples_not_over_records():
+    rows = [
+        {"role": "test", "samples": 3, "rmse_after": 1.0},
+        {"role": "test", "samples": 1, "rmse_after": 5.0},
+        {"role": "train", "samples": 9, "rmse_after": 7.0},
+    ]
+    assert pooled(rows, "test") == pytest.approx(math.sqrt((3.0 + 25.0) / 4.0))
+    assert math.isnan(pooled([], "test"))
+
+
+def test_the_first_pattern_counts_and_the_best_name_decides():
+    known = CaseJudgements(
+        "",
+        (
+            Judgement("coulomb at der(v) of *", Rightness.RIGHT, "rubs"),
+            Judgement("* at der(v) of *", Rightness.WRONG, "does not"),
+        ),
+    )
+    rubs = effect_name("coulomb", "der(v)", ["v"])
+    assert known.of(rubs).why == "rubs"
+    assert known.of(effect_name("cubic", "der(v)", ["v"])).rightness is Rightness.WRONG
+    assert known.of("bias at output y").rightness is Rightness.OPEN
+    assert known.overall(["cubic at der(v) of v", rubs]) is Rightness.RIGHT
+    assert known.overall(["cubic at der(v) of v", "bias at output y"]) is Rightness.OPEN
+    assert known.overall([]) is None
+
+
+def figures(test: float, effects: tuple[NamedEffect, ...] = (), verdict: str = "none"):
+    """A made-up case: base 1 / 2, textbook 0.1 / 0.1, noise 0.1, and a loop with an error."""
+    base, textbook = RunFigures(1.0, 2.0, "m", 9, 1.0), RunFigures(0.1, 0.1, "m", 9, 1.0)
+    loop = LoopFigures(RunFigures(0.1, test, "m", 1234, 56.0), verdict, effects)
+    return CaseFigures(CASES["rocket"], base, textbook, loop, 0.1)
+
+
+DRAG = NamedEffect("quadratic at der(v) of v", "der(v) += -k * v * abs(v)")
+
+
+def test_questions_of_the_summary():
+    assert near_textbook(figures(0.105))
+    assert not near_textbook(figures(0.106))
+    assert made_worse(figures(2.1, (DRAG,)))
+    assert not made_worse(figures(2.1))
+    assert says_so(figures(0.2, (DRAG,), "partial"))
+    assert not says_so(figures(0.2, (DRAG,), "found"))
+    assert not says_so(figures(0.1, (DRAG,), "partial"))
+
+
+def test_the_page_has_every_case_with_its_figures_and_words():
+    text = page_text([figures(0.1, (DRAG,), "found")], read_judgements(), {"rocket": "a/b.svg"})
+    assert "| [rocket](#rocket) | m | 1 / 2 | 0.1 / 0.1 | 0.1 / 0.1 | 0.1 | found | right |" in text
+    assert "| 1234 | 56 |" in text
+    assert "the drag of the air" in text
+    assert "](a/b.svg)" in text
+    assert "| held-out error made worse | 0 of 1 |" in text
+    alone = CaseFigures(CASES["ur5e"], None, None, None, math.nan)
+    assert "Not all runs have ended in: ur5e." in page_text([alone], {}, {})
+
+
+def test_a_picture_has_a_curve_for_each_run():
+    times = np.linspace(0.0, 1.0, 50)
+    simulated = {"base": np.zeros(50), "textbook": np.sin(times)}
+    drawn = Record("a < b", "y", times, np.sin(times) + 0.1, simulated)
+    root = ET.fromstring(picture(drawn, "what & why", "m"))
+    paths = [each.get("class") for each in root.iter("{http://www.w3.org/2000/svg}path")]
+    assert paths.count("base") == paths.count("textbook") == 3  # legend, curve, error
+    assert paths.count("loop") == 0
+
+
+def test_a_stretch_holds_the_largest_error():
+    errors = np.zeros(5 * MOST_SAMPLES)
+    for at in (0, 700, len(errors) - 1):
+        errors[:], errors[at] = 0.0, 1.0
+        part = errors[stretch(errors)]
+        assert part.sum() == 1.0
+        assert len(part) == MOST_SAMPLES
+    assert len(errors[:9][stretch(errors[:9])]) == 9
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (-3.4, 3.3, [-2.0, 0.0, 2.0]),
+        (0.0, 1.0, [0.0, 0.5, 1.0]),
+        (19.2, 57.6, [20.0, 30.0, 40.0, 50.0]),
+        (3.466, 3.773, [3.5, 3.6, 3.7]),
+    ],
+)
+def test_round_values(low, high, expected):
+    assert round_values(low, high) == pytest.approx(expected)
