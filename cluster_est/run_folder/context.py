@@ -105,7 +105,7 @@ class RunContext:
         """Open the folder, if it is not open yet."""
         if self.folder is None:
             self.folder = RunFolder(
-                self.out, self._identity, self._logged, overwrite=self._overwrite
+                self.out, self._identity, self._logged, overwrite=self._overwrite, say=self._say
             )
             if self._reset is not None:
                 self.folder.note_reset(self._reset)
@@ -123,6 +123,12 @@ class RunContext:
 
     def finish(self, result: RunResult) -> RunStatus:
         """Write all tables, and return how the run stands."""
+        if self._logged is not None and self._logged.differing:
+            self._say(
+                f"{self._logged.differing} of the simulations that were done again gave other "
+                "residuals than those whose hashes the log has: the FMU or the machine does not "
+                "repeat them bit for bit, and the result may not be that of an uninterrupted run"
+            )
         return self.begin().write(result)
 
     @property
