@@ -103,7 +103,7 @@ class EvaluationLog:
         self._written = self._synced = 0.0
         self._segment = first_segment
         self._slim: set[str] = set()
-        self._stays_large = False
+        self._is_full = self._stays_large = False
         self._stream: tuple[BinaryIO, pa.ipc.RecordBatchStreamWriter] | None = None
         self._adding, self._writing = threading.Lock(), threading.Lock()
         self._ended = threading.Event()
@@ -229,7 +229,8 @@ class EvaluationLog:
             if total <= self._limit:
                 return
             if path.name not in self._slim:
-                if not self._slim:
+                if not self._is_full:
+                    self._is_full = True
                     self._say(
                         f"the log has reached {self._settings.megabytes:g} MB (log.max_megabytes): "
                         "residuals and trajectories leave it from now on, the oldest first; a run "

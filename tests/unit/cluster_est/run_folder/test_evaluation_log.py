@@ -360,7 +360,7 @@ def test_what_a_finished_run_leaves(tmp_path: Path) -> None:
     for name in ("residuals", "trajectory", "times", "variables"):
         assert after[name].null_count == 80
     for name in set(SCHEMA.names).difference(LARGE):
-        assert after[name].to_pylist() == before[name].to_pylist()
+        assert str(after[name].to_pylist()) == str(before[name].to_pylist())  # costs may be NaN
     hashes = after["residuals_hash"].to_pylist()
     assert [h is None for h in hashes] == [outcome.residuals is None for _, outcome in recorded]
     assert len(set(hashes[:40])) == 1
@@ -393,4 +393,6 @@ def test_a_log_that_cannot_be_made_smaller_ends_no_run(
     log.close()
     log.let_residuals_go()
     assert read_log(tmp_path)["residuals"].null_count == 0
-    assert [text for text in said if "there is no room" in text] == [said[-1]]
+    full_log, no_room = said
+    assert "the log has reached 0.05 MB" in full_log
+    assert "residuals stay in the log, because there is no room" in no_room
