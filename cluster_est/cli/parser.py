@@ -167,6 +167,19 @@ def _add_export(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     export.add_argument(
         "--fmu", type=Path, help="write the FMU with the estimates and effects in it (.fmu)"
     )
+    export.add_argument(
+        "--platforms",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="compile that FMU for these too: linux64, win64, darwin64; needs the package ziglang",
+    )
+    export.add_argument(
+        "--no-step",
+        action="store_true",
+        help="do not measure the communication step that reproduces the run's error, which takes "
+        "some seconds",
+    )
     export.add_argument("--ssv", type=Path, help="write the values as an SSP parameter set (.ssv)")
     export.add_argument(
         "--modelica", action="store_true", help="print the effects as equations of Modelica"

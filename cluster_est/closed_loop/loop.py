@@ -95,8 +95,10 @@ def run_loop(request: LoopRequest) -> LoopResult:
     """
     begin = time.monotonic()
     with open_checked_workbench(request) as workbench:
+        workbench.enter("the declared model")
         base = fit_declared(workbench, FitStart(workbench.problem, {}))
         noise = _noise(workbench, base)
+        workbench.enter("the error of the solver")
         error = measure_numerical_error(workbench, base, noise, request.environment.resources)
         if error.hides_effects:
             found = without_search(workbench, base)
@@ -123,6 +125,7 @@ def _report(
     begin: float,
 ) -> LoopResult:
     """Fit to convergence, let the held-out experiments veto, and put it into words."""
+    workbench.enter("before and after")
     before = _final(workbench, found.base, begin)
     grown = _final(workbench, found.current, begin) if found.current.added else before
     changes = error_changes(workbench, found, before, grown)

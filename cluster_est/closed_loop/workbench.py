@@ -182,6 +182,10 @@ class LoopWorkbench:
     def exchange(self) -> bool:
         return self.problem.model.interface == "model_exchange"
 
+    def enter(self, phase: str) -> None:
+        """Tell who watches the run what it is about from now on."""
+        self.runner.display.phase = phase
+
     def noise_floor(self, noise: FloatArray) -> float:
         """The sum of squares that the noise alone would leave; never 0."""
         sizes = [len(self.records.of_output(o)) for o in range(len(self.records.outputs))]

@@ -158,5 +158,9 @@ class OutcomeSource(ABC):
         """Return an outcome as the answer to a task."""
 
     @abstractmethod
+    def compare(self, row: int, outcome: Outcome) -> None:
+        """Compare an outcome that was simulated again with what is known of the first."""
+
+    @abstractmethod
     def note_answered(self, task: int) -> None:
         """Remember that a task was answered from here: it must not be logged again."""

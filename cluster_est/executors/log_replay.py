@@ -78,6 +78,7 @@ class LogReplayExecutor(Executor):
                 outcome = self._log.outcome(row, task)
             elif task in self._early:
                 outcome = self._early.pop(task)
+                self._log.compare(row, outcome)
             else:
                 self._early |= {outcome.task: outcome for outcome in self._inner.completed()}
                 continue

@@ -68,6 +68,21 @@ def model_description(
     return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
 
 
+def with_step(document: bytes, step: float) -> bytes:
+    """Return the document with a default step size, which many tools take unless told otherwise."""
+    root = ET.fromstring(document)
+    before = (
+        "ModelExchange",
+        "CoSimulation",
+        "UnitDefinitions",
+        "TypeDefinitions",
+        "LogCategories",
+    )
+    _child(root, "DefaultExperiment", before).set("stepSize", repr(step))
+    ET.indent(root)
+    return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
+
+
 def _interfaces(layout: WrapperLayout, old: Element, sources: tuple[str, ...]) -> list[Element]:
     kept = {flag: old.get(flag, "false") for flag in _FLAGS}
     kept = {flag: text for flag, text in kept.items() if text in ("true", "1")}

@@ -3,45 +3,58 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import tempfile
 import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from cluster_est.errors import RunFolderError
+from cluster_est.errors import ModelError, RunFolderError
 from cluster_est.export.c_code import effects_source
-from cluster_est.export.compiler import compile_library, find_compiler
-from cluster_est.export.description import identifier, model_description
+from cluster_est.export.compiler import (
+    PLATFORMS,
+    check_cross_compiler,
+    compile_for,
+    compile_library,
+    find_compiler,
+)
+from cluster_est.export.description import identifier, model_description, with_step
 from cluster_est.export.header import header
 from cluster_est.export.layout import WrapperLayout, lay_out
-from cluster_est.export.repair import RepairedModel
-from cluster_est.export.text import describe_effects
+from cluster_est.export.readme import readme
+from cluster_est.export.repaired_model import RepairedModel
+from cluster_est.export.step_error import StepErrors, measure_step
 from cluster_est.run_folder.run_identity import versions
 from workers.fmu.archive import open_archive
-from workers.fmu.platforms import binary_path
-
-_README = """# {name}
-
-{file} with the estimates and effects of run {run}, made by {tool}.
-
-The original FMU lies unpacked in resources/original; the library in binaries/ loads it from there.
-The wrapper's C sources are in sources/. They need no further header and are compiled with
-
-    cc -std=c99 -O2 -ffp-contract=off -fPIC -shared -o {name}.so *.c -lm -ldl
-
-{simulation}
-
-{effects}"""
-_EXCHANGE = """In co-simulation the wrapper integrates the repaired model with {solver}. In model
-exchange delays and backlashes are sampled at completed integrator steps."""
-_SIMULATION = """The original is for co-simulation, so this FMU is too; it makes the steps of the
-run."""
+from workers.fmu.parsing.xml import XML
+from workers.fmu.platforms import PLATFORM, binary_path, platforms_in
+from workers.messages import Limits
 
 _MOST_NAMED = 8
 
 
-def write_fmu(repair: RepairedModel, path: Path) -> tuple[str, ...]:
+@dataclass(frozen=True)
+class FmuOptions:
+    """What goes into an exported FMU.
+
+    Attributes
+    ----------
+    platforms
+        Those that it is compiled for besides this machine's, by FMI 2.0's names.
+    measure
+        Whether the communication step is measured that reproduces the error of the run.
+    """
+
+    platforms: tuple[str, ...] = ()
+    measure: bool = True
+
+
+def write_fmu(
+    repair: RepairedModel, path: Path, options: FmuOptions | None = None
+) -> tuple[str, ...]:
     """Write the repaired FMU and return sentences on what a user should know of it.
 
     Raises
@@ -51,27 +64,54 @@ def write_fmu(repair: RepairedModel, path: Path) -> tuple[str, ...]:
     RunFolderError
         If the file cannot be written.
     """
+    options = options or FmuOptions()
+    others = tuple(p for p in dict.fromkeys(options.platforms) if p != PLATFORM)
     layout = lay_out(repair)
     command = find_compiler()
+    check_cross_compiler(others)
     repair.description.check_platform(repair.problem.model.interface)
-    content = archive_files(layout, command)
+    _check_platforms(repair, others)
+    content = archive_files(layout, command, others)
+    step = None
+    if options.measure and repair.errors:
+        step = measure_step(repair, _archive(content), Limits())
+        content |= _about(layout, step)
+        if step.reproduces is not None:
+            content[XML] = with_step(content[XML], step.reproduces)
     partial = path.with_name(f".{path.name}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write_archive(partial, content)
+        partial.write_bytes(_archive(content))
         partial.replace(path)
     except OSError as error:
         raise RunFolderError(
             f"--fmu: {path} cannot be written ({error}); choose another"
         ) from error
-    return _notes(layout)
+    return (*_notes(layout), *([] if step is None else [step.sentence]))
 
 
-def archive_files(layout: WrapperLayout, command: tuple[str, ...]) -> dict[str, bytes]:
+def _check_platforms(repair: RepairedModel, platforms: Sequence[str]) -> None:
+    """Refuse platforms that the original has no binary for: the wrapper loads that."""
+    model = repair.problem.model
+    with open_archive(model.name, model.archive) as opened:
+        there = platforms_in(opened.namelist())
+    for platform in platforms:
+        names = (platform,) if repair.description.version == "2.0" else PLATFORMS[platform].tuples
+        if not set(names) & set(there):
+            raise ModelError(
+                f"--platforms: {model.name} must have a binary for {platform}, which the exported "
+                f"FMU loads, but has one for {', '.join(there)}; export it for {platform} too, or "
+                "leave that out"
+            )
+
+
+def archive_files(
+    layout: WrapperLayout, command: tuple[str, ...], platforms: Sequence[str] = ()
+) -> dict[str, bytes]:
     """Everything in the archive by its name; the same for the same run, sources and compiler."""
     name, model = identifier(layout), layout.repair.problem.model
     sources = wrapper_sources() | {"effects.c": effects_source(layout).encode()}
-    tool = f"cluster-est {versions()['cluster-est']}"
+    tool = _tool()
     names = tuple(sorted(source for source in sources if source.endswith(".c")))
     digest = hashlib.sha256(model.archive_hash.encode())
     unnamed = {**sources, "model.h": header(layout, "").encode()}
@@ -82,16 +122,29 @@ def archive_files(layout: WrapperLayout, command: tuple[str, ...]) -> dict[str, 
     sources["model.h"] = header(layout, guid).encode()
     found = {f"sources/{file}": text for file, text in sources.items()}
     found["modelDescription.xml"] = model_description(layout, guid, names, tool)
-    found["documentation/README.md"] = _readme(layout, name, tool).encode()
+    found |= _about(layout, None)
     library = binary_path("2.0", name)
     with tempfile.TemporaryDirectory() as folder:
         for file, text in sources.items():
             Path(folder, file).write_bytes(text)
         found[library] = compile_library(command, Path(folder), os.path.basename(library))
+        for platform in platforms:
+            path = f"binaries/{platform}/{name}{PLATFORMS[platform].suffix}"
+            found[path] = compile_for(platform, Path(folder), name)
     with open_archive(model.name, model.archive) as opened:
         for entry in opened.infolist():  # empty folders too: some originals look for theirs
             found[f"resources/original/{entry.filename}"] = opened.read(entry)
     return found
+
+
+def _tool() -> str:
+    return f"cluster-est {versions()['cluster-est']}"
+
+
+def _about(layout: WrapperLayout, step: StepErrors | None) -> dict[str, bytes]:
+    """What a person reads, by its name in the archive."""
+    text = readme(layout, identifier(layout), _tool(), step)
+    return {"documentation/README.md": text.encode()}
 
 
 def wrapper_sources() -> dict[str, bytes]:
@@ -99,16 +152,6 @@ def wrapper_sources() -> dict[str, bytes]:
     folder = files("cluster_est.export") / "c"
     found = {file.name: file.read_bytes() for file in folder.iterdir()}
     return {name: text for name, text in sorted(found.items()) if name.endswith((".c", ".h"))}
-
-
-def _readme(layout: WrapperLayout, name: str, tool: str) -> str:
-    model = layout.repair.problem.model
-    solver = "dormand_prince" if model.solver.name == "cvode" else model.solver.name
-    how = _EXCHANGE.format(solver=solver) if layout.exchange else _SIMULATION
-    return _README.format(
-        name=name, file=model.name, run=layout.repair.run, tool=tool, simulation=how,
-        effects=describe_effects(layout.repair),
-    )  # fmt: skip
 
 
 def _notes(layout: WrapperLayout) -> tuple[str, ...]:
@@ -135,9 +178,10 @@ def _notes(layout: WrapperLayout) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _write_archive(path: Path, content: dict[str, bytes]) -> None:
-    """Write a zip archive that depends on its contents only."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+def _archive(content: dict[str, bytes]) -> bytes:
+    """Return a zip archive that depends on its contents only."""
+    target = io.BytesIO()
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in sorted(content.items()):
             entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED
@@ -145,3 +189,4 @@ def _write_archive(path: Path, content: dict[str, bytes]) -> None:
             runnable = entry.is_dir() or "binaries/" in name
             entry.external_attr = 0o755 << 16 if runnable else 0o644 << 16
             archive.writestr(entry, data)
+    return target.getvalue()

@@ -7,7 +7,7 @@ from typing import Literal
 
 from cluster_est.errors import ModelError
 from cluster_est.export.fmi3_variables import TranslatedVariable, fits, flatten
-from cluster_est.export.repair import EstimatedValue, RepairedModel
+from cluster_est.export.repaired_model import EstimatedValue, RepairedModel
 from workers.effects.compiled import CompiledEquations, equations
 from workers.effects.definition import EffectDefinition
 from workers.fmu.description import ModelDescription

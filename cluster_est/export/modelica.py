@@ -9,7 +9,7 @@ import sympy as sp
 from sympy.printing.precedence import precedence
 from sympy.printing.str import StrPrinter
 
-from cluster_est.export.repair import EstimatedValue, RepairedModel
+from cluster_est.export.repaired_model import EstimatedValue, RepairedModel
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
 
 _NO_FUNCTION = {

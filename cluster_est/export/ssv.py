@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from xml.etree.ElementTree import Element, SubElement
 
-from cluster_est.export.repair import RepairedModel
+from cluster_est.export.repaired_model import RepairedModel
 from workers.messages import Value
 
 VALUES = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"

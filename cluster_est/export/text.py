@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cluster_est.closed_loop.candidates.equation import equation_text
-from cluster_est.export.repair import EstimatedValue, RepairedModel
+from cluster_est.export.repaired_model import EstimatedValue, RepairedModel
 from workers.effects.definition import EffectDefinition
 
 

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from cluster_est.errors import ConfigError, RunFolderError
-from cluster_est.export.fmu import write_fmu
+from cluster_est.export.compiler import PLATFORMS
+from cluster_est.export.fmu import FmuOptions, write_fmu
 from cluster_est.export.modelica import modelica
-from cluster_est.export.repair import RepairedModel, gather
+from cluster_est.export.repair import gather
+from cluster_est.export.repaired_model import RepairedModel
 from cluster_est.export.ssv import parameter_set
 from cluster_est.export.text import describe_repair
+from workers.fmu.description import nearest
 
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """Forms of export that are asked for: files to write, and texts to print."""
+    """Forms of export that are asked for: files to write, and texts to print.
+
+    `options` are those of the FMU.
+    """
 
     fmu: Path | None = None
     ssv: Path | None = None
     modelica: bool = False
     text: bool = False
+    options: FmuOptions = field(default_factory=FmuOptions)
 
 
 @dataclass(frozen=True)
@@ -67,10 +74,16 @@ def check_request(wanted: ExportRequest) -> None:
     ConfigError
         Saying what can be asked for.
     """
-    if wanted == ExportRequest():
+    if not (wanted.fmu or wanted.ssv or wanted.modelica or wanted.text):
         raise ConfigError(
             "export: must be told what to write; add --fmu, --ssv, --modelica or --text"
         )
+    for platform in wanted.options.platforms:
+        if platform not in PLATFORMS:
+            raise ConfigError(
+                f"--platforms: must be of {', '.join(PLATFORMS)} but is {platform!r}"
+                f"{nearest(platform, PLATFORMS)}"
+            )
     _check_name(wanted.fmu, "--fmu", ".fmu")
     _check_name(wanted.ssv, "--ssv", ".ssv")
 
@@ -86,7 +99,7 @@ def write_forms(repair: RepairedModel, wanted: ExportRequest) -> ExportResult:
     _check_not_original(wanted.fmu, repair.problem.model.archive_hash)
     notes, files, printed = list(repair.notes), [], []
     if wanted.fmu is not None:
-        notes += write_fmu(repair, wanted.fmu)
+        notes += write_fmu(repair, wanted.fmu, wanted.options)
         files.append(wanted.fmu)
     if wanted.ssv is not None:
         _write_ssv(repair, wanted.ssv)

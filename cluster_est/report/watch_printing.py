@@ -13,6 +13,8 @@ from rich.text import Text
 
 from cluster_est.report.numbers import count, duration
 from cluster_est.report.watch import RunView, SearchView
+from cluster_est.run_folder.progress_file import RunState
+from cluster_est.run_folder.progress_text import left_of_step, what_is_done
 
 MOST_SEARCHES, MOST_FAILURES = 12, 5
 QUIET_SECONDS = 30.0
@@ -59,6 +61,8 @@ class WatchTable:
 def rendered(view: RunView) -> Group:
     """The lines and tables of a view."""
     parts: list[Text | Table] = [Text(_head(view), style="bold"), Text(_numbers(view))]
+    if view.state is not None and not view.ended:
+        parts.insert(1, Text(_now(view.state)))
     if view.message:
         parts.append(Text(view.message))
     if not view.ended and view.quiet > QUIET_SECONDS:
@@ -78,6 +82,12 @@ def _head(view: RunView) -> str:
     state = view.state
     elapsed = f", {duration(state.seconds)}" if state is not None else ""
     return f"{view.status}{elapsed}"
+
+
+def _now(state: RunState) -> str:
+    done = what_is_done(state.search, state.phase, state.ended, state.searches)
+    left = left_of_step(state.phase, state.left)
+    return " | ".join(part for part in (done, left) if part)
 
 
 def _numbers(view: RunView) -> str:

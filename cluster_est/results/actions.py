@@ -7,11 +7,12 @@ asked to: the one exception to the rule that imports run down.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluster_est.errors import ProblemError
-from workers.messages.checks import as_path, check_name
+from workers.messages.checks import as_path, as_tuple, check_name
 
 if TYPE_CHECKING:
     from cluster_est.closed_loop.findings.result import LoopResult
@@ -65,6 +66,8 @@ def export(
     modelica: bool,
     text: bool,
     experiment: str | None,
+    platforms: Sequence[str] = (),
+    measure: bool = True,
 ) -> ExportResult:
     """Write the model with its estimates and effects, as `cluster-est export` does.
 
@@ -73,6 +76,7 @@ def export(
     ClusterEstError
         If nothing is asked for, or a file cannot be written.
     """
+    from cluster_est.export.fmu import FmuOptions
     from cluster_est.export.repair import repaired
     from cluster_est.export.write import ExportRequest, check_request, write_forms
     from cluster_est.results.result import Result
@@ -82,9 +86,13 @@ def export(
         None if ssv is None else as_path(ssv, "ssv", ProblemError),
         modelica,
         text,
+        FmuOptions(as_tuple(platforms, str, "platforms", ProblemError), measure),
     )
     check_request(wanted)
     if experiment is not None:
         check_name(experiment, "experiment", ProblemError)
     fitted = result if isinstance(result, Result) else result.after
-    return write_forms(repaired(fitted.problem, fitted.estimates, experiment), wanted)
+    errors = result.table("errors").to_pylist()
+    closed = fitted is not result
+    repair = repaired(fitted.problem, fitted.estimates, experiment, errors=errors, fitted=closed)
+    return write_forms(repair, wanted)

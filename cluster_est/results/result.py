@@ -236,6 +236,8 @@ class Result:
         modelica: bool = False,
         text: bool = False,
         experiment: str | None = None,
+        platforms: Sequence[str] = (),
+        measure: bool = True,
     ) -> ExportResult:
         """Write the model with its estimates and effects, as `cluster-est export` does.
 
@@ -247,13 +249,27 @@ class Result:
             Whether a Modelica class and a description are wanted, in `printed` of what comes back.
         experiment
             Whose values are taken, where parameters have one for each; None for shared ones alone.
+        platforms
+            Those that the FMU is compiled for besides this machine's: "linux64", "win64",
+            "darwin64". Needs the package ziglang.
+        measure
+            Whether the communication step is measured that reproduces the error.
 
         Raises
         ------
         ClusterEstError
             If nothing is asked for, or a file cannot be written.
         """
-        return actions.export(self, fmu, ssv, modelica=modelica, text=text, experiment=experiment)
+        return actions.export(
+            self,
+            fmu,
+            ssv,
+            modelica=modelica,
+            text=text,
+            experiment=experiment,
+            platforms=platforms,
+            measure=measure,
+        )
 
     def table(self, name: str) -> pa.Table:
         """One of `tables`, with the columns that it has in a run folder.

@@ -430,7 +430,14 @@ TABLES = (
             ColumnDescription("status", TEXT, "", '"ok", or how it failed'),
             ColumnDescription("message", TEXT, "", "why it failed"),
             ColumnDescription("cost", NUMBER, "", "sum of the squares of its residuals"),
-            ColumnDescription("residuals", NUMBERS, "", "over sigma, output after output"),
+            ColumnDescription(
+                "residuals",
+                NUMBERS,
+                "",
+                "over sigma, output after output; left out when the run is done, but with "
+                "log.keep_residuals",
+            ),
+            ColumnDescription("residuals_hash", TEXT, "", "hash of their bits, which stays"),
             ColumnDescription("constraints", NUMBERS, "", "of signals, over their scales"),
             ColumnDescription("seconds", NUMBER, "s", "what it took"),
             ColumnDescription("worker", TEXT, "", "who did it"),

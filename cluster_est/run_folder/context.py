@@ -8,10 +8,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from cluster_est.closed_loop.stages import stage_title
 from cluster_est.errors import ClusterEstError, ExecutorError
 from cluster_est.run_folder.folder import RunFolder, RunResult, check_free
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.run_folder.progress_text import search_title
 from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.resume import check_resumable, is_finished
 from cluster_est.run_folder.run_identity import RunIdentity
@@ -20,17 +20,6 @@ from cluster_est.running.environment import EarlierRun, Monitor
 from cluster_est.running.records import RunSnapshot, SearchIteration, Show, TaskOrigin
 from cluster_est.running.trials.reset_policy import ResetDecision, recorded
 from workers.messages import Outcome
-
-FIT_TITLES = {
-    "before": "simulating at the start values",
-    "train": "searching",
-    "screen": "screening the starts",
-    "derivatives": "finding the intervals",
-    "directions": "finding the intervals",
-    "test": "fitting the test records",
-    "after": "simulating at the estimates",
-}
-"""Texts for people, by the names of a fit's searches in the log."""
 
 
 class Existing(enum.Enum):
@@ -105,7 +94,7 @@ class RunContext:
         """Open the folder, if it is not open yet."""
         if self.folder is None:
             self.folder = RunFolder(
-                self.out, self._identity, self._logged, overwrite=self._overwrite
+                self.out, self._identity, self._logged, overwrite=self._overwrite, say=self._say
             )
             if self._reset is not None:
                 self.folder.note_reset(self._reset)
@@ -123,6 +112,12 @@ class RunContext:
 
     def finish(self, result: RunResult) -> RunStatus:
         """Write all tables, and return how the run stands."""
+        if self._logged is not None and self._logged.differing:
+            self._say(
+                f"{self._logged.differing} of the simulations that were done again gave other "
+                "residuals than those whose hashes the log has: the FMU or the machine does not "
+                "repeat them bit for bit, and the result may not be that of an uninterrupted run"
+            )
         return self.begin().write(result)
 
     @property
@@ -130,9 +125,7 @@ class RunContext:
         """Say how far the run came, as part of a sentence."""
         if not self._searches:
             return "stopped before the first simulation"
-        *done, last = dict.fromkeys(
-            FIT_TITLES.get(name) or stage_title(name) for name in self._searches
-        )
+        *done, last = dict.fromkeys(search_title(name) for name in self._searches)
         return f"stopped while {last}" + (f", after {', '.join(done)}" if done else "")
 
     def _record(self, origin: TaskOrigin, outcome: Outcome) -> None:

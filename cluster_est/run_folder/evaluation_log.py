@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -18,17 +19,11 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from cluster_est.executors.simulation_key import simulation_key
 from cluster_est.run_folder.lock import lock
-from cluster_est.run_folder.log_format import (
-    SCHEMA,
-    logged_cost,
-    read_log,
-    segments,
-    slim,
-)
+from cluster_est.run_folder.log_format import SCHEMA, read_log, segments, slim
+from cluster_est.run_folder.log_rows import LogRow, batch_of, size_of
 from cluster_est.running.records import TaskOrigin
-from workers.messages import Outcome, Trajectory
+from workers.messages import Outcome
 
 __all__ = ["SCHEMA", "EvaluationLog", "LogSettings", "read_log"]
 
@@ -48,13 +43,16 @@ class LogSettings:
     ----------
     residuals
         Whether residuals and trajectories are written.
+    keep_residuals
+        Whether they stay when the run has reached its end and nothing asks for them any more.
     megabytes
-        When all segments together are larger, the oldest lose theirs; 0 for never. About 300 bytes
+        When all segments together are larger, the oldest lose theirs; 0 for never. About 270 bytes
         of each simulation always stay.
     """
 
     residuals: bool = True
-    megabytes: float = 4096.0
+    keep_residuals: bool = False
+    megabytes: float = 1024.0
 
 
 class EvaluationLog:
@@ -74,6 +72,8 @@ class EvaluationLog:
         How much is kept.
     first_segment
         Number of the first one that is written; a resumed run's log goes on behind the others.
+    say
+        Told once, in a sentence, when the log has reached its size.
 
     Raises
     ------
@@ -89,17 +89,21 @@ class EvaluationLog:
         metadata: dict[str, str],
         settings: LogSettings | None = None,
         first_segment: int = 0,
+        *,
+        say: Callable[[str], None] | None = None,
     ) -> None:
         self._folder = folder
         self._model_key = model_key
         self._experiments = experiments
         self._schema = SCHEMA.with_metadata(metadata)
         self._settings = settings or LogSettings()
-        self._rows: list[tuple[TaskOrigin, Outcome, float]] = []
+        self._say = say or (lambda _: None)
+        self._rows: list[LogRow] = []
         self._bytes = 0
         self._written = self._synced = 0.0
         self._segment = first_segment
         self._slim: set[str] = set()
+        self._is_full = self._stays_large = False
         self._stream: tuple[BinaryIO, pa.ipc.RecordBatchStreamWriter] | None = None
         self._adding, self._writing = threading.Lock(), threading.Lock()
         self._ended = threading.Event()
@@ -119,8 +123,8 @@ class EvaluationLog:
         if self._failure is not None:
             raise self._failure
         with self._adding:
-            self._rows.append((origin, outcome, time.time()))
-            self._bytes += 200 + _size(outcome)
+            self._rows.append(LogRow(origin, outcome, time.time()))
+            self._bytes += 200 + size_of(outcome)
             late = time.monotonic() - self._written > SECONDS_PER_WRITE
             full = len(self._rows) >= ROWS_PER_WRITE or self._bytes >= BYTES_PER_WRITE
         if late or full:
@@ -147,7 +151,10 @@ class EvaluationLog:
             if not rows:
                 return
             file, writer = self._open()
-            writer.write_batch(self._batch(rows))
+            batch = batch_of(
+                rows, self._model_key, self._experiments, residuals=self._settings.residuals
+            )
+            writer.write_batch(batch.replace_schema_metadata(self._schema.metadata))
             file.flush()
             if time.monotonic() - self._synced > SECONDS_PER_SYNC:
                 os.fsync(file.fileno())
@@ -166,6 +173,18 @@ class EvaluationLog:
         if self._lock is not None:
             self._lock.release()
             self._lock = None
+
+    def let_residuals_go(self) -> None:
+        """Take residuals and trajectories from a closed log whose run has reached its end.
+
+        Unless they are to be kept. Their hashes stay, and with them what a later simulation of the
+        same question is compared with.
+        """
+        if self._settings.keep_residuals or not self._settings.residuals:
+            return
+        for path in segments(self._folder):
+            if path.name not in self._slim and not self._slim_one(path):
+                return
 
     def _write_late(self) -> None:
         """Write what was recorded while the run now waits for simulations that take long."""
@@ -210,54 +229,26 @@ class EvaluationLog:
             if total <= self._limit:
                 return
             if path.name not in self._slim:
+                if not self._is_full:
+                    self._is_full = True
+                    self._say(
+                        f"the log has reached {self._settings.megabytes:g} MB (log.max_megabytes): "
+                        "residuals and trajectories leave it from now on, the oldest first; a run "
+                        "that is resumed simulates those again"
+                    )
                 total -= path.stat().st_size
-                slim(path)
+                if not self._slim_one(path):
+                    return
                 total += path.stat().st_size
-                self._slim.add(path.name)
 
-    def _batch(self, rows: list[tuple[TaskOrigin, Outcome, float]]) -> pa.RecordBatch:
-        origins, outcomes, ended = zip(*rows, strict=True)
-        kept = self._settings.residuals
-        paths = [outcome.trajectory if kept else None for outcome in outcomes]
-        names = [origin.installed or self._experiments[origin.experiment] for origin in origins]
-        keys = [
-            simulation_key(self._model_key, key, origin.effects, origin.values)
-            for origin, (_, key) in zip(origins, names, strict=True)
-        ]
-        columns = [
-            pa.array(keys),
-            pa.array([origin.want for origin in origins]),
-            pa.array([origin.search for origin in origins]),
-            pa.array([origin.evaluation for origin in origins], pa.int64()),
-            pa.array([origin.purpose for origin in origins]),
-            pa.array([name for name, _ in names]),
-            _lists([origin.values for origin in origins]),
-            pa.array([[effect.name for effect in origin.effects] for origin in origins]),
-            pa.array([str(outcome.status) for outcome in outcomes]),
-            pa.array([outcome.message for outcome in outcomes]),
-            pa.array([logged_cost(each, origin.want) for origin, each, _ in rows], pa.float64()),
-            _lists([outcome.residuals if kept else None for outcome in outcomes]),
-            _lists([outcome.constraints if outcome.ok else None for outcome in outcomes]),
-            pa.array([outcome.seconds for outcome in outcomes], pa.float64()),
-            pa.array([outcome.worker for outcome in outcomes]),
-            pa.array([path and list(path.variables) for path in paths], pa.list_(pa.string())),
-            _lists([path and path.times for path in paths]),
-            _lists([path and path.values.ravel() for path in paths]),
-            pa.array(ended, pa.float64()),
-        ]
-        return pa.RecordBatch.from_arrays(columns, schema=self._schema)
-
-
-def _size(outcome: Outcome) -> int:
-    size = 0 if outcome.residuals is None else outcome.residuals.nbytes
-    path: Trajectory | None = outcome.trajectory
-    return size + (0 if path is None else path.times.nbytes + path.values.nbytes)
-
-
-def _lists(rows: list[np.ndarray | None]) -> pa.Array:
-    lengths = [0 if row is None else len(row) for row in rows]
-    flat = [row for row in rows if row is not None]
-    ends = np.cumsum([0, *lengths]).astype(np.int32)
-    missing = pa.array([row is None for row in rows])
-    values = np.concatenate(flat) if flat else np.zeros(0)
-    return pa.ListArray.from_arrays(pa.array(ends), pa.array(values), mask=missing)
+    def _slim_one(self, path: Path) -> bool:
+        """Take the large columns from a segment; a log that stays large ends no run."""
+        try:
+            slim(path)
+        except OSError as error:
+            if not self._stays_large:
+                self._say(f"{self._folder}: residuals stay in the log, because {error}")
+            self._stays_large = True
+            return False
+        self._slim.add(path.name)
+        return True

@@ -9,7 +9,7 @@ import re
 import shutil
 import time
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -64,6 +64,8 @@ class RunFolder:
         What the run that is there has simulated, if it is taken up again: its log goes on.
     overwrite
         Whether to replace the run that is there.
+    say
+        Told, in a sentence, what a user should know of the log.
 
     Raises
     ------
@@ -78,6 +80,7 @@ class RunFolder:
         logged: LoggedOutcomes | None = None,
         *,
         overwrite: bool = False,
+        say: Callable[[str], None] | None = None,
     ) -> None:
         check_free(path, overwrite=overwrite or logged is not None)
         path = path.absolute()  # while an FMU is being loaded, the working folder is another one
@@ -96,14 +99,14 @@ class RunFolder:
         if overwrite and path.exists():
             _remove_run(path)
         try:
-            self._log = self._open_log()
+            self._log = self._open_log(say)
             _write_text(path / "config.toml", identity.config_text)
             self._progress = ProgressFile(path / PROGRESS)
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be written ({error}); choose another") from error
         self._write_status(RunStatus.RUNNING, {})
 
-    def _open_log(self) -> EvaluationLog:
+    def _open_log(self, say: Callable[[str], None] | None) -> EvaluationLog:
         return EvaluationLog(
             self.path / "evaluations",
             self._problem.model.key,
@@ -111,6 +114,7 @@ class RunFolder:
             self._metadata,
             self._identity.log,
             0 if self._logged is None else self._logged.next_segment,
+            say=say,
         )
 
     def note_reset(self, decision: ResetDecision) -> None:
@@ -154,6 +158,10 @@ class RunFolder:
         self._write_workers(searched if np.isfinite(searched) else facts["seconds"])
         status = RunStatus(facts["status"])
         self._write_status(status, facts)
+        if status is RunStatus.DONE:  # nothing will ask for them again; any other may be resumed
+            if self._logged is not None:
+                self._logged.close()
+            self._log.let_residuals_go()
         return status
 
     def _write_searches(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from workers.messages import Outcome, Want
+from workers.messages import FloatArray, Outcome, Want, content_hash
 
 SCHEMA = pa.schema(
     [
@@ -27,6 +27,7 @@ SCHEMA = pa.schema(
         ("message", pa.string()),
         ("cost", pa.float64()),
         ("residuals", pa.list_(pa.float64())),
+        ("residuals_hash", pa.string()),
         ("constraints", pa.list_(pa.float64())),
         ("seconds", pa.float64()),
         ("worker", pa.string()),
@@ -37,7 +38,12 @@ SCHEMA = pa.schema(
     ]
 )
 """`trajectory` is (times, variables), row after row, where that was wanted; `ended` is when its
-answer came, in seconds since 1970, and is missing in logs of versions that did not keep it."""
+answer came, in seconds since 1970. `ended` and `residuals_hash`, which stays where residuals have
+left, are missing in logs of versions that did not keep them."""
+HASH_LENGTH = 32
+"""Characters of a hash of residuals: 128 bits."""
+ROWS_PER_BATCH = 2000
+"""Of a segment without its large columns."""
 LARGE = ("residuals", "variables", "times", "trajectory")
 """Columns that can be left out: a resumed run simulates those rows again."""
 END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
@@ -53,6 +59,11 @@ def logged_cost(outcome: Outcome, want: Want) -> float:
     with np.errstate(over="ignore"):  # it may be infinite
         sizes = outcome.residuals if want == "absolutes" else outcome.residuals**2
         return float(np.add.reduce(sizes))
+
+
+def residuals_hash(residuals: FloatArray | None) -> str | None:
+    """The hash of residuals bit for bit, by which they are known when they are there no more."""
+    return None if residuals is None else content_hash([residuals.tobytes()])[:HASH_LENGTH]
 
 
 def segments(folder: Path) -> list[Path]:
@@ -111,17 +122,23 @@ def mend(path: Path) -> None:
 
 
 def slim(path: Path) -> None:
-    """Rewrite a segment without its large columns, in one step."""
+    """Rewrite a segment without its large columns, in one step.
+
+    Its batches are joined: many that were written as they came take more room than their rows.
+    """
     partial = path.with_name(f".{path.stem}.slim")
     with pa.OSFile(str(path)) as opened, pa.ipc.open_stream(opened) as reader:
         schema = reader.schema
+        kept = pa.Table.from_batches([_without(batch, schema) for batch in reader], schema)
+    try:
         with partial.open("wb") as file:
             with pa.ipc.new_stream(file, schema) as writer:
-                for batch in reader:
-                    writer.write_batch(_without(batch, schema))
+                writer.write_table(kept.combine_chunks(), max_chunksize=ROWS_PER_BATCH)
             file.flush()
             os.fsync(file.fileno())
-    partial.replace(path)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _without(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:

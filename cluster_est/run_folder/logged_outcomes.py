@@ -11,9 +11,10 @@ import pyarrow.compute as pc
 
 from cluster_est.executors.base import OutcomeSource
 from cluster_est.run_folder.lock import locked
-from cluster_est.run_folder.log_format import mend, read_batches, segments
+from cluster_est.run_folder.log_format import mend, read_batches, residuals_hash, segments
 from workers.messages import USUAL, FloatArray, IntArray, Outcome, Status, Trajectory, Want
 
+HASH = "residuals_hash"
 KEY_LENGTH = 32
 """Characters of a key that are kept in memory: 128 bits."""
 
@@ -35,6 +36,8 @@ class LoggedOutcomes(OutcomeSource):
         The number with which the log goes on.
     remaining
         How many rows nobody has taken yet.
+    differing
+        How many rows gave other residuals when they were simulated again.
 
     Raises
     ------
@@ -72,6 +75,7 @@ class LoggedOutcomes(OutcomeSource):
         self._answered: set[int] = set()
         self.next_segment = int(paths[-1].stem) + 1 if paths else 0
         self.remaining = len(found)
+        self.differing = 0
 
     def __len__(self) -> int:
         return len(self._order)
@@ -111,6 +115,20 @@ class LoggedOutcomes(OutcomeSource):
             batch.column("worker")[i].as_py(),
             constraints=np.zeros(0) if constraints is None else constraints,
         )
+
+    def compare(self, row: int, outcome: Outcome) -> None:
+        """Compare what was simulated again with the hash of what came out the first time."""
+        number = int(np.searchsorted(self._begins, row, side="right")) - 1
+        batch = self._batch(number)
+        if HASH in batch.schema.names:
+            then = batch.column(HASH)[row - int(self._begins[number])].as_py()
+            self.differing += then is not None and then != residuals_hash(outcome.residuals)
+
+    def close(self) -> None:
+        """Let the segments go: nothing is asked any more, and they may be replaced."""
+        self._read = (-1, None)
+        for mapped in self._segments:
+            mapped.close()
 
     def note_answered(self, task: int) -> None:
         """Remember that a task was answered as a row says: it must not be logged again."""

@@ -10,7 +10,7 @@ import json
 import math
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,7 @@ class ProgressFile:
         if now - self._shown < SECONDS_BETWEEN:
             return
         self._shown = now
-        names = ("evaluations", "simulations", "failures", "busy", "workers", "seconds")
+        names = [field.name for field in fields(RunState) if field.name != "search"]
         self._write(_line({"now": snapshot.search} | {n: getattr(snapshot, n) for n in names}))
 
     def _write(self, line: str) -> None:
@@ -77,7 +77,10 @@ def _line(row: dict[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class RunState:
-    """The state of a whole run; `search` is one of those under way."""
+    """The state of a whole run, see `RunSnapshot`; `search` is one of those under way.
+
+    What versions before did not write is as if there were one search and nobody knew the time left.
+    """
 
     search: str
     evaluations: int
@@ -86,6 +89,11 @@ class RunState:
     busy: int
     workers: int
     seconds: float
+    phase: str = ""
+    ended: int = 0
+    searches: int = 1
+    left: float = math.nan
+    waiting: int = 0
 
 
 @dataclass(frozen=True)
@@ -134,6 +142,7 @@ class ProgressTail:
         try:
             row = json.loads(text)
             if "now" in row:
+                row["left"] = math.nan if row.get("left") is None else float(row["left"])
                 self.state = RunState(row.pop("now"), **row)
                 return None
             for name in ("cost", "violation"):

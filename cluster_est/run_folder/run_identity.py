@@ -76,7 +76,7 @@ class RunIdentity:
             hash_config(tree, kind.unused_section),
             config.method.seed if kind is RunKind.FIT else config.closed_loop.seed,
             base,
-            LogSettings(config.log.residuals, config.log.max_megabytes),
+            LogSettings(config.log.residuals, config.log.keep_residuals, config.log.max_megabytes),
         )
 
 

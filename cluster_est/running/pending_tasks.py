@@ -47,6 +47,11 @@ class PendingTasks:
         self.simulations = 0
         self.failures = 0
 
+    @property
+    def under_way(self) -> int:
+        """Tasks that were made and have not been answered."""
+        return len(self._origins)
+
     def task(self, origin: TaskOrigin, want: Want) -> Task:
         """A new task; the caller submits it."""
         task = Task(self._next_task, origin.experiment, origin.values, want, origin.effects)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -36,7 +37,23 @@ class TaskOrigin:
 
 @dataclass(frozen=True)
 class RunSnapshot:
-    """The state of a run as a display shows it."""
+    """The state of a run as a display shows it.
+
+    Attributes
+    ----------
+    search, progress
+        One of those under way.
+    evaluations, simulations, failures, busy, workers, seconds
+        Of the whole run.
+    phase
+        What a recipe of several phases is about, in words.
+    ended, searches
+        How many of the searches that were begun together have ended, and how many these are.
+    left
+        Seconds that those take at most from now on; NaN where nobody knows.
+    waiting
+        Simulations that could begin if there were more workers.
+    """
 
     search: str
     progress: Progress
@@ -46,6 +63,11 @@ class RunSnapshot:
     busy: int
     workers: int
     seconds: float
+    phase: str = ""
+    ended: int = 0
+    searches: int = 1
+    left: float = math.nan
+    waiting: int = 0
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,11 @@ from cluster_est.running.records import (
     Budget,
     Note,
     Record,
-    RunSnapshot,
     SearchIteration,
     Show,
     TaskOrigin,
 )
+from cluster_est.running.run_display import RunDisplay
 from cluster_est.running.search_state import SearchRequest, SearchState, suited
 from workers.messages import Effect, FloatArray, Outcome, Status, Task, Want
 
@@ -68,7 +68,8 @@ class Runner:
         self._executor = executor
         self._budget = BudgetWatch(budget or Budget())
         self._pending = PendingTasks(executor, record or (lambda *_: None))
-        self._show = show or (lambda *_: None)
+        self.display = RunDisplay(show or (lambda *_: None), executor, self._budget, self._pending)
+        """Shows how far it is; a recipe tells it the phase."""
         self._note = note or (lambda *_: None)
         self._whole = whole
         self._in_step = False
@@ -155,6 +156,7 @@ class Runner:
         interrupts: DeferredInterrupts,
     ) -> list[SearchState]:
         """Run until all have ended, or the first of them are enough; those that count."""
+        self.display.begin()
         waiting = searches[::-1]
         counted = 0
         while counted < len(searches):
@@ -165,7 +167,7 @@ class Runner:
                 for outcome in outcomes:
                     self._receive(outcome)
                 self._advance_in_step(searches[: len(searches) - len(waiting)])
-                self._display(searches)
+                self.display.show(searches)
                 continue
             counted += 1
             if enough(_solutions(searches[:counted])):
@@ -324,21 +326,6 @@ class Runner:
         cut = [s for s in searches if s.solution and s.solution.ending is Ending.BUDGET]
         if self._whole and self._budget.exhausted and (cut or not searches):
             raise self._budget.error()
-
-    def _display(self, searches: Sequence[SearchState]) -> None:
-        running = [s for s in searches if s.solution is None] or list(searches)
-        self._show(
-            RunSnapshot(
-                search=running[0].request.name,
-                progress=running[0].progress,
-                evaluations=self.evaluations,
-                simulations=self.simulations,
-                failures=self.failures,
-                busy=self._executor.busy,
-                workers=self._executor.workers,
-                seconds=self._budget.seconds,
-            )
-        )
 
 
 def _solutions(searches: Sequence[SearchState]) -> list[Solution]:

@@ -21,7 +21,7 @@ from fmpy.fmi2 import (
 
 from cluster_est.export.fmu import archive_files
 from cluster_est.export.layout import lay_out
-from cluster_est.export.repair import EstimatedValue, RepairedModel
+from cluster_est.export.repaired_model import EstimatedValue, RepairedModel
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from workers.effects.definition import define

@@ -1,9 +1,11 @@
-"""The line that a terminal shows while a fit runs; nothing where there is no terminal."""
+"""The line that a terminal shows while a run goes on; elsewhere a line now and then."""
 
 from __future__ import annotations
 
 import math
+import os
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -11,9 +13,14 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from cluster_est.run_folder.progress_text import left_of_step, what_is_done
 from cluster_est.running.records import Budget, RunSnapshot
 
 SECONDS_BETWEEN = 0.1
+SECONDS_OF_LINES, SHARE_OF_LINES = 30.0, 0.05
+"""At least between two printed lines: seconds, and share of the time that the run has taken."""
+HINT_SECONDS = 20.0
+"""In which all workers were busy and as many simulations again were waiting."""
 FIRST = (
     "the loops that call the FMU are compiled for this machine first, which takes about half a "
     "minute of one core; later runs find them ready"
@@ -21,18 +28,33 @@ FIRST = (
 
 
 class ProgressLine:
-    """A line with cost, evaluations per second, busy workers and the time left of the budget.
+    """A line with what is done, the time left, evaluations per second and busy workers.
+
+    On a terminal it is renewed in place; elsewhere it is printed once in a while, less and less
+    often. Where more workers would help, a sentence says so once.
 
     Parameters
     ----------
     console
-        Where to; nothing is shown unless it is a terminal.
+        Where to.
     budget
         What the time left is counted from.
+    cores
+        Of this machine.
+    clock
+        Gives seconds; for tests.
     """
 
-    def __init__(self, console: Console, budget: Budget) -> None:
-        self._budget = budget
+    def __init__(
+        self,
+        console: Console,
+        budget: Budget,
+        cores: int | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._budget, self._console, self._clock = budget, console, clock
+        self._begun = self._printed = clock()
+        self._hint = WorkerHint(os.cpu_count() or 1 if cores is None else cores)
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._enabled = console.is_terminal
         self._shown = 0.0
@@ -54,29 +76,76 @@ class ProgressLine:
 
     def show(self, snapshot: RunSnapshot) -> None:
         """Refresh, at most ten times a second."""
-        now = time.monotonic()
-        if self._enabled and now - self._shown > SECONDS_BETWEEN:
-            self._shown = now
+        now = self._clock()
+        if now - self._shown <= SECONDS_BETWEEN:
+            return
+        self._shown = now
+        if hint := self._hint.look(snapshot):
+            self._print(hint)
+        if self._enabled:
             self._put(line(snapshot, self._budget))
+        elif now - self._printed >= max(SECONDS_OF_LINES, SHARE_OF_LINES * (now - self._begun)):
+            self._printed = now
+            self._print(line(snapshot, self._budget))
+
+    def _print(self, text: str) -> None:
+        self._console.print(f"cluster-est: {text}", soft_wrap=True, highlight=False, markup=False)
 
     def _put(self, text: str) -> None:
         self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
+
+
+class WorkerHint:
+    """Says once that more workers would help: all are busy, and cores of this machine are not.
+
+    Parameters
+    ----------
+    cores
+        Of this machine.
+    """
+
+    def __init__(self, cores: int) -> None:
+        self._cores = cores
+        self._since = math.nan
+        self._said = False
+
+    def look(self, snapshot: RunSnapshot) -> str:
+        """Return the sentence where it is due, else nothing."""
+        workers = snapshot.workers
+        if self._said or workers >= self._cores:
+            return ""
+        if snapshot.busy < workers or snapshot.waiting < workers:
+            self._since = math.nan
+            return ""
+        if math.isnan(self._since):
+            self._since = snapshot.seconds
+        if snapshot.seconds - self._since < HINT_SECONDS:
+            return ""
+        self._said = True
+        verb = "simulates" if workers == 1 else "simulate"
+        return (
+            f"{workers} of this machine's {self._cores} cores {verb} while {snapshot.waiting} "
+            f"simulations wait; executor.workers={self._cores} would be faster, and the result the "
+            "same (stop with Ctrl-C, go on with --resume)"
+        )
 
 
 def line(snapshot: RunSnapshot, budget: Budget) -> str:
     """The text of the line."""
     progress = snapshot.progress
     rate = snapshot.evaluations / max(snapshot.seconds, 1e-9)
+    done = what_is_done(snapshot.search, snapshot.phase, snapshot.ended, snapshot.searches)
     parts = [
-        f"{snapshot.search}: iteration {progress.iteration}",
-        "" if math.isnan(progress.cost) else f"cost {progress.cost:.6g}",
+        f"{done}, iteration {progress.iteration}" if snapshot.searches == 1 else done,
+        left_of_step(snapshot.phase, snapshot.left),
+        "" if snapshot.searches > 1 or math.isnan(progress.cost) else f"cost {progress.cost:.6g}",
         f"{snapshot.evaluations} evaluations ({rate:.3g}/s)",
         f"{snapshot.busy}/{snapshot.workers} workers busy",
         f"{snapshot.seconds:.0f} s",
         _left(snapshot, budget, rate),
     ]
     if snapshot.failures:
-        parts.insert(3, f"{snapshot.failures} simulations failed")
+        parts.insert(4, f"{snapshot.failures} simulations failed")
     return " | ".join(part for part in parts if part)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -246,9 +246,20 @@ class LoopResult:
         modelica: bool = False,
         text: bool = False,
         experiment: str | None = None,
+        platforms: Sequence[str] = (),
+        measure: bool = True,
     ) -> ExportResult:
         """Write the model with its effects; see `Result.export`."""
-        return actions.export(self, fmu, ssv, modelica=modelica, text=text, experiment=experiment)
+        return actions.export(
+            self,
+            fmu,
+            ssv,
+            modelica=modelica,
+            text=text,
+            experiment=experiment,
+            platforms=platforms,
+            measure=measure,
+        )
 
     def __str__(self) -> str:
         """Return the text for `print`."""

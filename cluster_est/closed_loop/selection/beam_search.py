@@ -71,6 +71,7 @@ def beam_search(
     passed = {base.structure}
     while True:
         number = len(steps) + 1
+        _say_phase(workbench, current)
         screened = screen(workbench, current, number)
         begun = RoundStart(current, prediction, screened, floor, beside, numerical)
         first = first or begun
@@ -104,6 +105,12 @@ def beam_search(
         base, current, base_prediction, prediction, rivals, tuple(steps), tuple(seen), noise,
         tuple(path),
     )  # fmt: skip
+
+
+def _say_phase(workbench: LoopWorkbench, current: FittedModel) -> None:
+    found, most = len(current.added), workbench.settings.max_effects
+    which = f"effect {found + 1} of at most {most}" if found < most else "what is left"
+    workbench.enter(f"looking for {which}")
 
 
 def _revised(

@@ -220,8 +220,12 @@ class LogSection(ConfigSection):
         True,
         description="false: leave residuals and trajectories out; a resumed run computes them anew",
     )
+    keep_residuals: bool = Field(
+        False,
+        description="true: they stay in the log when the run is done; else only their hashes do",
+    )
     max_megabytes: Finite = Field(
-        4096.0,
+        1024.0,
         ge=0.0,
         description="size beyond which the oldest simulations lose theirs; 0: no limit",
     )

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+import struct
+import zipfile
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from fmpy import extract, read_model_description
+from fmpy import extract, read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 from lxml import etree
 from support.exported import Exported, co_simulated, needs_compiler
@@ -86,6 +89,86 @@ def test_a_fit_without_effects_reproduces_the_cost(run, tmp_path):
     assert facts[1]["cost"] == pytest.approx(facts[0]["cost"], rel=1e-6)
 
 
+@needs_compiler
+def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
+    run, tmp_path, capsys
+):
+    fmu = tmp_path / "repaired.fmu"
+    assert main(["export", str(run), "--fmu", str(fmu), "--experiment", "exp2"]) == ExitCode.DONE
+    said = " ".join(capsys.readouterr().err.split())
+    (named,) = re.findall(r"a communication step of (\S+) s reproduces the run's RMSE \(y: ", said)
+    with zipfile.ZipFile(fmu) as archive:
+        readme = archive.read("documentation/README.md").decode()
+    assert f"a communication step of {named} s reproduces the run's RMSE" in readme
+    assert "harder (drag) at der(v)" in readme
+    errors = {row["experiment"]: row for row in rows_of(run, "errors")}
+    for name, row in errors.items():
+        sizes = f"{row['rmse_before']:.4g} | {row['rmse_after']:.4g}"
+        assert f"| {name} | {'fitted' if row['role'] == 'train' else 'held out'} | y | m" in readme
+        assert f"| {sizes} |" in readme
+    step = float(read_model_description(str(fmu)).defaultExperiment.stepSize)
+    assert step == pytest.approx(float(named), rel=1e-5)
+    data = np.genfromtxt(
+        run.parent / "data" / "mass_spring_damper" / "exp2.csv", delimiter=",", names=True
+    )
+    fed = np.array(
+        list(zip(data["time"], data["force"], strict=True)), [("time", "f8"), ("F", "f8")]
+    )
+
+    def error(step):
+        found = simulate_fmu(
+            str(fmu), stop_time=data["time"][-1], step_size=step, output_interval=step,
+            input=fed, output=["y"], fmi_type="CoSimulation",
+            set_input_derivatives=False, record_events=False,
+        )  # fmt: skip
+        simulated = np.interp(data["time"], found["time"], found["y"])
+        return np.sqrt(np.mean((data["position"] - simulated) ** 2))
+
+    assert error(step) == pytest.approx(errors["exp2"]["rmse_after"], rel=0.05)
+    assert error(0.02) > 1.2 * error(step)
+
+
+@needs_compiler
+def test_the_step_need_not_be_measured(run, tmp_path, capsys):
+    fmu = tmp_path / "repaired.fmu"
+    assert main(["export", str(run), "--fmu", str(fmu), "--no-step"]) == ExitCode.DONE
+    assert "communication step" not in capsys.readouterr().err
+    with zipfile.ZipFile(fmu) as archive:
+        assert "It was not measured." in archive.read("documentation/README.md").decode()
+
+
+@needs_compiler
+def test_libraries_for_other_platforms(run, tmp_path):
+    pytest.importorskip("ziglang")
+    fmu = tmp_path / "everywhere.fmu"
+    arguments = ["--fmu", str(fmu), "--no-step", "--platforms", "win64", "darwin64"]
+    assert main(["export", str(run), *arguments]) == ExitCode.DONE
+    name = "binaries/{}/mass_spring_damper_repaired.{}"
+    with zipfile.ZipFile(fmu) as archive:
+        windows = archive.read(name.format("win64", "dll"))
+        mac = archive.read(name.format("darwin64", "dylib"))
+        assert name.format("linux64", "so") in archive.namelist()
+    assert windows[:2] == b"MZ"
+    assert b"fmi2DoStep\0" in windows
+    assert struct.unpack(">II", mac[:8]) == (0xCAFEBABE, 2)
+    for part in range(2):
+        processor, _, offset, size, _ = struct.unpack_from(">5I", mac, 8 + 20 * part)
+        assert processor == (0x01000007, 0x0100000C)[part]
+        assert mac[offset : offset + 4] == bytes.fromhex("cffaedfe")
+        assert b"_fmi2DoStep\0" in mac[offset : offset + size]
+
+
+@needs_compiler
+def test_without_zig_there_is_a_sentence(run, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    arguments = ["--fmu", str(tmp_path / "a.fmu"), "--platforms", "win64"]
+    assert main(["export", str(run), *arguments]) == ExitCode.BAD_INPUT
+    said = " ".join(capsys.readouterr().err.split())
+    assert "--platforms: needs the package ziglang to compile for win64" in said
+    assert "`pip install 'cluster-est[export]'`" in said
+    assert not (tmp_path / "a.fmu").exists()
+
+
 def test_the_parameter_set_satisfies_the_schema_of_the_standard(run, tmp_path):
     path = tmp_path / "values.ssv"
     assert main(["export", str(run), "--ssv", str(path), "--experiment", "exp5"]) == ExitCode.DONE
@@ -119,6 +202,10 @@ def test_equations_for_a_modeller(run, capsys):
         ([], "must be told what to write; add --fmu"),
         (["--fmu", "no/such/a.fmu"], "--fmu: must be in a folder that exists but no/such does not"),
         (["--ssv", "no/a.ssv"], "--ssv: must be in a folder that exists but no does not; make it"),
+        (
+            ["--fmu", "a.fmu", "--platforms", "mac"],
+            "--platforms: must be of linux64, win64, darwin64",
+        ),
         (["--ssv", "values.xml"], "must end in .ssv but is 'values.xml'"),
         (["--text", "--experiment", "exp6"], "must be an experiment of the run but is 'exp6'"),
         (["--text", "--config", "nowhere.toml"], "there is no config file nowhere.toml"),

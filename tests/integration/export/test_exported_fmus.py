@@ -14,7 +14,9 @@ from support.exported import Exported, co_simulated, needs_compiler, repair_of, 
 from support.problems.springs import FMU
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, pushed, solve
 
-from cluster_est.export.fmu import write_fmu
+from cluster_est.errors import ModelError
+from cluster_est.export.fmu import FmuOptions, write_fmu
+from cluster_est.export.repaired_model import ReportedError
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
@@ -306,3 +308,32 @@ def test_the_same_repair_is_the_same_archive(spring, tmp_path):
     repair = repair_of(model(), experiment(), (M, K, C), *TOGETHER)
     write_fmu(repair, tmp_path / "spring.fmu")
     assert (tmp_path / "spring.fmu").read_bytes() == spring[0].read_bytes()
+
+
+def reported(repair, error):
+    """The repair with an error of its only experiment, as a run has it."""
+    (one,) = repair.problem.experiments
+    values = {each.name: each.value for each in repair.parameters}
+    row = ReportedError(one.id, "train", "y", "m", len(one.outputs[0].times), 1.0, error)
+    return replace(repair, errors=(row,), of_experiments={one.id: values})
+
+
+def test_a_step_that_reproduces_nothing_is_not_named(tmp_path):
+    repair = reported(repair_of(model(), experiment(), (M, K, C), *TOGETHER), 1e-9)
+    (sentence,) = write_fmu(repair, tmp_path / "spring.fmu")
+    assert (
+        "keeps inputs constant within a communication step does not reproduce the run" in sentence
+    )
+    assert "set input derivatives, or simulate by model exchange" in sentence
+
+
+def test_a_platform_that_the_original_is_not_for_is_refused(own_fmu, tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: name)
+    archive = own_fmu("needs_resources", 2)
+    of = Model(archive.name, archive.read_bytes(), "model_exchange", EXACT, ("k",))
+    measured = Experiment("e", 0.0, 1.0, (), (Output("y", TIMES[:5], np.zeros(5)),))
+    repair = repair_of(of, measured, (0.7,), (), ())
+    with pytest.raises(
+        ModelError, match="must have a binary for win64, which the exported FMU loads"
+    ):
+        write_fmu(repair, tmp_path / "decay.fmu", FmuOptions(("win64",)))

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.cut_logs import cut
@@ -36,6 +37,8 @@ METHODS = {
     "without residuals": ["log.residuals=false"],
     "reduced, without residuals": ["method.name=de", "log.residuals=false", *SMALL],
 }
+QUICK_LOOP = ["closed_loop.trials=4", "closed_loop.refits=2", "closed_loop.draws=200"]
+KEPT = "log.keep_residuals=true"
 CUTS = ((0.0, 0), (0.0, 50), (0.02, 300), (0.4, 3000), (0.8, 0), (1.0, 0))
 """Shares of the rows that are left, and bytes of what follows."""
 
@@ -94,6 +97,7 @@ def test_every_method_goes_on_where_it_was(
     name: str, tmp_path: Path, simulated: list[Outcome]
 ) -> None:
     whole, run, arguments = tmp_path / "whole", tmp_path / "run", METHODS[name]
+    arguments = [*arguments, KEPT] if "without residuals" not in name else arguments
     code = fit(whole, *arguments)
     total = len(simulated)
     log = read_log(whole / "evaluations")
@@ -122,7 +126,7 @@ def test_every_method_goes_on_where_it_was(
 def test_an_asynchronous_search_goes_the_same_way_as_far_as_it_was(
     tmp_path: Path, simulated: list[Outcome]
 ) -> None:
-    arguments = ["method.name=asynchronous_pattern_search", "executor.workers=3", *SMALL]
+    arguments = ["method.name=asynchronous_pattern_search", "executor.workers=3", KEPT, *SMALL]
     run, again = tmp_path / "run", tmp_path / "again"
     code = fit(run, *arguments)
     for share in (1.0, 0.7, 0.3, 0.0):
@@ -144,7 +148,7 @@ def test_an_asynchronous_search_goes_the_same_way_as_far_as_it_was(
 def test_a_run_of_threads_can_be_resumed_by_one(tmp_path: Path, simulated: list[Outcome]) -> None:
     whole, run = tmp_path / "whole", tmp_path / "run"
     assert fit(whole) == 0
-    assert fit(run, "executor.workers=3") == 0
+    assert fit(run, "executor.workers=3", KEPT) == 0
     interrupt(run)
     total = read_log(run / "evaluations").num_rows
     cut(run / "evaluations", total // 2)
@@ -155,11 +159,16 @@ def test_a_run_of_threads_can_be_resumed_by_one(tmp_path: Path, simulated: list[
 
 
 def test_a_log_that_was_shrunk_is_enough(
-    tmp_path: Path, simulated: list[Outcome], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    simulated: list[Outcome],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr("cluster_est.run_folder.evaluation_log.ROWS_PER_WRITE", 20)
-    run, limit = tmp_path / "run", "log.max_megabytes=0.3"
-    assert fit(run, limit) == 0
+    run, limit = tmp_path / "run", ["log.max_megabytes=0.3", KEPT]
+    assert fit(run, *limit) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert said.count("the log has reached 0.3 MB (log.max_megabytes)") == 1
     tables, log = contents(run), read_log(run / "evaluations")
     size = sum(path.stat().st_size for path in (run / "evaluations").iterdir())
     assert size <= 0.3 * 2**20
@@ -167,15 +176,61 @@ def test_a_log_that_was_shrunk_is_enough(
     assert 0 < gone < log.num_rows
     interrupt(run)
     simulated.clear()
-    assert fit(run, "--resume", limit) == 0
+    assert fit(run, "--resume", *limit) == 0
     assert len(simulated) == gone
     assert contents(run) == tables
     assert read_log(run / "evaluations").num_rows == log.num_rows
 
 
+@pytest.mark.parametrize("command", ["fit", "close-loop"])
+def test_a_run_whose_residuals_have_left_gives_the_same_bits_again(
+    command: str,
+    tmp_path: Path,
+    simulated: list[Outcome],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run, arguments = tmp_path / "run", QUICK_LOOP if command == "close-loop" else []
+    assert fit(run, *arguments, command=command) == 0
+    before, tables, facts = len(simulated), contents(run), untimed(run)
+    log = read_log(run / "evaluations")
+    for column in ("residuals", "trajectory"):
+        assert log[column].null_count == log.num_rows
+    failed = log["status"].to_pylist().count("ok") - log.num_rows
+    assert log["residuals_hash"].null_count == -failed
+    interrupt(run)
+    simulated.clear()
+    assert fit(run, "--resume", *arguments, command=command) == 0
+    assert len(simulated) == before + failed
+    assert contents(run) == tables
+    assert untimed(run) == facts
+    again = read_log(run / "evaluations")
+    for column in ("key", "residuals_hash", "cost"):
+        assert again[column].equals(log[column])
+    assert "other residuals" not in capsys.readouterr().err
+
+
+def test_residuals_that_are_others_when_simulated_again_are_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert fit(run) == 0
+    interrupt(run)
+    segment = run / "evaluations" / "00000.arrows"
+    table = read_log(run / "evaluations")
+    place = table.schema.get_field_index("residuals_hash")
+    hashes = ["0" * 32, *table["residuals_hash"].to_pylist()[1:]]
+    table = table.set_column(place, table.schema.field(place), [hashes])
+    with pa.ipc.new_stream(segment, table.schema) as writer:
+        writer.write_table(table)
+    capsys.readouterr()
+    assert fit(run, "--resume") == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "1 of the simulations that were done again gave other residuals" in said
+
+
 def test_a_closed_loop_is_resumed(tmp_path: Path, simulated: list[Outcome]) -> None:
     whole, run = tmp_path / "whole", tmp_path / "run"
-    arguments = ["closed_loop.trials=4", "closed_loop.refits=2", "closed_loop.draws=200"]
+    arguments = [*QUICK_LOOP, KEPT]
     assert fit(whole, *arguments, command="close-loop") == 0
     total = len(simulated)
     log = read_log(whole / "evaluations")
@@ -221,7 +276,9 @@ def test_a_sweep_resumes_the_run_that_was_under_way(
 ) -> None:
     axis = {"name": "start", "key": "parameters.m.start", "values": [1.0, 2.0]}
     sweep, out = tmp_path / "sweep.toml", tmp_path / "out"
-    sweep.write_text(to_toml({"configs": [CONFIG], "axes": [axis]}), encoding="utf-8")
+    kept = {"log.keep_residuals": True}
+    tree = {"configs": [CONFIG], "axes": [axis], "overrides": kept}
+    sweep.write_text(to_toml(tree), encoding="utf-8")
     assert main(["sweep", str(sweep), "--out", str(out)]) == 0
     run = out / "mass_spring_damper-start_2.0"
     before = contents(run)

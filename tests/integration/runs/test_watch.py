@@ -15,6 +15,7 @@ from support.problems.springs import spring_problem
 from support.reported import fitted_run
 
 from cluster_est.cli import main
+from cluster_est.cli.display.progress import line
 from cluster_est.fit import fit
 from cluster_est.methods.base import Progress
 from cluster_est.report import watch as watching
@@ -22,7 +23,7 @@ from cluster_est.report.watch import RunFollower, RunView, follow
 from cluster_est.report.watch_printing import WatchTable, rendered
 from cluster_est.run_folder.folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
-from cluster_est.running.records import RunSnapshot, SearchIteration, TaskOrigin
+from cluster_est.running.records import Budget, RunSnapshot, SearchIteration, TaskOrigin
 from workers.messages import Outcome, Status
 
 
@@ -67,7 +68,13 @@ def test_a_run_is_followed_while_it_grows(tmp_path):
         ("start 0", 5.0),
     ]
     text = written(view)
-    for part in ("9 simulations (3 failed)", "2/4 workers busy", "12.0 s", "took longer than 0 s"):
+    for part in (
+        "start 0",
+        "9 simulations (3 failed)",
+        "2/4 workers busy",
+        "12.0 s",
+        "took longer than 0 s",
+    ):
         assert part in text
     fill(run, range(9, 12), problem)
     run._log.flush()
@@ -183,3 +190,17 @@ def test_a_terminal_sees_the_table_renewed(ended):
     with WatchTable(console) as table:
         table.show(RunFollower(ended).look())
         assert "simulations" in console.export_text()
+
+
+def test_a_watcher_reads_what_the_terminal_of_the_run_says(tmp_path):
+    problem = spring_problem(experiments=2).problem
+    run = RunFolder(tmp_path / "run", RunIdentity(RunKind.FIT, problem, "", "hash", 0))
+    now = RunSnapshot(
+        "candidate", Progress(1, 7.0), 6, 9, 3, 2, 4, 12.0,
+        "looking for effect 1 of at most 3", 5, 12, 90.0,
+    )  # fmt: skip
+    run.show(now)
+    said = "looking for effect 1 of at most 3: refitting candidates, 5 of 12 done"
+    left = "this step: at most about 2 min left"
+    assert f"{said} | {left}" in " ".join(written(RunFollower(tmp_path / "run").look()).split())
+    assert line(now, Budget()).startswith(f"{said} | {left} | ")

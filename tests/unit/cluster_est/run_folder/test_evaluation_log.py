@@ -12,7 +12,7 @@ import pytest
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder import evaluation_log
 from cluster_est.run_folder.evaluation_log import SCHEMA, EvaluationLog, LogSettings, read_log
-from cluster_est.run_folder.log_format import END_OF_STREAM, mend
+from cluster_est.run_folder.log_format import END_OF_STREAM, LARGE, mend
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.running.records import TaskOrigin
 from workers.messages import Effect, Outcome, Status, Trajectory
@@ -345,3 +345,54 @@ def test_segments_of_a_version_without_ends_are_read_with_those_that_have_them(t
             outcome.seconds,
         )
         assert (found.residuals is None) == (outcome.residuals is None)
+
+
+def test_what_a_finished_run_leaves(tmp_path: Path) -> None:
+    recorded = [*trajectories(40), *rows(40)]
+    log = write(tmp_path, recorded, 2)
+    log.close()
+    before = read_log(tmp_path)
+    size = (tmp_path / "00000.arrows").stat().st_size
+    log.let_residuals_go()
+    after = read_log(tmp_path)
+    assert (tmp_path / "00000.arrows").stat().st_size < size / 3
+    assert [path.name for path in tmp_path.glob("*.slim")] == []
+    for name in ("residuals", "trajectory", "times", "variables"):
+        assert after[name].null_count == 80
+    for name in set(SCHEMA.names).difference(LARGE):
+        assert str(after[name].to_pylist()) == str(before[name].to_pylist())  # costs may be NaN
+    hashes = after["residuals_hash"].to_pylist()
+    assert [h is None for h in hashes] == [outcome.residuals is None for _, outcome in recorded]
+    assert len(set(hashes[:40])) == 1
+    assert len(set(hashes[40:])) > 2
+
+
+def test_residuals_that_are_wanted_stay(tmp_path: Path) -> None:
+    settings = LogSettings(keep_residuals=True)
+    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, settings)
+    for row in rows(6):
+        log.record(*row)
+    log.close()
+    log.let_residuals_go()
+    check(read_log(tmp_path), rows(6))
+
+
+def test_a_log_that_cannot_be_made_smaller_ends_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: Path) -> None:
+        raise OSError("there is no room")
+
+    monkeypatch.setattr(evaluation_log, "slim", full)
+    said: list[str] = []
+    settings = LogSettings(megabytes=0.05)
+    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, settings, say=said.append)
+    for row in trajectories(100):
+        log.record(*row)
+        log.flush()
+    log.close()
+    log.let_residuals_go()
+    assert read_log(tmp_path)["residuals"].null_count == 0
+    full_log, no_room = said
+    assert "the log has reached 0.05 MB" in full_log
+    assert "residuals stay in the log, because there is no room" in no_room

@@ -29,6 +29,7 @@ def test_what_was_written_is_read_once(tmp_path):
     assert [(each.search, each.iteration) for each in first] == [("train", 0)]
     assert math.isnan(first[0].cost)
     assert (tail.state.busy, tail.state.workers, tail.state.seconds) == (3, 4, 1.5)
+    assert math.isnan(tail.state.left)
     assert tail.new() == []
     file.iteration(line("train", 1, 2.5, "converged"))
     (second,) = tail.new()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import io
 import math
+from dataclasses import replace
 
 from rich.console import Console
 
-from cluster_est.cli.display.progress import ProgressLine, line
+from cluster_est.cli.display.progress import ProgressLine, WorkerHint, line
 from cluster_est.methods.base import Progress
 from cluster_est.running.records import Budget, RunSnapshot
 
@@ -27,12 +28,45 @@ def test_it_begins_with_a_word_and_stays_one_line_in_a_narrow_terminal():
     with ProgressLine(Console(file=out, force_terminal=True, width=80), Budget()) as shown:
         assert "starting" in out.getvalue()
         shown.show(snapshot(2.5, 3))
-    assert "candidate: iteration 12" in out.getvalue()
+    assert "refitting candidates, iteration 12" in out.getvalue()
     assert "4321 s" not in out.getvalue()  # cut, where it would have begun a second line
 
 
-def test_nothing_is_shown_where_there_is_no_terminal():
-    out = io.StringIO()
-    with ProgressLine(Console(file=out, width=80), Budget()) as shown:
-        shown.show(snapshot(2.5))
-    assert out.getvalue() == ""
+def test_the_phase_how_much_is_done_and_the_time_left_are_said():
+    known = replace(
+        snapshot(2.5), phase="looking for effect 2 of at most 3", ended=7, searches=12, left=41.2
+    )
+    text = line(known, Budget())
+    begin = "looking for effect 2 of at most 3: refitting candidates, 7 of 12 done | "
+    assert text.startswith(f"{begin}this step: at most about 41 s left | ")
+    assert line(replace(known, left=math.nan), Budget()).startswith(f"{begin}time left unknown | ")
+    assert "time left" not in line(snapshot(2.5), Budget())  # a fit: nobody expects to be told
+
+
+def test_without_a_terminal_a_line_is_printed_now_and_then():
+    out, now = io.StringIO(), [0.0]
+    with ProgressLine(Console(file=out, width=80), Budget(), 1, lambda: now[0]) as shown:
+        for _ in range(2000):
+            now[0] += 1.0
+            shown.show(snapshot(2.5))
+            if now[0] < 30.0:
+                assert out.getvalue() == ""
+    lines = out.getvalue().splitlines()
+    assert 30 < len(lines) < 55
+    assert all(
+        text.startswith("cluster-est: refitting candidates, iteration 12 |") for text in lines
+    )
+
+
+def test_more_workers_are_proposed_once_where_they_would_help():
+    def said(workers: int, waiting: int, cores: int) -> list[str]:
+        hint = WorkerHint(cores)
+        busy = replace(snapshot(1.0), busy=workers, workers=workers, waiting=waiting)
+        return [
+            text for seconds in range(100) if (text := hint.look(replace(busy, seconds=seconds)))
+        ]
+
+    (sentence,) = said(1, 30, 8)
+    assert "1 of this machine's 8 cores simulates while 30 simulations wait" in sentence
+    assert "executor.workers=8 would be faster" in sentence
+    assert said(8, 30, 8) == said(4, 3, 8) == []
