@@ -128,11 +128,11 @@ def _report(
     changes = error_changes(workbench, found, before, grown)
     judgement = confirmed(judged, changes, workbench.settings)
     keep = judgement.verdict in CLAIMS
-    named = describe_effects(workbench, found, grown)
+    curves = effect_curves(workbench, found.current, grown) if keep else ()
+    named = describe_effects(workbench, found, grown, curves)
     after = grown if keep else before
     kept = found.current if keep else found.base
     over = ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
-    curves = effect_curves(workbench, found.current, grown) if keep else ()
     unexplained = _unexplained(workbench, judgement.verdict, kept, found)
     return LoopResult(
         verdict=judgement.verdict,

@@ -86,7 +86,15 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     experiments = build_experiments(config, base, code)
     every = (*parameters, *coefficients)
     constraints = parameter_constraints(config, tuple(p.name for p in every))
-    problem = Problem(model, every, experiments, build_cost(config), effects, constraints)
+    problem = Problem(
+        model,
+        every,
+        experiments,
+        build_cost(config),
+        effects,
+        constraints,
+        units=tuple(config.model.units.items()),
+    )
     problem.describe()
     return problem
 

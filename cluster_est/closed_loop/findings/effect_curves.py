@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import sympy as sp
 
+from cluster_est.closed_loop.candidates.kinematics import integrated_states
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.findings.effects import EffectCurve
@@ -21,6 +22,8 @@ from workers.messages import FloatArray
 POINTS, BINS = 201, 48
 Shape = Callable[[FloatArray, FloatArray], FloatArray]
 """The term that an effect adds, as a function of its variable and its coefficients."""
+Shape1D = Callable[[FloatArray], FloatArray]
+"""The same with its coefficients as they were found."""
 NORMAL95 = 1.959963984540054
 
 
@@ -46,6 +49,28 @@ def effect_curves(
             _none(c, f"its experiments cannot be simulated ({error})") for c in fitted.added
         )
     return tuple(each for c in fitted.added for each in _curves(workbench, c, trajectories, result))
+
+
+def shape_over(candidate: EffectCandidate, curve: EffectCurve, result: Result) -> Shape1D | None:
+    """Return what an effect adds, over the variable of its curve, also where no data were.
+
+    None where it has no curve. Of a signal that is a function of itself, what is added to it.
+    """
+    if curve.why_not or candidate.site.kind == "parameter":
+        return None
+    over = _variable(candidate, candidate.form.equation)
+    rows = {e.label: e for e in result.estimates}
+    own = [rows.get(f"{candidate.effect.name}.{c.name}") for c in candidate.form.coefficients]
+    if over is None or any(e is None for e in own):
+        return None
+    values = np.array([e.value for e in own if e is not None])
+    shape = _function(candidate, candidate.form.equation, over[0], 1.0)
+    at_itself = over[0] == "s"
+
+    def added(x: FloatArray) -> FloatArray:
+        return shape(x, values) - (x if at_itself else 0.0)
+
+    return added
 
 
 def _none(candidate: EffectCandidate, why: str) -> EffectCurve:
@@ -84,11 +109,19 @@ def _curves(
         x=np.linspace(float(seen.min()), float(seen.max()), POINTS),
         edges=edges,
         counts=counts.astype(np.float64),
+        integral_of=_integral_of(name, trajectories),
     )
     return [
         _curve(known, candidate, _function(candidate, text, symbol, signal), target, units, result)
         for text, target in zip(texts, site.targets, strict=False)
     ]
+
+
+def _integral_of(name: str, trajectories: Sequence[LinearisedTrajectory]) -> str:
+    """The state whose integral a variable is; of a difference that of both."""
+    speeds = {x: v for x, (v, _) in integrated_states(trajectories).items()}
+    parts = [name] if name in speeds else name.split(" - ")
+    return " - ".join(speeds[x] for x in parts) if all(x in speeds for x in parts) else ""
 
 
 def _curve(

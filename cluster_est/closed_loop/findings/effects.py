@@ -50,6 +50,31 @@ class AlternativeEffect:
 
 
 @dataclass(frozen=True)
+class AgreeingEquation:
+    """Another equation that agrees with that of an effect wherever the data were.
+
+    Attributes
+    ----------
+    equation
+        What it would add instead: "-0.35 * v * abs(v)".
+    words
+        Its name in physics; "" where the units do not say.
+    difference, share
+        The largest difference in the data, in the unit of the effect, and over its largest size.
+    told_at, told_by
+        The value of the variable nearest to the data at which the two clearly differ, and by how
+        much: there an experiment would tell them apart.
+    """
+
+    equation: str
+    words: str
+    difference: float
+    share: float
+    told_at: float
+    told_by: float
+
+
+@dataclass(frozen=True)
 class NamedEffect:
     """An effect that was added to the model.
 
@@ -65,6 +90,13 @@ class NamedEffect:
         Effects that it cannot be told apart from.
     evidence
         Sentences.
+    words, sentence
+        Its name in the words of physics, or of mathematics where units do not say; and the finding
+        as one would say it, with numbers.
+    also
+        Equations that agree with it on the range of the data.
+    period
+        Seconds, of a wave in time; NaN for what is none.
     """
 
     effect: Effect
@@ -73,6 +105,10 @@ class NamedEffect:
     coefficients: tuple[Estimate, ...]
     alternatives: tuple[AlternativeEffect, ...] = ()
     evidence: tuple[str, ...] = ()
+    words: str = ""
+    sentence: str = ""
+    also: tuple[AgreeingEquation, ...] = ()
+    period: float = np.nan
 
     @property
     def name(self) -> str:
@@ -128,6 +164,9 @@ class EffectCurve:
         Samples of the training experiments in each bin.
     why_not
         Reason why it has no curve, in a sentence; the arrays are empty then.
+    integral_of
+        The state whose integral the variable is, but for a factor, or the difference of two for a
+        difference: "v - w" for "x - z". "" where it is none.
     """
 
     effect: str
@@ -142,3 +181,4 @@ class EffectCurve:
     edges: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
     counts: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
     why_not: str = ""
+    integral_of: str = ""

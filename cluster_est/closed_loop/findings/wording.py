@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.findings.agreement import agreements
 from cluster_est.closed_loop.findings.disturbance import readable_time
-from cluster_est.closed_loop.findings.effects import AlternativeEffect, ErrorChange, NamedEffect
+from cluster_est.closed_loop.findings.effect_curves import shape_over
+from cluster_est.closed_loop.findings.effects import (
+    AgreeingEquation,
+    AlternativeEffect,
+    EffectCurve,
+    ErrorChange,
+    NamedEffect,
+)
+from cluster_est.closed_loop.findings.words.naming import EffectName, Namer
+from cluster_est.closed_loop.findings.words.sentences import sentence_of
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
@@ -32,11 +43,20 @@ white noise in parts of ten samples the largest among some hundred has three tim
 
 
 def describe_effects(
-    workbench: LoopWorkbench, found: SelectionResult, result: Result
+    workbench: LoopWorkbench,
+    found: SelectionResult,
+    result: Result,
+    curves: Sequence[EffectCurve] = (),
 ) -> tuple[NamedEffect, ...]:
-    """Describe the effects of the final model, with what each cannot be told apart from."""
+    """Describe the effects of the final model, with what each cannot be told apart from.
+
+    `curves` are theirs, where they have some: they say over which range a name holds.
+    """
+    own = {curve.effect: curve for curve in reversed(curves)}
+    namer = Namer(workbench.description, dict(workbench.problem.units))
     return tuple(
-        _describe(workbench, found, candidate, result) for candidate in found.current.added
+        _describe(workbench, found, candidate, result, namer, own.get(candidate.effect.name))
+        for candidate in found.current.added
     )
 
 
@@ -99,18 +119,46 @@ def where_left(workbench: LoopWorkbench, fitted: FittedModel) -> str:
 
 
 def _describe(
-    workbench: LoopWorkbench, found: SelectionResult, candidate: EffectCandidate, result: Result
+    workbench: LoopWorkbench,
+    found: SelectionResult,
+    candidate: EffectCandidate,
+    result: Result,
+    namer: Namer,
+    curve: EffectCurve | None,
 ) -> NamedEffect:
     name = candidate.effect.name
     won, rivals = found.rivals.get(name, (None, []))
+    coefficients, period = _coefficients(name, result), period_of(candidate, found.current)
+    named = namer.name(candidate, [e.value for e in coefficients], curve)
+    also = _agreeing(candidate, result, namer, named, curve)
     return NamedEffect(
         effect=candidate.effect,
         family=candidate.form.family,
         equation=candidate.equation,
-        coefficients=_coefficients(name, result),
+        coefficients=coefficients,
         alternatives=_alternatives(workbench, found, candidate, won, rivals),
         evidence=_evidence(found, candidate),
+        words=named.words,
+        sentence=sentence_of(named.words, candidate, coefficients, curve, also, period),
+        also=also,
+        period=float(period),
     )
+
+
+def _agreeing(
+    candidate: EffectCandidate,
+    result: Result,
+    namer: Namer,
+    named: EffectName,
+    curve: EffectCurve | None,
+) -> tuple[AgreeingEquation, ...]:
+    """Equations that agree with an effect on the range of the data, with their names."""
+    shape = shape_over(candidate, curve, result) if curve is not None else None
+    if curve is None or shape is None:
+        return ()
+    law = named.placed.law
+    found = agreements(curve, shape, law, negative=namer.may_be_negative(curve.variable))
+    return tuple(replace(a.found, words=named.of_law(a.law)) for a in found)
 
 
 def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
