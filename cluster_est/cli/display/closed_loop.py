@@ -59,8 +59,11 @@ def print_loop(console: Console, run: StoredRun) -> None:
 
 def _print_effect(console: Console, effect: Facts) -> None:
     say(console, "")
-    say(console, f"effect {effect['name']} ({effect['family']}) at {effect['site']}")
+    named = effect.get("words") or effect["family"]  # runs of earlier versions have no words
+    say(console, f"effect {effect['name']} ({named}) at {effect['site']}")
     say(console, f"  {effect['equation']}")
+    if effect.get("sentence"):
+        say(console, f"  {effect['sentence']}")
     for name, row in effect["parameters"].items():
         held = " (held)" if row["fixed"] else f"   95 %: {_range(row)}"
         unit = f" {row['unit']}" if row["unit"] not in ("", "1") else ""

@@ -66,8 +66,9 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
             )
         )
     blocks: list[Block] = [
-        TextBlock(f"{effect['name']}: {effect['family']} at {effect['site']}", kind="heading"),
+        TextBlock(f"{effect['name']}: {_words(effect)} at {effect['site']}", kind="heading"),
         TextBlock(effect["equation"], kind="equation"),
+        *([TextBlock(effect["sentence"])] if effect.get("sentence") else []),
         TableBlock(names, tuple(rows)),
     ]
     evidence = tuple(effect.get("evidence") or ())
@@ -80,6 +81,11 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
         blocks.append(TextBlock("This run's folder holds no shapes to draw.", "faint"))
     blocks.append(SourceBlock("As a block for a config", effect["config"]))
     return blocks
+
+
+def _words(effect: Row) -> str:
+    """Its name; runs of earlier versions have only that of a family."""
+    return str(effect.get("words") or effect["family"])
 
 
 def _curve(row: Row, number: int) -> FigureBlock:
