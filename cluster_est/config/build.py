@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cluster_est.config.constraints import check_signals, parameter_constraints
 from cluster_est.config.effects import build_effects
-from cluster_est.config.experiments import build_experiments
+from cluster_est.config.experiments import build_experiments, table_sources
 from cluster_est.config.options import build_cost
 from cluster_est.config.reader import Config, ParameterSection, read_config
 from cluster_est.config.reading import find_file
@@ -94,6 +94,7 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
         effects,
         constraints,
         units=tuple(config.model.units.items()),
+        tables=table_sources(config, base),
     )
     problem.describe()
     return problem

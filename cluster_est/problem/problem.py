@@ -13,6 +13,7 @@ from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.names import coefficient_names, refuse_repeated
 from cluster_est.problem.options import check_options
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.tables.unused import TableSource
 from cluster_est.problem.variables import (
     check_effects,
     check_experiment,
@@ -47,6 +48,9 @@ class Problem:
     units
         (variable of the FMU or signal, unit) where the FMU names none or another; may be given as a
         dict. No number is converted: tables and words have them.
+    tables
+        The files that experiments were read from, for columns that are not used. No result of a fit
+        depends on them.
 
     Raises
     ------
@@ -61,6 +65,7 @@ class Problem:
     effects: tuple[Effect, ...] = ()
     constraints: tuple[ParameterConstraint, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
+    tables: tuple[TableSource, ...] = ()
 
     def __post_init__(self) -> None:
         self._check_kinds()
@@ -200,6 +205,7 @@ _LISTS: dict[str, type] = {
     "experiments": Experiment,
     "effects": Effect,
     "constraints": ParameterConstraint,
+    "tables": TableSource,
 }
 """The lists of a problem, and what each holds."""
 

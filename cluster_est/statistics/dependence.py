@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import detrend, lfilter
 from scipy.stats import f as f_distribution
 
 from workers.messages import FloatArray
@@ -63,11 +63,11 @@ def dependence(records: Sequence[Pair]) -> Dependence:
     ----------
     records
         Residual and signal of each record, evenly sampled, all at one step. Each record may have an
-        offset of its own.
+        offset and a trend of its own: any two trends go together.
     """
     size = sum(len(y) for y, _ in records)
     block = max(1, -(-size // MOST))
-    thin = [(_centred(_averaged(y, block)), _averaged(x, block)) for y, x in records]
+    thin = [(_detrended(_averaged(y, block)), _averaged(x, block)) for y, x in records]
     longest = max(ORDERS)
     kept = [(y, x) for y, x in thin if len(y) > 2 * longest]
     total = sum(len(y) for y, _ in kept)
@@ -100,17 +100,18 @@ def _averaged(values: FloatArray, block: int) -> FloatArray:
     return np.asarray(values[:whole].reshape(-1, block).mean(axis=1))
 
 
-def _centred(values: FloatArray) -> FloatArray:
-    return values - values.mean() if len(values) else values
+def _detrended(values: FloatArray) -> FloatArray:
+    """Without the straight line that fits best."""
+    return np.asarray(detrend(values)) if len(values) > 1 else np.zeros(len(values))
 
 
 def _late(x: FloatArray) -> FloatArray:
-    """(n, k): a signal and its low passes, each about its mean."""
+    """(n, k): a signal and its low passes, each about its trend."""
     columns = [x]
     for lag in LAGS:
         keep = float(np.exp(-1.0 / lag))
         columns.append(lfilter([1.0 - keep], [1.0, -keep], x, zi=np.array([keep * x[0]]))[0])
-    return np.column_stack([_centred(c) for c in columns])
+    return np.column_stack([_detrended(c) for c in columns])
 
 
 def _moved(columns: FloatArray, part: float) -> FloatArray:
@@ -142,13 +143,30 @@ def _whitened(values: FloatArray, coefficients: FloatArray) -> FloatArray:
 def _ratio(white: FloatArray, columns: FloatArray) -> float:
     """The F ratio of the regression of a white series on columns."""
     k = columns.shape[1]
-    left = white - columns @ np.linalg.lstsq(columns, white, rcond=1e-10)[0]
-    rest, all_ = float(left @ left), float(white @ white)
-    return (all_ - rest) / k / max(rest / (len(white) - k), 1e-300)
+    explained = _explained(white, columns)
+    rest = max(float(white @ white) - explained, 1e-300)
+    return explained / k / (rest / (len(white) - k))
+
+
+def _explained(y: FloatArray, columns: FloatArray) -> float:
+    """Squares of y that the columns carry; those that depend on others count once."""
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    kept = values > 1e-12 * max(values[-1], 1e-300)
+    along = vectors[:, kept].T @ (columns.T @ y)
+    return float(np.sum(along**2 / values[kept]))
 
 
 def _share(residuals: Sequence[FloatArray], columns: Sequence[FloatArray]) -> float:
     """Of the variance of the residuals, as they are, that the columns carry."""
     y, x = np.concatenate(residuals), np.concatenate(columns)
-    left = y - x @ np.linalg.lstsq(x, y, rcond=1e-10)[0]
-    return float(1.0 - (left @ left) / (y @ y))
+    return min(_explained(y, x) / float(y @ y), 1.0)
+
+
+def periodic_share(values: FloatArray, times: FloatArray, period: float) -> float:
+    """Return the share of a signal's variance, about its trend, in a wave of one period."""
+    phase = 2.0 * np.pi * times / period
+    basis = np.column_stack([np.sin(phase), np.cos(phase)])
+    columns = np.column_stack([_detrended(c) for c in basis.T])
+    about = _detrended(values)
+    square = float(about @ about)
+    return min(_explained(about, columns) / square, 1.0) if square > 0.0 else 0.0

@@ -35,6 +35,8 @@ class AlternativeEffect:
         At which its predictions differ most from those of the chosen effect.
     difference
         Of the predictions there, in standard deviations of the noise.
+    words
+        Its name in the words of physics or mathematics.
     """
 
     site: str
@@ -47,6 +49,7 @@ class AlternativeEffect:
     output: str = ""
     time: float = np.nan
     difference: float = np.nan
+    words: str = ""
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,13 @@ from cluster_est.closed_loop.findings.effects import (
     ErrorChange,
     NamedEffect,
 )
+from cluster_est.closed_loop.findings.unused_columns import varying_columns
 from cluster_est.closed_loop.findings.words.naming import EffectName, Namer
 from cluster_est.closed_loop.findings.words.sentences import sentence_of
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
-from cluster_est.closed_loop.selection.waves import period_of
+from cluster_est.closed_loop.selection.waves import period_of, residuals_without
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.results.result import Result
 from cluster_est.results.row_types import Estimate
@@ -136,8 +137,8 @@ def _describe(
         family=candidate.form.family,
         equation=candidate.equation,
         coefficients=coefficients,
-        alternatives=_alternatives(workbench, found, candidate, won, rivals),
-        evidence=_evidence(found, candidate),
+        alternatives=_alternatives(workbench, found, candidate, won, rivals, namer),
+        evidence=(*_evidence(found, candidate), *_columns(workbench, found, candidate, period)),
         words=named.words,
         sentence=sentence_of(named.words, candidate, coefficients, curve, also, period),
         also=also,
@@ -171,6 +172,7 @@ def _alternatives(
     candidate: EffectCandidate,
     won: RefittedCandidate | None,
     rivals: Sequence[RefittedCandidate],
+    namer: Namer,
 ) -> tuple[AlternativeEffect, ...]:
     """Rivals that the data really leave open: they predict nearly the same at every sample.
 
@@ -180,11 +182,22 @@ def _alternatives(
         return ()
     others = {c.effect.name for c in found.current.added if c is not candidate}
     made = [
-        _alternative(workbench, won, rival, found.noise)
+        replace(
+            _alternative(workbench, won, rival, found.noise),
+            words=namer.name(rival.candidate, _strengths(rival), None).words,
+        )
         for rival in rivals
         if rival.candidate.effect.name not in others
     ]
     return tuple(a for a in made if a.difference <= APART)
+
+
+def _strengths(rival: RefittedCandidate) -> list[float]:
+    """The coefficients of a rival where its refit ended, those that are held among them."""
+    values = {p.name: p.start for p in rival.fitted.problem.parameters} | rival.fitted.estimates
+    name = rival.candidate.effect.name
+    labels = [f"{name}.{c.name}" for c in rival.candidate.form.coefficients]
+    return [values[label] for label in labels if label in values]
 
 
 def _alternative(
@@ -224,6 +237,16 @@ def _largest_difference(
             time = float(record.times[row - record.rows.start])
             return experiment.id, time, workbench.records.outputs[record.output], float(gap[row])
     return "", np.nan, "", float(gap[row])
+
+
+def _columns(
+    workbench: LoopWorkbench, found: SelectionResult, candidate: EffectCandidate, period: float
+) -> tuple[str, ...]:
+    """Sentences on columns that are not used and may be what a wave in time stands for."""
+    if not np.isfinite(period):
+        return ()
+    without = residuals_without(found.current, candidate)
+    return tuple(column.sentence for column in varying_columns(workbench, without, period))
 
 
 def _evidence(found: SelectionResult, candidate: EffectCandidate) -> tuple[str, ...]:

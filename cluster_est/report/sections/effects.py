@@ -204,7 +204,7 @@ def _rivals(effect: Row) -> Block:
         )
     names = columns("cannot be told apart", "equation", "#criterion", "differ most at", "#by")
     chosen = cells(
-        TableCell(f"{effect['form']} at {effect['site']} (chosen)"),
+        TableCell(f"{effect.get('words') or effect['form']} at {effect['site']} (chosen)"),
         TableCell(effect["equation"], code=True), "0", "", "",
     )  # fmt: skip
     lines = [chosen]
@@ -216,7 +216,7 @@ def _rivals(effect: Row) -> Block:
         criterion = other["criterion"]
         lines.append(
             cells(
-                f"{other['form']} at {other['site']}",
+                f"{other.get('words') or other['form']} at {other['site']}",
                 TableCell(other["equation"], code=True),
                 "" if criterion is None else ("+" if criterion >= 0 else "") + digits(criterion, 3),
                 at,
