@@ -33,6 +33,9 @@ LEAST = 60
 SHIFTS = 40
 """Shifts of the signal along the records, by which the test's own scale is measured."""
 
+ROUNDING = 1e-10
+"""Share of a signal's largest value that is no variation."""
+
 Pair = tuple[FloatArray, FloatArray]
 """The residual of a record, and the signal at the same times."""
 
@@ -101,8 +104,11 @@ def _averaged(values: FloatArray, block: int) -> FloatArray:
 
 
 def _detrended(values: FloatArray) -> FloatArray:
-    """Without the straight line that fits best."""
-    return np.asarray(detrend(values)) if len(values) > 1 else np.zeros(len(values))
+    """Without the straight line that fits best; zeros where only rounding would be left."""
+    if len(values) < 2:
+        return np.zeros(len(values))
+    left = np.asarray(detrend(values))
+    return left if np.abs(left).max() > ROUNDING * np.abs(values).max() else np.zeros(len(values))
 
 
 def _late(x: FloatArray) -> FloatArray:
@@ -145,7 +151,7 @@ def _ratio(white: FloatArray, columns: FloatArray) -> float:
     k = columns.shape[1]
     explained = _explained(white, columns)
     rest = max(float(white @ white) - explained, 1e-300)
-    return explained / k / (rest / (len(white) - k))
+    return float(explained / k / (rest / (len(white) - k)))
 
 
 def _explained(y: FloatArray, columns: FloatArray) -> float:

@@ -205,16 +205,21 @@ def _around_zero(
 ) -> Callable[[float], float] | None:
     """What an effect adds, over its variable, or over its one state where it has one."""
     form = candidate.form
-    if form.memory or form.variables != 1 or len(values) != len(form.coefficients):
+    if form.memory or form.free or form.variables != 1 or len(values) != len(form.coefficients):
         return None
     over = form.states[0].name if form.states else "v"
     names = ["t", "s", "w", "v", *(z.name for z in form.states)]
     symbols = {n: sp.Symbol(n, real=True) for n in [*names, *(c.name for c in form.coefficients)]}
-    at = {symbols[c.name]: v for c, v in zip(form.coefficients, values, strict=True)}
-    term = parse(form.equation, symbols, f"form {form.name}").subs(at)
+    term = parse(form.equation, symbols, f"form {form.name}")
     if candidate.site.kind in ("input", "output"):
         term = sp.expand(term - symbols["s"])
-    if term.free_symbols - {symbols[over]}:
+    arguments = [symbols[over], *(symbols[c.name] for c in form.coefficients)]
+    if term.free_symbols - set(arguments):
         return None
-    compiled = sp.lambdify(symbols[over], term, "numpy")
-    return lambda x: float(compiled(np.float64(x)))
+    compiled = sp.lambdify(arguments, term, "numpy")
+
+    def added(x: float) -> float:
+        with np.errstate(all="ignore"):
+            return float(compiled(np.float64(x), *map(np.float64, values)))
+
+    return added
