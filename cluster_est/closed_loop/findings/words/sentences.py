@@ -90,8 +90,9 @@ def _agreement(also: AgreeingEquation, curve: EffectCurve) -> str:
     """What else the equation may be, and where to measure to tell."""
     named = f"{also.equation} ({also.words})" if also.words else also.equation
     unit, over = in_unit(curve.unit), in_unit(curve.variable_unit)
-    close = f" to {also.difference:.2g}{unit}, {also.share:.2g} of it," if also.share > SAME else ""
+    off = f", but for {also.difference:.2g}{unit} ({also.share:.1%}), "
     return (
-        f"On that range it is{close} also {named}: at {curve.variable} = {also.told_at:.3g}{over} "
-        f"the two would differ by {also.told_by:.2g}{unit}, so measure there to tell them apart."
+        f"On that range it is{off if also.share > SAME else ' '}also {named}: at "
+        f"{curve.variable} = {also.told_at:.3g}{over} the two would differ by "
+        f"{also.told_by:.2g}{unit}, so measure there to tell them apart."
     )
