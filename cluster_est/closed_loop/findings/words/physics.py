@@ -183,15 +183,21 @@ def _flow(placed: PlacedLaw) -> str:
         return "leakage"
     if placed.law in (Law.ROOT, Law.ODD_ROOT):
         return "flow through an orifice"
-    level = placed.argument.same_as(LENGTH, VOLUME)
-    return "overflow" if placed.law is Law.ABOVE and level else ""
+    if placed.law is not Law.ABOVE:
+        return ""
+    relieved = placed.argument.same_as(PRESSURE)
+    return "outflow above a threshold (as of a relief valve)" if relieved else "overflow"
 
 
 def _stock(placed: PlacedLaw) -> str:
-    """A linear loss of what else can be stored."""
+    """A loss of what else can be stored."""
     assert placed.site is not None
-    linear = placed.law is Law.LINEAR and placed.loss and placed.own
-    if not linear or not placed.at_rates:
+    if not placed.loss or not placed.own or not placed.at_rates:
+        return ""
+    if placed.law in (Law.SQUARE, Law.ODD_SQUARE) and placed.kind == "derivative":
+        reacts = placed.site.same_as(CONCENTRATION) and placed.one_sided
+        return "second-order loss (as of a reaction)" if reacts else ""
+    if placed.law is not Law.LINEAR:
         return ""
     if placed.site.same_as(CHARGE):
         return "leakage of charge"
@@ -206,16 +212,21 @@ def _kinetics(placed: PlacedLaw) -> str:
     known = placed.argument
     if known is None or not known.same_as(AMOUNT, CONCENTRATION, DENSITY, MASS):
         return ""
+    if placed.law is Law.SATURATING and placed.kind == "parameter":
+        return "inhibition" if placed.loss else ""
     if placed.law is Law.SATURATING:
-        inhibits = placed.kind == "parameter" and placed.loss
-        return "inhibition" if inhibits else "saturation (as of Michaelis and Menten)"
+        return "saturation (as of Michaelis and Menten)"
     return "inhibition" if placed.law is Law.INHIBITED else ""
 
 
 def _circuit(placed: PlacedLaw) -> str:
     assert placed.site is not None
     known = placed.argument
-    if known is None or not placed.at_rates or not placed.site.same_as(CURRENT):
+    if known is None:
+        return ""
+    if placed.kind == "parameter" and placed.law is Law.LAGGED_SQUARE and known.same_as(CURRENT):
+        return "self-heating by the current"
+    if not placed.at_rates or not placed.site.same_as(CURRENT):
         return ""
     if placed.law is not Law.LINEAR or not placed.loss:
         return ""

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.loop_objects import made_bench, made_problem, made_result
 
+from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.agreement import CLOSE, agreements
 from cluster_est.closed_loop.findings.effects import EffectCurve
+from cluster_est.closed_loop.findings.wording import _agreeing
 from cluster_est.closed_loop.findings.words.laws import Law
+from cluster_est.closed_loop.findings.words.naming import Namer
+from cluster_est.results.row_types import Estimate
+from workers.effects.forms import FORMS
+from workers.effects.site import EffectSite
+from workers.messages import Effect
 
 K = -0.352
 
@@ -104,3 +114,22 @@ def test_units_of_variable_and_effect_change_no_finding(over, by, sign):
     assert [a.law for a in other] == [a.law for a in plain]
     assert other[0].found.told_at == pytest.approx(over * plain[0].found.told_at)
     assert other[0].found.told_by == pytest.approx(by * plain[0].found.told_by)
+
+
+def test_a_finding_carries_the_other_equation_with_its_name():
+    """From the effect and its numbers on, as the loop hands them over."""
+    made = EffectCandidate(
+        Effect("square_v", "der(v)", "square", ("v",)),
+        FORMS["derivative", "square"], EffectSite("derivative", "v"), True, (), (-9.0,), (9.0,),
+    )  # fmt: skip
+    problem = made_problem(50)
+    fields = dict.fromkeys(Estimate.__annotations__, "")
+    number = {"label": "square_v.k", "parameter": "square_v.k", "value": K}
+    result = replace(made_result(problem, []), estimates=(Estimate(**(fields | number)),))
+    own = curve(0.3, 2.1, square)
+    namer = Namer(made_bench(problem).description, {})
+    named = namer.name(made, [K], own)
+    assert named.words == "drag"
+    (also,) = _agreeing(made, result, namer, named, own)
+    assert (also.equation, also.words) == ("-0.352 * v * abs(v)", "drag")
+    assert _agreeing(made, result, namer, named, replace(own, why_not="no curve")) == ()

@@ -177,6 +177,25 @@ def test_a_parameter_that_falls_with_a_concentration_is_inhibited():
     units, site = {"mu": "1/h", "S": "g/l"}, EffectSite("parameter", "mu")
     falls = seen(np.linspace(0.0, 2.0, 50), 1.0 - np.linspace(0.0, 2.0, 50) / 4.0)
     assert name(units, site, "saturating", "S", curve=falls) == "inhibition"
+    assert name(units, site, "saturating", "S") == "a variation that saturates in S"
+
+
+def test_a_resistance_that_follows_the_squared_current_warms_up():
+    units, site = {"R": "Ohm", "i": "A", "w": "rad/s"}, EffectSite("parameter", "R")
+    assert name(units, site, "heating", "i") == "self-heating by the current"
+    other = name(units, site, "heating", "w")
+    assert other == "a variation in the lagged square of w"
+
+
+def test_a_reaction_of_second_order_and_a_relief_valve():
+    amounts = np.linspace(0.1, 2.0, 50)
+    squared = seen(amounts, -(amounts**2))
+    reaction = name({"c": "mol/l"}, der("c"), "square", "c", curve=squared)
+    assert reaction == "second-order loss (as of a reaction)"
+    opened = seen(amounts, -np.maximum(amounts - 1.0, 0.0))
+    relieved = name({"p": "bar"}, der("p"), "hinge", "p", curve=opened)
+    assert relieved == "outflow above a threshold (as of a relief valve)"
+    assert name({"V": "m3"}, der("V"), "hinge", "V", curve=opened) == "overflow"
 
 
 def test_units_of_a_config_count_too():
