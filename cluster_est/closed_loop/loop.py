@@ -24,6 +24,7 @@ from cluster_est.closed_loop.findings.effect_curves import effect_curves
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.residual_noise import believed_noise, residual_noise
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
+from cluster_est.closed_loop.findings.unused_columns import varying_columns
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.first_pass import open_checked_workbench
@@ -131,11 +132,11 @@ def _report(
     changes = error_changes(workbench, found, before, grown)
     judgement = confirmed(judged, changes, workbench.settings)
     keep = judgement.verdict in CLAIMS
-    named = describe_effects(workbench, found, grown)
+    curves = effect_curves(workbench, found.current, grown) if keep else ()
+    named = describe_effects(workbench, found, grown, curves)
     after = grown if keep else before
     kept = found.current if keep else found.base
     over = ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
-    curves = effect_curves(workbench, found.current, grown) if keep else ()
     unexplained = _unexplained(workbench, judgement.verdict, kept, found)
     return LoopResult(
         verdict=judgement.verdict,
@@ -169,14 +170,34 @@ def _unexplained(
         return ()
     outputs = residual_noise(workbench, fitted, found.noise)
     noise = believed_noise(workbench, outputs, found.noise)
-    return unexplained_residuals(workbench, fitted, noise)
+    return _with_columns(workbench, fitted, unexplained_residuals(workbench, fitted, noise))
+
+
+def _with_columns(
+    workbench: LoopWorkbench, fitted: FittedModel, found: tuple[UnexplainedResidual, ...]
+) -> tuple[UnexplainedResidual, ...]:
+    """What nothing explains, with the unused columns that vary with it."""
+    period = found[0].period if found else np.nan
+    columns = varying_columns(workbench, fitted.residuals, period) if found else ()
+    return tuple(
+        replace(
+            each,
+            columns=tuple(
+                c.sentence
+                for c in columns
+                if c.output == each.output or (not c.output and each is found[0])
+            ),
+        )
+        for each in found
+    )
 
 
 def _disturbance(verdict: Verdict, unexplained: Sequence[UnexplainedResidual]) -> tuple[str, ...]:
     """Say how large what nothing explains is, and how fast."""
     if verdict is not Verdict.UNEXPLAINED or not unexplained:
         return ()
-    return (f"if it is a disturbance that nobody measured, it makes {unexplained[0].sentence}",)
+    said = f"if it is a disturbance that nobody measured, it makes {unexplained[0].sentence}"
+    return (said, *dict.fromkeys(c for each in unexplained for c in each.columns))
 
 
 def _notes(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cluster_est.config.constraints import check_signals, parameter_constraints
 from cluster_est.config.effects import build_effects
-from cluster_est.config.experiments import build_experiments
+from cluster_est.config.experiments import build_experiments, table_sources
 from cluster_est.config.options import build_cost
 from cluster_est.config.reader import Config, ParameterSection, read_config
 from cluster_est.config.reading import find_file
@@ -86,7 +86,16 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     experiments = build_experiments(config, base, code)
     every = (*parameters, *coefficients)
     constraints = parameter_constraints(config, tuple(p.name for p in every))
-    problem = Problem(model, every, experiments, build_cost(config), effects, constraints)
+    problem = Problem(
+        model,
+        every,
+        experiments,
+        build_cost(config),
+        effects,
+        constraints,
+        units=tuple(config.model.units.items()),
+        tables=table_sources(config, base),
+    )
     problem.describe()
     return problem
 

@@ -16,6 +16,7 @@ from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ConfigError
 from cluster_est.problem.tables.files import MeasuredTable, read_table
 from cluster_est.problem.tables.measured import interval
+from cluster_est.problem.tables.unused import TableSource
 from workers.fmu.description import nearest
 from workers.messages import Curve, Experiment, FloatArray, Input, Output
 
@@ -40,6 +41,24 @@ def build_experiments(config: Config, base: Path, code: UserCode) -> tuple[Exper
     _check_weights(config)
     tables: dict[Path, MeasuredTable] = {}
     return tuple(_experiment(section, config, base, code, tables) for section in config.experiments)
+
+
+def table_sources(config: Config, base: Path) -> tuple[TableSource, ...]:
+    """Return the table of each experiment that has one over time, with the columns it uses."""
+    found = []
+    for section in config.experiments:
+        used = [each.column for each in section.inputs.values()]
+        used += [each.column for each in section.signals.values()]
+        used += [each.column for each in section.outputs.values()]
+        if section.data is None or not used:
+            continue
+        path = find_file(section.data, base, config.data_folders, f"experiment {section.id!r}.data")
+        times = () if section.time is None else (section.time,)
+        rows = None if section.rows is None else (section.rows[0], section.rows[1])
+        found.append(
+            TableSource(section.id, path, section.time, section.sample_time, rows, (*times, *used))
+        )
+    return tuple(found)
 
 
 def _experiment(

@@ -13,16 +13,18 @@ from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.names import coefficient_names, refuse_repeated
 from cluster_est.problem.options import check_options
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.tables.unused import TableSource
 from cluster_est.problem.variables import (
     check_effects,
     check_experiment,
     check_interface,
     check_parameters,
     check_signals,
+    with_units,
 )
 from workers.fmu.description import ModelDescription, describe_model
 from workers.messages import Effect, Experiment, Model
-from workers.messages.checks import as_tuple, check_kind
+from workers.messages.checks import as_pairs, as_tuple, check_kind, check_text
 from workers.simulation.fixed_step import communication_notes
 
 
@@ -43,6 +45,12 @@ class Problem:
         Terms that are added to the model.
     constraints
         On parameters; those on signals belong to the experiments.
+    units
+        (variable of the FMU or signal, unit) where the FMU names none or another; may be given as a
+        dict. No number is converted: tables and words have them.
+    tables
+        The files that experiments were read from, for columns that are not used. No result of a fit
+        depends on them.
 
     Raises
     ------
@@ -56,6 +64,8 @@ class Problem:
     cost: Cost = field(default_factory=SumSquared)
     effects: tuple[Effect, ...] = ()
     constraints: tuple[ParameterConstraint, ...] = ()
+    units: tuple[tuple[str, str], ...] = ()
+    tables: tuple[TableSource, ...] = ()
 
     def __post_init__(self) -> None:
         self._check_kinds()
@@ -96,6 +106,10 @@ class Problem:
                 getattr(self, key), kind, f"problem.{key}", ProblemError
             )
             object.__setattr__(self, key, found)
+        units = as_pairs(self.units, "model.units", ProblemError)
+        for name, unit in units:
+            check_text(unit, f"model.units.{name}", ProblemError)
+        object.__setattr__(self, "units", units)
 
     @cached_property
     def derived(self) -> tuple[tuple[int, Formula], ...]:
@@ -137,7 +151,8 @@ class Problem:
         ModelError, ProblemError
             If the FMU lacks a variable or does not allow it to be used in this way.
         """
-        description = describe_model(self.model)
+        signals = {given.variable for e in self.experiments for given in e.signals}
+        description = with_units(describe_model(self.model), self.units, signals)
         check_interface(self.model, description)
         named = [p for p in self.parameters if not p.auxiliary]
         for experiment in self.experiments:
@@ -190,6 +205,7 @@ _LISTS: dict[str, type] = {
     "experiments": Experiment,
     "effects": Effect,
     "constraints": ParameterConstraint,
+    "tables": TableSource,
 }
 """The lists of a problem, and what each holds."""
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 from cluster_est.errors import ModelError, ProblemError
 from cluster_est.problem.names import refuse_repeated
@@ -137,6 +138,28 @@ def check_effects(
                         f"experiment {experiment.id!r}.signals: must have {name!r}, on which "
                         f"effect {effect.name!r} depends, but has not{nearest(name, names)}"
                     )
+
+
+def with_units(
+    description: ModelDescription, units: Sequence[tuple[str, str]], signals: Collection[str]
+) -> ModelDescription:
+    """Give variables the units that a user names.
+
+    Raises
+    ------
+    ProblemError
+        If there is neither a variable nor a signal of that name.
+    """
+    variables = dict(description.variables)
+    for name, unit in units:
+        if name in variables:
+            variables[name] = replace(variables[name], unit=unit)
+        elif name not in signals:
+            raise ProblemError(
+                f"model.units.{name}: {description.file} has no variable and no experiment a "
+                f"signal of that name{nearest(name, [*variables, *signals])}"
+            )
+    return replace(description, variables=variables) if units else description
 
 
 def check_signals(experiment: Experiment, description: ModelDescription) -> None:

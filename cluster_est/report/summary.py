@@ -92,6 +92,8 @@ def _opening(run: ReportedRun) -> list[str]:
 
 
 def _named(effect: Row) -> str:
+    if effect.get("words"):
+        return f"{effect['words']} at {effect['site']}"
     of = ", ".join(effect.get("variables") or ())
     return f"{effect['form']}{' of ' + of if of else ''} at {effect['site']}"
 

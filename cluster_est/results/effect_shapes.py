@@ -65,14 +65,38 @@ def effect_shapes(
     visited
         Where the training experiments were.
     """
+    definitions = _definitions(result, description)
+    return tuple(c for d in definitions for c in _curves(d, result, description, visited))
+
+
+def shape_over(
+    curve: EffectCurve, result: Result, description: ModelDescription
+) -> Callable[[FloatArray], FloatArray] | None:
+    """Return what an effect adds, over the variable of its curve, also where no data were.
+
+    None where it has no curve, or changes a parameter. Of a signal that becomes a function of
+    itself, what is added to it.
+    """
+    found = next(
+        (d for d in _definitions(result, description) if d.effect.name == curve.effect), None
+    )
+    if curve.why_not or found is None or found.site.kind == "parameter":
+        return None
+    part = part_shapes(found)[0]
+    values = np.array([e.value for e in coefficient_estimates(found, result)])
+    of_itself = not found.site.at_rates and part.argument == part.target
+
+    def added(x: FloatArray) -> FloatArray:
+        return part.shape(x, values) - (x if of_itself else 0.0)
+
+    return added
+
+
+def _definitions(result: Result, description: ModelDescription) -> list[EffectDefinition]:
     problem = result.problem
     signals = tuple({s.variable: None for e in problem.experiments for s in e.signals})
     interface = problem.model.interface
-    found: list[EffectCurve] = []
-    for effect in problem.effects:
-        definition = define(effect, description, interface, signals)
-        found += _curves(definition, result, description, visited)
-    return tuple(found)
+    return [define(effect, description, interface, signals) for effect in problem.effects]
 
 
 def _none(definition: EffectDefinition, why: str) -> EffectCurve:

@@ -123,6 +123,9 @@ class EffectCurve:
         where that was not computed.
     why_not
         Reason why it has no curve, in a sentence; the arrays are empty then.
+    integral_of
+        The state whose integral the variable is, but for a factor, or the difference of two for a
+        difference: "v - w" for "x - z". "" where it is none.
     """
 
     effect: str
@@ -140,3 +143,4 @@ class EffectCurve:
     free_y: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
     free_error: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
     why_not: str = ""
+    integral_of: str = ""

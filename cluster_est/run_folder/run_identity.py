@@ -23,6 +23,8 @@ LIBRARIES = (*DECISIVE, "fmpy", "pyarrow", "ray")
 FORMAT = "2"
 UNHASHED = ("executor", "budget", "log")
 """Sections of a config that change no result."""
+UNHASHED_MODEL = ("units",)
+"""Keys of its section `model` that change no number."""
 
 
 class RunKind(enum.Enum):
@@ -94,4 +96,6 @@ def versions() -> dict[str, str]:
 def hash_config(parts: dict[str, Any], unused: str) -> str:
     """Return the hash of a config without sections that change no result, and without one more."""
     kept = {k: v for k, v in parts.items() if k not in (*UNHASHED, unused)}
+    if "model" in kept:
+        kept["model"] = {k: v for k, v in kept["model"].items() if k not in UNHASHED_MODEL}
     return content_hash([json.dumps(kept, sort_keys=True, default=str)])

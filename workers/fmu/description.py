@@ -15,7 +15,7 @@ import difflib
 import re
 import zipfile
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element
 
 from workers.errors import ModelError
@@ -24,6 +24,7 @@ from workers.fmu.parsing.elements import Version
 from workers.fmu.parsing.interfaces import InterfaceOffer, read_offers
 from workers.fmu.parsing.model_variables import read_variables
 from workers.fmu.parsing.structure import VariableDependency, read_structure
+from workers.fmu.parsing.units import UnitDefinition, read_units
 from workers.fmu.parsing.xml import XML, ReadingNotes, first_line, flag, number, parse
 from workers.fmu.platforms import missing_binary, platforms_in
 from workers.fmu.variable import ModelVariable
@@ -67,6 +68,8 @@ class ModelDescription:
         Seconds, and a relative tolerance; None where the FMU names none.
     warnings
         A sentence for each fault that was read around.
+    units
+        Definitions of units by name, for those that the FMU defines by base units.
     """
 
     file: str
@@ -91,6 +94,7 @@ class ModelDescription:
     default_step: float | None
     default_tolerance: float | None
     warnings: tuple[str, ...]
+    units: Mapping[str, UnitDefinition] = field(default_factory=dict)
 
     @property
     def interfaces(self) -> tuple[Interface, ...]:
@@ -178,6 +182,7 @@ def describe(
     declared = read_variables(root, version, structural or {}, notes)
     _check_structural(file, declared.variables, structural or {})
     structure = read_structure(root, version, declared, notes)
+    units = read_units(root, notes)
     offers = read_offers(root, structure.fault, notes)
     exchange, simulation, default_experiment = (
         _section(root, tag) for tag in ("ModelExchange", "CoSimulation", "DefaultExperiment")
@@ -211,6 +216,7 @@ def describe(
         default_step=_setting(default_experiment, "stepSize", notes),
         default_tolerance=_setting(default_experiment, "tolerance", notes),
         warnings=notes.messages(),
+        units=units,
     )
 
 

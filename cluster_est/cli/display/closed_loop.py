@@ -59,8 +59,9 @@ def print_loop(console: Console, run: StoredRun) -> None:
 
 def _print_effect(console: Console, effect: Facts) -> None:
     say(console, "")
-    say(console, f"effect {effect['name']} ({effect['family']}) at {effect['site']}")
-    say(console, f"  {effect['equation']}")
+    named = effect.get("words") or effect["family"]  # runs of earlier versions have no words
+    say(console, f"effect {effect['name']} ({named}) at {effect['site']}")
+    say(console, f"  {effect.get('sentence') or effect['equation']}")
     for name, row in effect["parameters"].items():
         held = " (held)" if row["fixed"] else f"   95 %: {_range(row)}"
         unit = f" {row['unit']}" if row["unit"] not in ("", "1") else ""
@@ -69,8 +70,10 @@ def _print_effect(console: Console, effect: Facts) -> None:
         say(console, f"  {sentence}")
     for other in effect["alternatives"]:
         say(console, f"  cannot be told apart from: {_alternative(other)}")
-    if effect["alternatives"]:
+    if any(_differs(other) for other in effect["alternatives"]):
         say(console, "  (an experiment that dwells where they differ most would tell)")
+    elif effect["alternatives"]:
+        say(console, "  (only data outside of the range of these can tell)")
     else:
         say(console, "  nothing else that was tried explains the data as well")
 
@@ -82,9 +85,14 @@ def _range(row: Facts) -> str:
     return f"{low:.5g} .. {high:.5g}"
 
 
+def _differs(other: Facts) -> bool:
+    """Return whether these data show a difference at all."""
+    return other["difference"] is not None and bool(other["difference"] >= SAME)
+
+
 def _alternative(other: Facts) -> str:
     """An alternative, and the experiment that would tell it apart."""
-    text = f"{other['form']} at {other['site']}: {other['equation']}"
+    text = f"{other.get('words') or other['form']} at {other['site']}: {other['equation']}"
     if other["criterion"] is not None:
         text += f" (criterion {other['criterion']:+.1f})"
     known = other["time"] is not None and other["difference"] is not None

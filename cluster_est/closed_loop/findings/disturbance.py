@@ -42,6 +42,8 @@ class UnexplainedResidual:
         Seconds: nine tenths of its power are in slower swings; NaN for records that are too short.
     period
         Seconds, of a single swing that has more than half of the power; else NaN.
+    columns
+        Columns of the tables that are not used and vary with it, each in a sentence.
     """
 
     output: str
@@ -50,6 +52,7 @@ class UnexplainedResidual:
     over_noise: float
     shortest_period: float = np.nan
     period: float = np.nan
+    columns: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:

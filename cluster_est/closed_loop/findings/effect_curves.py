@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.kinematics import integrated_states
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.findings.free_values import free_values
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
@@ -71,4 +73,12 @@ def _shown(
         return curve
     values = [arguments(each, site, curve.variable) for each in trajectories]
     found = free_values(site, trajectories, values, fitted.residuals)
+    curve = replace(curve, integral_of=_integral_of(curve.variable, trajectories))
     return curve if found is None else with_evidence(curve, *found)
+
+
+def _integral_of(name: str, trajectories: Sequence[LinearisedTrajectory]) -> str:
+    """The state whose integral a variable is; of a difference that of both."""
+    speeds = {x: v for x, (v, _) in integrated_states(trajectories).items()}
+    parts = [name] if name in speeds else name.split(" - ")
+    return " - ".join(speeds[x] for x in parts) if all(x in speeds for x in parts) else ""

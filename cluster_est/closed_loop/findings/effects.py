@@ -35,6 +35,8 @@ class AlternativeEffect:
         At which its predictions differ most from those of the chosen effect.
     difference
         Of the predictions there, in standard deviations of the noise.
+    words
+        Its name in the words of physics or mathematics.
     """
 
     site: str
@@ -47,6 +49,32 @@ class AlternativeEffect:
     output: str = ""
     time: float = np.nan
     difference: float = np.nan
+    words: str = ""
+
+
+@dataclass(frozen=True)
+class AgreeingEquation:
+    """Another equation that agrees with that of an effect wherever the data were.
+
+    Attributes
+    ----------
+    equation
+        What it would add instead: "-0.35 * v * abs(v)".
+    words
+        Its name in physics; "" where the units do not say.
+    difference, share
+        The largest difference in the data, in the unit of the effect, and over its largest size.
+    told_at, told_by
+        The value of the variable nearest to the data at which the two clearly differ, and by how
+        much: there an experiment would tell them apart.
+    """
+
+    equation: str
+    words: str
+    difference: float
+    share: float
+    told_at: float
+    told_by: float
 
 
 @dataclass(frozen=True)
@@ -65,6 +93,13 @@ class NamedEffect:
         Effects that it cannot be told apart from.
     evidence
         Sentences.
+    words, sentence
+        Its name in the words of physics, or of mathematics where units do not say; and the finding
+        as one would say it, with numbers.
+    also
+        Equations that agree with it on the range of the data.
+    period
+        Seconds, of a wave in time; NaN for what is none.
     """
 
     effect: Effect
@@ -73,6 +108,10 @@ class NamedEffect:
     coefficients: tuple[Estimate, ...]
     alternatives: tuple[AlternativeEffect, ...] = ()
     evidence: tuple[str, ...] = ()
+    words: str = ""
+    sentence: str = ""
+    also: tuple[AgreeingEquation, ...] = ()
+    period: float = np.nan
 
     @property
     def name(self) -> str:

@@ -275,8 +275,8 @@ class LoopResult:
 
     @property
     def _display(self) -> tuple[display.DisplayTable, ...]:
-        effects = [(e.name, e.family, e.equation) for e in self.effects]
+        effects = [(e.name, e.words or e.family, e.equation) for e in self.effects]
         return (
-            display.DisplayTable("Effects", ("name", "family", "equation"), effects),
+            display.DisplayTable("Effects", ("name", "words", "equation"), effects),
             *fit_tables(self.after.estimates, self.errors),
         )

@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.findings.agreement import agreements
 from cluster_est.closed_loop.findings.disturbance import readable_time
-from cluster_est.closed_loop.findings.effects import AlternativeEffect, ErrorChange, NamedEffect
+from cluster_est.closed_loop.findings.effects import (
+    AgreeingEquation,
+    AlternativeEffect,
+    ErrorChange,
+    NamedEffect,
+)
+from cluster_est.closed_loop.findings.unused_columns import varying_columns
+from cluster_est.closed_loop.findings.words.naming import EffectName, Namer
+from cluster_est.closed_loop.findings.words.sentences import sentence_of
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
-from cluster_est.closed_loop.selection.waves import period_of
+from cluster_est.closed_loop.selection.waves import period_of, residuals_without
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.results.effect_shapes import shape_over
 from cluster_est.results.result import Result
-from cluster_est.results.row_types import Estimate
+from cluster_est.results.row_types import EffectCurve, Estimate
 from workers.messages import FloatArray
 
 APART = 10.0
@@ -32,11 +43,20 @@ white noise in parts of ten samples the largest among some hundred has three tim
 
 
 def describe_effects(
-    workbench: LoopWorkbench, found: SelectionResult, result: Result
+    workbench: LoopWorkbench,
+    found: SelectionResult,
+    result: Result,
+    curves: Sequence[EffectCurve] = (),
 ) -> tuple[NamedEffect, ...]:
-    """Describe the effects of the final model, with what each cannot be told apart from."""
+    """Describe the effects of the final model, with what each cannot be told apart from.
+
+    `curves` are theirs, where they have some: they say over which range a name holds.
+    """
+    own = {curve.effect: curve for curve in reversed(curves)}
+    namer = Namer(workbench.description, dict(workbench.problem.units))
     return tuple(
-        _describe(workbench, found, candidate, result) for candidate in found.current.added
+        _describe(workbench, found, candidate, result, namer, own.get(candidate.effect.name))
+        for candidate in found.current.added
     )
 
 
@@ -99,18 +119,46 @@ def where_left(workbench: LoopWorkbench, fitted: FittedModel) -> str:
 
 
 def _describe(
-    workbench: LoopWorkbench, found: SelectionResult, candidate: EffectCandidate, result: Result
+    workbench: LoopWorkbench,
+    found: SelectionResult,
+    candidate: EffectCandidate,
+    result: Result,
+    namer: Namer,
+    curve: EffectCurve | None,
 ) -> NamedEffect:
     name = candidate.effect.name
     won, rivals = found.rivals.get(name, (None, []))
+    coefficients, period = _coefficients(name, result), period_of(candidate, found.current)
+    named = namer.name(candidate, [e.value for e in coefficients], curve)
+    also = _agreeing(workbench, result, namer, named, curve)
     return NamedEffect(
         effect=candidate.effect,
         family=candidate.form.family,
         equation=candidate.equation,
-        coefficients=_coefficients(name, result),
-        alternatives=_alternatives(workbench, found, candidate, won, rivals),
-        evidence=_evidence(found, candidate),
+        coefficients=coefficients,
+        alternatives=_alternatives(workbench, found, candidate, won, rivals, namer),
+        evidence=(*_evidence(found, candidate), *_columns(workbench, found, candidate, period)),
+        words=named.words,
+        sentence=sentence_of(named.words, candidate, coefficients, curve, also, period),
+        also=also,
+        period=float(period),
     )
+
+
+def _agreeing(
+    workbench: LoopWorkbench,
+    result: Result,
+    namer: Namer,
+    named: EffectName,
+    curve: EffectCurve | None,
+) -> tuple[AgreeingEquation, ...]:
+    """Equations that agree with an effect on the range of the data, with their names."""
+    shape = None if curve is None else shape_over(curve, result, workbench.description)
+    if curve is None or shape is None:
+        return ()
+    law = named.placed.law
+    found = agreements(curve, shape, law, negative=namer.may_be_negative(curve.variable))
+    return tuple(replace(a.found, words=named.of_law(a.law)) for a in found)
 
 
 def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
@@ -123,6 +171,7 @@ def _alternatives(
     candidate: EffectCandidate,
     won: RefittedCandidate | None,
     rivals: Sequence[RefittedCandidate],
+    namer: Namer,
 ) -> tuple[AlternativeEffect, ...]:
     """Rivals that the data really leave open: they predict nearly the same at every sample.
 
@@ -132,11 +181,22 @@ def _alternatives(
         return ()
     others = {c.effect.name for c in found.current.added if c is not candidate}
     made = [
-        _alternative(workbench, won, rival, found.noise)
+        replace(
+            _alternative(workbench, won, rival, found.noise),
+            words=namer.name(rival.candidate, _strengths(rival), None).words,
+        )
         for rival in rivals
         if rival.candidate.effect.name not in others
     ]
     return tuple(a for a in made if a.difference <= APART)
+
+
+def _strengths(rival: RefittedCandidate) -> list[float]:
+    """The coefficients of a rival where its refit ended, those that are held among them."""
+    values = {p.name: p.start for p in rival.fitted.problem.parameters} | rival.fitted.estimates
+    name = rival.candidate.effect.name
+    labels = [f"{name}.{c.name}" for c in rival.candidate.form.coefficients]
+    return [values[label] for label in labels if label in values]
 
 
 def _alternative(
@@ -176,6 +236,16 @@ def _largest_difference(
             time = float(record.times[row - record.rows.start])
             return experiment.id, time, workbench.records.outputs[record.output], float(gap[row])
     return "", np.nan, "", float(gap[row])
+
+
+def _columns(
+    workbench: LoopWorkbench, found: SelectionResult, candidate: EffectCandidate, period: float
+) -> tuple[str, ...]:
+    """Sentences on columns that are not used and may be what a wave in time stands for."""
+    if not np.isfinite(period):
+        return ()
+    without = residuals_without(found.current, candidate)
+    return tuple(column.sentence for column in varying_columns(workbench, without, period))
 
 
 def _evidence(found: SelectionResult, candidate: EffectCandidate) -> tuple[str, ...]:

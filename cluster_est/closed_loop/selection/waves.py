@@ -19,6 +19,9 @@ from workers.messages import FloatArray
 FREQUENCY = "f"
 """Coefficient of a wave in time, in rad/s; its parts are a and b."""
 
+PARTS = ("a", "b")
+"""Coefficients of a wave, that of its sine and that of its cosine."""
+
 MODES = 5
 """Places along a record at which the eigenvalues of the model are looked at."""
 
@@ -50,6 +53,14 @@ def period_of(candidate: EffectCandidate, fitted: FittedModel) -> float:
     frequency = fitted.estimates.get(f"{candidate.effect.name}.{FREQUENCY}", np.nan)
     wave = candidate.form.of_time_alone and frequency > 0.0
     return 2.0 * np.pi / frequency if wave else np.nan
+
+
+def residuals_without(fitted: FittedModel, candidate: EffectCandidate) -> FloatArray:
+    """Return the residuals that a wave in time leaves when it is taken away, to first order."""
+    labels = [u.label for u in fitted.space.unknowns]
+    names = [f"{candidate.effect.name}.{part}" for part in PARTS]
+    columns = [labels.index(name) for name in names if name in labels]
+    return fitted.residuals - fitted.jacobian[:, columns] @ fitted.x[columns]
 
 
 def _waves(fitted: FittedModel, current: FittedModel) -> list[EffectCandidate]:
@@ -102,7 +113,7 @@ def _phases_agree(
     least squares on its own residual. With one experiment there is nothing to compare.
     """
     labels = [u.label for u in fitted.space.unknowns]
-    names = [f"{candidate.effect.name}.{part}" for part in ("a", "b")]
+    names = [f"{candidate.effect.name}.{part}" for part in PARTS]
     if len(workbench.train) < 2 or not all(name in labels for name in names):
         return True
     columns = [labels.index(name) for name in names]

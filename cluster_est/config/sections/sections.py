@@ -50,6 +50,11 @@ class ModelSection(ConfigSection):
         description="what every simulation begins with: a reset of the instance, a new instance "
         "or a new process; auto: the first that lets a simulation be repeated",
     )
+    units: dict[str, str] = Field(
+        default_factory=dict,
+        description="variable of the FMU or signal = its unit, where the FMU names none or "
+        "another; for tables and words alone, no number changes",
+    )
 
 
 class ParameterSection(ConfigSection):

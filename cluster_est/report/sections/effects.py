@@ -66,8 +66,9 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
             )
         )
     blocks: list[Block] = [
-        TextBlock(f"{effect['name']}: {effect['family']} at {effect['site']}", kind="heading"),
+        TextBlock(f"{effect['name']}: {_words(effect)} at {effect['site']}", kind="heading"),
         TextBlock(effect["equation"], kind="equation"),
+        *([TextBlock(effect["sentence"])] if effect.get("sentence") else []),
         TableBlock(COEFFICIENTS, tuple(rows)),
     ]
     evidence = tuple(effect.get("evidence") or ())
@@ -78,6 +79,11 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
         blocks.append(TextBlock("This run's folder holds no shapes to draw.", "faint"))
     blocks.append(SourceBlock("As a block for a config", effect["config"]))
     return blocks
+
+
+def _words(effect: Row) -> str:
+    """Its name; runs of earlier versions have only that of a family."""
+    return str(effect.get("words") or effect["family"])
 
 
 def _shapes(rows: Sequence[Row]) -> list[Block]:
@@ -188,7 +194,7 @@ def _rivals(effect: Row) -> Block:
         )
     names = columns("cannot be told apart", "equation", "#criterion", "differ most at", "#by")
     chosen = cells(
-        TableCell(f"{effect['form']} at {effect['site']} (chosen)"),
+        TableCell(f"{effect.get('words') or effect['form']} at {effect['site']} (chosen)"),
         TableCell(effect["equation"], code=True), "0", "", "",
     )  # fmt: skip
     lines = [chosen]
@@ -200,7 +206,7 @@ def _rivals(effect: Row) -> Block:
         criterion = other["criterion"]
         lines.append(
             cells(
-                f"{other['form']} at {other['site']}",
+                f"{other.get('words') or other['form']} at {other['site']}",
                 TableCell(other["equation"], code=True),
                 "" if criterion is None else ("+" if criterion >= 0 else "") + digits(criterion, 3),
                 at,

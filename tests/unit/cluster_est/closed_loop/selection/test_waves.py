@@ -14,7 +14,7 @@ from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.gates import best_that_passes
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundStart
-from cluster_est.closed_loop.selection.waves import believable, period_of
+from cluster_est.closed_loop.selection.waves import believable, period_of, residuals_without
 from cluster_est.closed_loop.workbench import FitStart, FittedModel
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite
@@ -122,3 +122,12 @@ def test_what_is_no_wave_stays_in_its_order(bench):
     base = unfitted(bench)
     made = [grown(bench, "drift", (1.0,), 0.1), grown(bench, "coulomb", (1.0, 0.01), 0.11)]
     assert believable(bench, base, made) == made
+
+
+def test_what_a_wave_leaves_when_it_is_taken_away(bench):
+    """To first order: a residual that is the wave's own leaves nothing but what was there."""
+    made = grown(bench, "sine", (3.0, -2.0, 7.0), 1.0).fitted
+    labels = [u.label for u in made.space.unknowns]
+    a, b = (made.jacobian[:, labels.index(f"sine.{part}")] for part in "ab")
+    without = residuals_without(made, made.added[0])
+    assert without == pytest.approx(made.residuals - 3.0 * a + 2.0 * b)

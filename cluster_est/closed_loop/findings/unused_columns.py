@@ -1,0 +1,181 @@
+"""Columns of the experiments' tables that are not used and vary with what nothing explains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cluster_est.closed_loop.findings.disturbance import readable_time
+from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.problem.tables.unused import UnusedColumns
+from cluster_est.statistics.dependence import dependence, periodic_share
+from cluster_est.statistics.records import OutputRecord
+from workers.messages import Experiment, FloatArray
+
+MOST_COLUMNS = 200
+"""Columns that are looked at; the first ones of the tables."""
+
+MOST_NAMED = 3
+"""Columns that are named."""
+
+COPY = 0.9999
+"""Correlation with something that is used from which on a column is a copy of it."""
+
+PERIODIC = 0.5
+"""Share of a column's variance, in every record, that makes a period its own."""
+
+SWINGS = 3.0
+"""Periods that a record must have for that."""
+
+
+@dataclass(frozen=True)
+class VaryingColumn:
+    """A column that is not used and varies with a residual.
+
+    Attributes
+    ----------
+    column, output
+        Names of the column, and of the output whose residual it varies with.
+    share
+        Of the residual's variance that the column carries, at once and late.
+    p
+        The probability of as much by chance among all columns and outputs that were looked at; NaN
+        where only the period is the same.
+    period
+        Seconds, where only that is the same; else NaN.
+    """
+
+    column: str
+    output: str
+    share: float
+    p: float = np.nan
+    period: float = np.nan
+
+    @property
+    def sentence(self) -> str:
+        """Say what it has to do with the residual, and what to try."""
+        name = f"column {self.column!r} is not used and"
+        if np.isfinite(self.period):
+            return f"{name} has the same period, {readable_time(self.period)}: try it as a signal"
+        return (
+            f"{name} varies with it (it carries {self.share:.0%} of the residual of {self.output}"
+            "): try it as a signal, unless it is a consequence itself"
+        )
+
+
+def varying_columns(
+    workbench: LoopWorkbench, residuals: FloatArray, period: float = np.nan
+) -> tuple[VaryingColumn, ...]:
+    """Name unused columns that vary with a residual, by more than chance; the surest first.
+
+    Where there are none and the residual has a period, columns with the same one are named.
+
+    Parameters
+    ----------
+    workbench
+        Its problem knows the tables; experiments that were made in Python have none.
+    residuals : (N,)
+        Of the training experiments.
+    period
+        Of what is looked for, in seconds; NaN for none.
+    """
+    tables = _tables(workbench)
+    names = _common(tables)
+    if not names:
+        return ()
+    found = []
+    count = len(names) * len(workbench.records.outputs)
+    for output, label in enumerate(workbench.records.outputs):
+        for name in names:
+            pairs = [(y, x) for y, x, _ in _pairs(workbench, tables, residuals, output, name)]
+            seen = dependence(pairs)
+            p = min(seen.p * count, 1.0)
+            if p <= workbench.settings.significance:
+                found.append(VaryingColumn(name, label, seen.share, p))
+    if not found and np.isfinite(period):
+        found = [
+            VaryingColumn(name, "", np.nan, period=period)
+            for name in names
+            if _has_period(workbench, tables, residuals, name, period)
+        ]
+    best: dict[str, VaryingColumn] = {}
+    for each in sorted(found, key=lambda c: (np.nan_to_num(c.p), -np.nan_to_num(c.share))):
+        best.setdefault(each.column, each)
+    return tuple(best.values())[:MOST_NAMED]
+
+
+def _tables(workbench: LoopWorkbench) -> dict[int, UnusedColumns]:
+    """Unused columns of the training experiments, by position; none if one has no table."""
+    sources = {source.experiment: source for source in workbench.problem.tables}
+    ids = [workbench.problem.experiments[e].id for e in workbench.train]
+    if not all(name in sources for name in ids):
+        return {}
+    return {i: sources[name].unused() for i, name in enumerate(ids)}
+
+
+def _common(tables: Mapping[int, UnusedColumns]) -> list[str]:
+    """Columns that every table has, in the order of the first."""
+    first = next(iter(tables.values()), None)
+    if first is None:
+        return []
+    names = [n for n in first.values if all(n in each.values for each in tables.values())]
+    return names[:MOST_COLUMNS]
+
+
+def _pairs(
+    workbench: LoopWorkbench,
+    tables: Mapping[int, UnusedColumns],
+    residuals: FloatArray,
+    output: int,
+    name: str,
+) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Residual, column and times of each record of an output, at even steps.
+
+    Nothing where the column is missing in one of them, or is a copy of what is used.
+    """
+    records = [r for r in workbench.records.items if r.output == output and len(r.times) > 2]
+    if not records:
+        return
+    step = float(np.median(np.concatenate([np.diff(record.times) for record in records])))
+    made = []
+    for record in records:
+        experiment = workbench.problem.experiments[workbench.train[record.experiment]]
+        times = _even(record, step)
+        x = tables[record.experiment].at(name, times)
+        if x is None or _is_copy(x, times, experiment):
+            return
+        made.append((np.interp(times, record.times, residuals[record.rows]), x, times))
+    yield from made
+
+
+def _even(record: OutputRecord, step: float) -> FloatArray:
+    count = int((record.times[-1] - record.times[0]) / step + 1e-6) + 1
+    return np.asarray(record.times[0] + step * np.arange(count))
+
+
+def _is_copy(x: FloatArray, times: FloatArray, experiment: Experiment) -> bool:
+    """Return whether a column says what an input, signal or output says already, or the time."""
+    used = [(e.times, e.values) for e in (*experiment.inputs, *experiment.signals)]
+    used += [(o.times, o.values) for o in experiment.outputs if len(o.times)]
+    series = [times, *(np.interp(times, when, values) for when, values in used)]
+    for other in series:
+        if np.ptp(x) == 0.0 or np.ptp(other) == 0.0:
+            continue
+        if abs(float(np.corrcoef(x, other)[0, 1])) > COPY:
+            return True
+    return False
+
+
+def _has_period(
+    workbench: LoopWorkbench,
+    tables: Mapping[int, UnusedColumns],
+    residuals: FloatArray,
+    name: str,
+    period: float,
+) -> bool:
+    """Return whether most of a column is a wave of this period, in every record."""
+    pairs = list(_pairs(workbench, tables, residuals, 0, name))
+    long = [(x, t) for _, x, t in pairs if np.ptp(t) >= SWINGS * period]
+    return bool(long) and all(periodic_share(x, t, period) >= PERIODIC for x, t in long)

@@ -1,0 +1,173 @@
+"""The law of an equation: how what it adds depends on its variable, read from the equation itself.
+
+Coefficients stand at 1: how a law bends does not depend on how strong it is.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+import sympy as sp
+
+from workers.effects.expression import parse
+from workers.effects.forms import EffectForm
+
+Function = Callable[[float], float]
+
+
+class Law(enum.Enum):
+    """A law; the value is what mathematics calls it."""
+
+    CONSTANT = "a constant"
+    DRIFT = "a drift in time"
+    WAVE = "a wave in time"
+    LINEAR = "linear"
+    ABSOLUTE = "proportional to the magnitude"
+    SQUARE = "quadratic"
+    ODD_SQUARE = "quadratic with the sign"
+    CUBE = "cubic"
+    FOURTH = "of the fourth power"
+    ROOT = "a square root"
+    ODD_ROOT = "a square root with the sign"
+    SWITCH = "a switch with the sign"
+    SWITCH_WITH_PEAK = "a switch with the sign and a peak near zero"
+    TWO_SWITCHES = "a switch with the sign, of two levels"
+    HYSTERESIS = "a hysteresis"
+    ABOVE = "linear above a threshold"
+    BELOW = "linear below a threshold"
+    GAP = "linear beyond a gap"
+    CLIPPED = "linear up to a limit"
+    SATURATING = "saturating"
+    INHIBITED = "falling at high values"
+    PERIODIC = "periodic"
+    PERIODIC_TRAVEL = "periodic in the integral"
+    PRODUCT = "a product"
+    LAGGED = "lagged"
+    LAGGED_SQUARE = "the lagged square"
+    CURVE = "a free curve"
+    OTHER = "another function"
+
+
+POWERS = {
+    (1.0, -1): Law.LINEAR, (1.0, 1): Law.ABSOLUTE, (2.0, 1): Law.SQUARE,
+    (2.0, -1): Law.ODD_SQUARE, (3.0, -1): Law.CUBE, (4.0, 1): Law.FOURTH,
+    (0.5, 0): Law.ROOT, (0.5, -1): Law.ODD_ROOT, (0.0, -1): Law.SWITCH,
+}  # fmt: skip
+"""By the exponent, and by what a change of the sign does: the same, the opposite, or nothing."""
+
+
+@lru_cache(maxsize=256)
+def law_of(form: EffectForm) -> Law:
+    """Return the law of a form: of what it adds, or by what share it changes a parameter."""
+    if form.free:
+        return Law.CURVE
+    if form.memory:
+        return Law.OTHER
+    names = ["t", "s", "v", "w", *(c.name for c in form.coefficients)]
+    symbols = {
+        name: sp.Symbol(name, real=True) for name in [*names, *(z.name for z in form.states)]
+    }
+    where = f"form {form.name}"
+    t, s, v, w = (symbols[name] for name in "tsvw")
+    term = parse(form.equation, symbols, where)
+    if form.kinds == ("parameter",):
+        term = sp.expand(term / s - 1)
+    elif form.kinds[0] in ("input", "output"):
+        term = sp.expand(term - s)
+    ones = {symbols[c.name]: sp.Integer(1) for c in form.coefficients}
+    if form.states:
+        return _with_state(form, term.subs(ones), symbols, where)
+    if term.has(t):
+        return Law.WAVE if term.has(sp.sin) else Law.DRIFT
+    term = term.subs(ones)
+    if not term.has(v, s):
+        return Law.CONSTANT
+    if term.has(v) and term.has(w if form.variables == 2 else s):
+        both = v * w if form.variables == 2 else v * s
+        return Law.PRODUCT if sp.simplify(term / both).is_number else Law.OTHER
+    return _in_one(term, v if term.has(v) else s)
+
+
+def _with_state(form: EffectForm, term: sp.Expr, symbols: dict[str, sp.Symbol], where: str) -> Law:
+    """The law of a form that brings a state along."""
+    if len(form.states) != 1:
+        return Law.OTHER
+    rate = parse(form.states[0].derivative, symbols, where)
+    z, v = symbols[form.states[0].name], symbols["v"]
+    if rate == v:
+        return Law.PERIODIC_TRAVEL if _in_one(term, z) is Law.PERIODIC else Law.OTHER
+    if rate.has(sp.Abs(v)) and rate.has(z):
+        return Law.HYSTERESIS
+    drive = sp.expand(rate.subs(z, 0))
+    if not drive.has(v):
+        return Law.OTHER
+    squared = sp.simplify(drive / v**2).has(v)
+    return Law.LAGGED if squared else Law.LAGGED_SQUARE
+
+
+def _in_one(term: sp.Expr, over: sp.Symbol) -> Law:
+    """The law of a function of one variable."""
+    if term.has(sp.sin) or term.has(sp.cos):
+        return Law.PERIODIC
+    if term.has(sp.tanh):
+        if term.has(sp.exp):
+            return Law.SWITCH_WITH_PEAK
+        return Law.TWO_SWITCHES if term.has(sp.Max) or term.has(sp.Min) else Law.SWITCH
+    compiled = sp.lambdify(over, term, "numpy")
+
+    def value(x: float) -> float:
+        with np.errstate(all="ignore"):
+            return float(compiled(np.float64(x)))
+
+    return _power(value) or _threshold(value) or _rational(value) or Law.OTHER
+
+
+def _power(value: Function) -> Law | None:
+    """The law of c + k z^p on either side of zero."""
+    zero = value(0.0)
+    right = np.array([value(x) for x in (0.25, 0.5, 1.0, 2.0, 4.0)]) - zero
+    left = np.array([value(x) for x in (-0.25, -0.5, -1.0, -2.0, -4.0)]) - zero
+    if not np.isfinite([*right, *left]).all() or not np.all(right):
+        return None
+    exponents = np.log2(np.abs(right[1:] / right[:-1]))
+    if np.ptp(exponents) > 1e-6:
+        return None
+    parity = next((p for p in (-1, 0, 1) if np.allclose(left, p * right, rtol=1e-6)), None)
+    if parity is None:
+        return None
+    return POWERS.get((round(float(exponents.mean()), 3), parity))
+
+
+def _threshold(value: Function) -> Law | None:
+    """The law of what begins, or ends, at a threshold of 1."""
+    far = np.array([value(x) for x in (2.0, 3.0)])
+    low = np.array([value(x) for x in (-2.0, -3.0)])
+    middle = np.array([value(x) for x in (-0.5, 0.0, 0.5)])
+    if not np.isfinite([*far, *low, *middle]).all():
+        return None
+    grows = abs(far[1]) > abs(far[0]) > 0.0
+    falls = abs(low[1]) > abs(low[0]) > 0.0
+    if not middle.any():
+        if grows and falls:
+            return Law.GAP
+        return Law.ABOVE if grows and not low.any() else None
+    if falls and not far.any():
+        return Law.BELOW
+    flat = far[0] == far[1] != 0.0 and low[0] == low[1] != 0.0
+    return Law.CLIPPED if flat and np.isclose(middle[2], 0.5 * far[0]) else None
+
+
+def _rational(value: Function) -> Law | None:
+    """The law of what grows with an amount and then levels off, or falls."""
+    small = np.array([value(x) for x in (0.0, 1e-6, 2e-6)])
+    large = np.array([value(x) for x in (1e2, 1e4, 1e6)])
+    if not np.isfinite([*small, *large]).all() or not large.any():
+        return None
+    starts = small[0] == 0.0 and np.isclose(small[2], 2.0 * small[1], rtol=1e-3)
+    if starts and np.isclose(large[1], large[2], rtol=1e-3):
+        return Law.SATURATING
+    falls = abs(large[0]) > 10.0 * abs(large[1]) > 10.0 * abs(large[2])
+    return Law.INHIBITED if falls and (starts or small[0] != 0.0) else None

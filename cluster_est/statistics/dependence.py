@@ -1,0 +1,178 @@
+"""Whether a residual varies with a measured signal: a test that autocorrelation does not fool.
+
+Two smooth signals that have nothing to do with each other correlate as soon as they are as long as
+a few of their swings. So the residual is made white first, by an autoregression, and the signal is
+filtered in the same way: of a white series, the regression on anything that does not depend on it
+has the F distribution, however smooth that may be (prewhitening; L. D. Haugh, J. Am. Stat. Assoc.
+71 (1976) 378-385, doi:10.1080/01621459.1976.10480353).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import detrend, lfilter
+from scipy.stats import f as f_distribution
+
+from workers.messages import FloatArray
+
+ORDERS = (1, 2, 4, 8, 12, 20)
+"""Orders of the autoregression; the best by Akaike's criterion is taken."""
+
+LAGS = (4.0, 16.0, 64.0)
+"""Time constants, in samples, of low passes of the signal: a model answers late."""
+
+MOST = 3000
+"""Samples in all; longer data are averaged over neighbours."""
+
+LEAST = 60
+"""Samples in all, below which nothing is said."""
+
+SHIFTS = 40
+"""Shifts of the signal along the records, by which the test's own scale is measured."""
+
+ROUNDING = 1e-10
+"""Share of a signal's largest value that is no variation."""
+
+Pair = tuple[FloatArray, FloatArray]
+"""The residual of a record, and the signal at the same times."""
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """How far a residual varies with a signal.
+
+    Attributes
+    ----------
+    p
+        The probability of as much by chance; 1 where there are too few samples.
+    share
+        Of the residual's variance that the signal carries.
+    """
+
+    p: float
+    share: float
+
+
+NOTHING = Dependence(1.0, 0.0)
+
+
+def dependence(records: Sequence[Pair]) -> Dependence:
+    """Test whether a residual varies with a signal, at once or late.
+
+    Parameters
+    ----------
+    records
+        Residual and signal of each record, evenly sampled, all at one step. Each record may have an
+        offset and a trend of its own: any two trends go together.
+    """
+    size = sum(len(y) for y, _ in records)
+    block = max(1, -(-size // MOST))
+    thin = [(_detrended(_averaged(y, block)), _averaged(x, block)) for y, x in records]
+    longest = max(ORDERS)
+    kept = [(y, x) for y, x in thin if len(y) > 2 * longest]
+    total = sum(len(y) for y, _ in kept)
+    if total < LEAST or total < 4 * longest or not any(np.any(y) for y, _ in kept):
+        return NOTHING
+    scale = float(np.std(np.concatenate([x for _, x in kept])))
+    if not scale > 0.0:
+        return NOTHING
+    sizes = [len(y) for y, _ in kept]
+    columns = [_late(x / scale) for _, x in kept]
+    residuals = [y for y, _ in kept]
+    coefficients = _autoregression(residuals)
+    white = np.concatenate([_whitened(y, coefficients) for y in residuals])
+    found = _ratio(white, np.concatenate([_whitened(c, coefficients) for c in columns]))
+    freedom = len(white) - columns[0].shape[1] - len(sizes)
+    shifted = [
+        _ratio(white, np.concatenate([_whitened(_moved(c, part), coefficients) for c in columns]))
+        for part in np.linspace(0.1, 0.9, SHIFTS)
+    ]
+    k = columns[0].shape[1]
+    usual = float(f_distribution.ppf(0.75, k, freedom))
+    inflated = max(1.0, float(np.quantile(shifted, 0.75)) / usual)
+    p = float(f_distribution.sf(found / inflated, k, freedom))
+    return Dependence(p, _share(residuals, columns))
+
+
+def _averaged(values: FloatArray, block: int) -> FloatArray:
+    """Means of neighbours; what is left at the end is left out."""
+    whole = len(values) // block * block
+    return np.asarray(values[:whole].reshape(-1, block).mean(axis=1))
+
+
+def _detrended(values: FloatArray) -> FloatArray:
+    """Without the straight line that fits best; zeros where only rounding would be left."""
+    if len(values) < 2:
+        return np.zeros(len(values))
+    left = np.asarray(detrend(values))
+    return left if np.abs(left).max() > ROUNDING * np.abs(values).max() else np.zeros(len(values))
+
+
+def _late(x: FloatArray) -> FloatArray:
+    """(n, k): a signal and its low passes, each about its trend."""
+    columns = [x]
+    for lag in LAGS:
+        keep = float(np.exp(-1.0 / lag))
+        columns.append(lfilter([1.0 - keep], [1.0, -keep], x, zi=np.array([keep * x[0]]))[0])
+    return np.column_stack([_detrended(c) for c in columns])
+
+
+def _moved(columns: FloatArray, part: float) -> FloatArray:
+    return np.roll(columns, int(part * len(columns)), axis=0)
+
+
+def _autoregression(records: Sequence[FloatArray]) -> FloatArray:
+    """Coefficients of the best order, by least squares over all records."""
+    longest = max(ORDERS)
+    target = np.concatenate([y[longest:] for y in records])
+    past = np.concatenate(
+        [np.column_stack([y[longest - k : -k] for k in range(1, longest + 1)]) for y in records]
+    )
+    best = (np.inf, np.zeros(0))
+    for order in ORDERS:
+        own = np.linalg.lstsq(past[:, :order], target, rcond=None)[0]
+        left = max(float(np.mean((target - past[:, :order] @ own) ** 2)), 1e-300)
+        criterion = len(target) * np.log(left) + 2.0 * order
+        best = min(best, (criterion, own), key=lambda pair: pair[0])
+    return best[1]
+
+
+def _whitened(values: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """What an autoregression does not predict, without the start of the record."""
+    filtered = lfilter([1.0, *-coefficients], [1.0], values, axis=0)
+    return np.asarray(filtered[len(coefficients) :])
+
+
+def _ratio(white: FloatArray, columns: FloatArray) -> float:
+    """The F ratio of the regression of a white series on columns."""
+    k = columns.shape[1]
+    explained = _explained(white, columns)
+    rest = max(float(white @ white) - explained, 1e-300)
+    return float(explained / k / (rest / (len(white) - k)))
+
+
+def _explained(y: FloatArray, columns: FloatArray) -> float:
+    """Squares of y that the columns carry; those that depend on others count once."""
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    kept = values > 1e-12 * max(values[-1], 1e-300)
+    along = vectors[:, kept].T @ (columns.T @ y)
+    return float(np.sum(along**2 / values[kept]))
+
+
+def _share(residuals: Sequence[FloatArray], columns: Sequence[FloatArray]) -> float:
+    """Of the variance of the residuals, as they are, that the columns carry."""
+    y, x = np.concatenate(residuals), np.concatenate(columns)
+    return min(_explained(y, x) / float(y @ y), 1.0)
+
+
+def periodic_share(values: FloatArray, times: FloatArray, period: float) -> float:
+    """Return the share of a signal's variance, about its trend, in a wave of one period."""
+    phase = 2.0 * np.pi * times / period
+    basis = np.column_stack([np.sin(phase), np.cos(phase)])
+    columns = np.column_stack([_detrended(c) for c in basis.T])
+    about = _detrended(values)
+    square = float(about @ about)
+    return min(_explained(about, columns) / square, 1.0) if square > 0.0 else 0.0

@@ -1,0 +1,93 @@
+"""A residual and a signal: few false alarms, whatever the colours, and real ones found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from cluster_est.statistics.dependence import NOTHING, dependence, periodic_share
+
+
+def coloured(rng, n, *a):
+    """An autoregression, without its start."""
+    return lfilter([1.0], [1.0, *(-each for each in a)], rng.standard_normal(n + 600))[600:]
+
+
+def late(x, lag):
+    keep = np.exp(-1.0 / lag)
+    return lfilter([1.0 - keep], [1.0, -keep], x)
+
+
+def walk(rng, n):
+    return np.cumsum(rng.standard_normal(n))
+
+
+def trending(rng, n):
+    return np.linspace(0.0, rng.normal() * 20.0, n) + coloured(rng, n, 0.9)
+
+
+NULLS = {
+    "first order": lambda rng, n: coloured(rng, n, 0.9),
+    "slow": lambda rng, n: coloured(rng, n, 0.99),
+    "slow, with white noise": lambda rng, n: coloured(rng, n, 0.98) + rng.standard_normal(n),
+    "smooth": lambda rng, n: late(coloured(rng, n, 0.98), 20.0) + 0.1 * rng.standard_normal(n),
+    "oscillating": lambda rng, n: coloured(rng, n, 1.95, -0.97),
+    "random walk": walk,
+    "trend": trending,
+}
+
+
+@pytest.mark.parametrize("make", NULLS.values(), ids=NULLS)
+def test_what_has_nothing_to_do_with_it_is_rarely_named(make):
+    """100 draws of two series of one colour: at 1 %, more than 5 have a chance of 0.05 %."""
+    rng = np.random.default_rng(7)
+    draws = [[(make(rng, 400), make(rng, 400)) for _ in range(2)] for _ in range(100)]
+    found = np.array([dependence(records).p for records in draws])
+    assert np.count_nonzero(found <= 0.01) <= 5
+    assert found.min() > 1e-6
+
+
+@pytest.mark.parametrize("lag", [0.0, 10.0, 50.0])
+def test_a_cause_is_found_through_the_lag_of_a_model(lag):
+    rng = np.random.default_rng(3)
+    records = []
+    for _ in range(3):
+        x = coloured(rng, 800, 0.99)
+        y = late(x, lag) if lag else x
+        records.append((3.0 * y / y.std() + rng.standard_normal(800) + 5.0, 1e4 * x - 2e5))
+    found = dependence(records)
+    assert found.p < 1e-8
+    assert found.share > 0.7
+
+
+def test_the_size_of_a_column_changes_nothing():
+    rng = np.random.default_rng(5)
+    x = coloured(rng, 500, 0.95)
+    y = x + coloured(rng, 500, 0.9)
+    one, other = dependence([(y, x)]), dependence([(1e-6 * y, 1e5 * x + 3e6)])
+    assert other.p == pytest.approx(one.p, rel=1e-4)
+    assert other.share == pytest.approx(one.share, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "records",
+    [
+        [],
+        [(np.zeros(300), np.arange(300.0))],
+        [(np.random.default_rng(0).standard_normal(300), np.ones(300))],
+        [(np.ones(20), np.arange(20.0))],
+    ],
+    ids=["none", "no residual", "constant", "short"],
+)
+def test_too_little_says_nothing(records):
+    assert dependence(records) == NOTHING
+
+
+def test_the_share_of_a_period():
+    t = np.arange(0.0, 6.0, 0.01)
+    noise = 0.1 * np.random.default_rng(2).standard_normal(len(t))
+    wave = np.sin(2.0 * np.pi * t + 1.0) + 0.5 * t + noise
+    assert periodic_share(wave, t, 1.0) > 0.9
+    assert periodic_share(wave, t, 0.7) < 0.1
+    assert periodic_share(np.ones(len(t)), t, 1.0) == 0.0
