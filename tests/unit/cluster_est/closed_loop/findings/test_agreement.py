@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.loop_objects import made_bench, made_problem, made_result
 
+from cluster_est import Parameter
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.agreement import CLOSE, agreements
 from cluster_est.closed_loop.findings.wording import _agreeing
@@ -121,14 +122,18 @@ def test_a_finding_carries_the_other_equation_with_its_name():
         Effect("square_v", "der(v)", "square", ("v",)),
         FORMS["derivative", "square"], EffectSite("derivative", "v"), True, (), (-9.0,), (9.0,),
     )  # fmt: skip
-    problem = made_problem(50)
+    plain, k = made_problem(50), Parameter("square_v.k", K)
+    problem = replace(plain, effects=(made.effect,), parameters=(*plain.parameters, k))
+    bench = made_bench(plain)
     fields = dict.fromkeys(Estimate.__annotations__, "")
     number = {"label": "square_v.k", "parameter": "square_v.k", "value": K}
-    result = replace(made_result(problem, []), estimates=(Estimate(**(fields | number)),))
-    own = curve(0.3, 2.1, square)
-    namer = Namer(made_bench(problem).description, {})
+    result = replace(
+        made_result(plain, []), problem=problem, estimates=(Estimate(**(fields | number)),)
+    )
+    own = replace(curve(0.3, 2.1, square), effect="square_v")
+    namer = Namer(bench.description, {})
     named = namer.name(made, [K], own)
     assert named.words == "drag"
-    (also,) = _agreeing(made, result, namer, named, own)
+    (also,) = _agreeing(bench, result, namer, named, own)
     assert (also.equation, also.words) == ("-0.352 * v * abs(v)", "drag")
-    assert _agreeing(made, result, namer, named, replace(own, why_not="no curve")) == ()
+    assert _agreeing(bench, result, namer, named, replace(own, why_not="no curve")) == ()
