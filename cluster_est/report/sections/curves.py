@@ -29,7 +29,7 @@ MOST_POINTS = 90_000
 """Of all curves together: about 7 bytes each in the page."""
 FEWEST, MOST = 20, 600
 """Columns of one chart, each with the lowest and the highest sample of every curve."""
-MOST_PANELS = 400
+MOST_PANELS = 250
 FEW_SAMPLES = 150
 """Up to so many measured values are dots."""
 CURVES = (("measured", "measured"), ("before", "before"), ("after", "after"))

@@ -72,6 +72,21 @@ def test_a_difference_of_two_states_is_one_argument():
     assert np.all(np.sign(second.shape(X, values)) == np.sign(X))
 
 
+def own(equation: str) -> EffectDefinition:
+    effect = Effect("e", "der(v)", equation=equation, coefficients=(("a", 0.0),))
+    names = {name: variable_symbol(name) for name in ("x", "v")}
+    return _definition(effect, EffectSite("derivative", "v"), names)
+
+
+def test_an_equation_of_ones_own_is_a_function_of_what_stands_in_it():
+    (part,) = part_shapes(own("-a * x^3"))
+    assert (part.target, part.argument) == ("v", "x")
+    assert part.shape(X, np.array([0.5])) == pytest.approx(-0.5 * X**3)
+    (wave,) = part_shapes(own("a * sin(t)"))
+    assert wave.argument == "time"
+    assert part_shapes(own("a * x * v")) == []
+
+
 def test_the_band_is_that_of_a_straight_line():
     """Of a + b x, whose variance is known exactly."""
     covariance = np.array([[0.04, -0.01], [-0.01, 0.09]])
