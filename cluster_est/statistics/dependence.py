@@ -59,7 +59,9 @@ class Dependence:
 NOTHING = Dependence(1.0, 0.0)
 
 
-def dependence(records: Sequence[Pair]) -> Dependence:
+def dependence(
+    records: Sequence[Pair], known: Sequence[Sequence[FloatArray]] | None = None
+) -> Dependence:
     """Test whether a residual varies with a signal, at once or late.
 
     Parameters
@@ -67,27 +69,34 @@ def dependence(records: Sequence[Pair]) -> Dependence:
     records
         Residual and signal of each record, evenly sampled, all at one step. Each record may have an
         offset and a trend of its own: any two trends go together.
+    known
+        For each record signals that both may follow, as long as those: what these say, at once or
+        late, is taken out first, as is a decay from the start. Else everything that a measured
+        input moves would vary with everything else that it moves.
     """
-    size = sum(len(y) for y, _ in records)
-    block = max(1, -(-size // MOST))
-    thin = [(_detrended(_averaged(y, block)), _averaged(x, block)) for y, x in records]
+    block = max(1, -(-sum(len(y) for y, _ in records) // MOST))
     longest = max(ORDERS)
-    kept = [(y, x) for y, x in thin if len(y) > 2 * longest]
-    total = sum(len(y) for y, _ in kept)
-    if total < LEAST or total < 4 * longest or not any(np.any(y) for y, _ in kept):
+    kept = [i for i, (y, _) in enumerate(records) if len(y) // block > 2 * longest]
+    residuals = [_detrended(_averaged(records[i][0], block)) for i in kept]
+    signals = [_averaged(records[i][1], block) for i in kept]
+    total = sum(len(y) for y in residuals)
+    scale = float(np.std(np.concatenate(signals))) if kept else 0.0
+    if total < LEAST or not any(np.any(y) for y in residuals) or not scale > 0.0:
         return NOTHING
-    scale = float(np.std(np.concatenate([x for _, x in kept])))
-    if not scale > 0.0:
+    columns = [_late(x / scale) for x in signals]
+    others = [() if known is None else known[i] for i in kept]
+    given = [
+        _nuisances(len(y), [_averaged(each, block) for each in own])
+        for y, own in zip(residuals, others, strict=True)
+    ]
+    whitener = _Whitener(_autoregression(residuals), given)
+    white = whitener.of(residuals)
+    freedom = len(white) - whitener.rank - columns[0].shape[1] - 2 * len(kept)
+    if freedom < longest:
         return NOTHING
-    sizes = [len(y) for y, _ in kept]
-    columns = [_late(x / scale) for _, x in kept]
-    residuals = [y for y, _ in kept]
-    coefficients = _autoregression(residuals)
-    white = np.concatenate([_whitened(y, coefficients) for y in residuals])
-    found = _ratio(white, np.concatenate([_whitened(c, coefficients) for c in columns]))
-    freedom = len(white) - columns[0].shape[1] - len(sizes)
+    found = _ratio(white, whitener.of(columns), freedom)
     shifted = [
-        _ratio(white, np.concatenate([_whitened(_moved(c, part), coefficients) for c in columns]))
+        _ratio(white, whitener.of([_moved(c, part) for c in columns]), freedom)
         for part in np.linspace(0.1, 0.9, SHIFTS)
     ]
     k = columns[0].shape[1]
@@ -95,6 +104,36 @@ def dependence(records: Sequence[Pair]) -> Dependence:
     inflated = max(1.0, float(np.quantile(shifted, 0.75)) / usual)
     p = float(f_distribution.sf(found / inflated, k, freedom))
     return Dependence(p, _share(residuals, columns))
+
+
+class _Whitener:
+    """Filters records to what an autoregression does not predict, and nuisances do not say."""
+
+    def __init__(self, coefficients: FloatArray, nuisances: Sequence[FloatArray]) -> None:
+        self._coefficients = coefficients
+        u, sizes, _ = np.linalg.svd(self._filtered(nuisances), full_matrices=False)
+        self._basis = u[:, sizes > 1e-9 * max(float(sizes[0]), 1e-300)]
+        self.rank = self._basis.shape[1]
+
+    def of(self, records: Sequence[FloatArray]) -> FloatArray:
+        """Return the records, filtered, one behind the other."""
+        white = self._filtered(records)
+        return white - self._basis @ (self._basis.T @ white)
+
+    def _filtered(self, records: Sequence[FloatArray]) -> FloatArray:
+        skip = len(self._coefficients)
+        filters = [1.0, *-self._coefficients]
+        return np.concatenate([lfilter(filters, [1.0], r, axis=0)[skip:] for r in records])
+
+
+def _nuisances(length: int, known: Sequence[FloatArray]) -> FloatArray:
+    """(n, m): decays from the start, and signals with their low passes, all of one size."""
+    steps = np.arange(length)
+    columns = [_detrended(np.exp(-steps / lag)) for lag in LAGS]
+    for signal in known:
+        size = float(np.std(signal))
+        columns += list(_late(signal / size).T) if size > 0.0 else []
+    return np.column_stack(columns)
 
 
 def _averaged(values: FloatArray, block: int) -> FloatArray:
@@ -140,18 +179,11 @@ def _autoregression(records: Sequence[FloatArray]) -> FloatArray:
     return best[1]
 
 
-def _whitened(values: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """What an autoregression does not predict, without the start of the record."""
-    filtered = lfilter([1.0, *-coefficients], [1.0], values, axis=0)
-    return np.asarray(filtered[len(coefficients) :])
-
-
-def _ratio(white: FloatArray, columns: FloatArray) -> float:
+def _ratio(white: FloatArray, columns: FloatArray, freedom: int) -> float:
     """The F ratio of the regression of a white series on columns."""
-    k = columns.shape[1]
     explained = _explained(white, columns)
     rest = max(float(white @ white) - explained, 1e-300)
-    return float(explained / k / (rest / (len(white) - k)))
+    return float(explained / columns.shape[1] / (rest / freedom))
 
 
 def _explained(y: FloatArray, columns: FloatArray) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from cluster_est.closed_loop.findings.disturbance import readable_time
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.problem.tables.unused import UnusedColumns
-from cluster_est.statistics.dependence import dependence, periodic_share
+from cluster_est.statistics.dependence import Dependence, dependence, periodic_share
 from cluster_est.statistics.records import OutputRecord
 from workers.messages import Experiment, FloatArray
 
@@ -89,8 +89,7 @@ def varying_columns(
     count = len(names) * len(workbench.records.outputs)
     for output, label in enumerate(workbench.records.outputs):
         for name in names:
-            pairs = [(y, x) for y, x, _ in _pairs(workbench, tables, residuals, output, name)]
-            seen = dependence(pairs)
+            seen = _dependence(_pairs(workbench, tables, residuals, output, name))
             p = min(seen.p * count, 1.0)
             if p <= workbench.settings.significance:
                 found.append(VaryingColumn(name, label, seen.share, p))
@@ -104,6 +103,21 @@ def varying_columns(
     for each in sorted(found, key=lambda c: (np.nan_to_num(c.p), -np.nan_to_num(c.share))):
         best.setdefault(each.column, each)
     return tuple(best.values())[:MOST_NAMED]
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Residual and column of a record at even steps, and what is driven there."""
+
+    residual: FloatArray
+    column: FloatArray
+    times: FloatArray
+    driving: tuple[FloatArray, ...]
+
+
+def _dependence(pairs: Sequence[_Pair]) -> Dependence:
+    known = [pair.driving for pair in pairs]
+    return dependence([(pair.residual, pair.column) for pair in pairs], known)
 
 
 def _tables(workbench: LoopWorkbench) -> dict[int, UnusedColumns]:
@@ -130,14 +144,14 @@ def _pairs(
     residuals: FloatArray,
     output: int,
     name: str,
-) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Residual, column and times of each record of an output, at even steps.
+) -> list[_Pair]:
+    """Residual and column of each record of an output, at even steps.
 
-    Nothing where the column is missing in one of them, or is a copy of what is used.
+    None where the column is missing in one of them, or is a copy of what is used.
     """
     records = [r for r in workbench.records.items if r.output == output and len(r.times) > 2]
     if not records:
-        return
+        return []
     step = float(np.median(np.concatenate([np.diff(record.times) for record in records])))
     made = []
     for record in records:
@@ -145,9 +159,12 @@ def _pairs(
         times = _even(record, step)
         x = tables[record.experiment].at(name, times)
         if x is None or _is_copy(x, times, experiment):
-            return
-        made.append((np.interp(times, record.times, residuals[record.rows]), x, times))
-    yield from made
+            return []
+        y = np.interp(times, record.times, residuals[record.rows])
+        given = (*experiment.inputs, *experiment.signals)
+        driving = tuple(np.interp(times, each.times, each.values) for each in given)
+        made.append(_Pair(y, x, times, driving))
+    return made
 
 
 def _even(record: OutputRecord, step: float) -> FloatArray:
@@ -176,6 +193,7 @@ def _has_period(
     period: float,
 ) -> bool:
     """Return whether most of a column is a wave of this period, in every record."""
-    pairs = list(_pairs(workbench, tables, residuals, 0, name))
-    long = [(x, t) for _, x, t in pairs if np.ptp(t) >= SWINGS * period]
-    return bool(long) and all(periodic_share(x, t, period) >= PERIODIC for x, t in long)
+    pairs = _pairs(workbench, tables, residuals, 0, name)
+    long = [pair for pair in pairs if np.ptp(pair.times) >= SWINGS * period]
+    shares = [periodic_share(pair.column, pair.times, period) for pair in long]
+    return bool(long) and min(shares) >= PERIODIC

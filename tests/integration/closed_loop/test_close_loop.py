@@ -45,6 +45,11 @@ def test_run_json_says_what_was_found(closed):
     named = ("coulomb", "friction", "der(v)", ["v"])
     assert tuple(effect[key] for key in ("form", "family", "site", "variables")) == named
     assert effect["equation"] == "der(v) += -k * tanh(v / width)"
+    assert effect["words"] == "Coulomb friction"
+    assert effect["sentence"].startswith(
+        f"Coulomb friction at der(v): {effect['equation']}, with k"
+    )
+    assert (effect["also"], effect["period"]) == ([], None)
     strength, width = effect["parameters"]["k"], effect["parameters"]["width"]
     assert strength["value"] == pytest.approx(FRICTION, rel=0.05)
     assert strength["lower95"] < strength["value"] < strength["upper95"]
@@ -113,7 +118,7 @@ def test_show_prints_verdict_effect_and_errors(closed, capsys):
     assert main(["show", str(closed[1])]) == 0
     said = capsys.readouterr().out
     assert said.startswith("verdict: found: ")
-    for phrase in ("effect coulomb_v (friction) at der(v)", "der(v) += -k * tanh(v / width)",
+    for phrase in ("effect coulomb_v (Coulomb friction) at der(v)", "der(v) += -k * tanh(v / width)",
                    "width = ", "m/s (held)", "RMSE before", "all", "open sites: "):  # fmt: skip
         assert phrase in said
     assert "…" not in said

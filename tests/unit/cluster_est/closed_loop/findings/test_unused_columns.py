@@ -9,9 +9,12 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pytest
 from scipy.signal import lfilter
-from support.loop_objects import made_bench, made_problem
+from support.loop_objects import made_bench, made_fit, made_problem
 
+from cluster_est.closed_loop.findings.disturbance import unexplained_residuals
+from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.unused_columns import varying_columns
+from cluster_est.closed_loop.loop import _disturbance, _with_columns
 from cluster_est.problem.tables.unused import TableSource
 
 SAMPLES, RUNS = 600, 2
@@ -124,3 +127,18 @@ def test_a_file_that_has_changed_says_nothing(tmp_path, spoil):
 def test_experiments_without_files_have_no_columns():
     made = made_bench(made_problem(SAMPLES))
     assert varying_columns(made, np.random.default_rng(0).standard_normal(SAMPLES)) == ()
+
+
+def test_a_summary_names_the_column_beside_what_nothing_explains(tmp_path):
+    rng = np.random.default_rng(8)
+    gusts = [coloured(rng, 0.98) for _ in range(RUNS)]
+    made = bench(tmp_path, {"gust_N": lambda e: 3.0 * gusts[e]})
+    residuals = 20.0 * np.concatenate([late(gust, 5.0) for gust in gusts])
+    residuals += 0.5 * rng.standard_normal(len(residuals))
+    fitted = made_fit(made.problem, residuals)
+    left = unexplained_residuals(made, fitted, np.array([0.5]))
+    found = _with_columns(made, fitted, left)
+    assert [len(each.columns) for each in found] == [1]
+    (_, said) = _disturbance(Verdict.UNEXPLAINED, found)
+    assert said.startswith("column 'gust_N' is not used and varies with it")
+    assert _disturbance(Verdict.PARTIAL, found) == ()
