@@ -1,4 +1,4 @@
-"""Whether a name is right: what people have written down about each case."""
+"""Whether a name is right: what is written down about each case."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class CaseJudgements:
         for each in self.names:
             if fnmatchcase(name, each.pattern):
                 return each
-        return Judgement(name, Rightness.OPEN, "nobody has judged this name yet")
+        return Judgement(name, Rightness.OPEN, "no pattern of this case fits this name")
 
     def overall(self, names: Sequence[str]) -> Rightness | None:
         """The best rightness among names; None where there is no name."""

@@ -42,7 +42,7 @@ def write_page(
     cases
         The cases, in their order.
     judgements
-        What people have said about names, by case.
+        Judgements of names, by case.
     out
         The folder of the league's runs.
     page
@@ -81,7 +81,7 @@ def page_text(
     found
         The figures of all cases.
     judgements
-        What people have said about names, by case.
+        Judgements of names, by case.
     pictures
         The picture of each case that has one, from the page's folder.
     """
