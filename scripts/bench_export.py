@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cluster_est.export.fmu import write_fmu
 from cluster_est.export.repair import gather
+from cluster_est.export.repaired_fmu.fmu import write_fmu
 from cluster_est.export.repaired_model import RepairedModel
 from workers.evaluate import Evaluator
 from workers.messages import Model, Task

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cluster_est.errors import ConfigError, RunFolderError
-from cluster_est.export.compiler import PLATFORMS
-from cluster_est.export.fmu import FmuOptions, write_fmu
 from cluster_est.export.modelica import modelica
 from cluster_est.export.repair import gather
+from cluster_est.export.repaired_fmu.compiler import PLATFORMS
+from cluster_est.export.repaired_fmu.fmu import FmuOptions, write_fmu
 from cluster_est.export.repaired_model import RepairedModel
 from cluster_est.export.ssv import parameter_set
 from cluster_est.export.text import describe_repair

@@ -76,8 +76,8 @@ def export(
     ClusterEstError
         If nothing is asked for, or a file cannot be written.
     """
-    from cluster_est.export.fmu import FmuOptions
     from cluster_est.export.repair import repaired
+    from cluster_est.export.repaired_fmu.fmu import FmuOptions
     from cluster_est.export.write import ExportRequest, check_request, write_forms
     from cluster_est.results.result import Result
 

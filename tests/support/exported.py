@@ -19,8 +19,8 @@ from fmpy.fmi2 import (
     fmi2CallbackLoggerTYPE,
 )
 
-from cluster_est.export.fmu import archive_files
-from cluster_est.export.layout import lay_out
+from cluster_est.export.repaired_fmu.fmu import archive_files
+from cluster_est.export.repaired_fmu.layout import lay_out
 from cluster_est.export.repaired_model import EstimatedValue, RepairedModel
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem

@@ -15,10 +15,10 @@ from support.described import packed
 from support.exported import Exported, co_simulated, needs_compiler, repair_of, unpacked
 
 from cluster_est.errors import ModelError
-from cluster_est.export.fmi3_document import as_fmi_2
-from cluster_est.export.fmi3_variables import flatten
-from cluster_est.export.fmu import write_fmu
-from cluster_est.export.layout import lay_out
+from cluster_est.export.repaired_fmu.fmi3_document import as_fmi_2
+from cluster_est.export.repaired_fmu.fmi3_variables import flatten
+from cluster_est.export.repaired_fmu.fmu import write_fmu
+from cluster_est.export.repaired_fmu.layout import lay_out
 from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Model, Output, Solver
 

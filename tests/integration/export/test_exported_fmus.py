@@ -15,7 +15,7 @@ from support.problems.springs import FMU
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, pushed, solve
 
 from cluster_est.errors import ModelError
-from cluster_est.export.fmu import FmuOptions, write_fmu
+from cluster_est.export.repaired_fmu.fmu import FmuOptions, write_fmu
 from cluster_est.export.repaired_model import ReportedError
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe

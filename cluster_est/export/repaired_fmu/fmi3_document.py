@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement
 
-from cluster_est.export.fmi3_variables import fits
+from cluster_est.export.repaired_fmu.fmi3_variables import fits
 from workers.fmu.description import ModelDescription
 from workers.fmu.parsing.xml import flag, whole
 from workers.fmu.variable import ModelVariable

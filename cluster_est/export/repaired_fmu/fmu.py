@@ -13,20 +13,20 @@ from importlib.resources import files
 from pathlib import Path
 
 from cluster_est.errors import ModelError, RunFolderError
-from cluster_est.export.c_code import effects_source
-from cluster_est.export.compiler import (
+from cluster_est.export.repaired_fmu.c_code import effects_source
+from cluster_est.export.repaired_fmu.compiler import (
     PLATFORMS,
     check_cross_compiler,
     compile_for,
     compile_library,
     find_compiler,
 )
-from cluster_est.export.description import identifier, model_description, with_step
-from cluster_est.export.header import header
-from cluster_est.export.layout import WrapperLayout, lay_out
-from cluster_est.export.readme import readme
+from cluster_est.export.repaired_fmu.description import identifier, model_description, with_step
+from cluster_est.export.repaired_fmu.header import header
+from cluster_est.export.repaired_fmu.layout import WrapperLayout, lay_out
+from cluster_est.export.repaired_fmu.readme import readme
+from cluster_est.export.repaired_fmu.step_error import StepErrors, measure_step
 from cluster_est.export.repaired_model import RepairedModel
-from cluster_est.export.step_error import StepErrors, measure_step
 from cluster_est.run_folder.run_identity import versions
 from workers.fmu.archive import open_archive
 from workers.fmu.parsing.xml import XML
@@ -149,7 +149,7 @@ def _about(layout: WrapperLayout, step: StepErrors | None) -> dict[str, bytes]:
 
 def wrapper_sources() -> dict[str, bytes]:
     """The C files that are the same for every model."""
-    folder = files("cluster_est.export") / "c"
+    folder = files("cluster_est.export.repaired_fmu") / "c"
     found = {file.name: file.read_bytes() for file in folder.iterdir()}
     return {name: text for name, text in sorted(found.items()) if name.endswith((".c", ".h"))}
 

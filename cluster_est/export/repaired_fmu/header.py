@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from cluster_est.export.layout import WrapperLayout
+from cluster_est.export.repaired_fmu.layout import WrapperLayout
 from workers.messages import Value
 from workers.simulation.integrator import DEFAULT_RTOL
 

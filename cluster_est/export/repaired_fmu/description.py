@@ -5,8 +5,8 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from xml.etree.ElementTree import Element, SubElement
 
-from cluster_est.export.fmi3_document import as_fmi_2
-from cluster_est.export.layout import AddedVariable, WrapperLayout
+from cluster_est.export.repaired_fmu.fmi3_document import as_fmi_2
+from cluster_est.export.repaired_fmu.layout import AddedVariable, WrapperLayout
 from workers.fmu.archive import open_archive
 from workers.fmu.parsing.xml import XML, ReadingNotes, parse
 from workers.messages import Value

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from cluster_est.errors import ModelError
-from cluster_est.export.fmi3_variables import TranslatedVariable, fits, flatten
+from cluster_est.export.repaired_fmu.fmi3_variables import TranslatedVariable, fits, flatten
 from cluster_est.export.repaired_model import EstimatedValue, RepairedModel
 from workers.effects.compiled import CompiledEquations, equations
 from workers.effects.definition import EffectDefinition

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from cluster_est.export.layout import WrapperLayout
+from cluster_est.export.repaired_fmu.layout import WrapperLayout
+from cluster_est.export.repaired_fmu.step_error import StepErrors
 from cluster_est.export.repaired_model import RepairedModel
-from cluster_est.export.step_error import StepErrors
 from cluster_est.export.text import describe_repair
 
 _README = """# {name}
