@@ -197,7 +197,7 @@ def fit_on(runner: Runner, train: SearchSpace, plan: FitPlan) -> Result:
 
 def with_shapes(runner: Runner, train: SearchSpace, result: Result) -> Result:
     """Add the shapes of the effects that the problem declares."""
-    from cluster_est.results.visited_signals import (
+    from cluster_est.results.shapes.visited_signals import (
         declared_shapes,  # SymPy is slow to import
     )
 

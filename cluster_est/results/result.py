@@ -18,7 +18,6 @@ from cluster_est.problem.problem import Problem
 from cluster_est.results import actions
 from cluster_est.results.curves import residual_table, trajectory_table
 from cluster_est.results.display_tables import fit_tables
-from cluster_est.results.effect_table import curve_table
 from cluster_est.results.facts import fit_facts, fit_notes
 from cluster_est.results.output_errors import OutputError, Simulation
 from cluster_est.results.row_types import (
@@ -28,6 +27,7 @@ from cluster_est.results.row_types import (
     PointValue,
     StartResult,
 )
+from cluster_est.results.shapes.effect_table import curve_table
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
 from cluster_est.uncertainty.rows import (

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from docs.picture import picture
+from docs.report_pictures import pictures
 from support.problems.springs import ROOT
 
 from cluster_est.cli import main
@@ -62,3 +64,15 @@ def test_the_picture_is_drawn_from_the_run(run):
     for said in ("found: der(v) += -k * tanh(v / width)", "0.0337 before, 0.0018 after"):
         assert said in drawn
         assert said in committed
+
+
+def test_the_pictures_of_the_report_are_drawn_from_the_run(run):
+    drawn = dict(pictures(run))
+    assert sorted(drawn) == ["curves", "errors", "search", "shape"]
+    page = (ROOT / "cluster_est" / "docs" / "the_report.md").read_text(encoding="utf-8")
+    for name, text in drawn.items():
+        file = f"report_{name}.svg"
+        assert f"]({file})" in page
+        committed = (ROOT / "cluster_est" / "docs" / file).read_text(encoding="utf-8")
+        titles = [ElementTree.fromstring(each)[0].text for each in (text, committed)]
+        assert titles[0] == titles[1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.results.effect_shapes import part_shapes, spread_of
+from cluster_est.results.shapes.effect_shapes import part_shapes, spread_of
 from workers.effects.definition import EffectDefinition, _definition, variable_symbol
 from workers.effects.expression import FUNCTIONS
 from workers.effects.forms import FORMS

@@ -1,0 +1,1 @@
+"""Shapes of effects: what each adds over its argument, where the data were."""
