@@ -118,7 +118,8 @@ def test_show_prints_verdict_effect_and_errors(closed, capsys):
     assert main(["show", str(closed[1])]) == 0
     said = capsys.readouterr().out
     assert said.startswith("verdict: found: ")
-    for phrase in ("effect coulomb_v (Coulomb friction) at der(v)", "der(v) += -k * tanh(v / width)",
+    for phrase in ("effect coulomb_v (Coulomb friction) at der(v)",
+                   "der(v) += -k * tanh(v / width)",
                    "width = ", "m/s (held)", "RMSE before", "all", "open sites: "):  # fmt: skip
         assert phrase in said
     assert "…" not in said
