@@ -31,7 +31,6 @@ from cluster_est.run_folder.run_identity import versions
 from workers.fmu.archive import open_archive
 from workers.fmu.parsing.xml import XML
 from workers.fmu.platforms import PLATFORM, binary_path, platforms_in
-from workers.messages import Limits
 
 _MOST_NAMED = 8
 
@@ -72,12 +71,19 @@ def write_fmu(
     repair.description.check_platform(repair.problem.model.interface)
     _check_platforms(repair, others)
     content = archive_files(layout, command, others)
-    step = None
-    if options.measure and repair.errors:
-        step = measure_step(repair, _archive(content), Limits())
-        content |= _about(layout, step)
-        if step.reproduces is not None:
-            content[XML] = with_step(content[XML], step.reproduces)
+    _write(path, content)
+    if not options.measure or not repair.errors:
+        return _notes(layout)
+    step = measure_step(repair, _archive(content))  # a crash of the FMU would leave what is written
+    content |= _about(layout, step)
+    if step.reproduces is not None:
+        content[XML] = with_step(content[XML], step.reproduces)
+    _write(path, content)
+    return (*_notes(layout), step.sentence)
+
+
+def _write(path: Path, content: dict[str, bytes]) -> None:
+    """Write the archive in one step."""
     partial = path.with_name(f".{path.name}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -87,7 +93,6 @@ def write_fmu(
         raise RunFolderError(
             f"--fmu: {path} cannot be written ({error}); choose another"
         ) from error
-    return (*_notes(layout), *([] if step is None else [step.sentence]))
 
 
 def _check_platforms(repair: RepairedModel, platforms: Sequence[str]) -> None:

@@ -18,9 +18,10 @@ import numpy as np
 from cluster_est.errors import ClusterEstError
 from cluster_est.export.repaired_model import RepairedModel
 from cluster_est.results.output_errors import output_residuals
+from workers.evaluate import Evaluator
 from workers.fmu.parsing.xml import XML
-from workers.messages import Experiment, Limits, Model, Solver, Task
-from workers.process.supervisor import SupervisedEvaluator
+from workers.messages import Experiment, Model, Solver, Task
+from workers.wire import TaskBatch
 
 HALVINGS = 7
 """How often the step is halved at most."""
@@ -93,7 +94,7 @@ def _text(errors: ErrorPairs, units: tuple[tuple[str, str], ...]) -> str:
     return ", ".join(f"{name}: {value:.4g} {of[name]}".rstrip() for name, value in errors)
 
 
-def measure_step(repair: RepairedModel, archive: bytes, limits: Limits) -> StepErrors:
+def measure_step(repair: RepairedModel, archive: bytes) -> StepErrors:
     """Simulate the exported FMU at smaller and smaller steps until the error is that of the run.
 
     Parameters
@@ -101,9 +102,7 @@ def measure_step(repair: RepairedModel, archive: bytes, limits: Limits) -> StepE
     repair
         What was exported.
     archive
-        The exported FMU.
-    limits
-        When a simulation is ended from outside.
+        The exported FMU. It runs in this process, where every step costs some milliseconds.
     """
     chosen = _experiments(repair)
     if not chosen:
@@ -119,7 +118,7 @@ def measure_step(repair: RepairedModel, archive: bytes, limits: Limits) -> StepE
         if sum(e.stop - e.start for e in chosen) / step > MOST_STEPS and found.measured:
             break
         try:
-            errors = _errors_at(step, model, repair, chosen, limits)
+            errors = _errors_at(step, model, repair, chosen)
         except (ClusterEstError, ValueError) as error:
             if found.measured:
                 break
@@ -189,7 +188,6 @@ def _errors_at(
     model: Model,
     repair: RepairedModel,
     chosen: Sequence[Experiment],
-    limits: Limits,
 ) -> Errors:
     """Simulate all experiments at a communication step.
 
@@ -204,12 +202,13 @@ def _errors_at(
     signals = [name for effect in repair.effects for name in effect.uses]
     fed = [_fed(experiment, signals) for experiment in chosen]
     squares: dict[str, list[float]] = {}
-    evaluator = SupervisedEvaluator(model, fed, "export", limits)
+    evaluator = Evaluator(model, tuple(fed), "export")
     try:
         for number, experiment in enumerate(chosen):
             known = {**dict(experiment.values), **repair.of_experiments[experiment.id]}
             values = np.array([float(known[name]) for name in model.parameters])
-            outcome = evaluator.once(Task(0, number, values, "trajectory"))
+            task = Task(0, number, values, "trajectory")
+            (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
             if not outcome.ok:
                 raise ValueError(f"experiment {experiment.id!r} failed ({outcome.message})")
             for output in experiment.outputs:

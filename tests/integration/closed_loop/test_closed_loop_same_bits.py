@@ -59,7 +59,7 @@ def said(run: Path) -> str:
 
 def evaluations(run: Path) -> list[dict]:
     """What was simulated and came out, in an order that does not depend on arrival."""
-    columns = ["search", "evaluation", "experiment", "purpose", "key", "values", "residuals"]
+    columns = ["search", "evaluation", "experiment", "purpose", "key", "values", "residuals_hash"]
     table = read_log(run / "evaluations").select([*columns, "effects", "status"])
     return table.sort_by([(name, "ascending") for name in columns[:5]]).to_pylist()
 
