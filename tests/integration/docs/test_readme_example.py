@@ -31,7 +31,8 @@ def shown() -> list[str]:
     """The lines of output in the README; one that is too long for the page goes on in the next."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     block = text[text.index("    verdict: ") : text.index("\n\nIt also names")]
-    lines = [line.removeprefix("    ") for line in block.splitlines() if line]
+    joined = re.sub(r"\n {10,}", " ", block)
+    lines = [line.removeprefix("    ") for line in joined.splitlines() if line]
     return [f"{lines[0]} {lines[1]}", *lines[2:]]
 
 
