@@ -25,6 +25,9 @@ class Executor(ABC):
     def submit(self, tasks: Sequence[Task]) -> None:
         """Queue tasks. Returns at once.
 
+        An id may be used again once its task was answered or taken back, even while a worker that
+        was given the former task too has not answered yet.
+
         Tasks may differ in what they want and in their effects. A batch for a worker may not:
         `executors.backlog.TaskBacklog` cuts such batches.
         """

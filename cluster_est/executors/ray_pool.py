@@ -42,12 +42,16 @@ FAILED_FIRST_STARTS, FAILED_STARTS = 3, 50
 
 
 class _BatchInFlight(NamedTuple):
-    """A batch on an actor. If `alone`, nothing else is in flight there and it has one task."""
+    """A batch on an actor. If `alone`, nothing else is in flight there and it has one task.
+
+    `submission` counts how often tasks had been submitted when it was sent.
+    """
 
     actor: str
     batch: TaskBatch
     alone: bool
     begin: float
+    submission: int
 
 
 class RayPool(WorkerPool):
@@ -74,10 +78,10 @@ class RayPool(WorkerPool):
         self._actors: dict[str, Any] = {}
         self._flying: dict[Any, _BatchInFlight] = {}
         self._suspects: deque[Task] = deque()
-        self._open: set[int] = set()
+        self._open: dict[int, int] = {}  # by id, the submission a task came with
         self._twice: set[int] = set()
         self._lost: Counter[int] = Counter()
-        self._started = self._failed = 0
+        self._started = self._failed = self._submissions = 0
         self._ready = False
         self._looked = time.monotonic()
         self._start_missing()
@@ -122,7 +126,8 @@ class RayPool(WorkerPool):
         return []
 
     def submit(self, tasks: Sequence[Task]) -> None:
-        self._open.update(task.id for task in tasks)
+        self._submissions += 1
+        self._open |= {task.id: self._submissions for task in tasks}
         self._backlog.add(tasks)
         self._fill()
 
@@ -151,7 +156,8 @@ class RayPool(WorkerPool):
 
     def cancel(self, tasks: Collection[int]) -> list[int]:
         removed = self._backlog.remove(tasks)
-        self._open.difference_update(removed)
+        for task in removed:
+            self._open.pop(task, None)
         return removed
 
     @property
@@ -213,7 +219,7 @@ class RayPool(WorkerPool):
         load = Counter(flight.actor for flight in self._flying.values())
         idle = [name for name in self._actors if not load[name]]
         for flight in sorted(self._flying.values(), key=lambda flight: flight.begin):
-            ids = self._open.intersection(flight.batch.ids.tolist()) - self._twice
+            ids = self._unanswered(flight) - self._twice
             usual = self._backlog.expected(flight.batch)
             if not idle:
                 return
@@ -238,7 +244,16 @@ class RayPool(WorkerPool):
 
     def _send(self, name: str, batch: TaskBatch, *, alone: bool) -> None:
         reference = self._actors[name].evaluate.remote(batch)
-        self._flying[reference] = _BatchInFlight(name, batch, alone, time.monotonic())
+        begin, submission = time.monotonic(), self._submissions
+        self._flying[reference] = _BatchInFlight(name, batch, alone, begin, submission)
+
+    def _unanswered(self, flight: _BatchInFlight) -> set[int]:
+        """Which tasks of a batch nobody has answered.
+
+        An id that was answered elsewhere and submitted again since stands for another task.
+        """
+        submitted = ((task, self._open.get(task)) for task in flight.batch.ids.tolist())
+        return {task for task, at in submitted if at is not None and at <= flight.submission}
 
     def _collect(self, reference: Any) -> list[Outcome]:
         """Outcomes that nobody else has given yet."""
@@ -252,22 +267,29 @@ class RayPool(WorkerPool):
             return self._recover(flight, error)
         outcomes = answers.outcomes()
         self._backlog.learn(flight.batch, outcomes)
-        return self._first(outcomes)
+        return self._first(outcomes, self._unanswered(flight))
 
-    def _first(self, outcomes: list[Outcome]) -> list[Outcome]:
-        first = [outcome for outcome in outcomes if outcome.task in self._open]
+    def _first(self, outcomes: list[Outcome], unanswered: set[int]) -> list[Outcome]:
+        first = [outcome for outcome in outcomes if outcome.task in unanswered]
         for outcome in first:
-            self._open.discard(outcome.task)
+            del self._open[outcome.task]
             self._twice.discard(outcome.task)
-            self._lost.pop(outcome.task, None)
+            if self._lost.pop(outcome.task, 0):
+                self._forget(outcome.task)
         return first
+
+    def _forget(self, answered: int) -> None:
+        """Do not ask again what was lost on one worker and has been answered by another."""
+        self._backlog.remove([answered])
+        self._suspects = deque(task for task in self._suspects if task.id != answered)
 
     def _recover(self, flight: _BatchInFlight, error: RayError) -> list[Outcome]:
         """Replace a lost worker and ask again for what it had; outcomes of what is given up."""
         self._replace(flight.actor)
         given_up = []
+        unanswered = self._unanswered(flight)
         for task in flight.batch.tasks():
-            if task.id not in self._open:
+            if task.id not in unanswered:
                 continue
             self._twice.discard(task.id)
             self._lost[task.id] += 1
@@ -277,7 +299,7 @@ class RayPool(WorkerPool):
                 self._suspects.append(task)
             else:
                 self._backlog.add_first(task)
-        return self._first(given_up)
+        return self._first(given_up, unanswered)
 
     def _replace(self, name: str) -> None:
         """Start another actor instead of a dead one, which is killed in case it only seems dead."""

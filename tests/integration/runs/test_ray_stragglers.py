@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,23 @@ def test_what_a_worker_holds_up_is_asked_elsewhere(problem, pool):
     assert pool.busy == 0
     asked = tasks(problem, 100, 2000)
     assert answers(pool, asked) == expected(problem, asked)
+
+
+def test_a_late_answer_is_none_to_another_task_of_the_same_id(problem, pool):
+    answers(pool, tasks(problem, 100, 0))
+    stopped = actors()[0]
+    os.kill(stopped, signal.SIGSTOP)
+    try:
+        answers(pool, tasks(problem, 200, 1000))
+        others = [replace(task, id=task.id - 1000) for task in tasks(problem, 200, 2000)]
+        truth = expected(problem, others)
+        pool.submit(others)
+    finally:
+        os.kill(stopped, signal.SIGCONT)
+    found: dict[int, bytes] = {}
+    while len(found) < len(others):
+        found |= {outcome.task: outcome.residuals.tobytes() for outcome in pool.completed()}
+    assert found == truth
 
 
 def test_killed_workers_change_no_bit(problem, pool):
