@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -113,6 +115,12 @@ def gather(executor: Executor, tasks: Sequence[Task]) -> dict[int, Outcome]:
     return {outcome.task: outcome for outcome in outcomes}
 
 
+def drain(executor: Executor, found: list[Outcome]) -> None:
+    """Add all outcomes that are still to come."""
+    while some := executor.completed():
+        found += some
+
+
 def check_nothing_is_left(executor: Executor) -> None:
     """What was asked twice may still be on its way, but it answers nothing any more."""
     deadline = time.monotonic() + 60.0
@@ -219,8 +227,7 @@ class TestContract:
             assert taken, "so many long ones cannot all have begun"
             assert set(taken) <= {task.id for task in long}
             outcomes: list[Outcome] = []
-            while some := executor.completed():
-                outcomes += some
+            drain(executor, outcomes)
             left = [task for task in (*short, *long) if task.id not in set(taken)]
             assert Counter(o.task for o in outcomes) == Counter(task.id for task in left)
             check({o.task: o for o in outcomes if o.task < 100}, short)
@@ -236,6 +243,20 @@ class TestContract:
         again = setup.executor.first_worker(tasks)
         assert all(same(one, other) for one, other in zip(outcomes, again, strict=True))
         assert setup.executor.completed() == []
+
+    def test_an_interrupt_comes_through_while_it_waits(self, setup: Setup) -> None:
+        with setup.open(SPRING, (*EXPERIMENTS, long_experiment())) as executor:
+            long = [Task(i, len(EXPERIMENTS), np.array([1.0, 30.0])) for i in range(500)]
+            executor.submit(long)
+            done = executor.completed()
+            interrupt = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
+            interrupt.start()
+            with pytest.raises(KeyboardInterrupt):
+                drain(executor, done)
+            interrupt.join()
+            assert len(done) < len(long), "it waited for all of them first"
+            executor.close()
+            assert executor.busy == 0
 
     def test_close_forgets_what_is_queued_and_may_be_called_twice(self, setup: Setup) -> None:
         with setup.open(SPRING, EXPERIMENTS[:1]) as executor:
