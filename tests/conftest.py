@@ -15,7 +15,7 @@ from fmus import build as own
 from hypothesis import settings
 
 from cluster_est.running.resources import one_blas_thread
-from workers.kernels.fmi import calling
+from workers.kernels.fmi import compiling
 
 settings.register_profile("project", deadline=None, derandomize=True)
 settings.load_profile("project")
@@ -51,7 +51,7 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.fixture(scope="session", autouse=True)
 def loops_count_as_compiled() -> None:
     """On a machine where these are the first to use them too: what is printed is the same."""
-    calling.cache_folder().mkdir(parents=True, exist_ok=True)
+    compiling.cache_folder().mkdir(parents=True, exist_ok=True)
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from cluster_est.cli.display.progress import FIRST, ProgressLine
 from cluster_est.cli.display.run import say
 from cluster_est.configured_run import Listener
 from cluster_est.running.records import Budget, Show
-from workers.kernels.fmi.calling import compiled_before
+from workers.kernels.fmi.compiling import compiled_before
 
 
 def complain(text: str) -> None:

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from workers.kernels.fmi.calling import inlined, kernel, subroutine
+from workers.kernels.fmi.compiling import inlined, kernel, subroutine
 from workers.kernels.fmi.failure import EVENT, FINISHED, OUTPUT, failed
 from workers.kernels.fmi.hooks import select_point
+from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD, get_values, set_reals
 from workers.kernels.model_exchange.evaluation import (
     current_derivatives,
@@ -110,6 +111,10 @@ def linearise(  # type: ignore[no-untyped-def]
     (code, time)
         0, or what went wrong, and the time of it.
     """
+    c, references, starts, settings, hooks, offsets, grid, work = by_reference(
+        (c, references, starts, settings, hooks, offsets, grid, work)
+    )
+    perturbed, result = by_reference((perturbed, result))
     times, steps_left = grid.times, settings.max_steps
     time, proposed = times[0], 0.0
     select_point(hooks, 0, work)

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 from numba.core.types import float64, int32, intp
 
-from workers.kernels.fmi.calling import address_of, c_function, inlined, kernel
+from workers.kernels.fmi.calling import address_of, c_function
+from workers.kernels.fmi.compiling import inlined, kernel
 from workers.messages import FloatArray
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from workers.kernels.fmi.calling import kernel, subroutine
+from workers.kernels.fmi.compiling import kernel, subroutine
 from workers.kernels.fmi.failure import FINISHED, HAS_EVENTS, OUTPUT, SENSITIVITIES, failed
 from workers.kernels.fmi.functions import get_directional_derivative
 from workers.kernels.fmi.progress import count_simulation
+from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD
 from workers.kernels.model_exchange.evaluation import record_outputs
 from workers.kernels.model_exchange.forward_sensitivities import instance_of, record_sensitivities
@@ -33,6 +34,9 @@ def simulate_forward(  # type: ignore[no-untyped-def]
     (code, time)
         0, or what went wrong, and the time of it.
     """
+    c, references, starts, settings, hooks, grid, work, forward = by_reference(
+        (c, references, starts, settings, hooks, grid, work, forward)
+    )
     times, steps_left = grid.times, settings.max_steps
     time, proposed = times[0], 0.0
     count_simulation(work)
@@ -98,6 +102,9 @@ def is_known(  # type: ignore[no-untyped-def]
     c, references, starts, settings, hooks, grid, point, work, unknowns, known, derivatives
 ):
     """Start the FMU and get a derivative by one variable. Returns (code, status)."""
+    c, references, starts, settings, hooks, grid, work = by_reference(
+        (c, references, starts, settings, hooks, grid, work)
+    )
     code = _start_compiled_once(c, references, starts, settings, hooks, grid, point, work)
     if code != FINISHED:
         return code, 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from workers.kernels.fmi.calling import inlined, kernel
+from workers.kernels.fmi.compiling import inlined, kernel
 
 
 @kernel

@@ -6,66 +6,12 @@ disk. An address is only an integer: it is turned into a function pointer inside
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-import platformdirs
 from llvmlite import ir
-from numba import config, njit
 from numba.core import types
 from numba.extending import intrinsic
-
-_WITHOUT_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""What only compiled code calls needs no way in from Python or from C, which takes a third of the
-time of compiling."""
-
-inlined = njit(forceinline=True, nogil=True, _nrt=False, **_WITHOUT_WRAPPERS)
-"""Compiles a helper into each loop that uses it."""
-
-
-def cache_folder() -> Path:
-    """A folder that belongs to this version of the loops and all their helpers.
-
-    numba takes its cached code for a loop as long as the loop's own file is unchanged, whatever
-    has happened to helpers from other files that are compiled into it.
-    """
-    sources = [file.read_bytes() for file in sorted(Path(__file__).parents[1].rglob("*.py"))]
-    digest = hashlib.sha256(b"\0".join(sources)).hexdigest()[:16]
-    home = config.CACHE_DIR or platformdirs.user_cache_dir("cluster-est")
-    return Path(home) / "kernels" / digest
-
-
-_CACHE_FOLDER = str(cache_folder())
-
-
-def compiled_before() -> bool:
-    """Return whether loops of this version have been compiled on this machine, and kept."""
-    return Path(_CACHE_FOLDER).is_dir()
-
-
-def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a loop that Python calls, without reference counting.
-
-    Atomic counters around every call would cost several times the call. Nothing can be allocated
-    inside; numba refuses to compile it.
-    """
-    return _kept_on_disk(function, no_cfunc_wrapper=True)
-
-
-def subroutine(function: Callable[..., Any]) -> Any:
-    """Compile what only other loops call, like `kernel` otherwise; Python cannot call it."""
-    return _kept_on_disk(function, **_WITHOUT_WRAPPERS)
-
-
-def _kept_on_disk(function: Callable[..., Any], **wrappers: bool) -> Any:
-    before = config.CACHE_DIR
-    config.CACHE_DIR = _CACHE_FOLDER  # read while decorating, and other users of numba keep theirs
-    try:
-        return njit(nogil=True, cache=True, _nrt=False, **wrappers)(function)
-    finally:
-        config.CACHE_DIR = before
 
 
 def c_function(returns: Any, *arguments: Any) -> Callable[..., Any]:
@@ -144,7 +90,7 @@ def is_fmi_2(_typing_context: Any, component: Any) -> Any:
 
     Its type says so; see `workers.kernels.fmi.component`.
     """
-    constant = int(not component.instance_class.__name__.endswith("3"))
+    constant = int(not component.target.instance_class.__name__.endswith("3"))
 
     def generate(context: Any, _builder: Any, _signature: Any, _operands: Any) -> Any:
         return context.get_constant(types.boolean, constant)

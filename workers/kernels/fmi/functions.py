@@ -13,7 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numba.core.types import float64, int32, intp, uintp
 
-from workers.kernels.fmi.calling import address_of, c_function, inlined, is_fmi_2, peek
+from workers.kernels.fmi.calling import address_of, c_function, is_fmi_2, peek
+from workers.kernels.fmi.compiling import inlined
 
 (
     UPDATE_NEEDED,

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numba.core.types import float64, int32, intp
 
-from workers.kernels.fmi.calling import address_of, c_function, inlined
+from workers.kernels.fmi.calling import address_of, c_function
+from workers.kernels.fmi.compiling import inlined
 from workers.kernels.fmi.progress import count_simulation
 from workers.messages import FloatArray, IntArray
 

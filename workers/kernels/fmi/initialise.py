@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import ceil
 from typing import NamedTuple
 
-from workers.kernels.fmi.calling import inlined
+from workers.kernels.fmi.compiling import inlined
 from workers.kernels.fmi.functions import (
     enter_configuration_mode,
     enter_initialization_mode,

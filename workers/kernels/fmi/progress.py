@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from workers.kernels.fmi.calling import inlined
+from workers.kernels.fmi.compiling import inlined
 from workers.messages import IntArray
 
 CALLED, SIMULATIONS, RUNNING = range(3)

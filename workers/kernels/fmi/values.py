@@ -11,15 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numba.core.types import int32, intp, uintp
 
-from workers.kernels.fmi.calling import (
-    address_of,
-    c_function,
-    inlined,
-    is_fmi_2,
-    peek,
-    poke,
-    subroutine,
-)
+from workers.kernels.fmi.calling import address_of, c_function, is_fmi_2, peek, poke
+from workers.kernels.fmi.compiling import inlined, subroutine
 from workers.messages import IntArray
 
 TYPES = (
@@ -35,8 +28,6 @@ CODE, REFERENCE, SIZE, COLUMN, BASE = range(5)
 
 class VariableAccess(NamedTuple):
     """The variables of an FMU that the columns of a row of numbers belong to.
-
-    Few arrays, because compiled functions hand all of them on at each call.
 
     Attributes
     ----------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from workers.kernels.fmi.calling import inlined, subroutine
+from workers.kernels.fmi.compiling import inlined, subroutine
 from workers.kernels.fmi.functions import get_derivatives, set_continuous_states, set_time
 from workers.kernels.fmi.hooks import add_derivatives, interpolate_inputs, modify_inputs
 from workers.kernels.fmi.progress import note_call

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from workers.kernels.fmi.calling import inlined, subroutine
+from workers.kernels.fmi.compiling import inlined, subroutine
 from workers.kernels.fmi.failure import CHATTERING, EVENT, FINISHED, TERMINATED, failed
 from workers.kernels.fmi.functions import (
     NOMINALS_CHANGED,

@@ -18,10 +18,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from numba.core import types
+from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-from workers.kernels.fmi.calling import inlined, subroutine
+from workers.kernels.fmi.compiling import inlined, subroutine
 from workers.kernels.fmi.functions import (
     completed_integrator_step,
     get_derivatives,
@@ -266,7 +266,9 @@ def instance_of(_typing_context: Any, c: Any, handle: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
         component, given = operands
-        cast = context.cast(builder, given, signature.args[1], types.intp)
-        return builder.insert_value(component, cast, c.fields.index("handle"))
+        copy = cgutils.alloca_once_value(builder, builder.load(component))
+        handle = cgutils.gep_inbounds(builder, copy, 0, c.target.fields.index("handle"))
+        builder.store(context.cast(builder, given, signature.args[1], types.intp), handle)
+        return copy
 
     return c(c, handle), generate

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from workers.kernels.fmi.calling import inlined
+from workers.kernels.fmi.compiling import inlined
 from workers.kernels.fmi.failure import EVENT, FINISHED, INITIALISATION, STEP, TERMINATED, failed
 from workers.kernels.fmi.functions import (
     EVENT_NEEDED,

@@ -11,7 +11,8 @@ from numba.core.compiler import Flags
 from numba.core.types import intp
 from numba.extending import intrinsic
 
-from workers.kernels.fmi.calling import c_function, inlined
+from workers.kernels.fmi.calling import c_function
+from workers.kernels.fmi.compiling import inlined
 from workers.kernels.fmi.functions import get_directional_derivative
 from workers.kernels.fmi.hooks import interpolate_inputs
 from workers.kernels.fmi.values import DISCARD, ERROR

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from workers.kernels.fmi.calling import inlined, is_fmi_2, kernel, subroutine
+from workers.kernels.fmi.calling import is_fmi_2
+from workers.kernels.fmi.compiling import inlined, kernel, subroutine
 from workers.kernels.fmi.failure import (
     FINISHED,
     INITIALISATION,
@@ -29,6 +30,7 @@ from workers.kernels.fmi.hooks import (
 )
 from workers.kernels.fmi.initialise import initialise, n_steps
 from workers.kernels.fmi.progress import note_call
+from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD, get_values, set_reals, set_values
 
 
@@ -55,6 +57,9 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
         How many points were tried: all, or those up to the first that failed, so that the caller
         can ask the FMU what it has to say about it.
     """
+    c, references, starts, settings, hooks, grid, work = by_reference(
+        (c, references, starts, settings, hooks, grid, work)
+    )
     for p in range(len(points)):
         select_point(hooks, p, work)
         codes[p], stopped_at[p] = _co_simulate(

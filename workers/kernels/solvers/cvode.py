@@ -12,13 +12,15 @@ import numpy as np
 from numba.core.types import float64, int32, intp
 
 from workers.kernels.fmi.arguments import KernelArguments
-from workers.kernels.fmi.calling import c_function, kernel, subroutine
+from workers.kernels.fmi.calling import c_function
+from workers.kernels.fmi.compiling import kernel, subroutine
 from workers.kernels.fmi.failure import (
     FINISHED,
     OUTPUT,
     failed,
 )
 from workers.kernels.fmi.hooks import select_point
+from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD
 from workers.kernels.model_exchange.evaluation import record_outputs
 from workers.kernels.model_exchange.solver_steps import (
@@ -96,6 +98,9 @@ def _cvode_batch(  # type: ignore[no-untyped-def]
     s, c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at,
     states_out,
 ):  # fmt: skip
+    s, c, references, starts, settings, hooks, grid, work = by_reference(
+        (s, c, references, starts, settings, hooks, grid, work)
+    )
     function, jacobian, data = callbacks((s, c, references, hooks, grid, work))
     if s.flags[RIGHT_HAND_SIDE] == 0:
         s.flags[RIGHT_HAND_SIDE] = function

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 from numba.core.types import float64, int32, intp
 
-from workers.kernels.fmi.calling import address_of, c_function, inlined, subroutine
+from workers.kernels.fmi.calling import address_of, c_function
+from workers.kernels.fmi.compiling import inlined, subroutine
 from workers.kernels.fmi.failure import (
     EVENT,
     FINISHED,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from workers.kernels.fmi.calling import inlined, kernel, subroutine
+from workers.kernels.fmi.compiling import inlined, kernel, subroutine
 from workers.kernels.fmi.failure import (
     EVENT,
     FINISHED,
@@ -23,6 +23,7 @@ from workers.kernels.fmi.failure import (
 )
 from workers.kernels.fmi.hooks import select_point
 from workers.kernels.fmi.initialise import n_steps
+from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD
 from workers.kernels.model_exchange.evaluation import (
     current_derivatives,
@@ -55,6 +56,9 @@ def rk4_batch(  # type: ignore[no-untyped-def]
     c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
+    c, references, starts, settings, hooks, grid, work = by_reference(
+        (c, references, starts, settings, hooks, grid, work)
+    )
     for p in range(len(points)):
         select_point(hooks, p, work)
         codes[p], stopped_at[p] = _simulate(

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 from math import sqrt
 
-from workers.kernels.fmi.calling import inlined, kernel, subroutine
+from workers.kernels.fmi.compiling import inlined, kernel, subroutine
 from workers.kernels.fmi.failure import FINISHED, STEP, STEP_TOO_SMALL, failed
 from workers.kernels.fmi.hooks import select_point
+from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD, ERROR
 from workers.kernels.model_exchange.evaluation import derivatives_at
 from workers.kernels.model_exchange.solver_steps import complete_step, start_simulation
@@ -44,6 +45,9 @@ def stiffness(c, references, starts, settings, hooks, grid, point, work):  # typ
     (stiff, code)
         True if it is; 0, or the code of a failure (see `workers.kernels.fmi.failure`).
     """
+    c, references, starts, settings, hooks, grid, work = by_reference(
+        (c, references, starts, settings, hooks, grid, work)
+    )
     select_point(hooks, 0, work)
     code = start_simulation(c, references, starts, settings, hooks, grid, point, work)
     if code != FINISHED:
