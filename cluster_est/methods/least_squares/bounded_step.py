@@ -6,7 +6,6 @@ Symbols: J the Jacobian, r the residuals, D the scaling, p the step, lambda the 
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from workers.messages import FloatArray
 
@@ -55,6 +54,8 @@ class StepSolver:
         free = np.linalg.lstsq(system, target, rcond=None)[0]
         if (free >= self._lower).all() and (free <= self._upper).all():
             return np.asarray(free / self._units)
+        from scipy.optimize import lsq_linear  # slow to import, and most steps meet no bound
+
         bounds = (self._lower, np.maximum(self._upper, np.nextafter(self._lower, np.inf)))
         solved = lsq_linear(system, target, bounds, method="bvls", tol=1e-14).x
         return np.asarray(np.clip(solved, self._lower, self._upper) / self._units)

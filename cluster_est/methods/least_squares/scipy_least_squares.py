@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
-from scipy.optimize import least_squares
 from typing_extensions import override
 
 from cluster_est.costs.sum_squared import SumSquared
@@ -83,6 +82,8 @@ class ScipyLeastSquares(Method):
         return search_in_thread(lambda ask: self._solve(space, ask))
 
     def _solve(self, space: SearchSpace, ask: Ask) -> Solution:
+        from scipy.optimize import least_squares  # slow to import: only a search imports it
+
         cache = _LastEvaluation(space, ask)
         scheme: Scheme = self.differences
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 
 from cluster_est.methods.pattern_search.augmented_lagrangian import AugmentedLagrangian
 from workers.messages import FloatArray
@@ -53,6 +52,8 @@ class QuadraticModel:
         self, lagrangian: AugmentedLagrangian, lower: FloatArray, upper: FloatArray
     ) -> FloatArray:
         """Return the step s within bounds at which the model's augmented Lagrangian is least."""
+        from scipy.optimize import minimize  # slow to import: only a search imports it
+
         start = float(lagrangian.values(self.values[0], self.values[1:]))
         gradient = self.gradients[0] + lagrangian.shifted(self.values[1:]) @ self.gradients[1:]
         scale = float(np.abs(gradient).max() + np.abs(self.hessians[0]).max()) or 1.0

@@ -7,7 +7,6 @@ without Derivatives, Prentice-Hall 1973.
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from cluster_est.methods.base import (
     Ending,
@@ -88,6 +87,8 @@ class _LineSearch:
 
     def _between(self, ask: Ask, low: float, high: float) -> bool:
         """Search an interval; return whether the search converged."""
+        from scipy.optimize import minimize_scalar  # slow to import: only a search imports it
+
         if not self._left > 0:
             return False
         with np.errstate(all="ignore"):  # of differences of infinite costs

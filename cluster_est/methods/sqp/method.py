@@ -11,7 +11,6 @@ from typing_extensions import override
 from cluster_est.methods.base import Method, Search
 from cluster_est.methods.derivatives.differences import Differences
 from cluster_est.methods.sqp.hessian import Hessian
-from cluster_est.methods.sqp.scipy_constrained import scipy_search
 from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
 from cluster_est.problem.space import SearchSpace
 
@@ -83,4 +82,6 @@ class Sqp(Method):
         )
         if self.algorithm == "native":
             return trust_region_search(space, settings)
+        from cluster_est.methods.sqp.scipy_constrained import scipy_search  # slow to import
+
         return scipy_search(space, settings, self.algorithm)
