@@ -3,9 +3,11 @@
     python scripts/bench_coverage.py [--repetitions N] [--profiles N] [--bootstraps N] [--draws N]
 
 The data are exact mass-spring-damper responses (linear systems, solved by matrix exponentials, not
-by the project) with white noise; they are fitted through the FMU in configs/models. The share of
-intervals that hold the truth should be between 90 and 99 %. What comes out are counts: they do not
-depend on the machine.
+by the project) with noise; they are fitted through the FMU in configs/models. For intervals from
+derivatives the noise is white, or an autoregression of first order (`--noises`), in as many
+experiments as `--experiments` says; beside them stands how often they would hold the truth if the
+noise were taken for white. The share of intervals that hold the truth should be between 90 and
+99 %. What comes out are counts: they do not depend on the machine.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from scipy.signal import lsim
+from scipy.special import stdtrit
 
 from cluster_est import Experiment, Input, LeastSquares, Model, Output, Parameter, Problem, Solver
 from cluster_est.executors.local import LocalExecutor
@@ -47,8 +50,16 @@ def response(times: FloatArray, force: FloatArray, x0: float) -> FloatArray:
     return np.asarray(lsim(system, force, times, [x0, 0.0])[1]).ravel()
 
 
+def noise(generator: np.random.Generator, samples: int, correlation: float) -> FloatArray:
+    """An autoregression of first order, stationary from its first sample on."""
+    values = generator.normal(size=samples)
+    for t in range(1, samples if correlation else 0):
+        values[t] = correlation * values[t - 1] + np.sqrt(1.0 - correlation**2) * values[t]
+    return NOISE * values
+
+
 def repeated(
-    repetitions: int, experiments: int, samples: int, seed: int
+    repetitions: int, experiments: int, samples: int, seed: int, correlation: float = 0.0
 ) -> tuple[Problem, dict[str, float]]:
     """All repetitions in one problem, so that one executor serves them all; and the truth."""
     generator = np.random.default_rng(seed)
@@ -64,7 +75,7 @@ def repeated(
         for e, (force, x0) in enumerate(designs):
             name = f"r{r}e{e}"
             truth[f"x0[{name}]"] = x0
-            measured = exact[e] + NOISE * generator.normal(size=samples)
+            measured = exact[e] + noise(generator, samples, correlation)
             inputs, outputs = (Input("F", times, force),), (Output("y", times, measured),)
             runs.append(Experiment(name, 0.0, float(times[-1]), inputs, outputs))
     parameters = (
@@ -80,10 +91,10 @@ def repeated(
 
 
 def fitted(
-    repetitions: int, experiments: int, samples: int, seed: int
+    repetitions: int, experiments: int, samples: int, seed: int, correlation: float = 0.0
 ) -> tuple[Runner, list[tuple[SearchSpace, Solution]], dict[str, float]]:
     """Every repetition, fitted."""
-    problem, truth = repeated(repetitions, experiments, samples, seed)
+    problem, truth = repeated(repetitions, experiments, samples, seed, correlation)
     spaces = [
         make_space(problem, tuple(range(r * experiments, (r + 1) * experiments)))
         for r in range(repetitions)
@@ -94,16 +105,25 @@ def fitted(
     return runner, list(zip(spaces, found, strict=True)), truth
 
 
-def covariance_hits(repetitions: int, experiments: int = 4, samples: int = 60) -> Hits:
-    """Whether the intervals from derivatives hold the truth."""
-    _, found, truth = fitted(repetitions, experiments, samples, seed=1)
+def covariance_hits(
+    repetitions: int, experiments: int = 4, samples: int = 60, correlation: float = 0.0
+) -> tuple[Hits, Hits]:
+    """Whether the intervals from derivatives hold the truth, and whether those for white noise."""
+    _, found, truth = fitted(repetitions, experiments, samples, seed=1, correlation=correlation)
     hits: Hits = defaultdict(list)
+    white: Hits = defaultdict(list)
     for space, solution in found:
-        intervals = assess(space, solution).intervals
-        for unknown, interval in zip(space.unknowns, intervals, strict=True):
-            inside = interval.lower95 <= truth[unknown.label] <= interval.upper95
-            hits[unknown.parameter.name].append(inside)
-    return hits
+        assessed = assess(space, solution)
+        width = float(stdtrit(assessed.degrees, 0.975))
+        for i, interval in enumerate(assessed.intervals):
+            unknown = space.unknowns[i]
+            value = truth[unknown.label]
+            hits[unknown.parameter.name].append(interval.lower95 <= value <= interval.upper95)
+            estimate = unknown.to_physical(float(solution.x[i]))
+            distance = estimate * np.log(value / estimate) if unknown.log else value - estimate
+            inside = abs(distance) <= width * interval.error_white
+            white[unknown.parameter.name].append(bool(inside))
+    return hits, white
 
 
 def profile_hits(repetitions: int, experiments: int = 4, samples: int = 60) -> Hits:
@@ -140,14 +160,14 @@ def bootstrap_hits(
 
 def table(hits: dict[str, Hits]) -> Iterable[str]:
     """A line for each kind of interval and parameter, with the standard error of the share."""
-    yield f"{'intervals':22}{'parameter':>10}{'held':>12}{'share':>16}  90 to 99 %"
+    yield f"{'intervals':36}{'parameter':>10}{'held':>12}{'share':>16}  90 to 99 %"
     for kind, found in hits.items():
         for label, held in found.items():
             share, count = float(np.mean(held)), len(held)
             error = float(np.sqrt(max(share * (1.0 - share), 1e-9) / count))
             inside = "yes" if LEAST <= share <= MOST else "no"
             counts = f"{sum(held)} of {count}"
-            yield f"{kind:22}{label:>10}{counts:>12}{share:9.1%} +-{error:5.1%}  {inside}"
+            yield f"{kind:36}{label:>10}{counts:>12}{share:9.1%} +-{error:5.1%}  {inside}"
 
 
 def main() -> None:
@@ -156,8 +176,15 @@ def main() -> None:
     parser.add_argument("--profiles", type=int, default=200)
     parser.add_argument("--bootstraps", type=int, default=100)
     parser.add_argument("--draws", type=int, default=400)
+    parser.add_argument("--noises", type=float, nargs="*", default=[0.0, 0.5, 0.9])
+    parser.add_argument("--experiments", type=int, nargs="*", default=[4, 20])
     asked = parser.parse_args()
-    hits = {"covariance": covariance_hits(asked.repetitions)}
+    hits: dict[str, Hits] = {}
+    for correlation in asked.noises:
+        for count in asked.experiments:
+            name = f"noise {correlation:g}, {count} experiments"
+            own, white = covariance_hits(asked.repetitions, count, correlation=correlation)
+            hits |= {name: own, f"{name}, as if white": white}
     hits["profile"] = profile_hits(asked.profiles)
     hits |= bootstrap_hits(asked.bootstraps, asked.draws)
     for line in table(hits):

@@ -39,25 +39,24 @@ def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
     reason = "" if diagnostics.converged else "the search did not converge, or "
     missing = [o for o in found if o.structure is ResidualStructure.MISSING]
     related = [o for o in found if o.structure is ResidualStructure.AUTOCORRELATED]
-    sized = [o for o in related if o.declared and not o.sigma]
-    others = [o for o in related if not o.declared or o.sigma]
+    sized = [o for o in related if not o.too_narrow]
+    others = [o for o in related if o.too_narrow]
     sentences = []
     if missing:
         sentences.append(
             f"{_each(missing, _over_sigma)}: these intervals are too narrow, {reason}something is "
-            f"missing from the model; {ADVICE}"
+            f"missing from the model, which they do not allow for; {ADVICE}"
         )
     if sized:
         sentences.append(
-            f"{_each(sized, _no_larger)}: {reason}the sensor's noise is coloured or something "
-            "small is missing; intervals are too narrow by about a factor of "
-            f"{_widest(sized)}; {ADVICE}"
+            f"{_each(sized, _no_larger)}: {reason}the sensor's noise is coloured, which the "
+            f"intervals allow for, or something small is missing, which they do not; {ADVICE}"
         )
     if others:
         sentences.append(
-            f"{_each(others, _over_noise)}: these intervals are too narrow, {reason}something is "
-            "missing from the model or the sensor's noise is coloured (which alone makes them too "
-            f"narrow by about a factor of {_widest(others)}); {ADVICE}"
+            f"{_each(others, _over_noise)}: {reason}something is missing from the model, and these "
+            "intervals are too narrow, or the sensor's noise is coloured, which they allow for; "
+            f"{ADVICE}"
         )
     return (*sentences, *(_of_sigma(output) for output in found if output.sigma))
 
@@ -91,10 +90,6 @@ def _related(output: OutputDiagnostics) -> str:
     if output.lag1 >= VISIBLE:
         return f"autocorrelated at lag 1 with {output.lag1:.2g}"
     return f"autocorrelated over about {output.length:.0f} samples (lag 1: {output.lag1:.2g})"
-
-
-def _widest(outputs: Iterable[OutputDiagnostics]) -> str:
-    return f"{max(output.widening for output in outputs):.2g}"
 
 
 def _of_sigma(output: OutputDiagnostics) -> str:

@@ -25,6 +25,9 @@ class Estimate:
         Physical values.
     std_error, lower95, upper95
         NaN where the data do not determine the value, or hold it at a bound.
+    error_white, error_autoregression, error_experiments
+        The standard error for white noise, for noise that is an autoregression, and from the
+        scatter of the experiments; NaN where there is none. `std_error` is one of them.
     at_bound
         "lower", "upper" or "".
     difference_step
@@ -48,6 +51,9 @@ class Estimate:
     std_error: float
     lower95: float
     upper95: float
+    error_white: float
+    error_autoregression: float
+    error_experiments: float
     difference_step: float
     estimated_on: str
 

@@ -71,6 +71,9 @@ def _estimate(
         std_error=interval.std_error,
         lower95=interval.lower95,
         upper95=interval.upper95,
+        error_white=interval.error_white,
+        error_autoregression=interval.error_autoregression,
+        error_experiments=interval.error_experiments,
         difference_step=float(difference_step),
         estimated_on=role,
     )
@@ -117,6 +120,9 @@ def _known(parameter: Parameter, units: dict[str, str], value: float, how: str) 
         std_error=np.nan,
         lower95=np.nan,
         upper95=np.nan,
+        error_white=np.nan,
+        error_autoregression=np.nan,
+        error_experiments=np.nan,
         difference_step=np.nan,
         estimated_on=how,
     )

@@ -73,6 +73,19 @@ PARAMETERS = TableMeaning(
         ),
         ColumnDescription("lower95", NUMBER, OWN, "lower end of the 95 % interval, to first order"),
         ColumnDescription("upper95", NUMBER, OWN, "its upper end"),
+        ColumnDescription("error_white", NUMBER, OWN, "standard error if the noise is white"),
+        ColumnDescription(
+            "error_autoregression",
+            NUMBER,
+            OWN,
+            "standard error if it is correlated in time; NaN where the residuals are not",
+        ),
+        ColumnDescription(
+            "error_experiments",
+            NUMBER,
+            OWN,
+            "standard error from the scatter of the experiments; NaN where they are too few",
+        ),
         ColumnDescription(
             "difference_step", NUMBER, "", "last finite difference, in search coordinates"
         ),

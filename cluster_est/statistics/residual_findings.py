@@ -68,6 +68,13 @@ class OutputDiagnostics:
     sigma: SigmaDoubt
 
     @property
+    def too_narrow(self) -> bool:
+        """True unless coloured noise of a declared size explains it: intervals allow for that."""
+        if self.structure is ResidualStructure.AUTOCORRELATED:
+            return not self.declared or bool(self.sigma)
+        return self.structure is ResidualStructure.MISSING
+
+    @property
     def rms_over_noise(self) -> float:
         return self.rms_over_sigma / self.noise_over_sigma if self.noise_over_sigma else np.nan
 
@@ -100,8 +107,8 @@ class ResidualDiagnostics:
 
     @property
     def too_narrow(self) -> bool:
-        """True where the intervals promise more than the residuals allow."""
-        return any(map(_structured, self.findings))
+        """True where the model lacks something, or may: intervals do not allow for that."""
+        return any(output.too_narrow for output in self.findings)
 
 
 def _structured(output: OutputDiagnostics) -> bool:

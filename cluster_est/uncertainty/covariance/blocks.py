@@ -10,7 +10,7 @@ Bjorck, Numerical Methods for Least Squares Problems (1996), doi:10.1137/1.97816
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -139,6 +139,14 @@ class BlockCovariance:
     cross: tuple[FloatArray, ...]
     local: tuple[FloatArray, ...]
 
+    def times(self, factor: float) -> BlockCovariance:
+        """Return this covariance times a number."""
+        return BlockCovariance(
+            factor * self.shared,
+            tuple(factor * each for each in self.cross),
+            tuple(factor * each for each in self.local),
+        )
+
 
 def factorise(blocks: Sequence[JacobianBlock], limits: ErrorLimits, weak: float) -> BlockFactors:
     """Eliminate the local unknowns of each block and join the rest.
@@ -181,18 +189,18 @@ def factorise(blocks: Sequence[JacobianBlock], limits: ErrorLimits, weak: float)
 
 
 def block_covariance(
-    factors: BlockFactors, spread: Sequence[FloatArray] | None = None
+    factors: BlockFactors, noise: Sequence[Callable[[FloatArray], FloatArray]] | None = None
 ) -> BlockCovariance:
-    """Return (J'J)^-1 J'DJ (J'J)^-1 from the factors of J; (J'J)^-1 without D.
+    """Return (J'J)^-1 J'SJ (J'J)^-1 from the factors of J; (J'J)^-1 without S.
 
     Parameters
     ----------
     factors
         Of J.
-    spread
-        The diagonal of D, in the rows of each block.
+    noise
+        For each block, the product of S and some columns; S connects no two blocks.
     """
-    if spread is None:
+    if noise is None:
         shared = factors.inverse
         cross = tuple(-part.response @ shared for part in factors.parts)
         own = [part.inverse @ part.inverse.T for part in factors.parts]
@@ -200,18 +208,19 @@ def block_covariance(
         return BlockCovariance(shared, cross, tuple(local))
     influence = [factors.inverse @ part.rest.T for part in factors.parts]
     shared = np.zeros_like(factors.inverse)
-    for each, d in zip(influence, spread, strict=True):
-        shared += (each * d) @ each.T
+    products = [
+        (times(each.T), times(part.inverse.T))
+        for part, each, times in zip(factors.parts, influence, noise, strict=True)
+    ]
+    for each, (influenced, _) in zip(influence, products, strict=True):
+        shared += each @ influenced
     crossed, locals_ = [], []
-    for part, each, d in zip(factors.parts, influence, spread, strict=True):
-        mixed = (part.inverse * d) @ each.T
+    for part, (influenced, inside) in zip(factors.parts, products, strict=True):
+        mixed = part.inverse @ influenced
         between = mixed @ part.response.T
         crossed.append(mixed - part.response @ shared)
         locals_.append(
-            (part.inverse * d) @ part.inverse.T
-            - between
-            - between.T
-            + part.response @ shared @ part.response.T
+            part.inverse @ inside - between - between.T + part.response @ shared @ part.response.T
         )
     return BlockCovariance(shared, tuple(crossed), tuple(locals_))
 

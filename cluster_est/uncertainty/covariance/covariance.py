@@ -4,9 +4,10 @@ With residuals r of n numbers that determine k directions, the covariance is s^2
 s^2 = r'r / (n - k), and the intervals are those of Student's t: G. A. F. Seber, C. J. Wild,
 Nonlinear Regression (1989), doi:10.1002/0471725315, section 2.1. For other costs see `weighting`.
 
-It is right where the residuals are independent and the model is nearly linear over the interval.
-Residuals that are not white make the intervals too narrow: then bootstrap over experiments. Where
-the model bends, or an interval reaches a bound, take profiles.
+That is right where the residuals are independent. Where they are not, the covariance is that of an
+autoregression for each output, or of the scatter of the experiments (see `noise_covariance`). All
+of it takes the model for nearly linear over the interval: where it bends, or an interval reaches a
+bound, take profiles. Nothing here allows for a model that lacks something.
 
 A bound that an unknown is at removes a direction, and so does an active constraint on parameters,
 whose gradient is projected out. Active constraints on signals are ignored.
@@ -14,6 +15,7 @@ whose gradient is projected out. Active constraints on signals are ignored.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import chain
 
 import numpy as np
@@ -22,6 +24,7 @@ from scipy.special import stdtrit
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods.base import Solution
 from cluster_est.problem.space import SearchSpace
+from cluster_est.uncertainty.covariance.blocks import BlockCovariance
 from cluster_est.uncertainty.covariance.jacobian import has_jacobian
 from cluster_est.uncertainty.covariance.layout import (
     HELD,
@@ -30,6 +33,7 @@ from cluster_est.uncertainty.covariance.layout import (
     active_bounds,
     unknown_layout,
 )
+from cluster_est.uncertainty.covariance.noise_covariance import NoiseBasis, most_honest
 from cluster_est.uncertainty.covariance.result import (
     ConfidenceInterval,
     DerivedInterval,
@@ -90,61 +94,79 @@ def _nothing(space: SearchSpace, solution: Solution) -> Uncertainty:
 
 
 def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncertainty:
-    layout, variance = system.layout, system.scatter.variance
-    degrees = system.scatter.degrees
-    width = float(stdtrit(degrees, 0.975)) if degrees > 0 else np.nan
-    variances = np.sqrt(_diagonal(space, system))  # per root of the variance, still scaled
-    errors = np.sqrt(variance) * variances / system.scale
+    layout, chosen = system.layout, most_honest(system.covariances)
+    width = float(stdtrit(chosen.degrees, 0.975)) if chosen.degrees > 0 else np.nan
+    scaled = np.sqrt(_diagonal(space, system, chosen.blocks))
+    errors = {
+        each.basis: np.sqrt(_diagonal(space, system, each.blocks)) / system.scale
+        for each in system.covariances
+    }
     shared, local = layout.shared, np.array([*chain(*layout.local)], dtype=np.intp)
-    within = system.coordinates @ system.covariance.shared @ system.coordinates.T
-    crossed = [part @ system.coordinates.T for part in system.covariance.cross]
+    within = system.coordinates @ chosen.blocks.shared @ system.coordinates.T
+    crossed = [part @ system.coordinates.T for part in chosen.blocks.cross]
     across = np.vstack([np.zeros((0, len(shared))), *crossed])
     with np.errstate(invalid="ignore", divide="ignore"):
-        correlations = within / np.outer(variances[shared], variances[shared])
-        mixed = across / np.outer(variances[local], variances[shared])
+        correlations = within / np.outer(scaled[shared], scaled[shared])
+        mixed = across / np.outer(scaled[local], scaled[shared])
     return Uncertainty(
         intervals=tuple(
-            _interval(space, x, i, errors[i], width, layout.active_bounds[i])
-            for i in range(space.size)
+            _interval(space, x, i, errors, basis=chosen.basis, width=width, at_bound=at_bound)
+            for i, at_bound in enumerate(layout.active_bounds)
         ),
-        derived=_derived(space, x, system, width),
+        derived=_derived(space, x, system, chosen.blocks, width),
         shared=tuple(space.unknowns[i].label for i in shared),
         local=tuple(space.unknowns[i].label for i in local),
         correlations=correlations,
         local_correlations=mixed,
         directions=directions(space, x, system),
-        variance=variance,
-        degrees=degrees,
-        notes=_notes(layout, system),
+        variance=system.scatter.variance,
+        degrees=system.scatter.degrees,
+        notes=(*_notes(layout, system), *_noise_notes(layout, system, errors, chosen.basis)),
+        basis=chosen.basis,
+        basis_degrees=chosen.degrees,
     )
 
 
-def _diagonal(space: SearchSpace, system: ScaledJacobian) -> FloatArray:
+def _diagonal(
+    space: SearchSpace, system: ScaledJacobian, covariance: BlockCovariance
+) -> FloatArray:
     """Return the diagonal (unknowns,); NaN where held or part of an undetermined direction."""
     result = np.full(space.size, np.nan)
     shared, coordinates = system.layout.shared, system.coordinates
-    inside = ((coordinates @ system.covariance.shared) * coordinates).sum(axis=1)
+    inside = ((coordinates @ covariance.shared) * coordinates).sum(axis=1)
     free = np.linalg.norm(coordinates, axis=1) > HELD
     result[shared] = np.where(free, inside, np.nan)
-    for local, part in zip(system.layout.local, system.covariance.local, strict=True):
+    for local, part in zip(system.layout.local, covariance.local, strict=True):
         result[local] = np.diag(part)
     affected = (np.abs(system.undetermined) > system.tolerance).any(axis=0)
     return np.where(affected | (result < 0.0), np.nan, result)
 
 
 def _interval(
-    space: SearchSpace, x: FloatArray, i: int, error: float, width: float, at_bound: ActiveBound
+    space: SearchSpace,
+    x: FloatArray,
+    i: int,
+    errors: Mapping[NoiseBasis, FloatArray],
+    *,
+    basis: NoiseBasis,
+    width: float,
+    at_bound: ActiveBound,
 ) -> ConfidenceInterval:
-    unknown = space.unknowns[i]
+    unknown, error = space.unknowns[i], float(errors[basis][i])
     finite = bool(np.isfinite(error)) and np.isfinite(width)
     low = unknown.to_physical(float(x[i] - width * error)) if finite else np.nan
     high = unknown.to_physical(float(x[i] + width * error)) if finite else np.nan
-    physical = error * unknown.to_physical(float(x[i])) if unknown.log else error
-    return ConfidenceInterval(float(physical), low, high, at_bound)
+    unit = unknown.to_physical(float(x[i])) if unknown.log else 1.0
+    physical = [unit * float(errors[b][i]) if b in errors else np.nan for b in NoiseBasis]
+    return ConfidenceInterval(unit * error, low, high, at_bound, *physical)
 
 
 def _derived(
-    space: SearchSpace, x: FloatArray, system: ScaledJacobian, width: float
+    space: SearchSpace,
+    x: FloatArray,
+    system: ScaledJacobian,
+    covariance: BlockCovariance,
+    width: float,
 ) -> tuple[DerivedInterval, ...]:
     """Return intervals by the delta method, without pairs of experiments' local unknowns."""
     values = space.derived(x)
@@ -163,24 +185,26 @@ def _derived(
             gradients[label][i] = change / (x_plus[i] - x_minus[i])
     found = []
     for label, value in values.items():
-        error = _delta_method_error(system, gradients[label] / system.scale)
+        error = _delta_method_error(system, covariance, gradients[label] / system.scale)
         half = width * error
         found.append(DerivedInterval(label, value, error, value - half, value + half))
     return tuple(found)
 
 
-def _delta_method_error(system: ScaledJacobian, gradient: FloatArray) -> float:
+def _delta_method_error(
+    system: ScaledJacobian, covariance: BlockCovariance, gradient: FloatArray
+) -> float:
     """Return the standard error of a function with this gradient by scaled unknowns."""
     lengths = np.linalg.norm(system.undetermined, axis=1) * np.linalg.norm(gradient)
     if (np.abs(system.undetermined @ gradient) > system.tolerance * lengths).any():
         return np.nan
     own = system.coordinates.T @ gradient[system.layout.shared]
-    total = float(own @ system.covariance.shared @ own)
-    parts = zip(system.layout.local, system.covariance.cross, system.covariance.local, strict=True)
+    total = float(own @ covariance.shared @ own)
+    parts = zip(system.layout.local, covariance.cross, covariance.local, strict=True)
     for local, cross, block in parts:
         part = gradient[local]
         total += 2.0 * float(part @ cross @ own) + float(part @ block @ part)
-    return float(np.sqrt(system.scatter.variance * max(total, 0.0)))
+    return float(np.sqrt(max(total, 0.0))) if not np.isnan(total) else np.nan
 
 
 def _notes(layout: UnknownLayout, system: ScaledJacobian) -> tuple[str, ...]:
@@ -202,3 +226,31 @@ def _notes(layout: UnknownLayout, system: ScaledJacobian) -> tuple[str, ...]:
             f"the intervals ignore active constraints on signals ({names}); profiles keep them"
         )
     return tuple(notes)
+
+
+def _noise_notes(
+    layout: UnknownLayout,
+    system: ScaledJacobian,
+    errors: Mapping[NoiseBasis, FloatArray],
+    basis: NoiseBasis,
+) -> tuple[str, ...]:
+    """Say what the intervals allow for, and by how much, where the noise is not white."""
+    if basis is NoiseBasis.WHITE:
+        return ()
+    chosen = layout.shared if basis is NoiseBasis.EXPERIMENTS else slice(None)
+    ratios = errors[basis][chosen] / errors[NoiseBasis.WHITE][chosen]
+    known = ratios[np.isfinite(ratios)]
+    if not len(known):
+        return ()
+    least, most = (f"{value:.2g}" for value in (known.min(), known.max()))
+    times = most if least == most else f"{least} to {most}"
+    if basis is NoiseBasis.AUTOREGRESSION:
+        return (
+            "the residuals are autocorrelated, and the intervals allow for noise that is: standard "
+            f"errors are {times} times what they would be for white noise",
+        )
+    return (
+        f"the {len(system.factors.parts)} experiments differ by more than their noise explains, "
+        "and the intervals are made of that scatter: standard errors are "
+        f"{times} times what they would be for white noise",
+    )

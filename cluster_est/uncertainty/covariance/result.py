@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from cluster_est.uncertainty.covariance.directions import UndeterminedDirection
+from cluster_est.uncertainty.covariance.noise_covariance import NoiseBasis
 from workers.messages import FloatArray
 
 
@@ -12,13 +15,24 @@ from workers.messages import FloatArray
 class ConfidenceInterval:
     """Of one unknown, in physical units; NaN where it is held or the data do not determine it.
 
-    `at_bound` is "lower" or "upper" where a bound holds it.
+    Attributes
+    ----------
+    std_error, lower95, upper95
+        By what `Uncertainty.basis` says of the noise.
+    at_bound
+        "lower" or "upper" where a bound holds it.
+    error_white, error_autoregression, error_experiments
+        The standard error if the noise is white, if it is an autoregression, and from the scatter
+        of the experiments; NaN for what was not taken into account.
     """
 
     std_error: float
     lower95: float
     upper95: float
     at_bound: str
+    error_white: float = np.nan
+    error_autoregression: float = np.nan
+    error_experiments: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -52,6 +66,8 @@ class Uncertainty:
         That the data do not determine, or hardly.
     variance, degrees
         s^2 in units of the cost's own weights, and n - k; NaN where there is no covariance.
+    basis, basis_degrees
+        What the standard errors and intervals take for the noise, and their degrees of freedom.
     notes
         Sentences on omissions, and their reasons.
     """
@@ -66,6 +82,8 @@ class Uncertainty:
     variance: float
     degrees: int
     notes: tuple[str, ...]
+    basis: NoiseBasis = NoiseBasis.WHITE
+    basis_degrees: float = np.nan
 
     @property
     def sentences(self) -> tuple[str, ...]:

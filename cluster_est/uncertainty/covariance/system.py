@@ -12,11 +12,9 @@ from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.problem.space import SearchSpace
 from cluster_est.uncertainty.covariance import accuracy
 from cluster_est.uncertainty.covariance.blocks import (
-    BlockCovariance,
     BlockFactors,
     ErrorLimits,
     UndeterminedCombination,
-    block_covariance,
     factorise,
 )
 from cluster_est.uncertainty.covariance.directions import (
@@ -26,6 +24,12 @@ from cluster_est.uncertainty.covariance.directions import (
 )
 from cluster_est.uncertainty.covariance.jacobian import jacobian_blocks
 from cluster_est.uncertainty.covariance.layout import UnknownLayout, blocks, null_space
+from cluster_est.uncertainty.covariance.noise_covariance import (
+    EstimateCovariance,
+    WeightedResiduals,
+    coloured_covariances,
+    white_covariance,
+)
 from cluster_est.uncertainty.covariance.weighting import (
     ResidualScatter,
     RowWeighting,
@@ -51,8 +55,10 @@ class ScaledJacobian:
         Norms of the weighted columns; 1 for those that are 0.
     coordinates : (shared, coordinates)
         A basis of the shared unknowns' changes that satisfy the active constraints.
-    factors, covariance
-        The eliminated blocks, and their covariance, `scatter.variance` left out.
+    factors
+        The eliminated blocks.
+    covariances
+        Of the estimates, by what is taken for the noise; that of white noise first.
     combinations
         Directions that the data do not determine, or hardly, without regard to bounds: a search
         goes along such a direction until it meets a bound, which determines nothing either.
@@ -68,7 +74,7 @@ class ScaledJacobian:
     scale: FloatArray
     coordinates: FloatArray
     factors: BlockFactors
-    covariance: BlockCovariance
+    covariances: tuple[EstimateCovariance, ...]
     scatter: ResidualScatter
     combinations: tuple[UndeterminedCombination, ...]
     undetermined: FloatArray
@@ -109,6 +115,8 @@ def factorised_jacobian(
         combinations = _factorise(matrix, unbounded, basis, limits, weak).combinations
     scatter = weighting.scatter(factors.rank)
     spread = None if scatter.spread is None else [scatter.spread[row] for row in rows]
+    white = white_covariance(factors, spread, scatter.variance, scatter.degrees)
+    residuals = _weighted_residuals(space, weighting, rows)
     chosen = [c for c in combinations if c.undetermined]
     tolerance = max([NEGLIGIBLE, *(c.limit for c in chosen)])
     return ScaledJacobian(
@@ -118,7 +126,7 @@ def factorised_jacobian(
         scale=scale,
         coordinates=coordinates,
         factors=factors,
-        covariance=block_covariance(factors, spread),
+        covariances=(white, *coloured_covariances(white, factors, residuals)),
         scatter=scatter,
         combinations=combinations,
         undetermined=sparse_basis(vectors(space, unbounded, chosen), tolerance),
@@ -201,6 +209,15 @@ def _weighting(
     # a sum of squares needs no more than its value
     squares = np.full(count, solution.cost / max(count, 1))
     return RowWeighting(np.ones(count), squares=squares), list(space.rows)
+
+
+def _weighted_residuals(
+    space: SearchSpace, weighting: RowWeighting, rows: Sequence[slice]
+) -> WeightedResiduals:
+    """Return the residuals as the Jacobian is weighted, none where they are not known."""
+    values = np.zeros(0) if weighting.residuals is None else weighting.residuals
+    outputs = space.outputs if len(space.outputs) == len(values) else np.zeros(len(values), int)
+    return WeightedResiduals(values, outputs, tuple(rows))
 
 
 def _limits(

@@ -67,6 +67,8 @@ class RowWeighting:
         The reason why there is no covariance; "" if there is one.
     squares, psi_derivatives, groups : (residuals,)
         w r^2; of a robust cost psi^2, psi' and the output of each residual.
+    residuals : (residuals,)
+        sqrt(w) r, or psi over `factor`: what J'J and the rows of J make the estimates' errors of.
     """
 
     factor: FloatArray
@@ -75,6 +77,7 @@ class RowWeighting:
     squares: FloatArray | None = None
     psi_derivatives: FloatArray | None = None
     groups: IntArray | None = None
+    residuals: FloatArray | None = None
 
     def scatter(self, rank: int) -> ResidualScatter:
         """Return the scatter of the residuals after `rank` directions were fitted."""
@@ -117,7 +120,8 @@ def row_weighting(
         return RowWeighting(np.ones(count), problem=f"the cost {cost.name!r} has no weights")
     groups = outputs if len(outputs) == count else np.zeros(count, np.int64)
     if _constant_in_groups(weights, groups, rows):
-        return RowWeighting(np.sqrt(weights), squares=weights * residuals**2)
+        factor = np.sqrt(weights)
+        return RowWeighting(factor, squares=weights * residuals**2, residuals=factor * residuals)
     psi_derivatives = _psi_derivatives(cost, residuals, outputs)
     means = np.empty(count)
     for group in np.unique(groups):
@@ -126,7 +130,8 @@ def row_weighting(
         reason = "most residuals are outliers to the cost, whose scale is too small"
         return RowWeighting(np.ones(count), True, problem=reason)
     psi = weights * residuals
-    return RowWeighting(np.sqrt(means), True, "", psi**2, psi_derivatives, groups)
+    factor = np.sqrt(means)
+    return RowWeighting(factor, True, "", psi**2, psi_derivatives, groups, psi / factor)
 
 
 def _constant_in_groups(weights: FloatArray, groups: IntArray, rows: Sequence[slice]) -> bool:

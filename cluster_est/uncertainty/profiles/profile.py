@@ -5,8 +5,10 @@ further from the optimum. The interval ends where the cost has risen by s^2 F(1,
 a linear model is exactly the interval of Student's t: D. M. Bates, D. G. Watts, Nonlinear
 Regression Analysis and Its Applications (1988), doi:10.1002/9780470316757, section 6.1. For a
 likelihood s^2 is near 1, and the rise is the likelihood ratio's 3.84 with a correction for few
-residuals. A profile that stays flat shows what the data do not determine: A. Raue et al.,
-Bioinformatics 25 (2009) 1923-1929, doi:10.1093/bioinformatics/btp358.
+residuals. Where the noise is not white, the rise is as much larger as the square of the unknown's
+standard error is (A. Rotnitzky, N. P. Jewell, Biometrika 77 (1990) 485-497,
+doi:10.1093/biomet/77.3.485). A profile that stays flat shows what the data do not determine: A.
+Raue et al., Bioinformatics 25 (2009) 1923-1929, doi:10.1093/bioinformatics/btp358.
 
 Take it where an interval is wide, one-sided or reaches a bound, or where constraints on signals
 are active: refits keep all of them. It costs some ten fits for each side of each unknown.
@@ -73,14 +75,14 @@ def profiles(
         return ()
     solution = linearise(runner, space, solution)
     linear = assess(space, solution)
-    rise = _rise(linear, settings)
-    if not rise > 0.0:
+    rises = {i: _rise(linear, i, settings) for i in chosen}
+    if not all(rise > 0.0 for rise in rises.values()):
         return tuple(_undetermined(space, solution, i, settings) for i in chosen)
     start_space, steps = with_start(space, solution.x), (settings.steps, settings.max_steps)
     continuations = []
     for i in chosen:
         first = _first_step(space, solution, linear, i, settings.steps)
-        targets = [ProfileTarget(i, side, solution.cost, rise, *steps) for side in (-1, 1)]
+        targets = [ProfileTarget(i, side, solution.cost, rises[i], *steps) for side in (-1, 1)]
         continuations += [ProfileContinuation(method, target, first) for target in targets]
     requests = [
         SearchRequest(_search_name(space, each), each, start_space) for each in continuations
@@ -144,12 +146,20 @@ def check_profiles(space: SearchSpace, settings: UncertaintySettings) -> None:
         )
 
 
-def _rise(linear: Uncertainty, settings: UncertaintySettings) -> float:
+def _rise(linear: Uncertainty, i: int, settings: UncertaintySettings) -> float:
+    """Return by how much the cost rises to the ends of an unknown's interval.
+
+    Where the noise is not white, by as much more as the square of its standard error is larger.
+    """
     if settings.rise > 0.0:
         return settings.rise
-    if linear.degrees > 0 and linear.variance > 0.0:
+    if not (linear.degrees > 0 and linear.variance > 0.0):
+        return np.nan
+    interval = linear.intervals[i]
+    larger = (interval.std_error / interval.error_white) ** 2
+    if not np.isfinite(larger):
         return linear.variance * float(fdtri(1, linear.degrees, settings.confidence))
-    return np.nan
+    return linear.variance * larger * float(fdtri(1, linear.basis_degrees, settings.confidence))
 
 
 def _undetermined(

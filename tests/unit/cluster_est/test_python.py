@@ -66,7 +66,9 @@ class TestResult:
         written = {path.stem for path in out.glob("*.parquet")} - {"searches", "workers"}
         assert set(found.tables) == written
         for name in found.tables:
-            assert found.table(name).equals(pq.read_table(out / f"{name}.parquet")), name
+            mine, theirs = found.table(name), pq.read_table(out / f"{name}.parquet")
+            assert mine.schema == theirs.schema, name
+            assert repr(mine.to_pylist()) == repr(theirs.to_pylist()), name  # NaN equals NaN
 
     def test_residuals_and_parameters_are_arrow_tables(self, truth, result):
         assert isinstance(result.parameters, pa.Table)

@@ -31,11 +31,16 @@ def by_command(tmp_path_factory):
     return out
 
 
+def same(one: pa.Table, other: pa.Table) -> bool:
+    """Whether tables are equal, NaN being equal to NaN."""
+    return one.schema == other.schema and repr(one.to_pylist()) == repr(other.to_pylist())
+
+
 def test_tables_are_named_and_made(result):
     tables = {name: result.table(name) for name in result.tables}
     assert {"parameters", "errors", "residuals", "trajectories"} <= tables.keys()
     assert all(isinstance(table, pa.Table) for table in tables.values())
-    assert tables["parameters"].equals(result.parameters)
+    assert same(tables["parameters"], result.parameters)
 
 
 def test_a_saved_run_is_that_of_the_command(by_command, tmp_path):
@@ -43,7 +48,7 @@ def test_a_saved_run_is_that_of_the_command(by_command, tmp_path):
     saved = found.save(tmp_path / "run")
     for name in found.tables:
         mine, theirs = (pq.read_table(at / f"{name}.parquet") for at in (saved, by_command))
-        assert mine.equals(theirs), name
+        assert same(mine, theirs), name
     mine, theirs = (json.loads((at / "run.json").read_text()) for at in (saved, by_command))
     assert mine.keys() == theirs.keys()
     for name in mine.keys() - {"started", "seconds", "config_hash", "config_folder"}:

@@ -50,8 +50,7 @@ RELATED = replace(FINE, lag1=0.8, widening=3.0, structure=ResidualStructure.AUTO
             RELATED,
             (
                 "autocorrelated at lag 1 with 0.8 though hardly larger than sigma (1 x)",
-                "noise is coloured or something small is missing",
-                "too narrow by about a factor of 3",
+                "noise is coloured, which the intervals allow for, or something small is missing",
             ),
             "from the model",
         ),

@@ -53,7 +53,7 @@ def diagnose(residuals, records=RECORDS, *, declared=True, exact=False) -> Resid
 def test_what_follows_from_structure_and_size(residuals, structure, doubt):
     found = diagnose(residuals)
     assert [(o.structure, o.sigma) for o in found.outputs] == [(structure, doubt)]
-    assert found.too_narrow == (structure is not WHITE)
+    assert found.too_narrow == (structure is MISSING or (structure is RELATED and bool(doubt)))
     assert bool(found.findings) == (structure is not WHITE or bool(doubt))
 
 

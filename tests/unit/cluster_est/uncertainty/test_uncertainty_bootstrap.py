@@ -63,12 +63,14 @@ class TestIntervals:
         assert found.value == pytest.approx(np.mean(means))
         assert (found.used, found.label) == (80, "level")
 
-    def test_it_sees_what_the_covariance_does_not(self):
+    def test_it_sees_what_white_noise_does_not(self):
         """Experiments differ by far more than the residuals of a white noise would."""
         _, space, solution = levels().solve()
         (narrow,) = assess(space, solution).intervals
         (wide,) = run(levels()).intervals
-        assert wide.std_error > 2.0 * narrow.std_error
+        assert wide.std_error > 2.0 * narrow.error_white
+        assert narrow.std_error == narrow.error_experiments
+        assert wide.std_error == pytest.approx(narrow.std_error, rel=0.2)
 
     def test_kinds_of_interval(self):
         result = run(levels())

@@ -63,7 +63,8 @@ def test_sandwich_is_that_of_the_dense_jacobian(seed):
     blocks = random_blocks(seed)
     generator = np.random.default_rng(seed + 100)
     spread = [generator.uniform(0.1, 3.0, len(block.shared)) for block in blocks]
-    found = block_covariance(factorise(blocks, limits(blocks), 1e-9), spread)
+    noise = [lambda columns, d=d: d[:, None] * columns for d in spread]
+    found = block_covariance(factorise(blocks, limits(blocks), 1e-9), noise)
     matrix = dense(blocks)
     bread = np.linalg.inv(matrix.T @ matrix)
     filling = matrix.T @ (np.concatenate(spread)[:, None] * matrix)

@@ -26,6 +26,7 @@ def estimate(name: str, value: float, unit: str = "", error: float = 0.01, on: s
     known = {
         "parameter": f"e.{name}", "value": value, "unit": unit, "estimated_on": on,
         "lower95": value - 2.0 * error, "upper95": value + 2.0 * error, "std_error": error,
+        "error_white": error, "error_autoregression": error, "error_experiments": error,
     }  # fmt: skip
     return Estimate(**(fields | known))
 
