@@ -185,8 +185,10 @@ def main() -> None:
             name = f"noise {correlation:g}, {count} experiments"
             own, white = covariance_hits(asked.repetitions, count, correlation=correlation)
             hits |= {name: own, f"{name}, as if white": white}
-    hits["profile"] = profile_hits(asked.profiles)
-    hits |= bootstrap_hits(asked.bootstraps, asked.draws)
+    if asked.profiles:
+        hits["profile"] = profile_hits(asked.profiles)
+    if asked.bootstraps:
+        hits |= bootstrap_hits(asked.bootstraps, asked.draws)
     for line in table(hits):
         print(line)
 

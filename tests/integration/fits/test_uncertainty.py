@@ -168,7 +168,7 @@ class TestCoverage:
     experiments, 217 to 237 do with one of 0.998; intervals half as wide again hold 239."""
 
     def test_of_intervals_from_derivatives(self):
-        hits = bench_coverage.covariance_hits(60)
+        hits, _ = bench_coverage.covariance_hits(60)
         assert sum(hits["x0"]) <= 237
         assert sum(hits["x0"]) >= 217
         binomial(hits, 50 / 60, 1.0)
