@@ -28,7 +28,7 @@ NEGLIGIBLE = 1e-6
 """Autocovariances below this, over the variance, are 0 from there on."""
 REFLECTION = 0.999
 """Largest partial autocorrelation: beyond it a noise has no variance that could be told."""
-MOST_PRODUCTS = 2e7
+MOST_PRODUCTS = 2e6
 """Rows times fitted directions, above which what the fit took is not corrected for: so many rows
 lose too little for it to matter."""
 
@@ -235,13 +235,9 @@ def _lost_products(
 
 def _correlated(one: FloatArray, other: FloatArray, lags: int) -> FloatArray:
     """Return the sums over rows and columns of one_t other_{t+h}, h = 0 ... lags - 1."""
-    length = len(one)
-    return np.array(
-        [
-            float((one[: max(length - lag, 0)] * other[lag:]).sum()) if lag < length else 0.0
-            for lag in range(lags)
-        ]
-    )
+    size = next_fast_len(len(one) + lags, real=True)
+    spectra = rfft(one, size, axis=0).conj() * rfft(other, size, axis=0)
+    return np.asarray(irfft(spectra.sum(axis=1), size)[:lags])
 
 
 def _close(one: OutputNoise, other: OutputNoise) -> bool:
