@@ -56,7 +56,7 @@ class NoiseRecord:
 
 
 @dataclass(frozen=True)
-class OutputNoise:
+class AutoregressiveNoise:
     """The noise of one output as an autoregression.
 
     Attributes
@@ -85,7 +85,7 @@ class OutputNoise:
         return np.asarray(irfft(spectrum, size, axis=0)[:length])
 
 
-def fit_noise(records: Sequence[NoiseRecord], shared: int) -> dict[int, OutputNoise]:
+def fit_noise(records: Sequence[NoiseRecord], shared: int) -> dict[int, AutoregressiveNoise]:
     """Fit an autoregression to the noise of each output.
 
     A fit follows the slow part of coloured noise, so that its residuals are less correlated than
@@ -142,7 +142,7 @@ class _Products:
     def lags(self) -> int:
         return len(self.sums)
 
-    def noise(self, lost: FloatArray | float) -> OutputNoise:
+    def noise(self, lost: FloatArray | float) -> AutoregressiveNoise:
         """Return the autoregression of the best order, `lost` being what the fit took of c_h."""
         covariances = (self.sums + lost) / self.counts
         count = self.counts[0]
@@ -154,7 +154,7 @@ class _Products:
                 best, least = (coefficients, variance), criterion
         coefficients, variance = best
         error = _spectrum_error(coefficients, variance, covariances, count)
-        return OutputNoise(coefficients, _extended(coefficients, covariances), error)
+        return AutoregressiveNoise(coefficients, _extended(coefficients, covariances), error)
 
 
 def _predictors(covariances: FloatArray) -> list[tuple[FloatArray, float]]:
@@ -207,7 +207,7 @@ def _spectrum_error(
 
 def _lost_products(
     records: Sequence[NoiseRecord],
-    noise: dict[int, OutputNoise],
+    noise: dict[int, AutoregressiveNoise],
     shared: int,
     lags: dict[int, int],
 ) -> dict[int, FloatArray]:
@@ -240,7 +240,7 @@ def _correlated(one: FloatArray, other: FloatArray, lags: int) -> FloatArray:
     return np.asarray(irfft(spectra.sum(axis=1), size)[:lags])
 
 
-def _close(one: OutputNoise, other: OutputNoise) -> bool:
+def _close(one: AutoregressiveNoise, other: AutoregressiveNoise) -> bool:
     size = min(len(one.covariances), len(other.covariances), LONGEST_ORDER)
     change = np.abs(one.covariances[:size] - other.covariances[:size]).max()
     alike = len(one.coefficients) == len(other.coefficients)

@@ -26,8 +26,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from cluster_est.uncertainty.covariance.autoregression import (
+    AutoregressiveNoise,
     NoiseRecord,
-    OutputNoise,
     fit_noise,
 )
 from cluster_est.uncertainty.covariance.blocks import (
@@ -146,9 +146,11 @@ def _autoregressive(
     white: EstimateCovariance,
     factors: BlockFactors,
     records: Sequence[NoiseRecord],
-    noise: dict[int, OutputNoise],
+    noise: dict[int, AutoregressiveNoise],
 ) -> EstimateCovariance:
-    own: dict[int, list[tuple[OutputNoise, int]]] = {e: [] for e in range(len(factors.parts))}
+    own: dict[int, list[tuple[AutoregressiveNoise, int]]] = {
+        e: [] for e in range(len(factors.parts))
+    }
     for record in records:
         own[record.experiment].append((noise[record.output], len(record.residuals)))
     blocks = block_covariance(factors, [_autocorrelated(own[e]) for e in sorted(own)])
@@ -188,7 +190,7 @@ def _diagonal(values: FloatArray) -> Callable[[FloatArray], FloatArray]:
 
 
 def _autocorrelated(
-    records: Sequence[tuple[OutputNoise, int]],
+    records: Sequence[tuple[AutoregressiveNoise, int]],
 ) -> Callable[[FloatArray], FloatArray]:
     """Return the product with the covariance of one experiment's records."""
 

@@ -12,7 +12,11 @@ from support.problems.curves import Curves
 
 from cluster_est import Parameter
 from cluster_est.uncertainty import assess
-from cluster_est.uncertainty.covariance.autoregression import NoiseRecord, OutputNoise, fit_noise
+from cluster_est.uncertainty.covariance.autoregression import (
+    AutoregressiveNoise,
+    NoiseRecord,
+    fit_noise,
+)
 from cluster_est.uncertainty.covariance.noise_covariance import NoiseBasis
 
 TIMES = np.linspace(0.0, 1.0, 60)
@@ -55,7 +59,7 @@ def intervals(seed, phi, **options):
 
 class TestAutoregression:
     def test_its_product_is_that_of_the_dense_covariance(self):
-        noise = OutputNoise(np.array([0.6]), 0.6 ** np.arange(80), 0.0)
+        noise = AutoregressiveNoise(np.array([0.6]), 0.6 ** np.arange(80), 0.0)
         columns = np.random.default_rng(0).normal(size=(30, 3))
         expected = toeplitz(0.6 ** np.arange(30)) @ columns
         np.testing.assert_allclose(noise.times(columns), expected, rtol=1e-10, atol=1e-12)
