@@ -26,6 +26,7 @@ SETTLED = 1e-3
 """Change of the autocovariances, over the variance, at which they have settled."""
 NEGLIGIBLE = 1e-6
 """Autocovariances below this, over the variance, are 0 from there on."""
+MOST_LAGS = 100_000
 REFLECTION = 0.999
 """Largest partial autocorrelation: beyond it a noise has no variance that could be told."""
 MOST_PRODUCTS = 2e6
@@ -182,7 +183,7 @@ def _extended(coefficients: FloatArray, covariances: FloatArray) -> FloatArray:
     order = len(coefficients)
     found = list(covariances[: order + 1])
     small = 0
-    while order and small <= order and len(found) < 100_000:
+    while order and small <= order and len(found) < MOST_LAGS:
         found.append(float(coefficients @ found[: -order - 1 : -1]))
         small = small + 1 if abs(found[-1]) < NEGLIGIBLE * found[0] else 0
     return np.array(found)

@@ -33,7 +33,11 @@ from cluster_est.uncertainty.covariance.layout import (
     active_bounds,
     unknown_layout,
 )
-from cluster_est.uncertainty.covariance.noise_covariance import NoiseBasis, most_honest
+from cluster_est.uncertainty.covariance.noise_covariance import (
+    NoiseBasis,
+    coloured_covariances,
+    most_honest,
+)
 from cluster_est.uncertainty.covariance.result import (
     ConfidenceInterval,
     DerivedInterval,
@@ -94,12 +98,14 @@ def _nothing(space: SearchSpace, solution: Solution) -> Uncertainty:
 
 
 def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncertainty:
-    layout, chosen = system.layout, most_honest(system.covariances)
+    white = system.covariance
+    covariances = (white, *coloured_covariances(white, system.factors, system.residuals))
+    layout, chosen = system.layout, most_honest(covariances)
     width = float(stdtrit(chosen.degrees, 0.975)) if chosen.degrees > 0 else np.nan
     scaled = np.sqrt(_diagonal(space, system, chosen.blocks))
     errors = {
         each.basis: np.sqrt(_diagonal(space, system, each.blocks)) / system.scale
-        for each in system.covariances
+        for each in covariances
     }
     shared, local = layout.shared, np.array([*chain(*layout.local)], dtype=np.intp)
     within = system.coordinates @ chosen.blocks.shared @ system.coordinates.T
@@ -204,7 +210,7 @@ def _delta_method_error(
     for local, cross, block in parts:
         part = gradient[local]
         total += 2.0 * float(part @ cross @ own) + float(part @ block @ part)
-    return float(np.sqrt(max(total, 0.0))) if not np.isnan(total) else np.nan
+    return float(np.sqrt(np.maximum(total, 0.0)))
 
 
 def _notes(layout: UnknownLayout, system: ScaledJacobian) -> tuple[str, ...]:

@@ -27,7 +27,6 @@ from cluster_est.uncertainty.covariance.layout import UnknownLayout, blocks, nul
 from cluster_est.uncertainty.covariance.noise_covariance import (
     EstimateCovariance,
     WeightedResiduals,
-    coloured_covariances,
     white_covariance,
 )
 from cluster_est.uncertainty.covariance.weighting import (
@@ -57,8 +56,10 @@ class ScaledJacobian:
         A basis of the shared unknowns' changes that satisfy the active constraints.
     factors
         The eliminated blocks.
-    covariances
-        Of the estimates, by what is taken for the noise; that of white noise first.
+    covariance
+        Of the estimates, for white noise.
+    residuals
+        For what else the noise may be taken for.
     combinations
         Directions that the data do not determine, or hardly, without regard to bounds: a search
         goes along such a direction until it meets a bound, which determines nothing either.
@@ -74,7 +75,8 @@ class ScaledJacobian:
     scale: FloatArray
     coordinates: FloatArray
     factors: BlockFactors
-    covariances: tuple[EstimateCovariance, ...]
+    covariance: EstimateCovariance
+    residuals: WeightedResiduals
     scatter: ResidualScatter
     combinations: tuple[UndeterminedCombination, ...]
     undetermined: FloatArray
@@ -115,8 +117,6 @@ def factorised_jacobian(
         combinations = _factorise(matrix, unbounded, basis, limits, weak).combinations
     scatter = weighting.scatter(factors.rank)
     spread = None if scatter.spread is None else [scatter.spread[row] for row in rows]
-    white = white_covariance(factors, spread, scatter.variance, scatter.degrees)
-    residuals = _weighted_residuals(space, weighting, rows)
     chosen = [c for c in combinations if c.undetermined]
     tolerance = max([NEGLIGIBLE, *(c.limit for c in chosen)])
     return ScaledJacobian(
@@ -126,7 +126,8 @@ def factorised_jacobian(
         scale=scale,
         coordinates=coordinates,
         factors=factors,
-        covariances=(white, *coloured_covariances(white, factors, residuals)),
+        covariance=white_covariance(factors, spread, scatter.variance, scatter.degrees),
+        residuals=_weighted_residuals(space, weighting, rows),
         scatter=scatter,
         combinations=combinations,
         undetermined=sparse_basis(vectors(space, unbounded, chosen), tolerance),
