@@ -53,7 +53,11 @@ def run(command: str, config: Path, out: Path, workers: int) -> None:
     arguments = [command, str(config), *where, "--out", str(out), "--no-report"]
     # Ray's workers give way to all others, and would get hardly anything of a busy machine.
     environment = {**os.environ, "RAY_worker_niceness": "0"}
-    subprocess.run([*COMMAND, *arguments], check=True, capture_output=True, env=environment)
+    ended = subprocess.run(
+        [*COMMAND, *arguments], capture_output=True, text=True, env=environment, check=False
+    )
+    if ended.returncode:
+        raise SystemExit(f"{command}: exit code {ended.returncode}\n{ended.stderr}")
 
 
 @contextmanager

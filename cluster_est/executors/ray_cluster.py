@@ -11,6 +11,9 @@ from ray.exceptions import RayTaskError
 
 from cluster_est.errors import ExecutorError, ModelError
 
+LOCAL_STARTS = 3
+"""Starts of Ray on this machine: it gives up after 15 seconds, too few where much else runs."""
+
 
 def connect(workers: int | None, address: str | None) -> bool:
     """Join the cluster at an address, or start Ray here with as many cores as workers.
@@ -29,17 +32,21 @@ def connect(workers: int | None, address: str | None) -> bool:
         return False
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     local = address in (None, "", "local")
-    try:
-        ray.init(
-            address="local" if local else address,
-            num_cpus=workers if local else None,
-            include_dashboard=False if local else None,
-            logging_level=logging.ERROR,
-            log_to_driver=False,
-        )
-    except Exception as error:  # a start that takes too long raises no class of its own
-        line = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ExecutorError(_not_connected(address, line, local=local)) from error
+    for left in reversed(range(LOCAL_STARTS if local else 1)):
+        try:
+            ray.init(
+                address="local" if local else address,
+                num_cpus=workers if local else None,
+                include_dashboard=False if local else None,
+                logging_level=logging.ERROR,
+                log_to_driver=False,
+            )
+            break
+        except Exception as error:  # a start that takes too long raises no class of its own
+            disconnect()
+            if not left:
+                line = (str(error).splitlines() or [type(error).__name__])[0]
+                raise ExecutorError(_not_connected(address, line, local=local)) from error
     return True
 
 

@@ -1,4 +1,7 @@
-"""A Ray that does not start, or a cluster that does not answer, is a sentence."""
+"""A Ray that does not start, or a cluster that does not answer, is a sentence.
+
+Ray gives up a start that takes too long, as it does on a busy machine; it is started again then.
+"""
 
 from __future__ import annotations
 
@@ -28,3 +31,29 @@ def test_why_ray_does_not_start_is_a_sentence(
     with pytest.raises(ExecutorError, match=said) as caught:
         connect(2, address)
     assert "\n" not in str(caught.value)
+
+
+def test_ray_is_started_again_on_a_busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    starts: list[object] = []
+
+    def late(**options: object) -> None:
+        starts.append(options["address"])
+        if len(starts) < 3:
+            raise Exception("timed out during startup.")
+
+    monkeypatch.setattr(ray, "init", late)
+    assert connect(2, None)
+    assert starts == ["local"] * 3
+
+
+def test_a_cluster_that_does_not_answer_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    starts: list[object] = []
+
+    def refuse(**options: object) -> None:
+        starts.append(options["address"])
+        raise ConnectionError("refused")
+
+    monkeypatch.setattr(ray, "init", refuse)
+    with pytest.raises(ExecutorError, match="refused"):
+        connect(2, "10.0.0.1:6379")
+    assert starts == ["10.0.0.1:6379"]
