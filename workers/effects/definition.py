@@ -25,9 +25,6 @@ def variable_symbol(name: str) -> sp.Symbol:
     return sp.Symbol(f"fmu:{name}", real=True)
 
 
-MOST_SUBSTEPS = 10_000
-
-
 @dataclass(frozen=True)
 class EffectDefinition:
     """An effect with its equations.
@@ -57,20 +54,31 @@ class EffectDefinition:
     starts: tuple[sp.Expr, ...]
     uses: tuple[str, ...]
 
-    def substeps(
-        self, values: FloatArray, step: float, signals: Mapping[str, FloatArray] | None = None
-    ) -> int:
-        """Return the least number of substeps that keep its own states stable.
+    def fastest_rate(
+        self, values: FloatArray, signals: Mapping[str, FloatArray] | None = None
+    ) -> FloatArray:
+        """Return the rate of the fastest of its own states, 1 over a time constant.
 
-        Eight for each time constant, where the time constants depend on nothing but the
-        coefficients and, if these are given, the variables in `signals`.
+        0 where it has none, or where the rates depend on more than the coefficients and, if these
+        are given, the variables in `signals`. Without signals it is one number, of shape ().
         """
         given = signals or {}
         names = tuple(name for name in self.uses if name in given)
         with np.errstate(all="ignore"):  # a simulation that failed left NaN
             rates = _rates(self, names)(*values, *(given[name] for name in names))
-        fastest = max((float(np.max(np.abs(rate))) for rate in rates), default=0.0)
-        return int(min(max(1.0, np.ceil(8.0 * step * fastest)), MOST_SUBSTEPS))
+        sizes = [np.abs(np.asarray(rate, np.float64)) for rate in rates]
+        shape = next((np.shape(given[name]) for name in names), ())
+        fastest: FloatArray = np.zeros(shape)
+        for size in sizes:
+            fastest = np.asarray(np.fmax(fastest, size), np.float64)
+        return fastest
+
+    def decay_rate(self, values: FloatArray) -> float:
+        """Return the rate at which its one own state follows signals, if that is linear.
+
+        0 where it has no or more own states, or where they follow in another way.
+        """
+        return float(_decay(self)(*values))
 
     def is_neutral(self, values: FloatArray) -> bool:
         """Return whether it does nothing with these values of its coefficients."""
@@ -86,6 +94,26 @@ def _rates(definition: EffectDefinition, names: tuple[str, ...]) -> Callable[...
     rates = known_rates(definition, names)
     function: Callable[..., list[FloatArray]] = sp.lambdify(symbols, rates, "numpy")
     return function
+
+
+@lru_cache(maxsize=512)
+def _decay(definition: EffectDefinition) -> Callable[..., float]:
+    """Return `known_decay` as a function of the coefficients."""
+    function: Callable[..., float] = sp.lambdify(
+        definition.coefficients, known_decay(definition), "numpy"
+    )
+    return function
+
+
+def known_decay(definition: EffectDefinition) -> sp.Expr:
+    """Return the rate a of one own state with x' = g(t) - a x, g linear in signals; 0 elsewhere."""
+    if len(definition.states) != 1:
+        return sp.Integer(0)
+    (derivative,), (state,) = definition.derivatives, definition.states
+    constant = set(definition.coefficients)
+    moving = derivative.free_symbols - constant
+    linear = all(sp.diff(derivative, symbol).free_symbols <= constant for symbol in moving)
+    return -sp.diff(derivative, state) if linear and TIME not in moving else sp.Integer(0)
 
 
 def known_rates(definition: EffectDefinition, names: tuple[str, ...]) -> list[sp.Expr]:

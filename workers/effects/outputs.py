@@ -12,7 +12,12 @@ from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_
 from workers.effects.memory import MEMORIES, SampledSignal
 from workers.effects.source import CAssignment, EffectArray, SymbolLocations, compile_function
 from workers.grid import SignalGrid
-from workers.kernels.record import OutputHooks, OutputWorkspace, apply_to_outputs
+from workers.kernels.record import (
+    OutputHooks,
+    OutputWorkspace,
+    OwnStateMotion,
+    apply_to_outputs,
+)
 from workers.messages import FloatArray
 
 READ = (
@@ -77,9 +82,10 @@ def apply_output_effect(
         result=np.zeros(1),
     )
     signals = dict(zip((*recorded, *inputs), (*outputs.T, *grid.inputs.T), strict=True))
-    substeps = definition.substeps(coefficients, float(np.diff(grid.times).max()), signals)
+    rates = np.broadcast_to(definition.fastest_rate(coefficients, signals), grid.times.shape)
+    motion = OwnStateMotion(np.maximum(rates[:-1], rates[1:]), definition.decay_rate(coefficients))
     own_coefficients = np.ascontiguousarray(coefficients)
-    apply_to_outputs(compiled.hooks(), grid, outputs, column, own_coefficients, substeps, work)
+    apply_to_outputs(compiled.hooks(), grid, outputs, column, own_coefficients, motion, work)
 
 
 @lru_cache(maxsize=512)

@@ -1,13 +1,21 @@
-"""Effects at outputs: applied to recorded outputs after a simulation."""
+"""Effects at outputs: applied to recorded outputs after a simulation.
+
+An own state that follows signals linearly, x' = g(t) - a x with g linear between two times of the
+grid, is advanced exactly, in one step, by an exponential integrator (M. Hochbruck, A. Ostermann,
+Acta Numerica 19 (2010) 209-286, doi:10.1017/S0962492910000048). Others are advanced by Runge-Kutta
+substeps, eight for each time constant.
+"""
 
 from __future__ import annotations
 
+from math import expm1
 from typing import NamedTuple
 
 from numba.core.types import float64, int32, intp
 
 from workers.kernels.fmi.calling import address_of, c_function
 from workers.kernels.fmi.compiling import inlined, kernel
+from workers.kernels.fmi.own_states import substep_count
 from workers.messages import FloatArray
 
 
@@ -35,12 +43,26 @@ class OutputWorkspace(NamedTuple):
     result: FloatArray
 
 
+class OwnStateMotion(NamedTuple):
+    """How fast the effect's own states are.
+
+    `rates` has the fastest rate within each interval of the grid; `decay` is that of a state which
+    follows signals linearly, 0.0 where it does not.
+    """
+
+    rates: FloatArray
+    decay: float
+
+
+SMALL = 1e-2
+"""Exponent below which a series is more exact than a difference."""
+
 _call = c_function(int32, float64, intp, intp, intp, intp)
 _call_into = c_function(int32, float64, intp, intp, intp, intp, intp)
 
 
 @kernel
-def apply_to_outputs(hooks, grid, outputs, column, coefficients, substeps, work):  # type: ignore[no-untyped-def]
+def apply_to_outputs(hooks, grid, outputs, column, coefficients, motion, work):  # type: ignore[no-untyped-def]
     """Apply an effect to one column of the recorded outputs.
 
     Between times of the grid, outputs are interpolated linearly.
@@ -53,13 +75,17 @@ def apply_to_outputs(hooks, grid, outputs, column, coefficients, substeps, work)
         Index of the output that the effect is at.
     coefficients
         Of the effect.
-    substeps
-        Steps of the effect's own states from one time of the grid to the next.
+    motion
+        Of the effect's own states.
     """
     for i in range(len(grid.times)):
         if i > 0 and hooks.state_derivatives != 0:
-            for n in range(substeps):
-                _advance_states(hooks, grid, outputs, i - 1, n, substeps, coefficients, work)
+            if motion.decay > 0.0:
+                _follow(hooks, grid, outputs, i - 1, motion.decay, coefficients, work)
+            else:
+                substeps = substep_count(grid.times[i] - grid.times[i - 1], motion.rates[i - 1])
+                for n in range(substeps):
+                    _advance_states(hooks, grid, outputs, i - 1, n, substeps, coefficients, work)
         _interpolate(grid, outputs, i, 0.0, work)
         if i == 0 and hooks.start_states != 0:
             _call_hook(hooks.start_states, grid.times[0], work.states, coefficients, work)
@@ -68,6 +94,25 @@ def apply_to_outputs(hooks, grid, outputs, column, coefficients, substeps, work)
             outputs[i - 1, column] = work.stages[4, 0]
         work.stages[4, 0] = work.result[0]
     outputs[len(grid.times) - 1, column] = work.stages[4, 0]
+
+
+@inlined
+def _follow(hooks, grid, outputs, i, decay, coefficients, work):  # type: ignore[no-untyped-def]
+    """Advance the one own state over the interval after grid time i, where it follows linearly."""
+    x, first, last = work.states, work.stages[0], work.stages[1]
+    length = grid.times[i + 1] - grid.times[i]
+    _interpolate(grid, outputs, i, 0.0, work)
+    _call_hook_into(hooks.state_derivatives, grid.times[i], x, coefficients, work, first)
+    _interpolate(grid, outputs, i, 1.0, work)
+    _call_hook_into(hooks.state_derivatives, grid.times[i + 1], x, coefficients, work, last)
+    z = -decay * length
+    if abs(z) < SMALL:
+        once = 1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0 * (1.0 + z / 5.0)))
+        twice = 0.5 + z / 6.0 * (1.0 + z / 4.0 * (1.0 + z / 5.0 * (1.0 + z / 6.0)))
+    else:
+        once = expm1(z) / z
+        twice = (once - 1.0) / z
+    x[0] += length * (once * first[0] + twice * (last[0] - first[0]))
 
 
 @inlined

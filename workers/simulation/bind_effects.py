@@ -52,13 +52,12 @@ class BoundEffects:
 
     def hooks(
         self,
-        grid: SignalGrid,
         points: FloatArray,
         coefficients: FloatArray,
         model: Model,
         description: ModelDescription,
     ) -> EffectHooks:
-        """Return the functions that the loops call, for a batch of points on a grid."""
+        """Return the functions that the loops call, for a batch of points."""
         if self.inner is None:
             return no_hooks(len(points))
         base_parameters = [
@@ -70,7 +69,7 @@ class BoundEffects:
             modify_inputs=self.inner.modify_inputs.address if self.inner.modify_inputs else 0,
             add_derivatives=self.inner.add_derivatives.address if self.inner.add_derivatives else 0,
             parameters=np.array(references, np.uint32),
-            substeps=self._substeps(grid, coefficients),
+            fastest_rates=self._fastest_rates(coefficients),
             coefficients=np.ascontiguousarray(coefficients),
             base_parameters=np.ascontiguousarray(np.column_stack(base_parameters))
             if base_parameters
@@ -103,16 +102,15 @@ class BoundEffects:
                 own = coefficients[position : position + len(definition.coefficients)]
                 apply_output_effect(definition, own, grid, outputs, self.recorded, self.columns)
 
-    def _substeps(self, grid: SignalGrid, coefficients: FloatArray) -> IntArray:
-        """Return the substeps of each point, for own states between communication points."""
-        longest = float(np.diff(grid.times).max())
-        counts = np.ones(len(coefficients), np.int64)
+    def _fastest_rates(self, coefficients: FloatArray) -> FloatArray:
+        """Return that of the own states of each point, as far as the coefficients tell."""
+        rates = np.zeros(len(coefficients))
         for definition, position in zip(self.definitions, self.positions, strict=True):
             if definition.states and definition.site.kind != "output":
                 for p, row in enumerate(coefficients):
                     own = row[position : position + len(definition.coefficients)]
-                    counts[p] = max(counts[p], definition.substeps(own, longest))
-        return counts
+                    rates[p] = max(rates[p], float(definition.fastest_rate(own)))
+        return rates
 
     def _base_values(
         self, name: str, points: FloatArray, model: Model, description: ModelDescription

@@ -101,7 +101,7 @@ class _BatchRun:
             self.bound.starts,
             settings,
             self.hooks._replace(
-                substeps=self.hooks.substeps[points],
+                fastest_rates=self.hooks.fastest_rates[points],
                 coefficients=self.hooks.coefficients[points],
                 base_parameters=self.hooks.base_parameters[points],
             ),

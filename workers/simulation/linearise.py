@@ -79,11 +79,11 @@ class PreparedExperiment:
         bound = bind_experiment(self.model, self.description, experiment, effects.recorded)
         offsets = np.zeros((1, len(self.inputs) if self.with_offsets else 0))
         with_zero_offsets = np.hstack([coefficients, offsets])
-        hooks = effects.hooks(bound.grid, values, with_zero_offsets, self.model, self.description)
+        hooks = effects.hooks(values, with_zero_offsets, self.model, self.description)
         with_offsets = hooks
         if self.with_offsets is not None:
             with_offsets = self.with_offsets.hooks(
-                bound.grid, values, with_zero_offsets, self.model, self.description
+                values, with_zero_offsets, self.model, self.description
             )
         perturbed = self._perturbed_variables(values[0])
         arrays = _allocate(perturbed, len(bound.grid.times), len(bound.outputs))

@@ -284,11 +284,7 @@ class Simulator:
                     self._model, self._description, with_memory, bound_effects.recorded
                 )
             hooks = bound_effects.hooks(
-                bound.integration_grid,
-                values[chunk],
-                coefficients[chunk],
-                self._model,
-                self._description,
+                values[chunk], coefficients[chunk], self._model, self._description
             )
             run = self._integrator.run(bound, values[chunk], hooks, n_effect_states)
             for p, outputs in enumerate(run.outputs):

@@ -10,7 +10,14 @@ import sympy as sp
 from sympy.printing.c import C99CodePrinter
 
 from cluster_est.export.repaired_fmu.layout import WrapperLayout
-from workers.effects.definition import SIGNAL, TIME, EffectDefinition, known_rates, variable_symbol
+from workers.effects.definition import (
+    SIGNAL,
+    TIME,
+    EffectDefinition,
+    known_decay,
+    known_rates,
+    variable_symbol,
+)
 from workers.effects.source import CAssignment, EffectArray, SymbolLocations
 
 
@@ -144,6 +151,11 @@ _OUTPUT_FUNCTIONS = (
     _OutputFunction(
         f"double output_rate(int e, {_ROW})",
         lambda effect, _: [CAssignment(EffectArray.RESULT, -1, _fastest(effect))],
+        returns=True,
+    ),
+    _OutputFunction(
+        f"double output_decay(int e, {_ROW})",
+        lambda effect, _: [CAssignment(EffectArray.RESULT, -1, known_decay(effect))],
         returns=True,
     ),
 )

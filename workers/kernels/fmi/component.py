@@ -85,7 +85,7 @@ class KernelWorkspace(NamedTuple):
 
     `inputs` are as measured; `effective_inputs` include the effects, and `input_slopes` are their
     slopes. `effective_parameters` are those that effects change, `base_parameters` their values
-    without effects. `substeps` holds the substeps of the effects' own states.
+    without effects. `fastest_rate` holds that of the effects' own states.
     `stages` holds the integrator's derivatives, a row a stage; `atols` the absolute tolerances that
     hold at the moment; `next_event` the time of the next time event. `indicators` are the event
     indicators after the last step, behind an event that is being located, and of a trial.
@@ -99,7 +99,7 @@ class KernelWorkspace(NamedTuple):
     effective_parameters: FloatArray
     coefficients: FloatArray
     base_parameters: FloatArray
-    substeps: IntArray
+    fastest_rate: FloatArray
     derivative_orders: IntArray
     states: FloatArray
     trial: FloatArray
@@ -133,7 +133,7 @@ def workspace(
         effective_parameters=np.zeros(n_parameters),
         coefficients=np.zeros(n_coefficients),
         base_parameters=np.zeros(n_parameters),
-        substeps=np.ones(1, np.int64),
+        fastest_rate=np.zeros(1),
         derivative_orders=np.ones(n_inputs, np.int32),
         states=np.zeros(n_states),
         trial=np.zeros(n_states),

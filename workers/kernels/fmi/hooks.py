@@ -25,15 +25,15 @@ from workers.messages import FloatArray, IntArray
 class EffectHooks(NamedTuple):
     """The effects on a batch of simulations.
 
-    `parameters` are value references; `substeps` (steps of the effects' own states within a
-    communication step), `coefficients` and `base_parameters` have a row for each point.
+    `parameters` are value references; `fastest_rates` (of the effects' own states, as far as the
+    coefficients tell), `coefficients` and `base_parameters` have a row for each point.
     """
 
     start_states: int
     modify_inputs: int
     add_derivatives: int
     parameters: IntArray
-    substeps: IntArray
+    fastest_rates: FloatArray
     coefficients: FloatArray
     base_parameters: FloatArray
 
@@ -41,7 +41,7 @@ class EffectHooks(NamedTuple):
 def no_hooks(points: int) -> EffectHooks:
     """Return hooks of no effects."""
     nothing = np.zeros((points, 0))
-    return EffectHooks(0, 0, 0, np.zeros(0, np.uint32), np.ones(points, np.int64), nothing, nothing)
+    return EffectHooks(0, 0, 0, np.zeros(0, np.uint32), np.zeros(points), nothing, nothing)
 
 
 _call_start_states = c_function(int32, float64, intp, intp, intp, intp)
@@ -53,7 +53,7 @@ _call_add_derivatives = c_function(int32, float64, intp, intp, intp, intp, intp)
 def select_point(hooks, p, work):  # type: ignore[no-untyped-def]
     """Begin a simulation: copy a point's coefficients and base values to the workspace."""
     count_simulation(work)
-    work.substeps[0] = hooks.substeps[p]
+    work.fastest_rate[0] = hooks.fastest_rates[p]
     for j in range(len(work.coefficients)):
         work.coefficients[j] = hooks.coefficients[p, j]
     for j in range(len(work.base_parameters)):

@@ -29,6 +29,7 @@ from workers.kernels.fmi.hooks import (
     start_effect_states,
 )
 from workers.kernels.fmi.initialise import initialise, n_steps
+from workers.kernels.fmi.own_states import substep_count
 from workers.kernels.fmi.progress import note_call
 from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD, get_values, set_reals, set_values
@@ -227,8 +228,9 @@ def _input_slopes_with_effects(hooks, grid, i, time, step, work):  # type: ignor
     for j in range(len(work.input_slopes)):
         work.input_slopes[j] = -work.effective_inputs[j] / step
     if hooks.add_derivatives != 0:
-        substep = step / work.substeps[0]
-        for n in range(work.substeps[0]):
+        substeps = substep_count(step, work.fastest_rate[0])
+        substep = step / substeps
+        for n in range(substeps):
             _advance_effect_states(hooks, grid, i, time + n * substep, substep, work)
     interpolate_inputs(grid, i, time + step, work)
     modify_inputs(hooks, time + step, work.states, work)

@@ -22,5 +22,6 @@ void output_inside(int e, double t, const double *states, const double *row, con
 double output_after(int e, double t, const double *states, const double *row, const double *raw,
                     const double *coefficients);
 double output_rate(int e, const double *row, const double *raw, const double *coefficients);
+double output_decay(int e, const double *row, const double *raw, const double *coefficients);
 
 #endif

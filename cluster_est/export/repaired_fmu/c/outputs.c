@@ -83,6 +83,26 @@ static void advance(Instance *c, int e, const double *row, double begin, double 
                               + stages[3][j]);
 }
 
+/* The one own state of an effect over a step in which it follows linearly at a rate, exactly: with
+ * the exponential functions phi1 and phi2, whose series is more exact where the exponent is small. */
+static void follow(Instance *c, int e, const double *row, double begin, double end, double decay) {
+    double first[ROOM(N_ALL)], last[ROOM(N_ALL)], raw[ROOM(N_RAW)] = {0.0};
+    double z = -decay * (end - begin), once, twice, *x = c->now.states;
+    int j = effects[e].first;
+    take_inputs(c, begin, raw);
+    output_inside(e, begin, x, c->now.rows[e], raw, c->now.coefficients, first);
+    take_inputs(c, end, raw);
+    output_inside(e, end, x, row, raw, c->now.coefficients, last);
+    if (fabs(z) < 1e-2) {
+        once = 1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0 * (1.0 + z / 5.0)));
+        twice = 0.5 + z / 6.0 * (1.0 + z / 4.0 * (1.0 + z / 5.0 * (1.0 + z / 6.0)));
+    } else {
+        once = expm1(z) / z;
+        twice = (once - 1.0) / z;
+    }
+    x[j] += (end - begin) * (once * first[j] + twice * (last[j] - first[j]));
+}
+
 /* As many that a time constant, as it is at either end, has eight, as in the run. */
 static int substeps(const Instance *c, int e, const double *row, double begin, double end) {
     double first[ROOM(N_RAW)], last[ROOM(N_RAW)], rate;
@@ -102,7 +122,9 @@ fmi2Status advance_outputs(Instance *c, double begin, double end) {
     int e, n;
     take_inputs(c, end, raw);
     for (e = 0; e < N_OUTPUT_EFFECTS; e++) {
-        int steps = effects[e].count > 0 ? substeps(c, e, row, begin, end) : 0;
+        double decay = output_decay(e, row, raw, c->now.coefficients);
+        int steps = effects[e].count > 0 && !(decay > 0.0) ? substeps(c, e, row, begin, end) : 0;
+        if (decay > 0.0) follow(c, e, row, begin, end, decay);
         for (n = 0; n < steps; n++) advance(c, e, row, begin, end - begin, n, steps);
         row[effects[e].column] = result_of(c, e, row, raw);
     }

@@ -1,0 +1,111 @@
+"""Own states of effects at outputs follow what was recorded, however fast they are.
+
+The truth is SciPy's integration from one recorded time to the next, between which everything is a
+line, or the quasi-steady solution by hand: far behind its start, a lag tau of a ramp with slope c
+is late by c tau.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from support.problems.springs import FMU
+
+from workers.effects.definition import EffectDefinition, define
+from workers.effects.outputs import apply_output_effect
+from workers.fmu.description import describe_model
+from workers.grid import SignalGrid
+from workers.kernels import record
+from workers.messages import Effect, FloatArray, Model, Solver
+
+MODEL = Model("spring", FMU.read_bytes(), "model_exchange", Solver("rk4"), ())
+UNEVEN = np.concatenate([np.linspace(0.0, 1.0, 41), 1.0 + np.cumsum([0.02, 10.0, 0.1, 0.1, 7.0])])
+"""Dense, and with gaps of hundreds of time constants."""
+
+
+def defined(form: str, variables: tuple[str, ...] = ()) -> EffectDefinition:
+    effect = Effect("e", "output y", form, variables)
+    return define(effect, describe_model(MODEL), "model_exchange")
+
+
+def grid(times: FloatArray, inputs: FloatArray) -> SignalGrid:
+    slopes = np.append(np.diff(inputs) / np.diff(times), 0.0)
+    none = np.zeros(0)
+    return SignalGrid(
+        times=times,
+        intervals=np.append(np.diff(times), 0.0),
+        inputs=inputs[:, None],
+        slopes=slopes[:, None],
+        jumps=np.zeros(len(times), bool),
+        gather=np.zeros(0, np.intp),
+        measured=none,
+        sigmas=none,
+    )
+
+
+def shown(definition: EffectDefinition, values: list[float], times: FloatArray) -> FloatArray:
+    """The output with the effect, from y = sin t and the input F = cos 2 t."""
+    outputs = np.sin(times)[:, None].copy()
+    signals = grid(times, np.cos(2.0 * times))
+    apply_output_effect(definition, np.array(values), signals, outputs, ("y",), ("F",))
+    return outputs[:, 0]
+
+
+def followed(times: FloatArray, signal: FloatArray, start: float, tau: float) -> FloatArray:
+    """z' = (signal - z) / tau, integrated from time to time."""
+    z = [start]
+    for (a, b), (one, other) in zip(pairwise(times), pairwise(signal), strict=True):
+
+        def rate(t: float, z: FloatArray, a=a, b=b, one=one, other=other) -> FloatArray:
+            return (one + (t - a) / (b - a) * (other - one) - z) / tau
+
+        found = solve_ivp(rate, (a, b), [z[-1]], method="Radau", rtol=1e-10, atol=1e-13)
+        z.append(float(found.y[0, -1]))
+    return np.array(z)
+
+
+@pytest.mark.parametrize("tau", [3.0, 0.3, 0.02])
+def test_a_lag_is_exact_between_recorded_times(tau: float) -> None:
+    expected = followed(UNEVEN, np.sin(UNEVEN), 0.0, tau)
+    np.testing.assert_allclose(shown(defined("lag"), [tau], UNEVEN), expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("tau", [0.3, 0.02])
+def test_a_lag_of_an_input_too(tau: float) -> None:
+    force = followed(UNEVEN, np.cos(2.0 * UNEVEN), 0.0, tau)
+    found = shown(defined("lagged_feed_through", ("F",)), [0.7, tau], UNEVEN)
+    np.testing.assert_allclose(found, np.sin(UNEVEN) + 0.7 * force, atol=1e-8)
+
+
+@pytest.mark.parametrize("tau", [1e-3, 1e-6, 1e-12])
+def test_a_very_fast_one_is_late_by_its_time_constant(tau: float) -> None:
+    slopes = np.diff(np.sin(UNEVEN)) / np.diff(UNEVEN)
+    expected = np.sin(UNEVEN)[1:] - tau * slopes
+    found = shown(defined("lag"), [tau], UNEVEN)
+    np.testing.assert_allclose(found[1:], expected, atol=1e-9)
+
+
+def test_a_slow_one_keeps_its_digits() -> None:
+    """Where the exponent is small, differences of exponentials would lose them."""
+    tau = 1e7
+    times = np.linspace(0.0, 1.0, 11)
+    signal = np.sin(times)
+    mean = 0.5 * (signal[1:] + signal[:-1]) * np.diff(times)
+    expected = np.concatenate([[0.0], np.cumsum(mean)]) / tau
+    np.testing.assert_allclose(shown(defined("lag"), [tau], times), expected, rtol=1e-6)
+
+
+def test_one_that_follows_in_another_way_takes_substeps() -> None:
+    assert defined("hysteresis", ("F",)).decay_rate(np.array([0.5, 0.4])) == 0.0
+    assert defined("lag").decay_rate(np.array([0.25])) == 4.0
+    assert defined("gain").decay_rate(np.array([1.1])) == 0.0
+
+
+def test_substeps_are_those_of_an_interval() -> None:
+    """Eight for each time constant, one at least, and not without end."""
+    assert record.substep_count.py_func(0.1, 10.0) == 8
+    assert record.substep_count.py_func(0.001, 10.0) == 1
+    assert record.substep_count.py_func(1e9, 10.0) == 10_000
