@@ -52,6 +52,14 @@ class TestCost:
         size = np.abs(NORMAL)
         assert kind().value(2.0 * size, OUTPUTS) > kind().value(size, OUTPUTS)
 
+    @pytest.mark.parametrize("size", [0.0, 1e-300, 1e-20, 1e20, 1e100, 1e300])
+    def test_residuals_of_any_size_have_a_cost_and_weights(self, kind, size):
+        """Infinite at most, and without a warning: a simulation that runs away is no crash."""
+        residuals = size * np.abs(NORMAL)
+        assert not np.isnan(kind().value(residuals, OUTPUTS))
+        weights = kind().weights(residuals, OUTPUTS)
+        assert weights is None or not np.isnan(weights).any()
+
     def test_without_numbers_all_residuals_are_of_one_output(self, kind):
         """As where a Python function returns them (`cost.function`)."""
         nobody_knows, one = np.zeros(0, np.int64), np.zeros(60, np.int64)

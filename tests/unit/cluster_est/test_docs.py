@@ -51,6 +51,18 @@ def test_every_plug_in_that_a_config_can_choose_is_in_the_reference():
         assert missing == [], f"add it to the line of {section}.name in configs/reference.toml"
 
 
+def test_every_executor_is_where_a_user_chooses_one():
+    from cluster_est.executors import EXECUTORS
+    from cluster_est.running.resources import Resources
+
+    page = (ROOT / "cluster_est" / "docs" / "long_runs.md").read_text(encoding="utf-8")
+    missing = [name for name in EXECUTORS if f"| `{name}` |" not in page]
+    assert missing == [], "add a row to cluster_est/docs/long_runs.md"
+    said = str(Resources.__doc__)
+    missing = [name for name in EXECUTORS if f'"{name}"' not in said]
+    assert missing == [], "add it to the docstring of Resources"
+
+
 def test_every_form_is_in_the_table_of_forms():
     from workers.effects.forms import FORMS
 
