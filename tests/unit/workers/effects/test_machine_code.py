@@ -1,0 +1,162 @@
+"""Equations in machine code are what Python computes, to the last bit what numba makes of them."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+import sympy as sp
+from support.problems.springs import FMU
+
+from workers.effects import machine_code, source
+from workers.effects.compiled import READ, equations
+from workers.effects.definition import TIME, define
+from workers.effects.expression import FUNCTIONS, parse
+from workers.effects.forms import FORMS
+from workers.effects.machine_code import MachineCode, UntranslatableError
+from workers.effects.source import CAssignment, EffectArray, SymbolLocations, compile_function
+from workers.fmu.description import describe_model
+from workers.messages import Effect, FloatArray, Model, Solver
+
+MODEL = Model("spring", FMU.read_bytes(), "model_exchange", Solver("rk4"), ())
+SITES = {
+    "derivative": "der(v)", "input": "input F", "parameter": "parameter c", "pair": "pair x,v",
+}  # fmt: skip
+NAMES = {name: sp.Symbol(name, real=True) for name in "xy"}
+LOCATIONS: SymbolLocations = {
+    NAMES["x"]: (EffectArray.STATES, 0),
+    NAMES["y"]: (EffectArray.STATES, 2),
+}
+
+
+def called(compiled: Any, time: float, arrays: Sequence[FloatArray]) -> None:
+    kinds = [ctypes.c_double, *[ctypes.c_void_p] * len(arrays)]
+    function = ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(compiled.address)
+    assert function(time, *(array.ctypes.data for array in arrays)) == 0
+
+
+def value_of(text: str, x: float, y: float = 0.0) -> float:
+    result = np.full(2, 7.0)
+    assignment = CAssignment(EffectArray.RESULT, 1, parse(text, NAMES | {"t": TIME}, "here"))
+    arrays = (EffectArray.STATES, EffectArray.RESULT)
+    compiled = compile_function(arrays, LOCATIONS, [assignment], TIME)
+    assert isinstance(compiled, MachineCode)
+    called(compiled, 1.5, [np.array([x, -1.0, y]), result])
+    assert result[0] == 7.0
+    return float(result[1])
+
+
+@pytest.mark.parametrize("name", sorted(FUNCTIONS.keys() - {"where", "min", "max", "sign", "abs"}))
+def test_functions_are_those_of_the_c_library(name: str) -> None:
+    for x in (0.3, 1.7, 25.0):
+        assert value_of(f"{name}(x)", x) == getattr(math, name)(x)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("x + 2 * y - 3", lambda x, y: x + 2.0 * y - 3.0),
+        ("x / (y + 4)", lambda x, y: x / (y + 4.0)),
+        ("x^3 + x^-2 + abs(y)^0.5", lambda x, y: x**3 + 1.0 / (x * x) + math.sqrt(abs(y))),
+        ("abs(x)^1.7 + 2^y", lambda x, y: math.pow(abs(x), 1.7) + math.pow(2.0, y)),
+        ("abs(x) - sign(y) + sign(x * 0)", lambda x, y: abs(x) - math.copysign(1.0, y)),
+        ("min(x, y, 0.5) + max(x, y, 0.25)", lambda x, y: min(x, y, 0.5) + max(x, y, 0.25)),
+        ("where(x < y, x, 2 * y)", lambda x, y: x if x < y else 2.0 * y),
+        ("where(x >= 0, 1, where(y > 0, 2, 3))", lambda x, y: 1 if x >= 0 else 2 if y > 0 else 3),
+        ("t * x", lambda x, y: 1.5 * x),
+        ("1e300 * 1e10 * x", lambda x, y: math.copysign(math.inf, x)),
+    ],
+)  # fmt: skip
+def test_arithmetic_is_that_of_doubles(text: str, expected: Any) -> None:
+    for x, y in ((0.7, -1.3), (-0.4, 2.5), (-2.0, -3.0), (1.0, 1.0)):
+        assert value_of(text, x, y) == pytest.approx(expected(x, y), rel=4e-16)
+
+
+def test_a_division_by_zero_is_infinite_and_what_has_no_value_is_not_a_number() -> None:
+    assert value_of("1 / x", 0.0) == math.inf
+    assert math.isnan(value_of("log(x)", -1.0))
+    assert math.isnan(value_of("x / y", 0.0, 0.0))
+
+
+def test_a_value_is_added_to_what_is_there() -> None:
+    assignment = CAssignment(EffectArray.RESULT, 1, NAMES["x"] * NAMES["y"], add=True)
+    arrays = (EffectArray.STATES, EffectArray.RESULT)
+    compiled = compile_function(arrays, LOCATIONS, [assignment], TIME)
+    result = np.array([1.0, 2.0])
+    called(compiled, 0.0, [np.array([3.0, 0.0, 5.0]), result])
+    assert result.tolist() == [1.0, 17.0]
+
+
+def functions_of(kind: str, name: str) -> list[tuple[tuple[EffectArray, ...], Any, Any]]:
+    """The functions of a form at a site of its kind, as arrays, locations and assignments."""
+    variables = ("F", "F") if kind == "input" else ("v", "x")
+    effect = Effect("e", SITES[kind], name, variables[: FORMS[kind, name].variables])
+    definition = define(effect, describe_model(MODEL), "model_exchange")
+    found = equations((definition,), (0,), ("x", "v"), ("F",))
+    changed = (EffectArray.EFFECTIVE_INPUTS, EffectArray.EFFECTIVE_PARAMETERS)
+    functions = [
+        (READ, found.locations, found.start_states),
+        ((*READ, *changed), found.locations, found.modify_inputs),
+        ((*READ, EffectArray.DERIVATIVES), found.locations, found.add_derivatives),
+    ]
+    return [each for each in functions if each[2]]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [k for k, form in FORMS.items() if k[0] in SITES and not form.memory],
+)
+def test_every_form_is_to_the_last_bit_what_numba_makes_of_it(kind: str, name: str) -> None:
+    generator = np.random.default_rng(1)
+    for arrays, locations, assignments in functions_of(kind, name):
+        quick = compile_function(arrays, locations, assignments, TIME)
+        assert isinstance(quick, MachineCode)
+        slow = source._translated(arrays, locations, assignments, TIME)
+        for trial in range(8):
+            given = [generator.normal(size=40) if trial else np.zeros(40) for _ in arrays]
+            results = [[array.copy() for array in given] for _ in range(2)]
+            for compiled, values in zip((quick, slow), results, strict=True):
+                called(compiled, 0.3 * trial, values)
+            np.testing.assert_array_equal(*results)
+
+
+def test_what_is_not_known_is_left_to_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(machine_code._CALLED, sp.tanh)
+    assignment = CAssignment(EffectArray.RESULT, 0, sp.tanh(NAMES["x"]))
+    arrays = (EffectArray.STATES, EffectArray.RESULT)
+    compiled = compile_function(arrays, LOCATIONS, [assignment], TIME)
+    assert not isinstance(compiled, MachineCode)
+    result = np.zeros(1)
+    called(compiled, 0.0, [np.array([0.5, 0.0, 0.0]), result])
+    assert result[0] == math.tanh(0.5)
+
+
+def test_so_is_all_where_llvm_takes_no_assembly(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_arguments: object) -> MachineCode:
+        raise UntranslatableError("no")
+
+    monkeypatch.setattr(source, "assemble", refuse)
+    assignment = CAssignment(EffectArray.RESULT, 0, 2 * NAMES["x"])
+    arrays = (EffectArray.STATES, EffectArray.RESULT)
+    compiled = compile_function(arrays, LOCATIONS, [assignment], TIME)
+    assert not isinstance(compiled, MachineCode)
+
+
+def test_code_lives_as_long_as_its_object() -> None:
+    arrays = (EffectArray.STATES, EffectArray.RESULT)
+    kept = [
+        compile_function(
+            arrays, LOCATIONS, [CAssignment(EffectArray.RESULT, 0, NAMES["x"] + n)], TIME
+        )
+        for n in range(20)
+    ]
+    gc.collect()
+    for n, compiled in enumerate(kept):
+        result = np.zeros(1)
+        called(compiled, 0.0, [np.array([0.5, 0.0, 0.0]), result])
+        assert result[0] == 0.5 + n
