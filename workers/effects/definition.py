@@ -56,22 +56,17 @@ class EffectDefinition:
 
     def fastest_rate(
         self, values: FloatArray, signals: Mapping[str, FloatArray] | None = None
-    ) -> FloatArray:
+    ) -> float:
         """Return the rate of the fastest of its own states, 1 over a time constant.
 
         0 where it has none, or where the rates depend on more than the coefficients and, if these
-        are given, the variables in `signals`. Without signals it is one number, of shape ().
+        are given, the variables in `signals`, of which it is the largest.
         """
         given = signals or {}
         names = tuple(name for name in self.uses if name in given)
         with np.errstate(all="ignore"):  # a simulation that failed left NaN
             rates = _rates(self, names)(*values, *(given[name] for name in names))
-        sizes = [np.abs(np.asarray(rate, np.float64)) for rate in rates]
-        shape = next((np.shape(given[name]) for name in names), ())
-        fastest: FloatArray = np.zeros(shape)
-        for size in sizes:
-            fastest = np.asarray(np.fmax(fastest, size), np.float64)
-        return fastest
+        return max((0.0, *(float(np.max(np.abs(rate))) for rate in rates)))
 
     def decay_rate(self, values: FloatArray) -> float:
         """Return the rate at which its one own state follows signals, if that is linear.

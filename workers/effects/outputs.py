@@ -82,8 +82,9 @@ def apply_output_effect(
         result=np.zeros(1),
     )
     signals = dict(zip((*recorded, *inputs), (*outputs.T, *grid.inputs.T), strict=True))
-    rates = np.broadcast_to(definition.fastest_rate(coefficients, signals), grid.times.shape)
-    motion = OwnStateMotion(np.maximum(rates[:-1], rates[1:]), definition.decay_rate(coefficients))
+    motion = OwnStateMotion(
+        definition.fastest_rate(coefficients, signals), definition.decay_rate(coefficients)
+    )
     own_coefficients = np.ascontiguousarray(coefficients)
     apply_to_outputs(compiled.hooks(), grid, outputs, column, own_coefficients, motion, work)
 

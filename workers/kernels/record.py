@@ -46,11 +46,11 @@ class OutputWorkspace(NamedTuple):
 class OwnStateMotion(NamedTuple):
     """How fast the effect's own states are.
 
-    `rates` has the fastest rate within each interval of the grid; `decay` is that of a state which
-    follows signals linearly, 0.0 where it does not.
+    `rate` is the fastest one of the whole record; `decay` is that of a state which follows signals
+    linearly, 0.0 where it does not.
     """
 
-    rates: FloatArray
+    rate: float
     decay: float
 
 
@@ -83,7 +83,7 @@ def apply_to_outputs(hooks, grid, outputs, column, coefficients, motion, work): 
             if motion.decay > 0.0:
                 _follow(hooks, grid, outputs, i - 1, motion.decay, coefficients, work)
             else:
-                substeps = substep_count(grid.times[i] - grid.times[i - 1], motion.rates[i - 1])
+                substeps = substep_count(grid.times[i] - grid.times[i - 1], motion.rate)
                 for n in range(substeps):
                     _advance_states(hooks, grid, outputs, i - 1, n, substeps, coefficients, work)
         _interpolate(grid, outputs, i, 0.0, work)

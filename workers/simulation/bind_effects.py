@@ -109,7 +109,7 @@ class BoundEffects:
             if definition.states and definition.site.kind != "output":
                 for p, row in enumerate(coefficients):
                     own = row[position : position + len(definition.coefficients)]
-                    rates[p] = max(rates[p], float(definition.fastest_rate(own)))
+                    rates[p] = max(rates[p], definition.fastest_rate(own))
         return rates
 
     def _base_values(
