@@ -195,7 +195,7 @@ def workers_of(process: int) -> list[tuple[int, str]]:
     return [
         (pid, "worker" if name.startswith("ray::FmuActor") else "simulation")
         for pid, name in names.items()
-        if (name.startswith("ray::FmuActor") or "workers.process.fork_server" in name)
+        if (name.startswith("ray::FmuActor") or "workers.process.template" in name)
         and descends(pid, process, parents)
     ]
 

@@ -1,8 +1,9 @@
-"""A process that forks others: each is ready in milliseconds, because all imports are done.
+"""The process that forks those of one installation: each is ready in milliseconds.
 
 Forking a worker itself would copy locks that its other threads hold; this process never has a
-second thread. It is started by a `SupervisedEvaluator`, does what that says over one connection,
-and ends, with all that it has forked, when the connection ends.
+second thread. It comes from the `template` with its evaluator prepared, does what a `ForkClient`
+says over one connection, and ends, with all that it has forked, when the connection ends or it is
+told to.
 
 The fork server of `multiprocessing` is not used because it prepares modules, not objects: each of
 its children would be sent the model and the experiments and prepare the evaluator again. There is
@@ -16,7 +17,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import sys
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
 
@@ -24,26 +24,19 @@ import numpy as np
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
-from workers.messages import Experiment, IntArray, Model
 from workers.process.child import serve
-from workers.process.watch import map_progress
 
-FORK, FORK_FOR_EFFECTS = "fork", "fork for effects"
+FORK, FORK_FOR_EFFECTS, END = "fork", "fork for effects", "end"
 
 
-def main(descriptor: int, shared: int) -> None:
+def serve_forks(orders: Connection, evaluator: Evaluator | ModelError) -> None:
     """Fork and wait as told: `FORK` and a connection's handle, or the id of an ended process.
 
-    `shared` is the descriptor of the progress that all processes note, one at a time.
+    `evaluator` is ready but for the FMU; or what is wrong with it, for the processes to say.
     """
-    orders = Connection(descriptor)
-    installation = orders.recv()
-    _keep_apart(installation[0])
-    evaluator = _prepare(installation, map_progress(shared))
     running: set[int] = set()
     with contextlib.suppress(EOFError, OSError):
-        while True:
-            order = orders.recv()
+        while (order := orders.recv()) != END:
             if order == FORK_FOR_EFFECTS:
                 import workers.simulation.bind_effects  # noqa: F401 (for all processes that follow)
             if order in (FORK, FORK_FOR_EFFECTS):
@@ -74,24 +67,3 @@ def draw_anew() -> None:
     by itself.
     """
     np.random.seed()
-
-
-def _keep_apart(model: Model) -> None:
-    """Keep what an FMU prints out of what this program prints to its standard output."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(2 if model.logging_on else nowhere, 1)
-    os.close(nowhere)
-
-
-def _prepare(
-    installation: tuple[Model, tuple[Experiment, ...], str], progress: IntArray
-) -> Evaluator | ModelError:
-    """All but the FMU, ready once for all processes; or what is wrong with it, for them to say."""
-    try:
-        return Evaluator(*installation, load=False, progress=progress)
-    except ModelError as error:
-        return error
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]))

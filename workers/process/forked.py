@@ -5,15 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-import subprocess
-import sys
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
-from pathlib import Path
-from typing import Any
 
 from workers.errors import ModelError
-from workers.process.fork_server import FORK, FORK_FOR_EFFECTS
+from workers.process.fork_server import END, FORK, FORK_FOR_EFFECTS
+from workers.process.template import Installation
+from workers.process.template_client import TEMPLATE
 from workers.process.watch import SharedProgress
 
 CAN_FORK = hasattr(os, "fork")
@@ -23,7 +21,7 @@ CAN_FORK = hasattr(os, "fork")
 class ForkClient:
     """Starts processes that serve an installation, and says how they ended.
 
-    The process that forks them is started again if somebody has killed it.
+    The process that forks them is started with the first, and again if somebody has killed it.
 
     Parameters
     ----------
@@ -34,6 +32,8 @@ class ForkClient:
     ----------
     progress
         What the process has done that was forked last; see `workers.kernels.fmi.progress`.
+    server
+        The id of the process that forks them; 0 before the first.
 
     Raises
     ------
@@ -41,7 +41,7 @@ class ForkClient:
         On a system that cannot fork.
     """
 
-    def __init__(self, installation: tuple[Any, ...]) -> None:
+    def __init__(self, installation: Installation) -> None:
         if not CAN_FORK:
             raise ModelError(
                 "an FMU in a process of its own needs a system that can fork processes, as Linux "
@@ -50,8 +50,9 @@ class ForkClient:
             )
         self._installation = installation
         self._shared = SharedProgress()
+        self._orders: Connection | None = None
         self.progress = self._shared.progress
-        self._start()
+        self.server = 0
 
     def fork(self, *, effects: bool = False) -> tuple[int, Connection]:
         """A new process: its id, and a connection to it.
@@ -71,7 +72,6 @@ class ForkClient:
             return self._fork(effects)
         except (EOFError, OSError):
             self._stop()
-            self._start()
         try:
             return self._fork(effects)
         except EOFError as error:
@@ -82,6 +82,8 @@ class ForkClient:
 
         None if nobody knows.
         """
+        if self._orders is None:
+            return None
         try:
             self._orders.send(process)
             code: int = self._orders.recv()
@@ -94,39 +96,35 @@ class ForkClient:
         self._stop()
         self._shared.close()
 
-    def _stop(self) -> None:
-        if not self._orders.closed:
-            self._orders.close()
-            self._fork_server.wait()
-
-    def _start(self) -> None:
-        mine, theirs = socket.socketpair()
-        passed = theirs.fileno(), self._shared.descriptor
-        with theirs:
-            self._fork_server = subprocess.Popen(
-                [sys.executable, "-m", "workers.process.fork_server", *map(str, passed)],
-                pass_fds=passed,
-                start_new_session=True,
-                env={**os.environ, "PYTHONPATH": _import_path(), "OPENBLAS_NUM_THREADS": "1"},
-            )
-        self._orders = Connection(mine.detach())
-        with contextlib.suppress(OSError):  # it has ended already: the first fork will say so
-            self._orders.send(self._installation)
-
     def _fork(self, effects: bool) -> tuple[int, Connection]:
+        orders = self._orders = self._orders or self._start()
         mine, theirs = socket.socketpair()
         try:
             with theirs:
-                self._orders.send(FORK_FOR_EFFECTS if effects else FORK)
-                reduction.send_handle(self._orders, theirs.fileno(), self._fork_server.pid)
-                process: int = self._orders.recv()
-        except BaseException:
+                orders.send(FORK_FOR_EFFECTS if effects else FORK)
+                reduction.send_handle(orders, theirs.fileno(), self.server)
+                process: int = orders.recv()
+        except BaseException:  # what it would answer is nobody's any more
             mine.close()
+            self._stop()
             raise
         return process, Connection(mine.detach())
 
+    def _start(self) -> Connection:
+        mine, theirs = socket.socketpair()
+        with theirs, contextlib.ExitStack() as unless_started:
+            unless_started.callback(mine.close)
+            passed = theirs.fileno(), self._shared.descriptor
+            self.server = TEMPLATE.fork_server(self._installation, *passed)
+            unless_started.pop_all()
+        return Connection(mine.detach())
 
-def _import_path() -> str:
-    """Return the import path of this package, for the process to find it too."""
-    own = str(Path(__file__).parents[2])
-    return os.pathsep.join([own, *filter(None, [os.environ.get("PYTHONPATH")])])
+    def _stop(self) -> None:
+        """End the fork server, and wait until it is gone and has ended all that it forked."""
+        if self._orders is None:
+            return
+        with self._orders as orders, contextlib.suppress(EOFError, OSError):
+            orders.send(END)
+            while True:
+                orders.recv()
+        self._orders = None

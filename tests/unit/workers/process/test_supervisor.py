@@ -28,6 +28,7 @@ from workers.messages import (
     Task,
 )
 from workers.process.supervisor import SupervisedEvaluator
+from workers.process.template_client import TEMPLATE
 from workers.wire import TaskBatch
 
 CRASHES, ABORTS, EXITS, HANGS, EATS_MEMORY = 1.0, 2.0, 3.0, 4.0, 5.0
@@ -73,6 +74,20 @@ def tasks(rates, kind=0.0, share=0.0, leak=0.0) -> list[Task]:
     return [
         Task(i, i % 2, np.array([rate, kind, share, leak])) for i, rate in enumerate(rates.tolist())
     ]
+
+
+def has_ended(process: int) -> bool:
+    """Whether a process is gone, or is soon; one that only its parent remembers counts as gone."""
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
+        try:
+            state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+        except OSError:
+            return True
+        if state == "Z":
+            return True
+        time.sleep(0.01)
+    return False
 
 
 def in_batches(guard: SupervisedEvaluator, asked: list[Task], size: int = 10) -> list[Outcome]:
@@ -226,9 +241,22 @@ def test_even_without_the_process_that_forks_it_goes_on(open_guard):
     asked = tasks(RATES)
     before = in_batches(guard, asked)
     for _ in range(2):
-        os.kill(guard._forks._fork_server.pid, signal.SIGKILL)
+        os.kill(guard._forks.server, signal.SIGKILL)
         after = in_batches(guard, asked)
         assert [o.residuals.tobytes() for o in after] == [o.residuals.tobytes() for o in before]
+
+
+def test_even_without_the_process_that_all_of_them_come_from_it_goes_on(open_guard):
+    guard = open_guard(QUICK)
+    asked = tasks(RATES)
+    before = in_batches(guard, asked)
+    template = TEMPLATE._process.pid
+    os.kill(template, signal.SIGKILL)
+    assert has_ended(template)
+    os.kill(guard._forks.server, signal.SIGKILL)
+    after = in_batches(guard, asked)
+    assert [o.residuals.tobytes() for o in after] == [o.residuals.tobytes() for o in before]
+    assert TEMPLATE._process.pid != template
 
 
 def test_after_a_while_without_failures_tasks_travel_in_batches_again(open_guard, monkeypatch):
@@ -251,12 +279,11 @@ def test_after_a_while_without_failures_tasks_travel_in_batches_again(open_guard
 def test_nothing_is_left_running(open_guard):
     guard = open_guard(QUICK)
     in_batches(guard, tasks(RATES[:4]))
-    child, zygote = guard._child[0], guard._forks._fork_server.pid
+    child, fork_server = guard._child[0], guard._forks.server
     guard.close()
     guard.close()
-    assert guard._forks._fork_server.returncode == 0
-    assert not Path(f"/proc/{zygote}").exists()
-    assert not Path(f"/proc/{child}").exists()
+    assert has_ended(fork_server)
+    assert has_ended(child)
 
 
 def test_a_process_dies_with_its_guard_even_in_the_middle_of_a_hang(model, open_guard):
@@ -266,15 +293,8 @@ def test_a_process_dies_with_its_guard_even_in_the_middle_of_a_hang(model, open_
     connection.send(TaskBatch.of([tasks(RATES, HANGS, 0.05)[hanging]]))
     child = guard._child[0]
     assert not connection.poll(0.3)
-    os.kill(guard._forks._fork_server.pid, signal.SIGKILL)
-    guard._forks._fork_server.wait()
-    deadline = time.monotonic() + 10.0
-    while Path(f"/proc/{child}/stat").exists() and time.monotonic() < deadline:
-        if Path(f"/proc/{child}/stat").read_text().split()[2] == "Z":
-            break
-        time.sleep(0.01)
-    else:
-        assert not Path(f"/proc/{child}").exists()
+    os.kill(guard._forks.server, signal.SIGKILL)
+    assert has_ended(child)
     guard._child = None
 
 
