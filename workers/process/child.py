@@ -7,7 +7,6 @@ import ctypes
 import gc
 import signal
 import sys
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -17,21 +16,13 @@ from workers.evaluate import Evaluator
 from workers.fmu.instance import instances_made
 from workers.probes.base import FmuProbe
 from workers.probes.memory import resident_bytes
+from workers.process.orders import BatchReport
 from workers.wire import OutcomeColumns
 
 DIES_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of Linux's prctl."""
 FIRST_TO_GO = "1000"
 """What Linux ends first when memory runs out."""
-
-
-@dataclass(frozen=True)
-class BatchReport:
-    """Answers to a batch, and what the process has come to: bytes in memory, FMU instances."""
-
-    answers: OutcomeColumns
-    resident: int
-    instances: int
 
 
 def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:

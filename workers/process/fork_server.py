@@ -25,8 +25,7 @@ import numpy as np
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.process.child import serve
-
-FORK, FORK_FOR_EFFECTS, END = "fork", "fork for effects", "end"
+from workers.process.orders import END, FORK, FORK_FOR_EFFECTS
 
 
 def serve_forks(orders: Connection, evaluator: Evaluator | ModelError) -> None:

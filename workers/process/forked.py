@@ -9,8 +9,7 @@ from multiprocessing import reduction
 from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
-from workers.process.fork_server import END, FORK, FORK_FOR_EFFECTS
-from workers.process.template import Installation
+from workers.process.orders import END, FORK, FORK_FOR_EFFECTS, Installation
 from workers.process.template_client import TEMPLATE
 from workers.process.watch import SharedProgress
 
@@ -31,7 +30,7 @@ class ForkClient:
     Attributes
     ----------
     progress
-        What the process has done that was forked last; see `workers.kernels.fmi.progress`.
+        What the process has done that was forked last; see `workers.messages.progress`.
     server
         The id of the process that forks them; 0 before the first.
 

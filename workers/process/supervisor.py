@@ -20,7 +20,6 @@ from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
 from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
-from workers.process.child import BatchReport
 from workers.process.failures import (
     LOAD_SECONDS,
     ProcessFailure,
@@ -29,6 +28,7 @@ from workers.process.failures import (
     too_late,
 )
 from workers.process.forked import ForkClient
+from workers.process.orders import BatchReport
 from workers.process.watch import ProgressWatch
 from workers.wire import TaskBatch
 

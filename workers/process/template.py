@@ -13,35 +13,15 @@ import gc
 import os
 import signal
 import sys
-from dataclasses import dataclass
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
-from workers.messages import Experiment, IntArray, Model
+from workers.messages import IntArray
 from workers.process.fork_server import serve_forks
+from workers.process.orders import Installation, StartOrder
 from workers.process.watch import map_progress
-
-Installation = tuple[Model, tuple[Experiment, ...], str]
-"""The model, the experiments and the worker's name: what an `Evaluator` is made of."""
-
-
-@dataclass(frozen=True)
-class StartOrder:
-    """A fork server that is wanted. Three handles follow: orders, progress, standard error.
-
-    Attributes
-    ----------
-    installation
-        What its processes make their evaluators of.
-    environment, folder
-        What the program has now: its environment variables, and the folder that it works in.
-    """
-
-    installation: Installation
-    environment: dict[str, str]
-    folder: str
 
 
 def main(descriptor: int) -> None:

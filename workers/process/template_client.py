@@ -13,7 +13,7 @@ from multiprocessing import reduction
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from workers.process.template import Installation, StartOrder
+from workers.process.orders import Installation, StartOrder
 
 READ_AT_START = (
     *("LD_", "DYLD_", "MALLOC_", "GLIBC_", "PYTHON"),

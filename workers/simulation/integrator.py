@@ -17,12 +17,12 @@ from workers.kernels.fmi.arguments import KernelArguments
 from workers.kernels.fmi.component import FmiComponent, KernelWorkspace, nothing_loaded, workspace
 from workers.kernels.fmi.hooks import EffectHooks, no_hooks
 from workers.kernels.fmi.initialise import SolverSettings
-from workers.kernels.fmi.progress import RUNNING, no_watcher
 from workers.kernels.solvers.co_simulation import co_simulate_batch
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.dormand_prince import dormand_prince_batch
 from workers.kernels.solvers.rk4 import rk4_batch
 from workers.messages import FloatArray, IntArray, Model
+from workers.messages.progress import RUNNING, no_watcher
 from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment
 from workers.simulation.jacobian import (
@@ -124,7 +124,7 @@ class FmuIntegrator:
     model, description
         The FMU; the description must be of the same archive.
     progress
-        Progress that the loop notes; see `workers.kernels.fmi.progress`.
+        Progress that the loop notes; see `workers.messages.progress`.
     """
 
     instance: FmuInstance

@@ -38,7 +38,7 @@ class Simulator:
     experiments
         Those that `run` refers to by index.
     progress
-        Progress that simulations note; see `workers.kernels.fmi.progress`.
+        Progress that simulations note; see `workers.messages.progress`.
 
     Raises
     ------

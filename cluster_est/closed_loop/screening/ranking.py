@@ -21,7 +21,6 @@ from cluster_est.closed_loop.screening.places import rank_places
 from cluster_est.closed_loop.screening.probe import probe
 from cluster_est.closed_loop.thresholds import ScreeningThresholds
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.errors import DataError
 from cluster_est.statistics.projection import (
     OrthogonalProjection,
     ProjectedResidual,
@@ -90,10 +89,8 @@ class CandidateRanking:
 def rank(workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
     """Rank every candidate at a fit.
 
-    Raises
-    ------
-    DataError
-        If there are more candidates than measured values.
+    Each is compared with the residual by itself, so there may be more candidates than measured
+    values: what the choice among many costs is in the criterion of the selection.
     """
     trajectories = workbench.trajectories(fitted)
     thresholds = workbench.thresholds.screening
@@ -130,13 +127,7 @@ def rank(workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
 def _candidates(
     workbench: LoopWorkbench, fitted: FittedModel, trajectories: Sequence[LinearisedTrajectory]
 ) -> tuple[list[EffectCandidate], int]:
-    """All candidates, or those at leading places where there are too many; how many were looked at.
-
-    Raises
-    ------
-    DataError
-        If there are more candidates than measured values.
-    """
+    """All candidates, or those at leading places where there are many; how many were looked at."""
     description, settings = workbench.description, workbench.settings
     frequencies = _peaks(workbench.records, fitted.residuals, workbench.thresholds.screening)
     given = (fitted.problem, description, trajectories)
@@ -155,12 +146,6 @@ def _candidates(
         candidates = make_candidates(*given, frequencies, settings, leading)
         looked_at = count_candidates(places, forms, arguments)
         looked_at += sum(candidate.form.variables > 1 for candidate in candidates)
-    if len(candidates) > workbench.size:
-        raise DataError(
-            f"closed loop: the training experiments must have at least as many measured values as "
-            f"there are candidates, but have {workbench.size} for {len(candidates)}; add data, or "
-            "name fewer in closed_loop.effects or closed_loop.sites"
-        )
     return candidates, looked_at
 
 

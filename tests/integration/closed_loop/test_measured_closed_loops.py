@@ -16,6 +16,8 @@ from support.problems.springs import ROOT
 import cluster_est as ce
 from cluster_est.closed_loop.findings.result import Verdict
 
+pytestmark = pytest.mark.slow
+
 
 def closed(name: str, file: str, monkeypatch: pytest.MonkeyPatch):
     """The loop on a config, with its own settings."""

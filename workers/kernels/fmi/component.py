@@ -6,9 +6,9 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from workers.kernels.fmi.progress import no_watcher
 from workers.kernels.fmi.values import TYPES, VariableAccess
 from workers.messages import FloatArray, IntArray
+from workers.messages.progress import no_watcher
 
 
 class FmiComponent(NamedTuple):
@@ -90,7 +90,7 @@ class KernelWorkspace(NamedTuple):
     hold at the moment; `next_event` the time of the next time event. `indicators` are the event
     indicators after the last step, behind an event that is being located, and of a trial.
     `info` has what FMUs say of events (see `workers.kernels.fmi.functions`), `buffer` the value of
-    one variable. `progress` is described in `workers.kernels.fmi.progress`.
+    one variable. `progress` is described in `workers.messages.progress`.
     """
 
     inputs: FloatArray

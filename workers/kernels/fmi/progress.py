@@ -1,25 +1,14 @@
-"""Progress that a simulation notes, for whoever waits for it in another process.
+"""How compiled loops note their progress; see `workers.messages.progress`.
 
-It says that the simulation goes on, whatever the clock says. What is noted with every call of a
-cheap FMU is a constant, which whoever looks erases: to store one costs nothing that can be measured
-beside the call, while to count calls made the cheapest simulations a quarter longer.
+What is noted with every call of a cheap FMU is a constant, which whoever looks erases: to store one
+costs nothing that can be measured beside the call, while to count calls made the cheapest
+simulations a quarter longer.
 """
 
 from __future__ import annotations
 
-import numpy as np
-
 from workers.kernels.fmi.compiling import inlined
-from workers.messages import IntArray
-
-CALLED, SIMULATIONS, RUNNING = range(3)
-"""Whether the FMU was told where it is, or to make a step, since somebody looked; how many
-simulations have begun; and whether one of them is under way."""
-
-
-def no_watcher() -> IntArray:
-    """Progress that nobody looks at."""
-    return np.zeros(3, np.int64)
+from workers.messages.progress import CALLED, RUNNING, SIMULATIONS
 
 
 @inlined

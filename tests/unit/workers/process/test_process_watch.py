@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from workers.kernels.fmi.progress import CALLED, RUNNING, SIMULATIONS, no_watcher
+from workers.messages.progress import CALLED, RUNNING, SIMULATIONS, no_watcher
 from workers.process import watch
 from workers.process.watch import ProcessActivity, ProgressWatch, SharedProgress, map_progress
 
