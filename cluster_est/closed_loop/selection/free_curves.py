@@ -49,8 +49,8 @@ def curve_instead(
     """One curve in the place of all effects that a search has added.
 
     It takes their place where something may be missing at all, and they are several, or leave more
-    than noise, and it fits better than they do by the price of a choice among all pairs, and
-    predicts better.
+    than noise, and it fits better than they do by the price of a choice among all pairs, also if
+    what is left is noise as coloured as it looks, and predicts better.
 
     Parameters
     ----------
@@ -75,6 +75,17 @@ def curve_instead(
     if end.won is None or end.prediction is None:
         return None
     price = workbench.thresholds.selection.pair_price * float(np.log(first.screening.count))
-    fits = end.won.criterion + price < current.criterion(workbench.records)
+    falls = min(_falls(workbench, current, end.won.fitted))
     better = end.prediction.total < prediction.total
-    return (end.won, end.prediction) if fits and better else None
+    return (end.won, end.prediction) if falls > price and better else None
+
+
+def _falls(
+    workbench: LoopWorkbench, before: FittedModel, after: FittedModel
+) -> tuple[float, float]:
+    """By how much the criterion falls: for white noise, and for noise as coloured as the rest."""
+    records, order = workbench.records, workbench.thresholds.screening.autoregression
+    return (
+        before.criterion(records) - after.criterion(records),
+        before.coloured_criterion(records, order) - after.coloured_criterion(records, order),
+    )
