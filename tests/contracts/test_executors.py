@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import signal
 import threading
@@ -13,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-import ray
 from support.truth.example_models import MODELS, REFERENCES, sampled_experiment
 
 from cluster_est import Parameter, Problem
 from cluster_est.errors import ExecutorError
 from cluster_est.executors import EXECUTORS, Executor, executor_class
 from cluster_est.executors.base import WorkerPool
+from cluster_est.executors.ray_cluster import connect, disconnect
 from cluster_est.running.resources import Resources
 from cluster_est.running.trials.reset_policy import open_with_reset
 from workers.errors import ModelError
@@ -57,17 +56,10 @@ class Setup:
 
 @pytest.fixture(scope="module")
 def ray_started(cache_folder: object) -> Iterator[None]:
-    """One Ray for all tests, with processors enough for several pools at the same time."""
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    ray.init(
-        address="local",
-        num_cpus=8,
-        include_dashboard=False,
-        logging_level=logging.ERROR,
-        log_to_driver=False,
-    )
+    """One Ray for all tests, with processors enough for two pools at the same time."""
+    connect(4, "local")
     yield
-    ray.shutdown()
+    disconnect()
 
 
 @pytest.fixture(scope="module", params=list(OPENERS))
