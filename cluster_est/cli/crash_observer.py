@@ -72,7 +72,7 @@ def end(code: int, *, in_order: bool = True) -> NoReturn:
     """
     if in_order:
         atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
+    for stream in filter(None, (sys.stdout, sys.stderr)):  # a program may have neither
         with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
             stream.flush()
     os._exit(code)

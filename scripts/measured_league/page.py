@@ -29,6 +29,10 @@ that is unknown, that is fitted to it for each of the three.
 The splits, base models and effects were chosen with all data in view, so the gap between base and
 textbook flatters the latter. Anything may be tuned on these cases: a good score here proves nothing
 about others.
+
+Where the config gives no sigma, the loop weights several outputs by the noise that it estimates,
+while the two fits weight them alike. So a loop that adds nothing may show other errors than the
+base model; "made worse" counts loops that have added something.
 """
 
 

@@ -75,3 +75,4 @@ def _settle(order: StartOrder, errors: int) -> None:
 
 if __name__ == "__main__":
     main(int(sys.argv[1]))
+    os._exit(0)  # whoever started it waits for its end

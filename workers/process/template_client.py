@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -58,8 +59,8 @@ class TemplateClient:
             If none can be started.
         """
         order = StartOrder(installation, _environment(), _folder())
-        handles = orders, progress, sys.__stderr__.fileno() if sys.__stderr__ else 2
-        with self._lock:
+        with self._lock, _standard_error() as errors:
+            handles = orders, progress, errors
             with contextlib.suppress(EOFError, OSError):
                 return self._ask(order, handles)
             try:
@@ -118,6 +119,16 @@ def _environment() -> dict[str, str]:
     own = str(Path(__file__).parents[2])
     path = os.pathsep.join([own, *filter(None, [os.environ.get("PYTHONPATH")])])
     return {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"}
+
+
+@contextlib.contextmanager
+def _standard_error() -> Iterator[int]:
+    """The descriptor of this program's standard error; of a program without one, of nowhere."""
+    if sys.__stderr__ is not None:
+        yield sys.__stderr__.fileno()
+        return
+    with Path(os.devnull).open("wb") as nowhere:
+        yield nowhere.fileno()
 
 
 def _folder() -> str:
