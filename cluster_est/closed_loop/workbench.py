@@ -22,7 +22,6 @@ from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.records import StackedRecords
-from cluster_est.statistics.whitening import fit_autoregression, whiten
 from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray, Want
 
@@ -91,16 +90,6 @@ class FittedModel:
     def criterion(self, records: StackedRecords) -> float:
         """Bayesian information criterion (G. Schwarz, Ann. Stat. 6 (1978) 461-464)."""
         return float(self.likelihood(records) + self.space.size * np.log(len(self.residuals)))
-
-    def coloured_criterion(self, records: StackedRecords, order: int) -> float:
-        """The same where what is left is an autoregression of this order, for each output.
-
-        Of coloured residuals the plain criterion counts samples that say the same as so many
-        pieces of evidence, and many coefficients look as if they paid for themselves.
-        """
-        coefficients = fit_autoregression(self.residuals, records, order)
-        white = whiten(self.residuals, records, coefficients)
-        return replace(self, residuals=white).criterion(records)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ with it: what it leaves is partly its own error, which named effects would only 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
@@ -21,6 +23,8 @@ from cluster_est.closed_loop.selection.refinement.refine import FULL, SHORT, Ref
 from cluster_est.closed_loop.selection.rounds import RoundStart
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.whitening import fit_autoregression, whiten
 
 
 def refit_curves(
@@ -80,12 +84,21 @@ def curve_instead(
     return (end.won, end.prediction) if falls > price and better else None
 
 
+def coloured_criterion(fitted: FittedModel, records: StackedRecords, order: int) -> float:
+    """The criterion where what is left is an autoregression of this order, for each output.
+
+    Of coloured residuals the plain criterion counts samples that say the same as so many pieces of
+    evidence, and many coefficients look as if they paid for themselves.
+    """
+    coefficients = fit_autoregression(fitted.residuals, records, order)
+    white = whiten(fitted.residuals, records, coefficients)
+    return replace(fitted, residuals=white).criterion(records)
+
+
 def _falls(
     workbench: LoopWorkbench, before: FittedModel, after: FittedModel
 ) -> tuple[float, float]:
     """By how much the criterion falls: for white noise, and for noise as coloured as the rest."""
     records, order = workbench.records, workbench.thresholds.screening.autoregression
-    return (
-        before.criterion(records) - after.criterion(records),
-        before.coloured_criterion(records, order) - after.coloured_criterion(records, order),
-    )
+    coloured = [coloured_criterion(fitted, records, order) for fitted in (before, after)]
+    return before.criterion(records) - after.criterion(records), coloured[0] - coloured[1]
