@@ -33,6 +33,10 @@ about others.
 Where the config gives no sigma, the loop weights several outputs by the noise that it estimates,
 while the two fits weight them alike. So a loop that adds nothing may show other errors than the
 base model; "made worse" counts loops that have added something.
+
+By definition a loop adds nothing that does not halve the error, on held-out data too (in squares,
+and less the noise). It then says `unexplained`, and what came nearest as a hint. Where the
+textbook's own effect does less, it is no failure that it was not added.
 """
 
 
@@ -106,6 +110,7 @@ def _summary(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]) 
         ("held-out error made worse", made_worse),
         (f"more than {NEAR_NOISE} times the noise left, and the verdict says so", says_so),
         (f"more than {NEAR_NOISE} times the noise left, and `found` said", overclaims),
+        ("the textbook's effect halves the held-out error", textbook_halves),
     )
     rows = [[text, f"{sum(map(question, ended))} of {len(ended)}"] for text, question in questions]
     text = table(["", "cases"], rows)
@@ -118,6 +123,11 @@ def _summary(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]) 
 def near_textbook(each: CaseFigures) -> bool:
     """Whether the loop predicts what was held out about as well as the textbook's effect."""
     return _loop(each).test <= NEAR_TEXTBOOK * _of(each.textbook).test
+
+
+def textbook_halves(each: CaseFigures) -> bool:
+    """Whether the textbook's effect is large enough for the loop to add anything like it."""
+    return _of(each.textbook).test <= 0.5 * _of(each.base).test
 
 
 def named(each: CaseFigures, known: Mapping[str, CaseJudgements]) -> bool:
