@@ -34,9 +34,9 @@ Where the config gives no sigma, the loop weights several outputs by the noise t
 while the two fits weight them alike. So a loop that adds nothing may show other errors than the
 base model; "made worse" counts loops that have added something.
 
-By definition a loop adds nothing that does not halve the error, on held-out data too (in squares,
-and less the noise). It then says `unexplained`, and what came nearest as a hint. Where the
-textbook's own effect does less, it is no failure that it was not added.
+By definition a loop adds nothing that does not halve the error beyond the noise, in training and
+held out: three quarters of the squares. It then says `unexplained`, and what came nearest as a
+hint. Where the textbook's own effect does less, that it was not added is no failure.
 """
 
 
