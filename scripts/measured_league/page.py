@@ -20,6 +20,8 @@ SAME = 1e-3
 
 INTRODUCTION = """# The league of measured cases
 
+Written by `scripts/league.py` from its runs, each with default settings on one core.
+
 Each case is a public measurement with a base model from the textbook and the effect that this
 model lacks. `cluster-est close-loop` is told nothing of that effect. The base model and the
 textbook's are fitted by name to the same data. Errors are root mean squares over all samples of all
@@ -111,6 +113,7 @@ def _summary(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]) 
         (f"more than {NEAR_NOISE} times the noise left, and the verdict says so", says_so),
         (f"more than {NEAR_NOISE} times the noise left, and `found` said", overclaims),
         ("the textbook's effect halves the held-out error", textbook_halves),
+        ("the same, and the verdict is a kind of `none`", overlooked),
     )
     rows = [[text, f"{sum(map(question, ended))} of {len(ended)}"] for text, question in questions]
     text = table(["", "cases"], rows)
@@ -128,6 +131,11 @@ def near_textbook(each: CaseFigures) -> bool:
 def textbook_halves(each: CaseFigures) -> bool:
     """Whether the textbook's effect is large enough for the loop to add anything like it."""
     return _of(each.textbook).test <= 0.5 * _of(each.base).test
+
+
+def overlooked(each: CaseFigures) -> bool:
+    """Whether the loop says that nothing is missing where the textbook knows what is."""
+    return textbook_halves(each) and bool(each.loop) and _verdict(each).startswith("none")
 
 
 def named(each: CaseFigures, known: Mapping[str, CaseJudgements]) -> bool:
@@ -164,7 +172,7 @@ def _all_cases(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]
     for each in found:
         base, loop, textbook = (pair(run) for run in _runs(each))
         unit = each.base.unit if each.base else "-"
-        verdict = each.loop.verdict if each.loop else "-"
+        verdict = _verdict(each)
         rightness = _rightness(each, known[each.case.name]) or "-"
         anchor = f"[{each.case.name}](#{each.case.name})"
         noise = number(each.noise)
@@ -225,6 +233,10 @@ def _runs(each: CaseFigures) -> tuple[RunFigures | None, ...]:
 
 def _rightness(each: CaseFigures, known: CaseJudgements) -> Rightness | None:
     return known.overall([effect.name for effect in each.loop.effects]) if each.loop else None
+
+
+def _verdict(each: CaseFigures) -> str:
+    return each.loop.verdict if each.loop else "-"
 
 
 def _loop(each: CaseFigures) -> RunFigures:
