@@ -67,10 +67,8 @@ class ForkClient:
             If none can be started.
         """
         self.progress[:] = 0
-        try:
+        with contextlib.suppress(EOFError, OSError):
             return self._fork(effects)
-        except (EOFError, OSError):
-            self._stop()
         try:
             return self._fork(effects)
         except EOFError as error:

@@ -23,7 +23,6 @@ from workers.messages import (
     Model,
     Outcome,
     Output,
-    Solver,
     Status,
     Task,
 )
@@ -39,13 +38,6 @@ EXPERIMENTS = tuple(
 )
 RATES = np.linspace(0.1, 1.9, 60)
 QUICK = Limits(seconds=3.0)
-
-
-@pytest.fixture
-def model(built_fmu: Callable[[str], bytes]) -> Model:
-    parameters = "rate", "kind", "share", "leak"
-    archive = built_fmu("misbehaves")
-    return Model("misbehaves.fmu", archive, "model_exchange", Solver("rk4", 0.02), parameters)
 
 
 @pytest.fixture

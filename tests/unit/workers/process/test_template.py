@@ -9,9 +9,8 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from workers.messages import Experiment, Input, Limits, Model, Outcome, Output, Solver, Task
+from workers.messages import Experiment, Input, Limits, Model, Outcome, Output, Task
 from workers.process.supervisor import SupervisedEvaluator
 from workers.process.template_client import TEMPLATE
 from workers.wire import TaskBatch
@@ -25,13 +24,6 @@ EXPERIMENT = Experiment(
     (Output("y", TIMES, np.zeros(9)),),
 )
 CHECK = 'exec "$0" -c "from cluster_est.cli import run; run()" check "$1" 2>&-'
-
-
-@pytest.fixture
-def model(built_fmu: Callable[[str], bytes]) -> Model:
-    parameters = "rate", "kind", "share", "leak"
-    archive = built_fmu("misbehaves")
-    return Model("misbehaves.fmu", archive, "model_exchange", Solver("rk4", 0.02), parameters)
 
 
 @contextmanager
@@ -72,7 +64,6 @@ def test_other_variables_are_handed_on(model, monkeypatch):
         assert answer(guard).ok
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot fork processes")
 def test_a_program_needs_no_standard_error(own_fmu: Callable[[str, int], Path]) -> None:
     command = ["sh", "-c", CHECK, sys.executable, str(own_fmu("dahlquist", 2))]
     ended = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
