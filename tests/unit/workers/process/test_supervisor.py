@@ -82,6 +82,12 @@ def has_ended(process: int) -> bool:
     return False
 
 
+def kill(process: int) -> None:
+    """End a process, and wait until it has: the signal may arrive later than what follows."""
+    os.kill(process, signal.SIGKILL)
+    assert has_ended(process)
+
+
 def in_batches(guard: SupervisedEvaluator, asked: list[Task], size: int = 10) -> list[Outcome]:
     return [
         outcome
@@ -233,8 +239,11 @@ def test_even_without_the_process_that_forks_it_goes_on(open_guard):
     asked = tasks(RATES)
     before = in_batches(guard, asked)
     for _ in range(2):
-        os.kill(guard._forks.server, signal.SIGKILL)
+        child, fork_server = guard._child[0], guard._forks.server
+        kill(fork_server)
+        assert has_ended(child)
         after = in_batches(guard, asked)
+        assert guard._forks.server != fork_server
         assert [o.residuals.tobytes() for o in after] == [o.residuals.tobytes() for o in before]
 
 
@@ -242,10 +251,10 @@ def test_even_without_the_process_that_all_of_them_come_from_it_goes_on(open_gua
     guard = open_guard(QUICK)
     asked = tasks(RATES)
     before = in_batches(guard, asked)
-    template = TEMPLATE._process.pid
-    os.kill(template, signal.SIGKILL)
-    assert has_ended(template)
-    os.kill(guard._forks.server, signal.SIGKILL)
+    template, child = TEMPLATE._process.pid, guard._child[0]
+    kill(template)
+    kill(guard._forks.server)
+    assert has_ended(child)
     after = in_batches(guard, asked)
     assert [o.residuals.tobytes() for o in after] == [o.residuals.tobytes() for o in before]
     assert TEMPLATE._process.pid != template
