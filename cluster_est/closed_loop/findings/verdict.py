@@ -230,7 +230,10 @@ def _autocorrelated(residual: _Residual) -> str:
     if all(o.believed for o in residual.outputs):
         size = f"{large:.3g} times the declared sigma"
     else:
-        size = f"{large:.3g} times the white part of the noise"
+        size = (
+            f"{large:.3g} times the white part of the noise; without a sigma that the data bear "
+            "out, a slow effect of this size cannot be told from it"
+        )
     return (
         f"the residual{named} is autocorrelated ({worst.correlation:.2g} from one sample to the "
         f"next) and no larger than a sensor's noise may be ({size})"
