@@ -55,9 +55,9 @@ def member_of(
     """Return the member of an evaluated point; a failed simulation is worse than any other."""
     if not evaluation.ok or np.isnan(evaluation.cost):
         return PopulationMember(unit, x, FAILED, np.full(goal.objectives, FAILED), FAILED)
-    values = np.nan_to_num(goal.values(evaluation), nan=LARGEST)
+    values = np.fmax(np.fmin(goal.values(evaluation), LARGEST), -LARGEST)  # NaN counts as LARGEST
     violation = min(evaluation.rank[0], LARGEST)
-    return PopulationMember(unit, x, evaluation.cost, np.clip(values, -LARGEST, LARGEST), violation)
+    return PopulationMember(unit, x, evaluation.cost, values, violation)
 
 
 class PopulationStrategy(ABC):

@@ -115,7 +115,7 @@ def test_systems_behave_for_any_seed(system: System) -> None:
 @cache
 def short(name: str) -> tuple[System, tuple[Run, ...], Array]:
     """Return a system with fewer samples, its runs and its outputs without effect."""
-    system = replace(SYSTEMS[name], samples=200, substeps=5)
+    system = replace(SYSTEMS[name], samples=200, substeps=2)
     runs = tuple(runs_of(system))
     return system, runs, np.stack(simulate(system, runs))
 
