@@ -162,6 +162,14 @@ def test_a_prediction_near_the_noise_is_measured_by_a_part_of_the_noise():
     assert judge(made_bench(PROBLEM), search).closed == pytest.approx(0.5)
 
 
+def test_only_a_known_sigma_sets_the_noise_of_a_sensor_apart_from_a_slow_effect():
+    search = CASES["coloured noise"][0].search()
+    said = "a slow effect of this size cannot be told from it"
+    assert said in judge(made_bench(PROBLEM), search).reason
+    declared = replace(made_bench(PROBLEM), sigma_declared=True)
+    assert said not in judge(declared, search).reason
+
+
 def changes(train: tuple[float, float], test: tuple[float, float] | None, output: str = "y"):
     """Errors over the noise, before and after."""
     roles = {"train": train} | ({"test": test} if test is not None else {})
