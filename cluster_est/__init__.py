@@ -102,6 +102,7 @@ def __getattr__(name: str) -> Any:
     if name == "Experiment":  # `workers`, where the class stands, reads no tables
         tables = import_module("cluster_est.problem.tables.experiment")
         found.from_table = staticmethod(tables.experiment_from_table)
+        found.hold_out = import_module("cluster_est.problem.held_out").hold_out
     globals()[name] = found
     return found
 

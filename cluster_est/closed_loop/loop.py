@@ -39,6 +39,7 @@ from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkben
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Problem
 from cluster_est.results.complete import complete, simulate_all
+from cluster_est.results.facts import fitted_to_held_out
 from cluster_est.results.result import Result
 from cluster_est.running.environment import Monitor
 from cluster_est.running.records import Note, Record, Show
@@ -209,7 +210,7 @@ def _notes(
         notes = (*notes, where_left(workbench, fitted))
     if after.uncertainty is not None:
         notes = (*notes, *after.uncertainty.sentences)
-    return notes
+    return (*notes, *fitted_to_held_out(after.estimates))
 
 
 def _final(workbench: LoopWorkbench, fitted: FittedModel, begin: float) -> Result:

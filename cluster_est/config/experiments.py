@@ -14,6 +14,7 @@ from cluster_est.config.signal_limits import snapped_bound
 from cluster_est.config.time_base import compared_at, counted, weighted
 from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ConfigError
+from cluster_est.problem.held_out import hold_out
 from cluster_est.problem.tables.files import MeasuredTable, read_table
 from cluster_est.problem.tables.measured import interval
 from cluster_est.problem.tables.unused import TableSource
@@ -40,7 +41,13 @@ def build_experiments(config: Config, base: Path, code: UserCode) -> tuple[Exper
     """
     _check_weights(config)
     tables: dict[Path, MeasuredTable] = {}
-    return tuple(_experiment(section, config, base, code, tables) for section in config.experiments)
+    found: list[Experiment] = []
+    for section in config.experiments:
+        experiment = _experiment(section, config, base, code, tables)
+        found += (
+            hold_out(experiment, windows) if (windows := section.test_windows) else [experiment]
+        )
+    return tuple(found)
 
 
 def table_sources(config: Config, base: Path) -> tuple[TableSource, ...]:

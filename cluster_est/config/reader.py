@@ -220,12 +220,13 @@ def _contradictions(experiment: ExperimentSection, *, constrained: bool) -> Iter
     start, stop = experiment.start, experiment.stop
     if start is not None and stop is not None and not start < stop:
         yield f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one"
-    for i, (first, last) in enumerate(experiment.windows):
-        if not first <= last:
-            yield (
-                f"{where}.windows[{i}]: must be [from, to] with from before to but is "
-                f"[{first:g}, {last:g}]; swap them"
-            )
+    for key in ("windows", "test_windows"):
+        for i, (first, last) in enumerate(getattr(experiment, key)):
+            if not first <= last:
+                yield (
+                    f"{where}.{key}[{i}]: must be [from, to] with from before to but is "
+                    f"[{first:g}, {last:g}]; swap them"
+                )
     if experiment.rows is not None and not experiment.rows[0] < experiment.rows[1]:
         yield (
             f"{where}.rows: must be [from, to] with from below to but is "

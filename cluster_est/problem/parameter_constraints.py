@@ -91,7 +91,7 @@ def label_of(parameter: Parameter, experiment: Experiment) -> str:
     if parameter.per is None:
         return parameter.name
     if parameter.per == "experiment":
-        return f"{parameter.name}[{experiment.id}]"
+        return f"{parameter.name}[{experiment.record_id}]"
     key = parameter.per.partition(":")[2] or "group"
     groups = dict(experiment.groups)
     label = groups.get(key, groups.get(""))

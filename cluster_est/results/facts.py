@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.residual_sentences import residual_facts, residual_sentences
 
+MOST_NAMED = 3
+
 if TYPE_CHECKING:  # a result offers its facts, so it knows this file
     from cluster_est.results.result import Result
+    from cluster_est.results.row_types import Estimate
 
 
 def fit_facts(result: Result) -> dict[str, Any]:
@@ -39,4 +43,23 @@ def fit_notes(result: Result) -> tuple[str, ...]:
         notes += result.uncertainty.sentences
     for profile in result.profiles:
         notes += profile.sentences
-    return (*notes, *worse_than_constants(result.errors))
+    return (*notes, *fitted_to_held_out(result.estimates), *worse_than_constants(result.errors))
+
+
+def fitted_to_held_out(estimates: Sequence[Estimate]) -> tuple[str, ...]:
+    """Say which values were fitted to held-out data, whose errors are then no pure predictions."""
+    labels = [each.label for each in estimates if each.estimated_on == "test"]
+    if not labels:
+        return ()
+    named = ", ".join(labels[:MOST_NAMED])
+    if len(labels) > MOST_NAMED:
+        named += f" and {len(labels) - MOST_NAMED} more"
+    what = (
+        "value that no training experiment has was"
+        if len(labels) == 1
+        else ("values that no training experiment has were")
+    )
+    return (
+        f"{named}: the {what} fitted to the held-out data, in the same way for every model; errors "
+        "there are those of a prediction that begins in the right place",
+    )

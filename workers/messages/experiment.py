@@ -57,6 +57,9 @@ class Experiment:
         Returns what takes the place of all residuals of this experiment.
     constraint_functions
         Each returns a number that must be at most 0, or 0.
+    record
+        Name of the experiment whose values it shares where parameters have one per experiment,
+        because both are parts of one record; "" if it has its own. A label too.
 
     Raises
     ------
@@ -77,10 +80,14 @@ class Experiment:
     bounds: tuple[SignalBound, ...] = ()
     cost_function: UserFunction | None = None
     constraint_functions: tuple[UserFunction, ...] = ()
+    record: str = ""
 
     from_table: ClassVar[Callable[..., Experiment]]
     """An experiment from a table of pandas, polars or pyarrow, or a dict of columns. The
     coordinator puts it here: a worker reads no tables."""
+    hold_out: ClassVar[Callable[..., tuple[Experiment, Experiment]]]
+    """Its training part and, as a test experiment, what was measured within windows. Put here as
+    `from_table` is."""
 
     def __post_init__(self) -> None:
         check_name(self.id, "experiment.id", DataError)
@@ -92,6 +99,8 @@ class Experiment:
             given = getattr(self, key)
             object.__setattr__(self, key, as_pairs(given, f"{where}.{key}", DataError))
         check_choice(self.role, get_args(Role), f"{where}.role", DataError)
+        if self.record:
+            check_name(self.record, f"{where}.record", DataError)
         _check_values(self.values, f"{where}.values")
         check_once([output.variable for output in self.outputs], f"{where}.outputs", DataError)
         if self.curve is not None:
@@ -102,6 +111,11 @@ class Experiment:
                 self.cost_function, UserFunction, f"{where}.cost_function", DataError, advice
             )
         _check_interval(self, where)
+
+    @property
+    def record_id(self) -> str:
+        """Name of the record that it is, or is a part of."""
+        return self.record or self.id
 
     @property
     def size(self) -> int:

@@ -104,6 +104,11 @@ class _ExperimentKeys(ConfigSection):
     windows: list[Pair] = Field(
         default_factory=list, description="[[from, to], ...] seconds that count"
     )
+    test_windows: list[Pair] = Field(
+        default_factory=list,
+        description="[[from, to], ...] seconds that are held out: only reported, as an experiment "
+        '"ID (held out)"',
+    )
     role: Literal["train", "test"] = Field("train", description="test: held out, only reported")
     values: dict[str, Known] = Field(
         default_factory=dict, description="known values of this run, by FMU name"

@@ -71,6 +71,10 @@ def refusal(folder: Path, changes: dict[str, Any], rows: str = ROWS) -> str:
         ({f"{A}.start": 0.5}, "experiment 'a'.start: must be before stop, 0.3 s, but is 0.5 s"),
         ({f"{A}.stop": -1}, "experiment 'a'.start: must be before stop, -1 s, but is 0 s"),
         ({f"{A}.windows": [[5, 6]]}, "must have at least one measured value between 0 and 0.3 s"),
+        (
+            {f"{A}.test_windows": [[5, 6]]},
+            "'a'.test_windows: must leave at least one measured value",
+        ),
         ({f"{A}.role": "test"}, 'at least one must have role = "train" but none has'),
         ({f"{A}.time": REMOVED, f"{A}.sample_time": 1e308}, "row 4: the time must be a finite"),
         ({"method.options": {"trails": 3}}, "least_squares has no such option; did you mean 'tri"),
@@ -140,6 +144,14 @@ def test_demeaning_takes_the_measured_rows_alone(tmp_path):
     change = {f"{A}.columns": {"position": {"demean": True, "factor": 10.0, "offset": 1.0}}}
     problem = build(tmp_path, change, "time,force,position\n0,1,2\n1,1,\n2,1,4\n")
     np.testing.assert_array_equal(problem.experiments[0].outputs[0].values, [-9.0, 11.0])
+
+
+def test_windows_that_are_held_out_are_an_experiment_of_their_own(tmp_path):
+    train, test = build(tmp_path, {f"{A}.test_windows": [[0.15, 0.25]]}).experiments
+    assert (train.id, train.role, test.id, test.role) == ("a", "train", "a (held out)", "test")
+    assert train.outputs[0].times.tolist() == [0.0, 0.1, 0.3]
+    assert test.outputs[0].times.tolist() == [0.2]
+    assert test.record_id == train.record_id == "a"
 
 
 def test_data_is_looked_for_in_the_folders_in_turn(tmp_path, monkeypatch):

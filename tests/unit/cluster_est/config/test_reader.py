@@ -93,6 +93,7 @@ WRONG = [
     (f"{A}.windows", [0.1, 0.2], "windows[0]: must be a list of two numbers but is 0.1"),
     (f"{A}.windows", [[0.2, 0.1]], "windows[0]: must be [from, to] with from before to but is"),
     (f"{A}.windows", [[NAN, 1.0]], "windows[0]: must be a list of two numbers that are finite"),
+    (f"{A}.test_windows", [[0.2, 0.1]], "test_windows[0]: must be [from, to] with from before to"),
     (f"{A}.rows", [2, 1], "rows: must be [from, to] with from below to but is [2, 1]"),
     (f"{A}.rows", [-1, 2], "rows: must be a list of two whole numbers from 0 but is [-1, 2]"),
     (f"{A}.rows", [0.5, 2], "rows: must be a list of two whole numbers from 0"),

@@ -1,0 +1,106 @@
+"""Windows of a record that are held out: a test experiment on the same simulated course."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from cluster_est.errors import DataError
+from workers.messages import Experiment, FloatArray, Output
+from workers.messages.checks import is_number
+
+SUFFIX = " (held out)"
+
+
+def hold_out(
+    experiment: Experiment, windows: Sequence[tuple[float, float]]
+) -> tuple[Experiment, Experiment]:
+    """Split a record in what trains and what is only predicted.
+
+    For one long record instead of several experiments. Both parts are simulated from the record's
+    start with the same inputs, and what is estimated per experiment (`x0[run1]`) is estimated from
+    the training part for both. A window at the end of the record is predicted from the past alone,
+    and the training part is then not simulated beyond it; a window in the middle has data on both
+    of its sides, which makes it easier.
+
+    Parameters
+    ----------
+    experiment
+        A training experiment.
+    windows
+        (from, to) in seconds: what was measured from `from` to `to`, both included, is held out.
+
+    Returns
+    -------
+    train, test
+        "run1" and "run1 (held out)". The first keeps curve, bounds and constraints, which belong
+        to the whole course.
+
+    Raises
+    ------
+    DataError
+        If it is no training experiment, a window is wrong, or nothing is left in one of the parts.
+    """
+    where = f"experiment {experiment.id!r}.test_windows"
+    _check_windows(windows, where)
+    if experiment.role != "train":
+        raise DataError(
+            f'{where}: must be of an experiment that trains but its role is "test", so that all of '
+            "it is held out already; remove one of the two"
+        )
+    inside = [_within(output.times, windows) for output in experiment.outputs]
+    train = replace(experiment, outputs=_kept(experiment.outputs, [~each for each in inside]))
+    test = replace(
+        experiment,
+        id=experiment.id + SUFFIX,
+        role="test",
+        record=experiment.record_id,
+        outputs=_kept(experiment.outputs, inside),
+        curve=None,
+        bounds=(),
+        constraint_functions=(),
+    )
+    for part, lacks in ((train, "outside of them"), (test, "within them")):
+        if not any(len(output.times) for output in part.outputs):
+            raise DataError(
+                f"{where}: must leave at least one measured value {lacks} but there is none from "
+                f"{experiment.start:g} to {experiment.stop:g} s; change the windows"
+            )
+    return _no_longer_than_measured(train), test
+
+
+def _check_windows(windows: Sequence[tuple[float, float]], where: str) -> None:
+    pairs = isinstance(windows, Sequence) and all(
+        isinstance(w, Sequence) and len(w) == 2 and all(map(is_number, w)) for w in windows
+    )
+    if not (pairs and windows and all(first <= last for first, last in windows)):
+        raise DataError(
+            f"{where}: must be a list of [from, to] in seconds, with from before to, but is "
+            f"{windows!r}; write [[60.0, 80.0]]"
+        )
+
+
+def _within(times: FloatArray, windows: Sequence[tuple[float, float]]) -> npt.NDArray[np.bool_]:
+    inside = np.zeros(len(times), dtype=bool)
+    for first, last in windows:
+        inside |= (times >= first) & (times <= last)
+    return inside
+
+
+def _kept(outputs: Sequence[Output], kept: Sequence[npt.NDArray[np.bool_]]) -> tuple[Output, ...]:
+    return tuple(
+        replace(output, times=output.times[keep], values=output.values[keep])
+        for output, keep in zip(outputs, kept, strict=True)
+    )
+
+
+def _no_longer_than_measured(train: Experiment) -> Experiment:
+    """End its simulation with its last measured value, unless something else looks further."""
+    further = train.curve, train.cost_function, *train.bounds, *train.constraint_functions
+    if any(each is not None for each in further):
+        return train
+    last = max(float(output.times[-1]) for output in train.outputs if len(output.times))
+    return replace(train, stop=last) if train.start < last < train.stop else train
