@@ -372,7 +372,12 @@ TABLES = (
         IN_LOOPS,
         (
             ColumnDescription("step", WHOLE, "", "the round of the search that refitted it"),
-            ColumnDescription("effects", TEXTS, "", 'such as "coulomb at der(v)"'),
+            ColumnDescription(
+                "effects",
+                TEXTS,
+                "",
+                'such as "coulomb at der(v)"; "coulomb(w) at der(v)" of another variable',
+            ),
             ColumnDescription(
                 "criterion", NUMBER, "", "information criterion, less the declared model's"
             ),

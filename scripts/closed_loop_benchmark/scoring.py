@@ -66,6 +66,9 @@ class Score:
         Root mean square of the logarithmic error of the declared parameters.
     simulations, seconds, failures
         What it took.
+    structures
+        Of every set of effects that was refitted, in the order of the rounds: names, in words;
+        criterion less that of the declared model; and whether it was refitted to convergence.
     error
         The traceback of what went wrong, "" if nothing did.
     """
@@ -107,6 +110,7 @@ class Score:
     simulations: float = np.nan
     seconds: float = np.nan
     failures: int = 0
+    structures: list[tuple[list[str], float, bool]] | None = None
     error: str = ""
 
     def to_json(self) -> str:
@@ -166,6 +170,10 @@ def score(data: Data, result: LoopResult, oracle: Oracle) -> Score:
         simulations=float(result.simulations),
         seconds=float(result.seconds),
         failures=result.failures,
+        structures=[
+            ([label_in_words(label) for label in s.effects], s.criterion, s.converged)
+            for s in result.structures
+        ],
         **found,
     )
 
@@ -224,6 +232,13 @@ def in_words(name: Name) -> str:
         if name.variable
         else (f"{name.form} at {name.site}")
     )
+
+
+def label_in_words(label: str) -> str:
+    """Write the label of a candidate, "coulomb(w) at der(v)", as a name for a table."""
+    called, _, site = label.partition(" at ")
+    form, _, variables = called.removesuffix(")").partition("(")
+    return in_words(normal(form, site, tuple(filter(None, variables.split(", ")))))
 
 
 def _without_noise(data: Data, problem: Problem) -> Problem:

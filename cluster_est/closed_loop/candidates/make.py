@@ -68,6 +68,14 @@ class EffectCandidate:
     def equation(self) -> str:
         return equation_text(self.effect, self.form, self.site)
 
+    @property
+    def label(self) -> str:
+        """Such as "coulomb at der(v)", or "coulomb(w) at der(v)" of a variable that is another."""
+        of = "" if self.own else ", ".join(self.effect.variables)
+        return (
+            f"{self.form.name}({of}) at {self.site}" if of else f"{self.form.name} at {self.site}"
+        )
+
     def parameters(self, values: Sequence[float]) -> tuple[Parameter, ...]:
         """Its coefficients as parameters that start from these values."""
         made = []

@@ -41,7 +41,7 @@ def compared_structure(
     records = workbench.records
     return ComparedStructure(
         step=step,
-        effects=tuple(f"{c.form.name} at {c.site}" for c in fitted.added),
+        effects=tuple(candidate.label for candidate in fitted.added),
         criterion=fitted.criterion(records) - base.criterion(records),
         closed=(base.sse - fitted.sse) / max(base.sse - floor, 1e-300),
         converged=True,

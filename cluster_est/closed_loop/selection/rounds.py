@@ -104,7 +104,7 @@ class ComparedStructure:
     step
         The round that refitted it.
     effects
-        "coulomb at der(v)", in the order in which they were added.
+        Their labels, in the order in which they were added.
     criterion
         Bayesian information criterion, less that of the declared model.
     closed

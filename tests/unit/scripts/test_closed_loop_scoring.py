@@ -17,7 +17,7 @@ from closed_loop_benchmark.naming import compare, normal
 from closed_loop_benchmark.oracle import ask, translate, true_values, with_effects
 from closed_loop_benchmark.problem import make_problem
 from closed_loop_benchmark.scenarios import all_scenarios, subset
-from closed_loop_benchmark.scoring import Score, blank, score
+from closed_loop_benchmark.scoring import Score, blank, label_in_words, score
 from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.table import one_line, page
 
@@ -155,6 +155,12 @@ def test_one_effect_has_one_normal_name(
 def test_different_effects_have_different_names() -> None:
     names = [("linear", "der(v)", ("x",)), ("linear", "der(v)", ("v",)), ("gap", "pair a,b", ())]
     assert len({normal(*name) for name in names}) == 3
+
+
+def test_labels_of_candidates_are_written_as_names() -> None:
+    labels = ("coulomb at der(v)", "coulomb(w) at der(v)", "gap(x - y) at pair a, b")
+    expected = ["coulomb at der(v)", "coulomb(w) at der(v)", "gap(x-y) at pair a,b"]
+    assert [label_in_words(label) for label in labels] == expected
 
 
 def test_comparison_of_names() -> None:
