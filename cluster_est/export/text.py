@@ -20,7 +20,7 @@ def describe_effects(repair: RepairedModel) -> str:
         return "No effects were added.\n"
     lines = ["Effects"]
     for effect, values in zip(repair.effects, repair.coefficients, strict=True):
-        lines += [f"  {effect.effect.name} ({effect.form.family}) at {effect.site}"]
+        lines += [f"  {effect.effect.name} ({effect.form.name}) at {effect.site}"]
         lines += [f"    {effect_equation(effect)}"]
         prefix = f"{effect.effect.name}."
         lines += [f"  {_line(value, prefix)}" for value in values]

@@ -323,6 +323,12 @@ TABLES = (
             ColumnDescription("form", TEXT, "", "the form of the library"),
             ColumnDescription("variables", TEXTS, "", "what it is a function of"),
             ColumnDescription("equation", TEXT, "", "in the FMU's names"),
+            ColumnDescription(
+                "words",
+                TEXT,
+                "",
+                'what it is called where the units say so, such as "dry friction"',
+            ),
             ColumnDescription("coefficient", TEXT, "", "name of the number that the row is about"),
             ColumnDescription("value", NUMBER, "", "its estimate, in `unit`"),
             ColumnDescription("unit", TEXT, "", "of the numbers of the row"),

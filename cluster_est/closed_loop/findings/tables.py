@@ -22,7 +22,7 @@ EFFECTS = pa.schema(
     [
         *((name, pa.string()) for name in ("effect", "family", "site", "form")),
         ("variables", pa.list_(pa.string())),
-        *((name, pa.string()) for name in ("equation", "coefficient")),
+        *((name, pa.string()) for name in ("equation", "words", "coefficient")),
         ("value", pa.float64()),
         ("unit", pa.string()),
         *((name, pa.float64()) for name in ("std_error", "lower95", "upper95")),
@@ -88,6 +88,7 @@ def effect_table(effects: Sequence[NamedEffect]) -> pa.Table:
             "form": effect.form,
             "variables": list(effect.variables),
             "equation": effect.equation,
+            "words": effect.words,
             "coefficient": _coefficient(effect, estimate),
             **_numbers(estimate),
         }
