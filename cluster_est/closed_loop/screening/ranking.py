@@ -135,18 +135,15 @@ def _candidates(
     arguments = open_arguments(*given)
     forms = {site: forms_at(site, fitted.problem, description, settings) for site in sites}
     possible = sum(count_variables(f, site, arguments) for site in sites for f in forms[site])
-    few = possible <= workbench.thresholds.places.most_candidates or not workbench.exchange
-    candidates = make_candidates(*given, frequencies, settings) if few else []
-    if few and len(candidates) <= workbench.size:
-        return candidates, len(candidates)
-    looked_at = possible
-    if workbench.exchange:
-        places = open_places(sites, arguments, trajectories)
-        leading = _leading(workbench, fitted, trajectories, places, frequencies)
-        candidates = make_candidates(*given, frequencies, settings, leading)
-        looked_at = count_candidates(places, forms, arguments)
-        looked_at += sum(candidate.form.variables > 1 for candidate in candidates)
-    return candidates, looked_at
+    if not workbench.exchange or possible <= workbench.thresholds.places.most_candidates:
+        candidates = make_candidates(*given, frequencies, settings)
+        if not workbench.exchange or len(candidates) <= workbench.size:
+            return candidates, len(candidates)
+    places = open_places(sites, arguments, trajectories)
+    leading = _leading(workbench, fitted, trajectories, places, frequencies)
+    candidates = make_candidates(*given, frequencies, settings, leading)
+    looked_at = count_candidates(places, forms, arguments)
+    return candidates, looked_at + sum(candidate.form.variables > 1 for candidate in candidates)
 
 
 def _leading(
