@@ -14,7 +14,7 @@ from typing import NoReturn
 SENTENCE = (
     "cluster-est: this process has died: an FMU that runs in it has crashed, or it was killed from "
     'outside. With executor.name = "processes" each FMU has a process of its own, and a crash '
-    "costs only its simulation; a run that was begun goes on with --resume"
+    "costs only its simulation; --resume continues a run that was begun"
 )
 SHELL = "/bin/sh"
 OBSERVE = "trap '' HUP INT TERM; read -r farewell || printf '%s\\n' \"$0\" >&2"

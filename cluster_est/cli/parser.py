@@ -55,7 +55,7 @@ def make_parser() -> argparse.ArgumentParser:
         present.add_argument(
             "--resume",
             action="store_true",
-            help="take up the run in that folder where it was interrupted; begin if there is none",
+            help="resume the run in that folder where it was interrupted; begin if there is none",
         )
         command.add_argument("--no-report", action="store_true", help="write no report.html")
 

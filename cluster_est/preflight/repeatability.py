@@ -80,9 +80,9 @@ def _reset(subject: CheckSubject, found: RepetitionResult, crash: str) -> CheckF
     if found.reset is not None:
         how = f"a reset instance is {found.reset:.2g} of the outputs' size away from a fresh one"
     if found.instance == 0.0:
-        do = 'model.reset = "auto" sees to it: a new instance for each simulation'
+        do = 'model.reset = "auto" takes care of it, with a new instance for each simulation'
         return _reset_advice(subject, "instance", how, do)
-    do = 'model.reset = "auto" sees to it: a new process for each simulation'
+    do = 'model.reset = "auto" takes care of it, with a new process for each simulation'
     if subject.in_process:
         do = 'executor.name = "processes", for a new process for each simulation'
         return CheckFinding(CheckVerdict.PROBLEM, "reset", how, do)
@@ -108,8 +108,8 @@ def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
         CheckFinding(
             CheckVerdict.NOTE,
             "values",
-            "values that were set survive a reset; harmless where each simulation sets them again, "
-            "as a fit does",
+            "values that were set survive a reset; this does no harm where each simulation sets "
+            "them again, as in a fit",
             "if experiments differ in the keys of their values, give all the same keys, or set "
             'model.reset = "instance"',
         )

@@ -34,8 +34,8 @@ def sensitivities(subject: CheckSubject) -> list[CheckFinding]:
         return []
     part = found.carrying / (found.plain * unknowns)
     said = (
-        f"one simulation with the derivatives by all parameters takes {part:.2g} of the time of "
-        f"the {unknowns} that forward differences take"
+        f"one simulation with the derivatives with respect to all parameters takes {part:.2g} of "
+        f"the time of the {unknowns} that forward differences take"
     )
     if part > CHEAPER:
         return [CheckFinding(CheckVerdict.OK, "sensitivities", said)]

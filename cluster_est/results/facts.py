@@ -54,12 +54,8 @@ def fitted_to_held_out(estimates: Sequence[Estimate]) -> tuple[str, ...]:
     named = ", ".join(labels[:MOST_NAMED])
     if len(labels) > MOST_NAMED:
         named += f" and {len(labels) - MOST_NAMED} more"
-    what = (
-        "value that no training experiment has was"
-        if len(labels) == 1
-        else ("values that no training experiment has were")
-    )
+    which = "this value" if len(labels) == 1 else "these values"
     return (
-        f"{named}: the {what} fitted to the held-out data, in the same way for every model; errors "
-        "there are those of a prediction that begins in the right place",
+        f"{named}: fitted to the held-out data, because no training experiment has {which}; errors "
+        "there are those of a prediction from the right start",
     )

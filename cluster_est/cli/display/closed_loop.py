@@ -71,9 +71,9 @@ def _print_effect(console: Console, effect: Facts) -> None:
     for other in effect["alternatives"]:
         say(console, f"  cannot be told apart from: {_alternative(other)}")
     if any(_differs(other) for other in effect["alternatives"]):
-        say(console, "  (an experiment that dwells where they differ most would tell)")
+        say(console, "  (an experiment that stays where they differ most would tell them apart)")
     elif effect["alternatives"]:
-        say(console, "  (only data outside of the range of these can tell)")
+        say(console, "  (only data outside the range of these can tell them apart)")
     else:
         say(console, "  nothing else that was tried explains the data as well")
 

@@ -24,7 +24,10 @@ def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise") -> str:
         said.append(f"what is left is {train if not where else test:.3g} times {over}{where}")
     silent = without_noise(errors)
     if silent:
-        said.append(f"no noise is known of {', '.join(silent)} to compare what is left with")
+        said.append(
+            f"the noise of {', '.join(silent)} is not known, so what is left there was not "
+            "compared with it"
+        )
     failed = not_simulated(errors)
     if failed:
         said.append(f"held-out experiment {', '.join(failed)} could not be simulated")

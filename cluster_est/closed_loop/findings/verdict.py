@@ -181,8 +181,8 @@ def _nothing_added(
 
 
 NOWHERE = (
-    "no measured output, no input that the data drive, no estimated parameter that may change and "
-    "no state derivative is open to the forms and sites of closed_loop"
+    "closed_loop.effects and closed_loop.sites leave no measured output, no driven input, no "
+    "estimated parameter and no state derivative at which an effect may act"
 )
 
 
@@ -231,8 +231,8 @@ def _autocorrelated(residual: _Residual) -> str:
         size = f"{large:.3g} times the declared sigma"
     else:
         size = (
-            f"{large:.3g} times the white part of the noise; without a sigma that the data bear "
-            "out, a slow effect of this size cannot be told from it"
+            f"{large:.3g} times the white part of the noise; without a declared sigma that fits "
+            "the data, a slow effect of this size cannot be distinguished from such noise"
         )
     return (
         f"the residual{named} is autocorrelated ({worst.correlation:.2g} from one sample to the "

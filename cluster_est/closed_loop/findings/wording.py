@@ -249,14 +249,14 @@ def _columns(
 
 
 def _evidence(found: SelectionResult, candidate: EffectCandidate) -> tuple[str, ...]:
-    """Sentences on why it was added, and on what it takes for granted."""
+    """Sentences on why it was added, and on what it assumes."""
     sentences = []
     period = period_of(candidate, found.current)
     if np.isfinite(period):
         sentences.append(
-            f"a wave in time with a period of {readable_time(period)}, in all experiments with one "
-            "phase: it takes for granted that their times are those of one clock; if something "
-            "measured swings with it, give that as a signal"
+            f"a sinusoid in time with a period of {readable_time(period)}, with one phase in all "
+            "experiments: this assumes that their times are those of one clock; if something "
+            "measured oscillates with it, declare that as a signal"
         )
     for finding in found.findings:
         own = (finding.site, finding.form, finding.variables)

@@ -80,8 +80,8 @@ class NumericalError:
     def refusal(self) -> str:
         """Return why no effect is looked for, in a sentence."""
         return (
-            f"{self._said}, so no missing effect can be told from it: set {self._advice} first, "
-            "and run this again"
+            f"{self._said}, so no missing effect can be distinguished from it: set "
+            f"{self._advice} first, and run this again"
         )
 
     @property
@@ -90,7 +90,7 @@ class NumericalError:
         if self.why_not:
             cannot = (
                 f"the numerical error of {self.scale.name} could not be measured: {self.why_not}; "
-                "what was found may be owed to it"
+                "what was found may be due to it"
             )
             return (*self.beside, cannot)
         if self.hides_effects:

@@ -22,15 +22,15 @@ class RejectionReason(enum.StrEnum):
     NOT_SIGNIFICANT = "nothing significant"
     COLOURED_NOISE = "coloured noise"
     LIMIT_OF_EFFECTS = "limit of effects"
-    FREE_CURVE = "what a free curve leaves is partly its own error"
+    FREE_CURVE = "a free curve was added, whose own error is part of what is left"
     NO_IMPROVEMENT = "no candidate improves the fit and stays bounded"
     ONLY_WAVES = (
-        "the only candidates that help are waves in time, each seen too briefly, at a resonance of "
-        "the model, or with another phase in each experiment"
+        "the only candidates that help are sinusoids in time, each seen too briefly, at a "
+        "resonance of the model, or with another phase in each experiment"
     )
-    LITTLE_GAIN = "the gain does not pay for the choice among so many candidates"
+    LITTLE_GAIN = "the gain is not significant among so many candidates"
     NOT_PREDICTED = "left-out experiments are not predicted better"
-    NUMERICAL_ERROR = "it explains no more than the error of the solver and its steps could be"
+    NUMERICAL_ERROR = "it explains no more than the error of the solver and its steps may be"
     LITTLE_EXPLAINED = "it explains too little of what is missing"
 
 

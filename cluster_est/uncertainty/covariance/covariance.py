@@ -221,11 +221,11 @@ def _notes(layout: UnknownLayout, system: ScaledJacobian) -> tuple[str, ...]:
         count, rank = len(system.weighting.factor), system.factors.rank
         notes.append(
             f"there are no intervals, because {count} residuals determine {rank} directions and "
-            "nothing is left to tell their scatter"
+            "none are left to estimate their scatter from"
         )
     if layout.active:
         names = ", ".join(repr(name) for name in layout.active)
-        notes.append(f"the intervals hold what active constraints say ({names})")
+        notes.append(f"the intervals are those along the active constraints ({names})")
     if layout.ignored:
         names = ", ".join(repr(name) for name in layout.ignored)
         notes.append(

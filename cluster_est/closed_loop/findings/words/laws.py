@@ -23,7 +23,7 @@ class Law(enum.Enum):
 
     CONSTANT = "a constant"
     DRIFT = "a drift in time"
-    WAVE = "a wave in time"
+    WAVE = "a sinusoid in time"
     LINEAR = "linear"
     ABSOLUTE = "proportional to the magnitude"
     SQUARE = "quadratic"

@@ -23,7 +23,7 @@ OF_SIGNALS = {
     "delay": "a delay",
     "absolute": "another gain for the magnitude",
     "characteristic": "a curved characteristic",
-    "hum": "a wave in time",
+    "hum": "a sinusoid in time",
 }
 """What signal processing calls a form at an input or an output, whatever is measured."""
 
@@ -53,7 +53,7 @@ IN_ONE = {
     Law.CURVE: "a free curve of {v}",
     Law.CONSTANT: "a constant term",
     Law.DRIFT: "a drift in time",
-    Law.WAVE: "a wave in time",
+    Law.WAVE: "a sinusoid in time",
     Law.OTHER: "a term in {v}",
 }
 

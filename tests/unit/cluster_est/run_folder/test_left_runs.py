@@ -17,7 +17,7 @@ from cluster_est.run_folder.folder import check_free
 from cluster_est.run_folder.lock import locked
 from cluster_est.run_folder.reading import left_alone
 
-GONE = "no process of this machine is at work in it any more; if it was killed, take it up again"
+GONE = "no process of this machine is at work in it any more; if it was killed, resume it with"
 HOLD = """
 import sys, time
 from pathlib import Path

@@ -46,7 +46,10 @@ def test_words_and_sentence_take_the_place_of_family_and_equation():
 
 @pytest.mark.parametrize(
     ("difference", "advice"),
-    [(0.0, "only data outside of the range of these can tell"), (3.0, "where they differ most")],
+    [
+        (0.0, "only data outside the range of these can tell them apart"),
+        (3.0, "where they differ most"),
+    ],
 )
 def test_nobody_is_told_to_dwell_where_nothing_differs(difference, advice):
     said = printed(NEW | {"alternatives": [SAME | {"difference": difference}]})

@@ -164,7 +164,7 @@ def test_a_prediction_near_the_noise_is_measured_by_a_part_of_the_noise():
 
 def test_only_a_known_sigma_sets_the_noise_of_a_sensor_apart_from_a_slow_effect():
     search = CASES["coloured noise"][0].search()
-    said = "a slow effect of this size cannot be told from it"
+    said = "a slow effect of this size cannot be distinguished from such noise"
     assert said in judge(made_bench(PROBLEM), search).reason
     declared = replace(made_bench(PROBLEM), sigma_declared=True)
     assert said not in judge(declared, search).reason
@@ -245,7 +245,7 @@ def test_without_a_noise_to_compare_with_nothing_is_found():
     silent = [ErrorChange("train", "train", "y", "m", 100, 9.0, 1.0, np.nan, np.nan)]
     judged = confirmed(FOUND, silent, LoopSettings())
     assert judged.verdict is Verdict.PARTIAL
-    assert "no noise is known of y" in judged.reason
+    assert "the noise of y is not known" in judged.reason
 
 
 def test_what_is_followed_exactly_needs_no_noise():
