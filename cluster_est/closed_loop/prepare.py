@@ -99,7 +99,7 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
                 noise = noise_of(workbench, fitted.residuals)
                 sigmas = dict(zip(workbench.records.outputs, noise.tolist(), strict=True))
                 request = replace(request, problem=_weighted(problem, sigmas))
-                weights = (_weight_note(request.problem),)
+                weights = (_weight_note(request.problem, sigmas),)
     with _opened(request, description) as workbench:
         notes = (*workbench.notes, *weights)
         yield replace(workbench, notes=notes, sigma_declared=declared)
@@ -236,11 +236,14 @@ def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:
     return replace(problem, experiments=tuple(experiments))
 
 
-def _weight_note(problem: Problem) -> str:
+def _weight_note(problem: Problem, noise: dict[str, float]) -> str:
     sigmas = {o.variable: o.sigma for e in problem.experiments for o in e.outputs}
     pairs = ", ".join(f"{name} = {sigma:.6g}" for name, sigma in sigmas.items())
+    silent = [name for name in sigmas if not noise.get(name, np.nan) > 0.0]
+    but = f", but for {' and '.join(silent)}, of which no noise is known" if silent else ""
     return (
-        "no sigma was given for several outputs, so each was weighted with its estimated noise; "
+        "no sigma was given for several outputs, so each was weighted with its estimated noise"
+        f"{but}; "
         f"write sigma = {{ {pairs} }} into the experiments for a fit with the same weights"
     )
 
