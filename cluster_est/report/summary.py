@@ -110,7 +110,10 @@ def _costs(run: ReportedRun) -> list[str]:
     share = after / before
     if share < 0.01:
         return [f"The cost fell {what} by a factor of {digits(before / max(after, 1e-300), 3)}."]
-    moved = "fell" if share <= 1.0 else "rose"
+    if share == 1.0:
+        then = "with the declared model, fitted" if run.is_loop else "at the start values"
+        return [f"The cost is {digits(after)}, as it was {then}."]
+    moved = "fell" if share < 1.0 else "rose"
     return [f"The cost {moved} {what} by {percent(abs(1.0 - share))}."]
 
 

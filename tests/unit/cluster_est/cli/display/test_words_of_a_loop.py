@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import io
+import math
 
 import pytest
 from rich.console import Console
 
-from cluster_est.cli.display.closed_loop import _print_effect
+from cluster_est.cli.display.closed_loop import _print_effect, _print_errors, _print_rest
 from cluster_est.report.summary import _named
 
 OLD = {
@@ -52,3 +53,42 @@ def test_nobody_is_told_to_dwell_where_nothing_differs(difference, advice):
     said = printed(NEW | {"alternatives": [SAME | {"difference": difference}]})
     assert advice in said
     assert "0 times" not in said
+
+
+def test_a_coefficient_at_its_bound_is_not_said_to_be_undetermined():
+    held = NEW["parameters"]["k"] | {"at_bound": "lower"}
+    said = printed(NEW | {"parameters": {"k": held}})
+    assert "95 %: at its lower bound" in said
+    assert "not determined" not in said
+
+
+ROW = {
+    "experiment": "a", "role": "train", "output": "y", "samples": 100, "unit": "m",
+    "rmse_before": 2.0, "rmse_after": 1.0, "normalised_before": 4.0, "normalised_after": 2.0,
+}  # fmt: skip
+NOISELESS = ROW | {"normalised_before": math.nan, "normalised_after": math.nan}
+LOST = NOISELESS | {"rmse_before": math.nan, "rmse_after": math.nan}
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        (ROW, ["2", "1", "m", "4", "2"]),
+        (NOISELESS, ["2", "1", "m", "unknown", "unknown"]),
+        (LOST, ["failed", "failed", "m", "failed", "failed"]),
+        (LOST | {"samples": 0}, ["m"]),
+    ],
+    ids=["known", "without noise", "lost", "without samples"],
+)
+def test_only_a_simulation_that_failed_is_said_to_have_failed(row, words):
+    out = io.StringIO()
+    facts = {"errors_over": "estimated noise", "errors": {}}
+    _print_errors(Console(file=out, width=200), [row], facts)
+    assert out.getvalue().splitlines()[2].split()[4:] == words
+
+
+def test_a_noise_that_is_not_known_has_not_failed():
+    out = io.StringIO()
+    facts = {"rejected": [], "noise": {"y": None}, "sites": []}
+    _print_rest(Console(file=out, width=200), facts)
+    assert "noise estimated from the residuals: y unknown" in out.getvalue()

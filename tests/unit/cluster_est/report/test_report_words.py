@@ -1,0 +1,67 @@
+"""What a report says of errors and costs, from a few rows."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from cluster_est.report.error_sizes import error_sentence
+from cluster_est.report.sections.errors import errors
+from cluster_est.report.summary import _costs
+
+
+def row(before: float, after: float, samples: int = 10) -> dict[str, Any]:
+    name = "a" if samples else "empty"
+    kinds = ("rmse", "normalised", "relative")
+    sizes = {f"{kind}_before": before for kind in kinds} | {f"{k}_after": after for k in kinds}
+    return (
+        {"experiment": name, "output": "y", "role": "train", "unit": "m"}
+        | sizes
+        | {"samples": samples}
+    )
+
+
+def run(*rows: dict[str, Any], before: float = 3.0, after: float = 3.0, is_loop: bool = True):
+    facts = {"errors_over": "estimated noise", "cost_before": before, "cost": after}
+    return SimpleNamespace(
+        tables={"errors": rows}, facts=facts, is_loop=is_loop, finished=True, before="declared"
+    )
+
+
+EMPTY = row(math.nan, math.nan, samples=0)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        (1.5, 1.5, "The error is 1.50 times the estimated noise on training experiments."),
+        (1.5, 1.2, "The error fell from 1.50 to 1.20 times"),
+        (1.2, 1.5, "The error rose from 1.20 to 1.50 times"),
+        (math.nan, 1.5, "The error is 1.50 times"),
+    ],
+)
+def test_an_error_that_stays_has_not_fallen(before, after, said):
+    assert error_sentence(run(row(before, after))).startswith(said)
+
+
+def test_a_cost_that_stays_has_not_fallen():
+    assert _costs(run()) == ["The cost is 3.000, as it was with the declared model, fitted."]
+    assert _costs(run(is_loop=False)) == ["The cost is 3.000, as it was at the start values."]
+    assert _costs(run(after=1.5))[0].startswith("The cost fell")
+    assert _costs(run(after=6.0))[0].startswith("The cost rose")
+
+
+def test_an_experiment_without_samples_of_an_output_hides_no_error():
+    assert "fell from 2.00 to 1.00 times" in error_sentence(run(row(2.0, 1.0), EMPTY))
+
+
+def test_an_experiment_without_samples_has_not_failed():
+    pooled, single = errors(run(row(2.0, 1.0), EMPTY)).blocks[1:]
+    texts = [[cell.text for cell in line] for table in (pooled, single) for line in table.rows]
+    assert not any("failed" in line for line in texts)
+    assert texts[0][4] == "1.000"
+    lost = errors(run(row(2.0, math.nan))).blocks[1]
+    assert "failed" in [cell.text for cell in lost.rows[0]]
