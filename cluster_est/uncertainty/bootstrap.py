@@ -109,8 +109,8 @@ class BootstrapResult:
         count, found = len(self.draws), []
         if self.failures:
             found.append(
-                f"bootstrap: {self.failures} of {count} draws have no refit, which failed or was cut "
-                "off, and count for nothing; the intervals are those of the others"
+                f"bootstrap: {self.failures} of {count} draws have no refit, which failed or was "
+                "cut off, and count for nothing; the intervals are those of the others"
             )
         if self.unfinished:
             found.append(

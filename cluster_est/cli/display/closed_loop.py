@@ -44,9 +44,10 @@ def print_loop(console: Console, run: StoredRun) -> None:
         f"run {run.path}: {facts['simulations']} simulations ({facts['failures']} failed), "
         f"{facts['seconds']:.1f} s",
     )
+    narrow = bool((facts.get("residuals") or {}).get("too_narrow"))
     for effect in facts["effects"]:
-        _print_effect(console, effect)
-    _print_parameters(console, run.tables["parameters"])
+        _print_effect(console, effect, too_narrow=narrow)
+    _print_parameters(console, run.tables["parameters"], too_narrow=narrow)
     _print_errors(console, run.tables["errors"], facts)
     for note in facts["notes"]:
         say(console, f"note: {note}")
@@ -59,13 +60,14 @@ def print_loop(console: Console, run: StoredRun) -> None:
     say(console, f"tables: {run.path}/*.parquet")
 
 
-def _print_effect(console: Console, effect: Facts) -> None:
+def _print_effect(console: Console, effect: Facts, *, too_narrow: bool = False) -> None:
     say(console, "")
     named = effect.get("words") or effect["family"]  # runs of earlier versions have no words
     say(console, f"effect {effect['name']} ({named}) at {effect['site']}")
     say(console, f"  {effect.get('sentence') or effect['equation']}")
+    narrow = " (too narrow)" if too_narrow else ""
     for name, row in effect["parameters"].items():
-        held = " (held)" if row["fixed"] else f"   95 %: {_range(row)}"
+        held = " (held)" if row["fixed"] else f"   95 %{narrow}: {_range(row)}"
         unit = f" {row['unit']}" if row["unit"] not in ("", "1") else ""
         say(console, f"  {name} = {number(row['value'])}{unit}{held}")
     for sentence in effect["evidence"]:
@@ -110,8 +112,10 @@ def _alternative(other: Facts) -> str:
     return text
 
 
-def _print_parameters(console: Console, rows: list[dict[str, Any]]) -> None:
-    header = ["parameter", "before", "95 % interval", "after", "95 % interval", "unit", "on", ""]
+def _print_parameters(console: Console, rows: list[dict[str, Any]], *, too_narrow: bool) -> None:
+    """Print values and intervals; the last ones with a word where the residuals deny them."""
+    found = "95 % interval (too narrow)" if too_narrow else "95 % interval"
+    header = ["parameter", "before", "95 % interval", "after", found, "unit", "on", ""]
     print_table(
         console,
         header,

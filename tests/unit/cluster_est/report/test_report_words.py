@@ -10,7 +10,7 @@ import pytest
 
 from cluster_est.report.error_sizes import error_sentence
 from cluster_est.report.sections.errors import errors
-from cluster_est.report.summary import _costs
+from cluster_est.report.summary import _costs, _failed, _figures
 
 
 def row(before: float, after: float, samples: int = 10) -> dict[str, Any]:
@@ -65,3 +65,20 @@ def test_an_experiment_without_samples_has_not_failed():
     assert texts[0][4] == "1.000"
     lost = errors(run(row(2.0, math.nan))).blocks[1]
     assert "failed" in [cell.text for cell in lost.rows[0]]
+
+
+@pytest.mark.parametrize(
+    ("logged", "counted", "said"),
+    [((0, 0), (100, 7), "7 failed"), ((50, 2), (100, 7), "2 failed"), ((0, 0), (9, 0), "none")],
+)
+def test_failures_of_a_run_without_a_log_are_not_forgotten(logged, counted, said):
+    """A run that was saved from Python has none."""
+    simulations, failed = logged
+    groups = (SimpleNamespace(count=failed),) if failed else ()
+    activity = SimpleNamespace(simulations=simulations, failures=groups)
+    facts = dict(zip(("simulations", "failures"), counted, strict=True))
+    tables = {"errors": (), "workers": ()}
+    made = SimpleNamespace(facts=facts, tables=tables, activity=activity, is_loop=True)
+    (figure,) = _figures(made)
+    assert figure.more.startswith(said)
+    assert bool(_failed(made)) is (said != "none")

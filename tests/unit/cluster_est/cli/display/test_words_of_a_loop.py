@@ -8,8 +8,14 @@ import math
 import pytest
 from rich.console import Console
 
-from cluster_est.cli.display.closed_loop import _print_effect, _print_errors, _print_rest
+from cluster_est.cli.display.closed_loop import (
+    _print_effect,
+    _print_errors,
+    _print_rest,
+    print_loop,
+)
 from cluster_est.report.summary import _named
+from cluster_est.run_folder.reading import StoredRun
 
 OLD = {
     "name": "square_v", "family": "stiffness", "site": "der(v)", "form": "square",
@@ -92,3 +98,26 @@ def test_a_noise_that_is_not_known_has_not_failed():
     facts = {"rejected": [], "noise": {"y": None}, "sites": []}
     _print_rest(Console(file=out, width=200), facts)
     assert "noise estimated from the residuals: y unknown" in out.getvalue()
+
+
+PARAMETER = {
+    "label": "k", "value": 1.0, "lower95": 0.9, "upper95": 1.1, "value_before": 2.0,
+    "lower95_before": 1.9, "upper95_before": 2.1, "unit": "N", "estimated_on": "train",
+    "at_bound": "",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("narrow", [True, False])
+def test_intervals_that_the_residuals_deny_are_said_to_be_too_narrow(tmp_path, narrow):
+    effect = NEW | {"config": "", "parameters": {"k": NEW["parameters"]["k"] | {
+        "lower95": -0.4, "upper95": -0.3}}}  # fmt: skip
+    facts = {
+        "verdict": "partial", "summary": "", "simulations": 1, "failures": 0, "seconds": 1.0,
+        "effects": [effect], "errors_over": "sigma", "errors": {}, "notes": [], "rejected": [],
+        "noise": {}, "sites": [], "residuals": {"too_narrow": narrow},
+    }  # fmt: skip
+    out = io.StringIO()
+    run = StoredRun(tmp_path, facts, {"parameters": [PARAMETER], "errors": [ROW]})
+    print_loop(Console(file=out, width=200), run)
+    assert ("after  95 % interval (too narrow)" in out.getvalue()) is narrow
+    assert ("95 % (too narrow): -0.4 .. -0.3" in out.getvalue()) is narrow
