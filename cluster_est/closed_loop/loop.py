@@ -51,6 +51,12 @@ from workers.messages import FloatArray
 FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
 
 
+NOT_ALLOWED_FOR = (
+    "the intervals allow for noise alone, and not for what is left beyond it: they are too narrow "
+    "by as much as that moves the estimates"
+)
+
+
 def close_loop(
     problem: Problem,
     resources: Resources | None = None,
@@ -211,7 +217,7 @@ def _notes(
     """Sentences for the reader."""
     notes = (*workbench.notes, *_not_converged(before, after))
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
-        notes = (*notes, where_left(workbench, fitted))
+        notes = (*notes, where_left(workbench, fitted), NOT_ALLOWED_FOR)
     if after.uncertainty is not None:
         notes = (*notes, *after.uncertainty.sentences)
     return (*notes, *fitted_to_held_out(after.estimates))

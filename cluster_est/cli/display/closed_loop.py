@@ -44,7 +44,7 @@ def print_loop(console: Console, run: StoredRun) -> None:
         f"run {run.path}: {facts['simulations']} simulations ({facts['failures']} failed), "
         f"{facts['seconds']:.1f} s",
     )
-    narrow = bool((facts.get("residuals") or {}).get("too_narrow"))
+    narrow = facts["verdict"] == "unexplained"  # they do not allow for what is missing
     for effect in facts["effects"]:
         _print_effect(console, effect, too_narrow=narrow)
     _print_parameters(console, run.tables["parameters"], too_narrow=narrow)

@@ -6,9 +6,12 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from cluster_est.report.activity import LogActivity
 from cluster_est.report.error_sizes import error_sentence
+from cluster_est.report.folder import ReportedRun
 from cluster_est.report.sections.errors import errors
 from cluster_est.report.summary import _costs, _failed, _figures
 
@@ -82,3 +85,17 @@ def test_failures_of_a_run_without_a_log_are_not_forgotten(logged, counted, said
     (figure,) = _figures(made)
     assert figure.more.startswith(said)
     assert bool(_failed(made)) is (said != "none")
+
+
+@pytest.mark.parametrize(
+    ("facts", "narrow"),
+    [
+        ({"verdict": "unexplained", "residuals": None}, True),
+        ({"verdict": "found", "residuals": None}, False),
+        ({"residuals": {"too_narrow": True}}, True),
+        ({"residuals": {"too_narrow": False}}, False),
+    ],
+)
+def test_intervals_do_not_allow_for_what_is_missing(facts, narrow):
+    activity = LogActivity(0, (), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), ())
+    assert ReportedRun("run", facts, "", {}, None, None, activity).too_narrow is narrow

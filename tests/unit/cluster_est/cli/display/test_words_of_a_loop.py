@@ -107,14 +107,14 @@ PARAMETER = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("narrow", [True, False])
-def test_intervals_that_the_residuals_deny_are_said_to_be_too_narrow(tmp_path, narrow):
+@pytest.mark.parametrize(("verdict", "narrow"), [("unexplained", True), ("found", False)])
+def test_intervals_without_what_is_missing_are_said_to_be_too_narrow(tmp_path, verdict, narrow):
     effect = NEW | {"config": "", "parameters": {"k": NEW["parameters"]["k"] | {
         "lower95": -0.4, "upper95": -0.3}}}  # fmt: skip
     facts = {
-        "verdict": "partial", "summary": "", "simulations": 1, "failures": 0, "seconds": 1.0,
+        "verdict": verdict, "summary": "", "simulations": 1, "failures": 0, "seconds": 1.0,
         "effects": [effect], "errors_over": "sigma", "errors": {}, "notes": [], "rejected": [],
-        "noise": {}, "sites": [], "residuals": {"too_narrow": narrow},
+        "noise": {}, "sites": [],
     }  # fmt: skip
     out = io.StringIO()
     run = StoredRun(tmp_path, facts, {"parameters": [PARAMETER], "errors": [ROW]})
