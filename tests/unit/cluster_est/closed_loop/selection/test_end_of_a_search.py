@@ -16,9 +16,9 @@ from support.loop_objects import (
 
 from cluster_est.closed_loop.selection import beam_search as search
 from cluster_est.closed_loop.selection import free_curves
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, _parts
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
-from cluster_est.closed_loop.selection.rounds import RoundEnd, SelectionRound
+from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundEnd, SelectionRound
 
 PROBLEM = made_problem(50, 50)
 BASE = fit_with_squares(PROBLEM, 900.0)
@@ -85,3 +85,9 @@ def test_a_curve_in_the_place_of_all_effects_has_the_rivals_that_it_was_compared
     won, rivals = found[2]["first"]
     assert won is contenders[0]
     assert [each.candidate.effect.name for each in rivals] == ["second"]
+
+
+def test_what_is_left_out_are_no_experiments_where_there_are_few():
+    """Of one or two experiments quarters of the records are."""
+    assert len(_parts(made_bench(PROBLEM))) == 8
+    assert "experiment" not in RejectionReason.NOT_PREDICTED
