@@ -66,13 +66,18 @@ class DetectionResult:
     @property
     def sentence(self) -> str:
         if self.missing:
-            return f"something is missing ({_p(self.p)} among {self.candidates} candidates)"
+            count = f"{self.candidates} candidate{'' if self.candidates == 1 else 's'}"
+            return f"something is missing ({_p(self.p)} among {count})"
+        smooth = self.p_structure <= self.significance
+        if not self.candidates:
+            found = "has smooth structure" if smooth else "looks like noise"
+            return f"the residual {found} ({_p(self.p_structure)}), but no candidate was compared"
         if self.p <= self.significance:
             return f"the residual is autocorrelated, tied to no candidate (p = {self.p_white:.2g})"
-        if self.p_structure <= self.significance:
+        if smooth:
             return (
                 f"no candidate is significant (p = {self.p:.2g}), but the residual has smooth "
-                f"structure (p = {self.p_structure:.2g})"
+                f"structure ({_p(self.p_structure)})"
             )
         return f"nothing is missing that could be seen (p = {self.p:.2g})"
 

@@ -51,6 +51,12 @@ from workers.messages import FloatArray
 FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
 
 
+NOT_ALLOWED_FOR = (
+    "the intervals allow for noise alone, and not for what is left beyond it: they are too narrow "
+    "by as much as that moves the estimates"
+)
+
+
 def close_loop(
     problem: Problem,
     resources: Resources | None = None,
@@ -150,7 +156,7 @@ def _report(
         rejected=() if keep else named,
         noise=workbench.noise_in_units(found.noise),
         sites=workbench.sites,
-        notes=_notes(workbench, judgement.verdict, kept, after),
+        notes=_notes(workbench, judgement.verdict, kept, before, after),
         simulations=workbench.meter.full,
         simulated=workbench.runner.simulations,
         evaluations=workbench.runner.evaluations,
@@ -202,15 +208,32 @@ def _disturbance(verdict: Verdict, unexplained: Sequence[UnexplainedResidual]) -
 
 
 def _notes(
-    workbench: LoopWorkbench, verdict: Verdict, fitted: FittedModel, after: Result
+    workbench: LoopWorkbench,
+    verdict: Verdict,
+    fitted: FittedModel,
+    before: Result,
+    after: Result,
 ) -> tuple[str, ...]:
     """Sentences for the reader."""
-    notes = workbench.notes
+    notes = (*workbench.notes, *_not_converged(before, after))
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
-        notes = (*notes, where_left(workbench, fitted))
+        notes = (*notes, where_left(workbench, fitted), NOT_ALLOWED_FOR)
     if after.uncertainty is not None:
         notes = (*notes, *after.uncertainty.sentences)
     return (*notes, *fitted_to_held_out(after.estimates))
+
+
+def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
+    """Say which of the last fits reached no solution, so that their values are not the best."""
+    fits = {"the declared model": before}
+    if after is not before:
+        fits["the model with the effects"] = after
+    return tuple(
+        f"the last fit of {model} did not converge ({str(fit.solution.ending).partition(';')[0]}): "
+        "its values, intervals and errors are those of the point where it stood"
+        for model, fit in fits.items()
+        if not fit.success
+    )
 
 
 def _final(workbench: LoopWorkbench, fitted: FittedModel, begin: float) -> Result:

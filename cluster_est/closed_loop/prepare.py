@@ -28,6 +28,7 @@ from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.statistics.noise import SHORTEST
 from cluster_est.statistics.records import make_records
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
@@ -99,9 +100,9 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
                 noise = noise_of(workbench, fitted.residuals)
                 sigmas = dict(zip(workbench.records.outputs, noise.tolist(), strict=True))
                 request = replace(request, problem=_weighted(problem, sigmas))
-                weights = (_weight_note(request.problem),)
+                weights = (_weight_note(request.problem, sigmas),)
     with _opened(request, description) as workbench:
-        notes = (*workbench.notes, *weights)
+        notes = (*workbench.notes, *weights, *_short_notes(problem))
         yield replace(workbench, notes=notes, sigma_declared=declared)
 
 
@@ -236,11 +237,14 @@ def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:
     return replace(problem, experiments=tuple(experiments))
 
 
-def _weight_note(problem: Problem) -> str:
+def _weight_note(problem: Problem, noise: dict[str, float]) -> str:
     sigmas = {o.variable: o.sigma for e in problem.experiments for o in e.outputs}
     pairs = ", ".join(f"{name} = {sigma:.6g}" for name, sigma in sigmas.items())
+    silent = [name for name in sigmas if not noise.get(name, np.nan) > 0.0]
+    but = f", but for {' and '.join(silent)}, of which no noise is known" if silent else ""
     return (
-        "no sigma was given for several outputs, so each was weighted with its estimated noise; "
+        "no sigma was given for several outputs, so each was weighted with its estimated noise"
+        f"{but}; "
         f"write sigma = {{ {pairs} }} into the experiments for a fit with the same weights"
     )
 
@@ -265,6 +269,23 @@ def _closed_parameters(problem: Problem, description: ModelDescription) -> tuple
         name
         for name in targets
         if name in known and known[name].causality == "parameter" and not known[name].tunable
+    )
+
+
+def _short_notes(problem: Problem) -> tuple[str, ...]:
+    """Name the outputs whose records are all too short to estimate a noise that is not given."""
+    longest: dict[str, int] = {}
+    for e in problem.indices("train"):
+        for output in problem.experiments[e].outputs:
+            known = longest.get(output.variable, 0)
+            longest[output.variable] = max(known, len(output.times))
+    short = [name for name, samples in longest.items() if 0 < samples < SHORTEST]
+    if _declares_sigma(problem) or not short:
+        return ()
+    return (
+        f"no record of {', '.join(short)} has {SHORTEST} samples, so its noise cannot be told from "
+        "what is missing: all that the declared model leaves counts as noise, and errors over it "
+        "say nothing; give sigma",
     )
 
 

@@ -69,7 +69,8 @@ def run_checks(
     data = data_findings(problem, description) if declared else []
     if seconds == 0.0:
         description.check_platform(problem.model.interface)
-        return CheckPage(tuple(data), ())
+        said = "everything was read, and nothing was simulated"
+        return CheckPage((*data, CheckFinding(CheckVerdict.NOT_DONE, "simulates", said, _MORE)), ())
     # before the time of the checks begins: Ray takes a second to import
     in_process = executor_class(resources.executor).in_process
     with ProbeBench.open(problem.model, problem.experiments) as bench:

@@ -102,7 +102,9 @@ def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
     """Return a note if values survive a reset, which matters if experiments set different ones."""
     other = np.where(subject.start == 0.0, FACTOR, FACTOR * subject.start)
     found = subject.ask(LeftoverProbe(subject.experiment, other), 3)
-    if isinstance(found, NoAnswer) or found == 0.0:
+    if isinstance(found, NoAnswer):  # an FMU that fails with its own values tells nothing of a fit
+        return [unanswered("values", found)] if found.late else []
+    if found == 0.0:
         return []
     return [
         CheckFinding(

@@ -65,9 +65,8 @@ def _shown(seconds: float) -> str:
 def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
     if found.leak is None or (found.count < LEAST_COUNT and found.leak < 50.0 * LEAK):
         said = f"{found.count} simulations are too few to see a leak"
-        return (
-            CheckFinding(CheckVerdict.OK, "memory", said) if found.leak is not None else _few(said)
-        )
+        do = "give it more time with --seconds"
+        return CheckFinding(CheckVerdict.NOT_DONE, "memory", said, do)
     if found.leak < LEAK:
         return CheckFinding(CheckVerdict.OK, "memory", f"no leak in {found.count} simulations")
     said = f"leaks {found.leak / 1024:.3g} kB a simulation"
@@ -77,7 +76,3 @@ def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
         return CheckFinding(CheckVerdict.NOTE, "memory", said, do)
     said += f"; its process is replaced after about {lasts:.3g} of them (executor.growth)"
     return CheckFinding(CheckVerdict.NOTE, "memory", said)
-
-
-def _few(said: str) -> CheckFinding:
-    return CheckFinding(CheckVerdict.NOT_DONE, "memory", said, "give it more time with --seconds")

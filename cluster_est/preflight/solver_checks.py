@@ -37,7 +37,7 @@ def accuracy(subject: CheckSubject) -> list[CheckFinding]:
         and not subject.description.variable_steps
     ):
         said = "its communication step is fixed, so that it cannot be halved to compare"
-        return [CheckFinding(CheckVerdict.OK, "accuracy", said)]
+        return [CheckFinding(CheckVerdict.NOT_DONE, "accuracy", said)]
     solver = subject.problem.model.solver
     other, how, key = _finer(subject, solver)
     found = subject.ask(SolverProbe(*subject.probe_arguments, other), 6)
@@ -158,7 +158,7 @@ def derivatives(subject: CheckSubject) -> list[CheckFinding]:
     if found.zero:
         said = "directional derivatives are offered, but all are silently 0"
         return [CheckFinding(CheckVerdict.NOTE, check, said, do)]
-    if found.error > MAX_JACOBIAN_ERROR:
+    if not found.error <= MAX_JACOBIAN_ERROR:  # NaN is no agreement
         said = f"directional derivatives differ from the model's slopes by {found.error:.2g}"
         return [CheckFinding(CheckVerdict.NOTE, check, f"{said} of the largest", do)]
     said = f"directional derivatives agree with differences within {found.error:.1g}"

@@ -44,6 +44,7 @@ class ErrorSizes:
 
     def of(self, chosen: Sequence[int], when: When) -> float:
         """Root mean square over the samples of some rows; NaN where one of them failed."""
+        chosen = [i for i in chosen if self.rows[i]["samples"]]
         rows = [self.rows[i] for i in chosen]
         samples = sum(row["samples"] for row in rows)
         if not samples:
@@ -104,10 +105,10 @@ def error_sentence(run: ReportedRun) -> str:
         before, after = sizes.of(chosen, "before"), sizes.of(chosen, "after")
         if math.isnan(after):
             continue
-        moved = "is" if math.isnan(before) else "fell" if after <= before else "rose"
-        size = (
-            digits(after, 3) if moved == "is" else f"from {digits(before, 3)} to {digits(after, 3)}"
-        )
+        moved = "fell" if after < before else "rose" if after > before else "is"
+        size = digits(after, 3)
+        if moved != "is":
+            size = f"from {digits(before, 3)} to {size}"
         verb = "" if moved == last else f"{moved} "
         measured = "" if parts else f" times {sizes.measure}"
         parts.append(f"{verb}{size}{measured} on {where} experiments")

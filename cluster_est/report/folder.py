@@ -74,7 +74,9 @@ class ReportedRun:
 
     @property
     def too_narrow(self) -> bool:
-        """True where the residuals of a fit deny its intervals."""
+        """True where the residuals of a fit deny its intervals, or a loop says what they lack."""
+        if self.is_loop:
+            return bool(self.facts["verdict"] == "unexplained")
         return bool((self.facts.get("residuals") or {}).get("too_narrow"))
 
     @property

@@ -110,7 +110,10 @@ def _costs(run: ReportedRun) -> list[str]:
     share = after / before
     if share < 0.01:
         return [f"The cost fell {what} by a factor of {digits(before / max(after, 1e-300), 3)}."]
-    moved = "fell" if share <= 1.0 else "rose"
+    if share == 1.0:
+        then = "with the declared model, fitted" if run.is_loop else "at the start values"
+        return [f"The cost is {digits(after)}, as it was {then}."]
+    moved = "fell" if share < 1.0 else "rose"
     return [f"The cost {moved} {what} by {percent(abs(1.0 - share))}."]
 
 
@@ -132,11 +135,18 @@ def _bounds(run: ReportedRun) -> list[str]:
     return [f"{len(held)} parameters stand at a bound: {names}."]
 
 
+def _simulated(run: ReportedRun) -> tuple[int, int]:
+    """Simulations and failures by the log, or by run.json of a run that was saved without one."""
+    if run.activity.simulations:
+        return run.activity.simulations, sum(each.count for each in run.activity.failures)
+    return int(run.facts.get("simulations") or 0), int(run.facts.get("failures") or 0)
+
+
 def _failed(run: ReportedRun) -> list[str]:
-    failures = sum(each.count for each in run.activity.failures)
+    total, failures = _simulated(run)
     if not failures:
         return []
-    total = max(run.activity.simulations, 1)
+    total = max(total, 1)
     share = "less than 0.1\u2009%" if failures / total < 1e-3 else percent(failures / total)
     return [f"{count(failures)} of {count(total)} simulations failed ({share})."]
 
@@ -157,9 +167,8 @@ def _figures(run: ReportedRun) -> tuple[HeadlineFigure, ...]:
             found.append(
                 HeadlineFigure(label, digits(after, 3), f"before {before}, over {sizes.measure}")
             )
-    simulations = run.activity.simulations or facts.get("simulations")
+    simulations, failures = _simulated(run)
     if simulations:
-        failures = sum(each.count for each in run.activity.failures)
         more = f"{count(failures)} failed" if failures else "none failed"
         found.append(HeadlineFigure("Simulations", count(simulations), more))
     if facts.get("seconds") is not None:

@@ -43,6 +43,8 @@ def fit_notes(result: Result) -> tuple[str, ...]:
         notes += result.uncertainty.sentences
     for profile in result.profiles:
         notes += profile.sentences
+    if result.bootstrap is not None:
+        notes += result.bootstrap.sentences
     return (*notes, *fitted_to_held_out(result.estimates), *worse_than_constants(result.errors))
 
 

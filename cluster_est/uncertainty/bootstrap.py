@@ -103,6 +103,28 @@ class BootstrapResult:
     unfinished: int
     confidence: float
 
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Sentences on draws that count for nothing, or stopped early, and on missing intervals."""
+        count, found = len(self.draws), []
+        if self.failures:
+            found.append(
+                f"bootstrap: {self.failures} of {count} draws have no refit, which failed or was "
+                "cut off, and count for nothing; the intervals are those of the others"
+            )
+        if self.unfinished:
+            found.append(
+                f"bootstrap: the refits of {self.unfinished} of {count} draws stopped before they "
+                "converged, and count"
+            )
+        silent = [each.label for each in self.intervals if each.used < LEAST_DRAWS]
+        if silent:
+            found.append(
+                f"bootstrap: there is no interval of {', '.join(silent)}, because fewer than "
+                f"{LEAST_DRAWS} draws tell of it"
+            )
+        return tuple(found)
+
 
 def bootstrap(
     runner: Runner,

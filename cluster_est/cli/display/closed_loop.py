@@ -14,6 +14,8 @@ from cluster_est.run_folder.reading import StoredRun, read_stored_run
 
 Facts = Mapping[str, Any]
 
+UNKNOWN = "unknown"
+
 SAME = 0.1
 """Times the noise below which two predictions count as the same."""
 
@@ -42,9 +44,10 @@ def print_loop(console: Console, run: StoredRun) -> None:
         f"run {run.path}: {facts['simulations']} simulations ({facts['failures']} failed), "
         f"{facts['seconds']:.1f} s",
     )
+    narrow = facts["verdict"] == "unexplained"  # they do not allow for what is missing
     for effect in facts["effects"]:
-        _print_effect(console, effect)
-    _print_parameters(console, run.tables["parameters"])
+        _print_effect(console, effect, too_narrow=narrow)
+    _print_parameters(console, run.tables["parameters"], too_narrow=narrow)
     _print_errors(console, run.tables["errors"], facts)
     for note in facts["notes"]:
         say(console, f"note: {note}")
@@ -57,13 +60,14 @@ def print_loop(console: Console, run: StoredRun) -> None:
     say(console, f"tables: {run.path}/*.parquet")
 
 
-def _print_effect(console: Console, effect: Facts) -> None:
+def _print_effect(console: Console, effect: Facts, *, too_narrow: bool = False) -> None:
     say(console, "")
     named = effect.get("words") or effect["family"]  # runs of earlier versions have no words
     say(console, f"effect {effect['name']} ({named}) at {effect['site']}")
     say(console, f"  {effect.get('sentence') or effect['equation']}")
+    narrow = " (too narrow)" if too_narrow else ""
     for name, row in effect["parameters"].items():
-        held = " (held)" if row["fixed"] else f"   95 %: {_range(row)}"
+        held = " (held)" if row["fixed"] else f"   95 %{narrow}: {_range(row)}"
         unit = f" {row['unit']}" if row["unit"] not in ("", "1") else ""
         say(console, f"  {name} = {number(row['value'])}{unit}{held}")
     for sentence in effect["evidence"]:
@@ -79,6 +83,8 @@ def _print_effect(console: Console, effect: Facts) -> None:
 
 
 def _range(row: Facts) -> str:
+    if row.get("at_bound"):  # runs of earlier versions do not say
+        return f"at its {row['at_bound']} bound"
     low, high = row["lower95"], row["upper95"]
     if low is None or high is None:
         return "not determined"
@@ -106,8 +112,10 @@ def _alternative(other: Facts) -> str:
     return text
 
 
-def _print_parameters(console: Console, rows: list[dict[str, Any]]) -> None:
-    header = ["parameter", "before", "95 % interval", "after", "95 % interval", "unit", "on", ""]
+def _print_parameters(console: Console, rows: list[dict[str, Any]], *, too_narrow: bool) -> None:
+    """Print values and intervals; the last ones with a word where the residuals deny them."""
+    found = "95 % interval (too narrow)" if too_narrow else "95 % interval"
+    header = ["parameter", "before", "95 % interval", "after", found, "unit", "on", ""]
     print_table(
         console,
         header,
@@ -144,21 +152,33 @@ def _print_errors(console: Console, rows: list[dict[str, Any]], facts: Facts) ->
             row["role"],
             row["output"],
             str(row["samples"]),
-            number(row["rmse_before"]),
-            number(row["rmse_after"]),
+            _error(row, "rmse_before"),
+            _error(row, "rmse_after"),
             row["unit"],
-            number(row["normalised_before"]),
-            number(row["normalised_after"]),
+            _over_noise(row, "before"),
+            _over_noise(row, "after"),
         )
         for row in rows
     ]
     for role, total in facts["errors"].items():
         if any(row["role"] == role for row in rows):
-            pair = number(total["before"]), number(total["after"])
+            pair = number(total["before"], UNKNOWN), number(total["after"], UNKNOWN)
             lines.append(("all", role, "", "", "", "", "", *pair))
     header = ["experiment", "role", "output", "samples", "RMSE before", "after", "unit"]
     print_table(console, [*header, f"over {over} before", "after"], lines)
     say(console, "")
+
+
+def _error(row: dict[str, Any], name: str) -> str:
+    """An error; blank where nothing was measured that a simulation could miss."""
+    return number(row[name]) if row["samples"] else ""
+
+
+def _over_noise(row: dict[str, Any], when: str) -> str:
+    """An error over the noise, which may be unknown, or none, where a simulation did not fail."""
+    if math.isnan(row[f"rmse_{when}"]):
+        return _error(row, f"normalised_{when}")
+    return number(row[f"normalised_{when}"], UNKNOWN)
 
 
 def _print_rest(console: Console, facts: Facts) -> None:
@@ -169,6 +189,6 @@ def _print_rest(console: Console, facts: Facts) -> None:
             f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; it shows "
             "where to look, not what is missing",
         )
-    noise = ", ".join(f"{name} {number(value)}" for name, value in facts["noise"].items())
+    noise = ", ".join(f"{name} {number(value, UNKNOWN)}" for name, value in facts["noise"].items())
     say(console, f"noise estimated from the residuals: {noise}")
     say(console, f"open sites: {', '.join(facts['sites'])}")

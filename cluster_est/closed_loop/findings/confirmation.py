@@ -44,11 +44,12 @@ def confirmed(
         reason = f"{judged.reason}; but {veto}, so nothing was added"
         return replace(judged, verdict=Verdict.UNEXPLAINED, reason=reason)
     left = np.array([largest_error(errors, role) for role in ("train", "test")])
-    verdict, said = judged.verdict, what_is_left(errors, judged.over)
+    verdict, remark = judged.verdict, ""
     if verdict is Verdict.FOUND and np.any(left > near):
         verdict = Verdict.PARTIAL
-        said += f", which is more than the {near:.3g} times up to which all counts as found"
-    elif verdict is Verdict.FOUND and (without_noise(errors) or not_simulated(errors)):
+        remark = f", which is more than the {near:.3g} times up to which all counts as found"
+    said = what_is_left(errors, judged.over, remark)
+    if verdict is Verdict.FOUND and (without_noise(errors) or not_simulated(errors)):
         verdict = Verdict.PARTIAL
         said += ", so it is not known whether all was found"
     return replace(judged, verdict=verdict, reason="; ".join(filter(None, (judged.reason, said))))

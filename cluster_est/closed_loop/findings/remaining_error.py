@@ -11,26 +11,32 @@ from cluster_est.closed_loop.findings.effects import ErrorChange
 from workers.messages import Role
 
 
-def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise") -> str:
-    """Say how large the error is that is left, beside the noise, and where that is not known."""
+def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark: str = "") -> str:
+    """Say how large the error is that is left, beside the noise, and where that is not known.
+
+    `remark` follows the sizes.
+    """
     train, test = (largest_error(errors, role) for role in ("train", "test"))
     said = []
     if np.isfinite(train) and np.isfinite(test):
         said.append(
             f"what is left is {train:.3g} times {over} on training and {test:.3g} on held-out data"
+            f"{remark}"
         )
     elif np.isfinite(train) or np.isfinite(test):
         where = "" if np.isfinite(train) else " on held-out data"
-        said.append(f"what is left is {train if not where else test:.3g} times {over}{where}")
+        size = f"{train if not where else test:.3g} times {over}{where}"
+        said.append(f"what is left is {size}{remark}")
     silent = without_noise(errors)
     if silent:
         said.append(
             f"the noise of {', '.join(silent)} is not known, so what is left there was not "
             "compared with it"
         )
-    failed = not_simulated(errors)
-    if failed:
-        said.append(f"held-out experiment {', '.join(failed)} could not be simulated")
+    for role, kind in (("train", "training"), ("test", "held-out")):
+        failed = not_simulated([e for e in errors if e.role == role])
+        if failed:
+            said.append(f"{kind} experiment {', '.join(failed)} could not be simulated")
     return "; ".join(said)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.statistics.noise import estimate_noise
+from cluster_est.statistics.noise import SHORTEST, estimate_noise
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import partial_autocorrelations
 from workers.messages import FloatArray
@@ -68,6 +68,11 @@ class OutputNoise:
     loud
         Where experiments have sigmas of their own, the ids of those that alone are noisier than
         twice theirs, if others are not.
+    told
+        Some record is long enough for its noise to be told from what a model leaves; else `white`
+        is the whole residual of the declared model.
+    given
+        The sigma is not 1 throughout, which is what stands where none is given.
     """
 
     output: str
@@ -79,6 +84,13 @@ class OutputNoise:
     first_order: bool
     declared: bool
     loud: tuple[str, ...] = ()
+    told: bool = True
+    given: bool = True
+
+    @property
+    def named(self) -> str:
+        """Its name, with what its sigma may be but the user's."""
+        return self.output if self.given else f"{self.output} (1, as where none is given)"
 
     @property
     def sigma_too_small(self) -> bool:
@@ -151,6 +163,7 @@ def _of_output(
     unit = 1.0 if declared else white
     partial = partial_autocorrelations(fitted.residuals, records, number, ORDER)
     most = max(workbench.thresholds.verdict.partial, 3.3 / np.sqrt(len(part)))
+    lengths = [len(record.times) for record in records.items if record.output == number]
     return OutputNoise(
         output=records.outputs[number],
         samples=len(part),
@@ -165,6 +178,8 @@ def _of_output(
         ),
         declared=declared,
         loud=_loud(workbench, fitted, number) if declared else (),
+        told=max(lengths) >= SHORTEST,
+        given=not np.all(workbench.sigmas[records.of_output(number)] == 1.0),
     )
 
 
@@ -213,14 +228,21 @@ def is_noise_of_sensors(
 
 def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     """Say which declared sigmas the data contradict; "" if none."""
-    small = {o.output: o.white for o in outputs if o.sigma_too_small and not o.loud}
-    large = {o.output: o.level for o in outputs if o.sigma_too_large}
+    small = {o.named: o.white for o in outputs if o.sigma_too_small and not o.loud and o.told}
+    large = {o.named: o.level for o in outputs if o.sigma_too_large}
+    short = {o.named: o.level for o in outputs if o.sigma_too_small and not o.told}
     said = [
-        f"the declared sigma of {o.output} in {', '.join(map(repr, o.loud))} is likely the error: "
+        f"the declared sigma of {o.named} in {', '.join(map(repr, o.loud))} is likely the error: "
         f"over all experiments the noise alone is {o.white:.2g} times as large"
         for o in outputs
-        if o.sigma_too_small and o.loud
+        if o.sigma_too_small and o.loud and o.told
     ]
+    if short:
+        said.append(
+            f"what is left of {' and '.join(short)} is {_times(short.values())} the declared "
+            f"sigma, and with records of fewer than {SHORTEST} samples nobody can say whether "
+            "sigma is the error or something is missing"
+        )
     if small:
         said.append(
             f"the declared sigma of {' and '.join(small)} is likely the error: the noise alone, "

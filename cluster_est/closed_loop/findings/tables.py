@@ -137,7 +137,8 @@ def effect_facts(effect: NamedEffect) -> Row:
 
 def _numbers(estimate: Estimate) -> Row:
     kept = {k: getattr(estimate, k) for k in ("value", "unit", "std_error", "lower95", "upper95")}
-    return kept | {"fixed": estimate.estimated_on == "known"}
+    held = {"fixed": estimate.estimated_on == "known", "at_bound": estimate.at_bound}
+    return kept | held
 
 
 def _coefficient(effect: NamedEffect, estimate: Estimate) -> str:
@@ -162,5 +163,8 @@ def errors_by_output(errors: Sequence[ErrorChange]) -> Row:
 def _pooled(rows: list[ErrorChange], values: list[float]) -> float:
     if not rows:
         return np.nan
-    samples = np.array([e.samples for e in rows], np.float64)
-    return float(np.sqrt((samples * np.array(values) ** 2).sum() / samples.sum()))
+    pairs = [(e.samples, value) for e, value in zip(rows, values, strict=True) if e.samples]
+    if not pairs:  # an output may have no samples in an experiment: that is no failure
+        return np.nan
+    samples, errors = np.array(pairs, np.float64).T
+    return float(np.sqrt((samples * errors**2).sum() / samples.sum()))

@@ -126,8 +126,10 @@ def _judged(
     closed = min(training, predicted)
     thresholds = workbench.thresholds.verdict
     share = f"the effects close {training:.0%} of the gap between error and noise"
-    if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
-        share += f", and {max(predicted, 0.0):.0%} in records that were left out to be predicted"
+    if predicted < 0.0:
+        share += f", but {WORSE}"
+    elif f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
+        share += f", and {predicted:.0%} in records that were left out to be predicted"
     tables = any(c.form.free for c in found.current.added)
     # a curve that is at the right place leaves nothing: it needs no right name
     most = thresholds.most_by_curve if tables else thresholds.most
@@ -148,12 +150,31 @@ def _judged(
     if base.of_sensors:
         reason = f"{_autocorrelated(base)}; the effects that were tried do not explain it"
         return ReasonedVerdict(Verdict.COLOURED, reason, closed)
+    missing = f"something is missing ({base.level}), and {_nothing(found, workbench.settings)}"
     return ReasonedVerdict(
-        Verdict.UNEXPLAINED,
-        f"something is missing ({base.level}), and nothing in the library explains it: the best "
-        f"effects would close only {max(closed, 0.0):.0%} of the gap",
-        closed,
+        Verdict.UNEXPLAINED, f"{missing}: the best effects {_little(training, predicted)}", closed
     )
+
+
+def _nothing(found: SelectionResult, settings: LoopSettings) -> str:
+    """Say that nothing explains it, and where the search was told to look, or to end."""
+    narrowed = settings.forms or settings.sites
+    among = "among the forms and sites of closed_loop" if narrowed else "in the library"
+    said = f"nothing {among} explains it"
+    if found.last.why != RejectionReason.LIMIT_OF_EFFECTS:
+        return said
+    most = settings.max_effects
+    return f"{said} with {most} effect{'s' if most > 1 else ''} (closed_loop.max_effects)"
+
+
+def _little(training: float, predicted: float) -> str:
+    """Say how little of the gap the best effects would close, and where."""
+    if predicted < 0.0:
+        return WORSE
+    if predicted < training:
+        said = f"would close only {predicted:.0%} of the gap in records that were left out"
+        return f"{said}, and {training:.0%} in training"
+    return f"would close only {training:.0%} of the gap"
 
 
 def _nothing_added(
@@ -179,6 +200,8 @@ def _nothing_added(
         return ReasonedVerdict(Verdict.NONE, reason)
     return ReasonedVerdict(Verdict.NONE, f"the best candidate was not accepted: {why}")
 
+
+WORSE = "predict records that were left out worse than the declared model does"
 
 NOWHERE = (
     "closed_loop.effects and closed_loop.sites leave no measured output, no driven input, no "
@@ -226,13 +249,16 @@ def _autocorrelated(residual: _Residual) -> str:
     if worst is None:
         return "the residual is autocorrelated"
     named = f" of {worst.output}" if len(residual.outputs) > 1 else ""
-    large = max(o.level for o in residual.outputs)
-    if all(o.believed for o in residual.outputs):
-        size = f"{large:.3g} times the declared sigma"
-    else:
-        size = (
-            f"{large:.3g} times the white part of the noise; without a declared sigma that fits "
-            "the data, a slow effect of this size cannot be distinguished from such noise"
+    if worst.believed:
+        size = f"{worst.level:.3g} times the declared sigma"
+    else:  # which is no measure of it; `is_noise_of_sensors` compares with the white part too
+        size = f"{worst.level / worst.white:.3g} times the white part of the noise"
+    doubted = [o.output for o in residual.outputs if not o.believed]
+    if doubted:
+        of = f" of {' and '.join(doubted)}" if len(doubted) < len(residual.outputs) else ""
+        size += (
+            f"; without a declared sigma{of} that fits the data, a slow effect of this size cannot "
+            "be distinguished from such noise"
         )
     return (
         f"the residual{named} is autocorrelated ({worst.correlation:.2g} from one sample to the "
@@ -267,7 +293,8 @@ def _closed(
     """
     floor = workbench.noise_floor(believed_noise(workbench, now.outputs, found.noise))
     base, last = found.base.sse, found.current.sse
-    training = (base - last) / max(base - min(floor, last), 1e-12)
+    gap = base - min(floor, last)
+    training = (base - last) / gap if gap > 0.0 else 0.0  # of any unit, however small its squares
     least = workbench.thresholds.selection.least_gap
     before, after = found.base_prediction.total, found.prediction.total
     predicted = (before - after) / max(before - floor, least * floor)

@@ -106,9 +106,12 @@ class NumericalError:
 
     @property
     def _said(self) -> str:
-        output = self.outputs[int(np.nanargmax(self.ratios))]
+        largest = int(np.nanargmax(self.ratios))
+        output = self.outputs[largest]
         figure = f"{self.ratio:.2g}" if self.ratio < 100.0 else f"{self.ratio:.0f}"
-        size = f"{figure} times the noise" if np.isfinite(self.ratio) else "all that is left"
+        size = f"{figure} times the noise"
+        if not np.isfinite(self.ratio):  # there is none
+            size = f"{self.rms[largest] / self.residual[largest]:.2g} times all that is left"
         how = "" if np.isnan(self.order) else f", of order {self.order:.2g} in the step"
         return f"{self.scale.name} has an error of {size} (at {output}{how})"
 

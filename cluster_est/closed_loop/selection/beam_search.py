@@ -85,8 +85,8 @@ def beam_search(
             if curve is None:
                 break
             replaced = True
-            won, prediction = curve
-            current, beside, rivals = won.fitted, (), {won.candidate.effect.name: (won, [])}
+            won, prediction, rivals = curve
+            current, beside = won.fitted, ()
             seen = _with_curve(seen, won, won.criterion - base.criterion(workbench.records))
             path.append(compared_structure(workbench, base, current, floor, number))
             continue
@@ -94,13 +94,13 @@ def beam_search(
             restart = FitStart(base.problem, _declared_only(won), base.added)
             return beam_search(workbench, fit_declared(workbench, restart), numerical, again=False)
         grown, rivals = _revised(workbench, base, begun, end, won, rivals)
-        prediction = predict(workbench, grown) if grown is not won.fitted else end.prediction
+        predicted = predict(workbench, grown) if grown is not won.fitted else end.prediction
         if grown.structure != won.fitted.structure:
             path.append(compared_structure(workbench, base, grown, floor, number))
         if grown.structure in passed:
             break
         passed.add(grown.structure)
-        current, beside = grown, end.compared
+        current, prediction, beside = grown, predicted, end.compared
     return SelectionResult(
         base, current, base_prediction, prediction, rivals, tuple(steps), tuple(seen), noise,
         tuple(path),

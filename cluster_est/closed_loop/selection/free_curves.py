@@ -19,7 +19,13 @@ from cluster_est.closed_loop.selection.gates import (
     reason_to_stop,
 )
 from cluster_est.closed_loop.selection.refinement.first_steps import first_steps
-from cluster_est.closed_loop.selection.refinement.refine import FULL, SHORT, RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.refine import (
+    FULL,
+    SHORT,
+    RefittedCandidate,
+    Rivals,
+    rivals_of,
+)
 from cluster_est.closed_loop.selection.rounds import RoundStart
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
@@ -49,7 +55,7 @@ def curve_instead(
     first: RoundStart,
     current: FittedModel,
     prediction: LeaveOneOutPrediction,
-) -> tuple[RefittedCandidate, LeaveOneOutPrediction] | None:
+) -> tuple[RefittedCandidate, LeaveOneOutPrediction, Rivals] | None:
     """One curve in the place of all effects that a search has added.
 
     It takes their place where something may be missing at all, and they are several, or leave more
@@ -65,8 +71,9 @@ def curve_instead(
 
     Returns
     -------
-    RefittedCandidate, LeaveOneOutPrediction
-        The declared model with the curve, and its prediction; None where the effects stay.
+    RefittedCandidate, LeaveOneOutPrediction, Rivals
+        The declared model with the curve, its prediction, and the curves that the data leave
+        possible in its place; None where the effects stay.
     """
     if reason_to_stop(workbench, first) is not None:
         return None
@@ -81,7 +88,10 @@ def curve_instead(
     price = workbench.thresholds.selection.pair_price * float(np.log(first.screening.count))
     falls = min(_falls(workbench, current, end.won.fitted))
     better = end.prediction.total < prediction.total
-    return (end.won, end.prediction) if falls > price and better else None
+    if not (falls > price and better):
+        return None
+    rivals = rivals_of(end.won, end.seen.contenders, workbench.thresholds.refinement)
+    return end.won, end.prediction, rivals
 
 
 def coloured_criterion(fitted: FittedModel, records: StackedRecords, order: int) -> float:

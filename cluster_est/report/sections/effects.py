@@ -56,6 +56,8 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
         low, high = row["lower95"], row["upper95"]
         width = high - low if low is not None and high is not None else 0.0
         said = "held" if row["fixed"] else "not determined" if low is None else ""
+        if row.get("at_bound"):  # runs of earlier versions do not say
+            said = f"at its {row['at_bound']} bound"
         rows.append(
             cells(
                 TableCell(name, code=True),

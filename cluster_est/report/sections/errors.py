@@ -61,7 +61,7 @@ def _table(
                 digits(before),
                 digits(after),
                 group[0]["unit"],
-                _change(before, after),
+                _change(before, after) if any(r["samples"] for r in group) else TableCell(""),
                 percent(_pooled(group, "relative_after")),
                 count(sum(row["samples"] for row in group)),
             )
@@ -70,6 +70,7 @@ def _table(
 
 
 def _pooled(rows: Sequence[Row], name: str) -> float:
+    rows = [row for row in rows if row["samples"]]  # others have no error, and have not failed
     samples = sum(row["samples"] for row in rows)
     if not samples:
         return math.nan

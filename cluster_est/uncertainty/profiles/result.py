@@ -93,4 +93,4 @@ def _sentence(label: str, side: str, end: ProfileEnd, value: float) -> str:
         return f"{label} has no {side} limit: its profile reaches the bound {value:.6g} first"
     if end is ProfileEnd.FLAT:
         return f"{label} has no {side} limit: the cost does not rise enough as far as {value:.6g}"
-    return f"{label} has no {side} limit: the refits beyond {value:.6g} failed"
+    return f"{label} has no {side} limit: the refits beyond {value:.6g} failed, or were cut off"

@@ -71,6 +71,8 @@ def _told(estimate: Estimate) -> bool:
 def _value(candidate: EffectCandidate, estimate: Estimate) -> str:
     name = estimate.parameter.removeprefix(f"{candidate.effect.name}.")
     said = f"{name} = {estimate.value:.4g}{in_unit(estimate.unit)}"
+    if estimate.at_bound:
+        return f"{said} (at its {estimate.at_bound} bound)"
     if math.isfinite(estimate.lower95) and math.isfinite(estimate.upper95):
         return f"{said} ({estimate.lower95:.4g} to {estimate.upper95:.4g})"
     return f"{said} (not determined)"

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.loop_objects import made_problem
 from support.truth.systems_with_missing_effects import measured, missing_effect_problem, opened
 
+from cluster_est.closed_loop.prepare import _short_notes, _weight_note, _weighted
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.errors import ProblemError
 
@@ -87,6 +89,25 @@ def test_outputs_without_sigma_are_weighted_with_their_noise():
         for run in bench.problem.experiments:
             assert [o.sigma for o in run.outputs] == pytest.approx([0.02, 0.2], rel=0.2)
         assert any("sigma = { motor_speed = 0.0" in note for note in bench.notes)
+
+
+@pytest.mark.parametrize("silent", [0.0, np.nan])
+def test_an_output_without_known_noise_is_not_said_to_be_weighted_with_it(silent):
+    noise = {"y0": 0.3, "y1": silent}
+    note = _weight_note(_weighted(made_problem(20, outputs=2), noise), noise)
+    assert "with its estimated noise, but for y1, of which no noise is known; write" in note
+    assert "sigma = { y0 = 0.3, y1 = 1 }" in note
+
+
+@pytest.mark.parametrize(
+    ("lengths", "sigma", "said"),
+    [((9, 9, 9), 1.0, True), ((9, 10, 9), 1.0, False), ((9, 9, 9), 0.1, False)],
+)
+def test_records_too_short_to_know_their_noise_are_named(lengths, sigma, said):
+    """`estimate_noise` then takes the whole residual of the declared model."""
+    notes = _short_notes(made_problem(*lengths, outputs=2, sigma=sigma))
+    assert any("no record of y0, y1 has 10 samples" in note for note in notes) is said
+    assert bool(notes) is said
 
 
 def test_given_sigmas_are_kept():

@@ -218,6 +218,19 @@ class TestFailures:
         check_bootstrap(levels(count=5).space())
 
 
+class TestSentences:
+    def test_draws_that_all_went_well_need_no_word(self):
+        assert run(levels()).sentences == ()
+
+    def test_draws_that_failed_or_stopped_early_and_missing_intervals_are_named(self):
+        found = replace(run(levels()), failures=62, unfinished=3)
+        few = replace(found.intervals[0], used=18)
+        failed, early, silent = replace(found, intervals=(few,)).sentences
+        assert "62 of 80 draws have no refit" in failed
+        assert "the refits of 3 of 80 draws stopped before they converged" in early
+        assert "no interval of level, because fewer than 20 draws" in silent
+
+
 class TestSpaces:
     def test_copies_are_counted_each_and_simulated_once(self):
         curves = levels(count=3)

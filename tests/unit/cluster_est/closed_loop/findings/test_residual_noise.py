@@ -154,6 +154,36 @@ def test_the_experiment_whose_sigma_is_wrong_is_named(sigmas, named):
     assert bool(said) is bool(named)
 
 
+@pytest.mark.parametrize(("length", "sure"), [(9, False), (60, True)])
+def test_records_too_short_to_tell_their_noise_do_not_make_sigma_the_error(length, sure):
+    """A straight line is left, ten times as large as sigma: no noise, but nine samples hide that.
+
+    With more of them it is noise of that size.
+    """
+    problem = made_problem(*(length,) * 4, sigma=0.5)
+    line = np.linspace(-1.0, 1.0, length) if not sure else np.resize([1.0, -1.0], length)
+    residual = np.tile(10.0 * line / np.sqrt(np.mean(line**2)), 4)
+    bench, fitted = made_bench(problem), made_fit(problem, residual)
+    said = suspected_sigma(residual_noise(bench, fitted, estimate_noise(residual, bench.records)))
+    assert ("is likely the error" in said) is sure
+    assert ("y0 is 10 times the declared sigma, and with records of fewer" in said) is not sure
+
+
+def test_a_sigma_that_may_not_have_been_given_is_said_to_be_one():
+    """Of two outputs one has a sigma; the other's is 1, as where none is given."""
+    problem = made_problem(60, outputs=2)
+    (run,) = problem.experiments
+    first, second = run.outputs
+    outputs = (replace(first, sigma=0.5), second)
+    problem = replace(problem, experiments=(replace(run, outputs=outputs),))
+    bench = made_bench(problem)
+    residual = 0.01 * np.random.default_rng(1).standard_normal(120)
+    found = residual_noise(
+        bench, made_fit(problem, residual), estimate_noise(residual, bench.records)
+    )
+    assert "sigma of y0 and y1 (1, as where none is given) is likely" in suspected_sigma(found)
+
+
 def test_scaling_changes_nothing():
     residual = disturbed(2.0, 4)
     one, other = looked_at(residual, 1.7)[1][0], looked_at(1e-6 * residual, 1.7e-6)[1][0]

@@ -20,7 +20,7 @@ from cluster_est.closed_loop.findings.confirmation import confirmed
 from cluster_est.closed_loop.findings.effects import ErrorChange
 from cluster_est.closed_loop.findings.result import Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
-from cluster_est.closed_loop.selection.rounds import RejectionReason
+from cluster_est.closed_loop.selection.rounds import RejectionReason, SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.statistics.omnibus import OmnibusTest
 
@@ -110,7 +110,18 @@ CASES = {
     "just less than most": (
         Case(11.0, 3.6, LITTLE, STRUCTURED), Verdict.UNEXPLAINED, "only 74%"),
     "most, but not in prediction": (
-        Case(9.0, 3.0, LITTLE, STRUCTURED, left_out=5.0), Verdict.UNEXPLAINED, "only 50%"),
+        Case(9.0, 3.0, LITTLE, STRUCTURED, left_out=5.0), Verdict.UNEXPLAINED,
+        "only 50% of the gap in records that were left out, and 75% in training"),
+    "all, but what was left out is predicted worse": (
+        Case(9.0, 1.0, CLEAN, left_out=13.0), Verdict.FOUND,
+        "close 100% of the gap between error and noise, but predict records that were left out "
+        "worse than the declared model does"),
+    "some, but what was left out is predicted worse": (
+        Case(9.0, 3.0, LITTLE, STRUCTURED, left_out=13.0), Verdict.UNEXPLAINED,
+        "the best effects predict records that were left out worse than"),
+    "the search ended with as many effects as it may add": (
+        Case(9.0, 6.0, RejectionReason.LIMIT_OF_EFFECTS, STRUCTURED), Verdict.UNEXPLAINED,
+        "nothing in the library explains it with 3 effects (closed_loop.max_effects)"),
     "a free curve explains it": (
         Case(9.0, 1.0, CLEAN, families=("friction", "table")), Verdict.FOUND, "with a free curve"),
     "a free curve explains most": (
@@ -168,6 +179,40 @@ def test_only_a_known_sigma_sets_the_noise_of_a_sensor_apart_from_a_slow_effect(
     assert said in judge(made_bench(PROBLEM), search).reason
     declared = replace(made_bench(PROBLEM), sigma_declared=True)
     assert said not in judge(declared, search).reason
+
+
+@pytest.mark.parametrize(("level", "white"), [(0.3, 0.25), (3.0, 2.5)])
+def test_where_a_declared_sigma_is_wrong_coloured_noise_is_measured_by_its_white_part(level, white):
+    """Both are in units of that sigma: what is left is 1.2 times its own white part."""
+    search = Case(level**2, level**2, NOISE, STRUCTURED, (), white=QUIET).search()
+    declared = replace(made_bench(PROBLEM), sigma_declared=True)
+    judgement = judge(declared, replace(search, noise=np.array([white])))
+    assert judgement.verdict is Verdict.COLOURED
+    assert "(1.2 times the white part of the noise; without a sigma that" in judgement.reason
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-9])
+def test_the_gap_that_is_closed_is_the_same_in_any_unit(unit):
+    """Without a declared sigma residuals are in the unit of the output, be it that of amperes."""
+    search = Case(11.0, 3.4, LITTLE, STRUCTURED).search()
+    base, current = (
+        replace(fit, residuals=unit * fit.residuals) for fit in (search.base, search.current)
+    )
+    before, after = (
+        replace(each, squares=unit**2 * each.squares)
+        for each in (search.base_prediction, search.prediction)
+    )
+    scaled = SelectionResult(base, current, before, after, {}, search.steps, (), np.array([unit]))
+    judgement = judge(made_bench(PROBLEM), scaled)
+    assert judgement.verdict is Verdict.PARTIAL
+    assert "close 76% of the gap" in judgement.reason
+
+
+@pytest.mark.parametrize("narrowed", [{"forms": ("coulomb",)}, {"sites": ("der(v)",)}])
+def test_a_narrowed_search_does_not_speak_for_the_whole_library(narrowed):
+    bench = replace(made_bench(PROBLEM), settings=LoopSettings(**narrowed))
+    reason = judge(bench, Case(9.0, 6.0, LITTLE, STRUCTURED).search()).reason
+    assert "nothing among the forms and sites of closed_loop explains it" in reason
 
 
 def changes(train: tuple[float, float], test: tuple[float, float] | None, output: str = "y"):
@@ -233,6 +278,20 @@ def test_a_held_out_experiment_that_fails(when, expected, said):
     judged = confirmed(FOUND, failing(when), LoopSettings())
     assert judged.verdict is expected
     assert said in judged.reason
+
+
+def test_how_much_is_too_much_is_said_of_the_size():
+    lost = ErrorChange("lost", "test", "y", "m", 100, np.nan, np.nan, np.nan, np.nan)
+    reason = confirmed(FOUND, [*changes((90.0, 1.6), (90.0, 1.2)), lost], LoopSettings()).reason
+    assert "1.2 on held-out data, which is more than the 1.5 times" in reason
+    assert reason.endswith("; held-out experiment 'lost' could not be simulated")
+
+
+def test_a_training_experiment_that_fails_is_not_said_to_be_held_out():
+    lost = ErrorChange("lost", "train", "y", "m", 100, np.nan, np.nan, np.nan, np.nan)
+    judged = confirmed(FOUND, [*changes((9.0, 1.1), None), lost], LoopSettings())
+    assert judged.verdict is Verdict.PARTIAL
+    assert "training experiment 'lost' could not be simulated" in judged.reason
 
 
 def test_the_only_held_out_experiment_fails_with_the_effects():

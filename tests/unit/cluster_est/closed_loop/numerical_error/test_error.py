@@ -84,7 +84,9 @@ def test_a_loose_tolerance_is_spoken_of_however_small_its_error_is_here():
 
 def test_where_there_is_no_noise_the_residual_decides():
     assert error(1e-9, 1e-9, noise=0.0).hides_effects
-    assert "all that is left" in error(1e-9, 1e-9, noise=0.0).refusal
+    assert "an error of 1 times all that is left" in error(1e-9, 1e-9, noise=0.0).refusal
+    (note,) = error(1e-9, 1.0, noise=0.0).notes
+    assert "an error of 1e-09 times all that is left" in note
     assert not error(1e-9, 1.0, noise=0.0).hides_effects
     assert not error(1e-9, 0.0, noise=0.0).hides_effects
 

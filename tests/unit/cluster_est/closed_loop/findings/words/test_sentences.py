@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,3 +78,9 @@ def test_a_free_curve_lists_no_values():
     made = candidate(EffectSite("derivative", "v"), "table", "v")
     said = sentence_of("a free curve of v", made, [estimate("k1", 1.0)], curve())
     assert "with k1" not in said
+
+
+def test_a_coefficient_at_its_bound_is_not_said_to_be_undetermined():
+    made = candidate(EffectSite("derivative", "v"), "square", "v")
+    held = replace(estimate("k", 0.0), lower95=math.nan, upper95=math.nan, at_bound="lower")
+    assert "with k = 0 (at its lower bound)" in sentence_of("drag", made, [held], curve())

@@ -1,0 +1,93 @@
+"""What a search ends with: predictions and rivals are those of the model that it returns."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.loop_objects import (
+    fit_with_squares,
+    made_bench,
+    made_candidate,
+    made_problem,
+    made_screening,
+)
+
+from cluster_est.closed_loop.selection import beam_search as search
+from cluster_est.closed_loop.selection import free_curves
+from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, _parts
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundEnd, SelectionRound
+
+PROBLEM = made_problem(50, 50)
+BASE = fit_with_squares(PROBLEM, 900.0)
+A, B = (made_candidate(name) for name in "ab")
+
+
+def predicted(_, fitted):
+    """A prediction as good as the fit."""
+    return LeaveOneOutPrediction(np.array([fitted.sse]))
+
+
+def screening():
+    return made_screening(BASE.jacobian, BASE.residuals, [], [])
+
+
+@pytest.fixture
+def rounds(monkeypatch):
+    """Rounds that grow "a", then "a, b", which is revised into "a" alone again, a little better."""
+    grown = [fit_with_squares(PROBLEM, 500.0, [A]), fit_with_squares(PROBLEM, 300.0, [A, B])]
+    kept = [grown[0], fit_with_squares(PROBLEM, 480.0, [A])]
+    ends = iter(grown)
+
+    def one(_, __, begun):
+        won = RefittedCandidate(next(ends), 0.0, True)
+        seen = SelectionRound(begun.screening, (), None)
+        return RoundEnd(seen, won, predicted(None, won.fitted))
+
+    revised = iter(kept)
+    monkeypatch.setattr(search, "predict", predicted)
+    monkeypatch.setattr(search, "screen", lambda *_: screening())
+    monkeypatch.setattr(search, "noise_of", lambda *_: np.ones(1))
+    monkeypatch.setattr(search, "_round", one)
+    monkeypatch.setattr(search, "_noted", lambda *_: [])
+    monkeypatch.setattr(search, "_revised", lambda *_: (next(revised), {}))
+
+
+@pytest.mark.usefixtures("rounds")
+def test_a_prediction_is_that_of_the_model_that_stays():
+    found = search.beam_search(made_bench(PROBLEM), BASE, again=False)
+    assert found.current.sse == pytest.approx(500.0)
+    assert found.prediction.total == pytest.approx(found.current.sse)
+
+
+def test_a_curve_in_the_place_of_all_effects_has_the_rivals_that_it_was_compared_with(monkeypatch):
+    """Else it would be said that nothing else explains the data as well."""
+    curves = [made_candidate(name, "table") for name in ("first", "second", "far")]
+    contenders = tuple(
+        RefittedCandidate(fit_with_squares(PROBLEM, 100.0, [curve]), criterion, True)
+        for curve, criterion in zip(curves, (-90.0, -89.9, 500.0), strict=True)
+    )
+    end = RoundEnd(
+        SelectionRound(screening(), contenders, None), contenders[0],
+        LeaveOneOutPrediction(np.array([100.0])),
+    )  # fmt: skip
+    monkeypatch.setattr(free_curves, "reason_to_stop", lambda *_: None)
+    monkeypatch.setattr(free_curves, "refit_curves", lambda *_: list(contenders))
+    monkeypatch.setattr(free_curves, "best_that_passes", lambda *_: end)
+    monkeypatch.setattr(free_curves, "_falls", lambda *_: (1e6, 1e6))
+    named = fit_with_squares(PROBLEM, 300.0, [A, B])
+    ranking = SimpleNamespace(ranking=None, count=3)
+    first = SimpleNamespace(model=BASE, screening=ranking, floor=100.0)
+    found = free_curves.curve_instead(made_bench(PROBLEM), first, named, predicted(None, named))
+    assert found is not None
+    won, rivals = found[2]["first"]
+    assert won is contenders[0]
+    assert [each.candidate.effect.name for each in rivals] == ["second"]
+
+
+def test_what_is_left_out_are_no_experiments_where_there_are_few():
+    """Of one or two experiments quarters of the records are."""
+    assert len(_parts(made_bench(PROBLEM))) == 8
+    assert "experiment" not in RejectionReason.NOT_PREDICTED
