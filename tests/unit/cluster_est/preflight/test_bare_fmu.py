@@ -61,5 +61,5 @@ def test_where_nothing_is_an_output_what_moves_is_looked_at(tmp_path):
 
 
 def test_where_nothing_moves_that_is_said(tmp_path):
-    with pytest.raises(ModelError, match="another variable that is a number and moves"):
+    with pytest.raises(ModelError, match="another number that changes"):
         problem(tmp_path, variable("u", 3, "input", "continuous", "0.0"))

@@ -188,7 +188,9 @@ def test_where_a_declared_sigma_is_wrong_coloured_noise_is_measured_by_its_white
     declared = replace(made_bench(PROBLEM), sigma_declared=True)
     judgement = judge(declared, replace(search, noise=np.array([white])))
     assert judgement.verdict is Verdict.COLOURED
-    assert "(1.2 times the white part of the noise; without a sigma that" in judgement.reason
+    assert (
+        "(1.2 times the white part of the noise; without a declared sigma that" in judgement.reason
+    )
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-9])

@@ -62,8 +62,8 @@ def test_the_refusal_says_how_large_and_what_to_set():
     said = error(4.3, 4.4).refusal
     assert said == (
         "the communication step of 0.1 s has an error of 4.3 times the noise (at y, of order 1 in "
-        "the step), so no missing effect can be told from it: set model.step = 0.0007813 first, "
-        "and run this again"
+        "the step), so no missing effect can be distinguished from it: set "
+        "model.step = 0.0007813 first, and run this again"
     )
     assert error(4.3, 4.4).notes[0].startswith("no effect was looked for, because the commun")
 
