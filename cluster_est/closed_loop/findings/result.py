@@ -19,7 +19,7 @@ from cluster_est.closed_loop.findings.effects import (
     NamedEffect,
     Verdict,
 )
-from cluster_est.closed_loop.findings.remaining_error import pooled_error
+from cluster_est.closed_loop.findings.remaining_error import comparable, pooled_error
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display
@@ -103,8 +103,11 @@ class LoopResult:
     unexplained: tuple[UnexplainedResidual, ...] = ()
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
-        """Root mean square of the normalised errors before or after; NaN without any."""
-        return pooled_error(self.errors, role, after=when == "after")
+        """Root mean square of the normalised errors before or after; NaN without any.
+
+        Both are of the experiments that were simulated before and after.
+        """
+        return pooled_error(comparable(self.errors), role, after=when == "after")
 
     @property
     def success(self) -> bool:
