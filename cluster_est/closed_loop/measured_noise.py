@@ -7,12 +7,16 @@ from collections.abc import Iterable
 import numpy as np
 
 from cluster_est.closed_loop.workbench import LoopWorkbench
-from cluster_est.statistics.noise import estimate_noise
+from cluster_est.statistics.noise import SHORTEST, estimate_noise
+from cluster_est.statistics.records import StackedRecords
 from workers.messages import Experiment, FloatArray
 
 
 def noise_of(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
     """Standard deviation of the noise of each output; see `estimate_noise`.
+
+    Where all records of an output are too short to tell noise from misfit, it is the sigma that was
+    given for it: the whole residual counted as noise would hide what is missing.
 
     Parameters
     ----------
@@ -25,7 +29,21 @@ def noise_of(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
         In units of the residual.
     """
     runs = [workbench.problem.experiments[e] for e in workbench.train]
-    return estimate_noise(residuals, workbench.records, measured_values(runs))
+    found = estimate_noise(residuals, workbench.records, measured_values(runs))
+    for number in range(len(found)):
+        if not (is_told(workbench.records, number) or np.all(_sigmas(workbench, number) == 1.0)):
+            found[number] = 1.0
+    return found
+
+
+def is_told(records: StackedRecords, output: int) -> bool:
+    """Return whether some record of an output is long enough to tell noise from misfit."""
+    lengths = [len(record.times) for record in records.items if record.output == output]
+    return max(lengths, default=0) >= SHORTEST
+
+
+def _sigmas(workbench: LoopWorkbench, output: int) -> FloatArray:
+    return workbench.sigmas[workbench.records.of_output(output)]
 
 
 def measured_values(experiments: Iterable[Experiment]) -> FloatArray:

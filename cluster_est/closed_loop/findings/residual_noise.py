@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri, ndtr
 
+from cluster_est.closed_loop.measured_noise import is_told
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.noise import SHORTEST, estimate_noise
 from cluster_est.statistics.records import StackedRecords
@@ -70,7 +71,7 @@ class OutputNoise:
         twice theirs, if others are not.
     told
         Some record is long enough for its noise to be told from what a model leaves; else `white`
-        is the whole residual of the declared model.
+        is the sigma that is given, or the whole residual of the declared model.
     given
         The sigma is not 1 throughout, which is what stands where none is given.
     """
@@ -163,7 +164,6 @@ def _of_output(
     unit = 1.0 if declared else white
     partial = partial_autocorrelations(fitted.residuals, records, number, ORDER)
     most = max(workbench.thresholds.verdict.partial, 3.3 / np.sqrt(len(part)))
-    lengths = [len(record.times) for record in records.items if record.output == number]
     return OutputNoise(
         output=records.outputs[number],
         samples=len(part),
@@ -178,7 +178,7 @@ def _of_output(
         ),
         declared=declared,
         loud=_loud(workbench, fitted, number) if declared else (),
-        told=max(lengths) >= SHORTEST,
+        told=is_told(records, number),
         given=not np.all(workbench.sigmas[records.of_output(number)] == 1.0),
     )
 
@@ -230,7 +230,7 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     """Say which declared sigmas the data contradict; "" if none."""
     small = {o.named: o.white for o in outputs if o.sigma_too_small and not o.loud and o.told}
     large = {o.named: o.level for o in outputs if o.sigma_too_large}
-    short = {o.named: o.level for o in outputs if o.sigma_too_small and not o.told}
+    short = {o.named: o.level for o in outputs if o.declared and not o.told and o.level > TOO_SMALL}
     said = [
         f"the declared sigma of {o.named} in {', '.join(map(repr, o.loud))} is likely the error: "
         f"over all experiments the noise alone is {o.white:.2g} times as large"
