@@ -100,7 +100,7 @@ def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
     with zipfile.ZipFile(fmu) as archive:
         readme = archive.read("documentation/README.md").decode()
     assert f"a communication step of {named} s reproduces the run's RMSE" in readme
-    assert "harder (drag) at der(v)" in readme
+    assert "harder (cubic) at der(v)" in readme
     errors = {row["experiment"]: row for row in rows_of(run, "errors")}
     for name, row in errors.items():
         sizes = f"{row['rmse_before']:.4g} | {row['rmse_after']:.4g}"
@@ -193,7 +193,7 @@ def test_equations_for_a_modeller(run, capsys):
     assert '"95 %: ' in said
     assert "harder_at_v = -harder_k*x^3;" in said
     assert "// add harder_at_v to the right side of der(v)" in said
-    assert "harder (drag) at der(v) der(v) += -k * x^3" in said
+    assert "harder (cubic) at der(v) der(v) += -k * x^3" in said
 
 
 @pytest.mark.parametrize(
