@@ -31,7 +31,7 @@ def noise_of(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
     runs = [workbench.problem.experiments[e] for e in workbench.train]
     found = estimate_noise(residuals, workbench.records, measured_values(runs))
     for number in range(len(found)):
-        if not (is_told(workbench.records, number) or np.all(_sigmas(workbench, number) == 1.0)):
+        if is_given(workbench, number) and not is_told(workbench.records, number):
             found[number] = 1.0
     return found
 
@@ -42,8 +42,9 @@ def is_told(records: StackedRecords, output: int) -> bool:
     return max(lengths, default=0) >= SHORTEST
 
 
-def _sigmas(workbench: LoopWorkbench, output: int) -> FloatArray:
-    return workbench.sigmas[workbench.records.of_output(output)]
+def is_given(workbench: LoopWorkbench, output: int) -> bool:
+    """Return whether an output's sigma is not 1 throughout, as it is where none is given."""
+    return bool(np.any(workbench.sigmas[workbench.records.of_output(output)] != 1.0))
 
 
 def measured_values(experiments: Iterable[Experiment]) -> FloatArray:

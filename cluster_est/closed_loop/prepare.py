@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.measured_noise import noise_of
+from cluster_est.closed_loop.measured_noise import is_told, noise_of
 from cluster_est.closed_loop.selection.declared_model import BRIEF
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.simulation_meter import SimulationMeter
@@ -102,8 +102,8 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
                 request = replace(request, problem=_weighted(problem, sigmas))
                 weights = (_weight_note(request.problem, sigmas),)
     with _opened(request, description) as workbench:
-        notes = (*workbench.notes, *weights, *_short_notes(problem))
-        yield replace(workbench, notes=notes, sigma_declared=declared)
+        workbench = replace(workbench, sigma_declared=declared)
+        yield replace(workbench, notes=(*workbench.notes, *weights, *_short_notes(workbench)))
 
 
 @contextmanager
@@ -272,15 +272,15 @@ def _closed_parameters(problem: Problem, description: ModelDescription) -> tuple
     )
 
 
-def _short_notes(problem: Problem) -> tuple[str, ...]:
+def _short_notes(workbench: LoopWorkbench) -> tuple[str, ...]:
     """Name the outputs whose records are all too short to estimate a noise that is not given."""
-    longest: dict[str, int] = {}
-    for e in problem.indices("train"):
-        for output in problem.experiments[e].outputs:
-            known = longest.get(output.variable, 0)
-            longest[output.variable] = max(known, len(output.times))
-    short = [name for name, samples in longest.items() if 0 < samples < SHORTEST]
-    if _declares_sigma(problem) or not short:
+    records = workbench.records
+    short = [
+        name
+        for number, name in enumerate(records.outputs)
+        if len(workbench.sigmas[records.of_output(number)]) and not is_told(records, number)
+    ]
+    if workbench.sigma_declared or not short:
         return ()
     return (
         f"no record of {', '.join(short)} has {SHORTEST} samples, so its noise cannot be told from "

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from cluster_est.problem.held_out import within
 from workers.messages import FloatArray, Interpolation, Output
 
 TimeBase = Literal["measured", "union", "simulated", "both"]
@@ -87,8 +88,7 @@ def counted(
     """Keep the samples of an output from first to last and, if there are any, in windows."""
     keep = (output.times >= first) & (output.times <= last)
     if windows:
-        inside = [(output.times >= a) & (output.times <= b) for a, b in windows]
-        keep &= np.any(inside, axis=0)
+        keep &= within(output.times, windows)
     return replace(output, times=output.times[keep], values=output.values[keep])
 
 

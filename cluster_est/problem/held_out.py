@@ -51,7 +51,7 @@ def hold_out(
             f'{where}: must be of an experiment that trains but its role is "test", so that all of '
             "it is held out already; remove one of the two"
         )
-    inside = [_within(output.times, windows) for output in experiment.outputs]
+    inside = [within(output.times, windows) for output in experiment.outputs]
     train = replace(experiment, outputs=_kept(experiment.outputs, [~each for each in inside]))
     test = replace(
         experiment,
@@ -83,7 +83,8 @@ def _check_windows(windows: Sequence[tuple[float, float]], where: str) -> None:
         )
 
 
-def _within(times: FloatArray, windows: Sequence[tuple[float, float]]) -> npt.NDArray[np.bool_]:
+def within(times: FloatArray, windows: Sequence[tuple[float, float]]) -> npt.NDArray[np.bool_]:
+    """Return which times lie in one of the windows, both of its ends included."""
     inside = np.zeros(len(times), dtype=bool)
     for first, last in windows:
         inside |= (times >= first) & (times <= last)

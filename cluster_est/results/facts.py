@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.residual_sentences import residual_facts, residual_sentences
 
-MOST_NAMED = 3
-
 if TYPE_CHECKING:  # a result offers its facts, so it knows this file
     from cluster_est.results.result import Result
     from cluster_est.results.row_types import Estimate
+
+MOST_NAMED = 3
+"""Values that a note names; it counts the others."""
 
 
 def fit_facts(result: Result) -> dict[str, Any]:

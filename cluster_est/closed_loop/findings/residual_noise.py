@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri, ndtr
 
-from cluster_est.closed_loop.measured_noise import is_told
+from cluster_est.closed_loop.measured_noise import is_given, is_told
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.noise import SHORTEST, estimate_noise
 from cluster_est.statistics.records import StackedRecords
@@ -179,7 +179,7 @@ def _of_output(
         declared=declared,
         loud=_loud(workbench, fitted, number) if declared else (),
         told=is_told(records, number),
-        given=not np.all(workbench.sigmas[records.of_output(number)] == 1.0),
+        given=is_given(workbench, number),
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.loop_objects import made_problem
+from support.loop_objects import made_bench, made_problem
 from support.truth.systems_with_missing_effects import measured, missing_effect_problem, opened
 
 from cluster_est.closed_loop.prepare import _short_notes, _weight_note, _weighted
@@ -105,7 +105,7 @@ def test_an_output_without_known_noise_is_not_said_to_be_weighted_with_it(silent
 )
 def test_records_too_short_to_know_their_noise_are_named(lengths, sigma, said):
     """`estimate_noise` then takes the whole residual of the declared model."""
-    notes = _short_notes(made_problem(*lengths, outputs=2, sigma=sigma))
+    notes = _short_notes(made_bench(made_problem(*lengths, outputs=2, sigma=sigma)))
     assert any("no record of y0, y1 has 10 samples" in note for note in notes) is said
     assert bool(notes) is said
 
