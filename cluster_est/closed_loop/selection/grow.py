@@ -25,14 +25,22 @@ def grow(
     """Refit structures with one effect more than each parent has; the best first.
 
     A structure that several parents lead to is refitted from the first of them alone, and one that
-    is known already not at all.
+    is known already not at all. From the second parent on, what cannot come near the best structure
+    so far is refitted no further.
     """
     found: dict[frozenset[str], RefittedCandidate] = {}
     for parent in parents:
         accepted = parent is begun.model
         ranking = begun.screening.ranking if accepted else rank(workbench, parent)
+        best = min((c.criterion for c in found.values()), default=np.inf)
         contenders = refit(
-            workbench, parent, ranking, begun.floor, wide=accepted, known={*known, *found}
+            workbench,
+            parent,
+            ranking,
+            begun.floor,
+            wide=accepted,
+            known={*known, *found},
+            most=best + workbench.thresholds.refinement.alternative,
         )
         contenders += refit_same_argument(workbench, parent, ranking, contenders)
         for contender in refit_switch_widths(workbench, contenders, begun.floor):

@@ -4,25 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.selection.accept import stays_bounded
 from cluster_est.closed_loop.selection.refinement.refine import FULL, SHORT
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.problem.space import SearchSpace
+from workers.messages import FloatArray
 
 
 def refit_from_other_starts(
     workbench: LoopWorkbench, declared: FittedModel, grown: FittedModel
 ) -> FittedModel:
-    """Refit from the declared parameters, and with shapes at every point of their grids.
+    """Refit from the declared parameters, and with shapes at the best points of their grids.
+
+    Every point of a grid is simulated; the best are refitted a little, and the best of those to
+    convergence.
 
     Returns
     -------
     FittedModel
         The same structure where it fits best.
     """
-    starts = list(_other_starts(declared, grown))
-    brief = [f for f in workbench.fit(LoopStage.OTHER_STARTS, starts, SHORT) if f is not None]
+    values = grown.estimates
+    space = workbench.space(grown.start)
+    shapes = _best_first(workbench, grown, space, list(_other_shapes(workbench, grown)))
+    starts = [values | declared.estimates]
+    starts += [space.estimates(x) for x in shapes[: workbench.thresholds.refinement.finalists]]
+    fits = workbench.fit(
+        LoopStage.OTHER_STARTS,
+        [FitStart(grown.problem, start, grown.added) for start in starts],
+        SHORT,
+    )
+    brief = [fitted for fitted in fits if fitted is not None]
     if not brief:
         return grown
     best = min(brief, key=lambda fitted: fitted.sse)
@@ -32,16 +48,61 @@ def refit_from_other_starts(
     return finished if stays_bounded(workbench, finished, declared) else grown
 
 
-def _other_starts(declared: FittedModel, grown: FittedModel) -> Iterator[FitStart]:
+def _best_first(
+    workbench: LoopWorkbench, grown: FittedModel, space: SearchSpace, shapes: list[FloatArray]
+) -> list[FloatArray]:
+    """Points with other shapes, the lowest sum of squares first.
+
+    Each is simulated as it is, and again after the step by which the linear model of the fit makes
+    the other unknowns follow; the better one stands for it. What cannot be simulated is left out.
+    """
+    if not shapes:
+        return []
+    plain, adapted = np.array(shapes), np.array(shapes)
+    found: dict[int, tuple[float, FloatArray]] = {}
+    for points in (plain, adapted):
+        (answers,) = workbench.evaluate(LoopStage.OTHER_STARTS, [(space, points)])
+        for i, at in enumerate(answers):
+            if not at.ok:
+                continue
+            sse = float(np.add.reduce(at.residuals**2))
+            if i not in found or sse < found[i][0]:
+                found[i] = sse, points[i]
+            if points is plain:
+                adapted[i] = _adapted(workbench, grown, space, plain[i], at.residuals)
+    return [point for _, point in sorted(found.values(), key=lambda known: known[0])]
+
+
+def _adapted(
+    workbench: LoopWorkbench,
+    grown: FittedModel,
+    space: SearchSpace,
+    point: FloatArray,
+    residuals: FloatArray,
+) -> FloatArray:
+    """A point, after the Gauss-Newton step of all unknowns that it has in common with the fit."""
+    same = point == grown.x
+    matrix = grown.jacobian[:, same]
+    sizes = np.linalg.norm(matrix, axis=0)
+    sizes[~(sizes > 0.0)] = 1.0
+    step = np.linalg.lstsq(matrix / sizes, -residuals, rcond=1e-6)[0] / sizes
+    log = np.array([u.log for u in space.unknowns], bool)[same]
+    typical = np.maximum(np.abs(grown.x), space.typical)[same]
+    most = workbench.thresholds.refinement.largest_step * np.where(log, 1.0, typical)
+    moved = point.copy()
+    moved[same] += np.clip(step, -most, most)
+    return np.asarray(np.clip(moved, space.lower, space.upper))
+
+
+def _other_shapes(workbench: LoopWorkbench, grown: FittedModel) -> Iterator[FloatArray]:
+    """The fit, with the shape of one effect at each point of its grid, in search coordinates."""
     values = grown.estimates
-    yield FitStart(grown.problem, values | declared.estimates, grown.added)
     for candidate in grown.added:
         for shape in _shapes(candidate):
-            yield FitStart(
-                grown.problem,
-                values | {label: value for label, value in shape.items() if label in values},
-                grown.added,
-            )
+            known = {label: value for label, value in shape.items() if label in values}
+            if known:
+                start = FitStart(grown.problem, values | known, grown.added)
+                yield workbench.space(start).start
 
 
 def _shapes(candidate: EffectCandidate) -> list[dict[str, float]]:

@@ -105,11 +105,11 @@ def _instead(
     (rest,) = workbench.fit(LoopStage.SWAP, [start], FULL)
     if rest is None:
         return None
-    contenders = believable(
-        workbench, rest, refit(workbench, rest, rank(workbench, rest), floor, wide=False)
-    )
     thresholds = workbench.thresholds.refinement
     most = grown.criterion(workbench.records) + rise
+    possible = most + thresholds.alternative
+    refitted = refit(workbench, rest, rank(workbench, rest), floor, wide=False, most=possible)
+    contenders = believable(workbench, rest, refitted)
     if not contenders or contenders[0].criterion >= most:
         return None
     won = plainest(contenders, thresholds)

@@ -30,6 +30,9 @@ class RefinementThresholds:
     behind
         Share of what the best candidate does, where that closes the gap, that another must do to
         be refitted further. Benchmark.
+    linear_promise
+        Times the fall of the criterion that the linear model promises after some iterations that
+        the rest of a fit may bring. Benchmark.
     finalists
         Candidates that are refitted to convergence. Benchmark.
     curves
@@ -55,6 +58,7 @@ class RefinementThresholds:
     closes: float = 0.9
     actual_reduction: float = 0.5
     behind: float = 0.25
+    linear_promise: float = 3.0
     finalists: int = 3
     curves: int = 2
     same_argument: int = 3

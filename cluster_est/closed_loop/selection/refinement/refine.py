@@ -49,6 +49,7 @@ def refit(
     *,
     wide: bool = True,
     known: Collection[frozenset[str]] = (),
+    most: float = np.inf,
 ) -> list[RefittedCandidate]:
     """Refit the leading candidates; the best first.
 
@@ -65,6 +66,9 @@ def refit(
         effect, the less the score of a small one says. Without, only half as many are refitted.
     known
         Structures that need no refit, because they were reached from another one.
+    most
+        Criterion above which a structure is of no use. What cannot come below it is refitted no
+        further.
     """
     thresholds = workbench.thresholds.refinement
     count, trials = workbench.settings.refits, workbench.settings.trials
@@ -85,24 +89,29 @@ def refit(
     reached = [step.sse for step in chosen]
     possible = [min(step.sse, step.predicted) for step in chosen]
     near = _near_the_best(reached, possible, current, floor, thresholds)
-    contenders = successive_halving(workbench, current, floor, [chosen[i].start for i in near])
+    starts = [chosen[i].start for i in near]
+    contenders = successive_halving(workbench, current, floor, starts, most)
     if not wide or _closes(current, contenders, floor, thresholds.closes):
         return contenders
     later = [i for i in leaders[trials:] if i not in first]
     left += first_steps(workbench, current, ranking, later)
     left.sort(key=lambda step: step.sse)
     later_starts = [step.start for step in left[:count]]
-    contenders += successive_halving(workbench, current, floor, later_starts)
+    contenders += successive_halving(workbench, current, floor, later_starts, most)
     return sorted(contenders, key=lambda c: c.criterion)
 
 
 def successive_halving(
-    workbench: LoopWorkbench, current: FittedModel, floor: float, starts: Sequence[FitStart]
+    workbench: LoopWorkbench,
+    current: FittedModel,
+    floor: float,
+    starts: Sequence[FitStart],
+    most: float = np.inf,
 ) -> list[RefittedCandidate]:
     """Refit all a little, the better half more, and the best to convergence; the best first.
 
-    What has converged waits for the last round, and what is far behind where one candidate does it
-    all is refitted no further.
+    What has converged waits for the last round. What is far behind where one candidate does it all
+    is refitted no further, nor what cannot come below the criterion that it needs to be of use.
     """
     thresholds = workbench.thresholds.refinement
     fits = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
@@ -111,6 +120,7 @@ def successive_halving(
         fits.sort(key=lambda f: f.criterion(workbench.records))
         sums = [f.sse for f in fits]
         near = _near_the_best(sums, sums, current, floor, thresholds)
+        near = [i for i in near if _may_reach(workbench, fits[i], most)]
         kept = near[: max(thresholds.finalists, len(fits) // 2)]
         lost += [f for i, f in enumerate(fits) if i not in kept]
         fits = [fits[i] for i in kept]
@@ -144,6 +154,21 @@ def _near_the_best(
     enough = gain >= thresholds.closes * (current.sse - floor)
     least = thresholds.behind * gain if enough else -np.inf
     return [i for i, sse in enumerate(possible) if current.sse - sse >= least]
+
+
+def _may_reach(workbench: LoopWorkbench, fitted: FittedModel, most: float) -> bool:
+    """Return whether more iterations could bring the criterion down to what it must reach.
+
+    The linear model says how far one more step would lead, if there were no bounds. After some
+    iterations the rest of a fit brings little more than that, so some times as much is allowed.
+    """
+    reached = fitted.criterion(workbench.records)
+    sizes = np.linalg.norm(fitted.jacobian, axis=0)
+    sizes[~(sizes > 0.0)] = 1.0
+    step = np.linalg.lstsq(fitted.jacobian / sizes, -fitted.residuals, rcond=1e-6)[0] / sizes
+    ahead = replace(fitted, residuals=fitted.residuals + fitted.jacobian @ step)
+    fall = reached - ahead.criterion(workbench.records)
+    return reached - workbench.thresholds.refinement.linear_promise * fall <= most
 
 
 def _closes(
