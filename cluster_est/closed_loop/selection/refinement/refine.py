@@ -20,6 +20,7 @@ from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkben
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.statistics.score import ScoreTests
 
+FIRST = LeastSquares(trials=2, max_iterations=1, ftol=1e-4, xtol=1e-5, differences="forward")
 SHORT = LeastSquares(trials=2, max_iterations=2, ftol=1e-4, xtol=1e-5, differences="forward")
 FULL = LeastSquares(trials=2, max_iterations=10, ftol=1e-6, xtol=1e-7, differences="forward")
 
@@ -114,7 +115,7 @@ def successive_halving(
     is refitted no further, nor what cannot come below the criterion that it needs to be of use.
     """
     thresholds = workbench.thresholds.refinement
-    fits = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    fits = [f for f in workbench.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
     lost: list[FittedModel] = []
     for last in (False, True):
         fits.sort(key=lambda f: f.criterion(workbench.records))
