@@ -126,9 +126,7 @@ def _judged(
     closed = min(training, predicted)
     thresholds = workbench.thresholds.verdict
     share = f"the effects close {training:.0%} of the gap between error and noise"
-    if predicted < 0.0:
-        share += f", but {WORSE}"
-    elif f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
+    if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
         share += f", and {predicted:.0%} in records that were left out to be predicted"
     tables = any(c.form.free for c in found.current.added)
     # a curve that is at the right place leaves nothing: it needs no right name
@@ -136,12 +134,15 @@ def _judged(
     if base.structured and base.within_sigma:
         reason = f"{_autocorrelated(base)}: no effect is needed"
         return ReasonedVerdict(Verdict.COLOURED, reason, closed)
-    if not now.structured or closed > thresholds.nearly_all:
+    # what predicts other records worse is not found, however well it follows those it was fitted to
+    quiet = not now.structured and predicted >= 0.0
+    if quiet or closed > thresholds.nearly_all:
         if tables:
             share += ", with a free curve: a shape that no form of the library has"
         return ReasonedVerdict(Verdict.FOUND, share, closed, most)
     better = np.mean(found.prediction.squares < found.base_prediction.squares)
-    if now.of_sensors and not tables and better >= thresholds.mostly_better:
+    mostly = predicted >= 0.0 and better >= thresholds.mostly_better
+    if now.of_sensors and not tables and mostly:
         rest = f"{share}; the rest looks like autocorrelated noise of the sensor"
         return ReasonedVerdict(Verdict.FOUND, rest, closed, most)
     if closed > most:
