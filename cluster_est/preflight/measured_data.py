@@ -1,4 +1,4 @@
-"""Checks of the data: inputs without any, gaps in them, and weights of outputs."""
+"""Checks of the data: inputs without any, gaps in them, rounded outputs, weights of outputs."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from cluster_est.config.reader import Config
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.problem.problem import Problem
+from cluster_est.statistics.quantisation import rounding_error
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
 from workers.messages import Experiment, FloatArray
@@ -20,7 +21,7 @@ GAP = 1.5
 
 def data_findings(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     """Look at what drives the model; nothing is simulated."""
-    return [*_inputs_without_data(problem, description), *_bridged(problem)]
+    return [*_inputs_without_data(problem, description), *_bridged(problem), *_rounded(problem)]
 
 
 def idle_inputs(problem: Problem, description: ModelDescription) -> dict[str, list[str]]:
@@ -74,6 +75,29 @@ def _bridged(problem: Problem) -> list[CheckFinding]:
     return [
         CheckFinding(CheckVerdict.NOTE, f"input {name}", said, do)
         for name, (_, said) in worst.items()
+    ]
+
+
+def _rounded(problem: Problem) -> list[CheckFinding]:
+    """Return a line for each output whose rounding alone is more than its sigma."""
+    worst: dict[str, tuple[float, float, Experiment]] = {}
+    for each in problem.experiments:
+        for output in each.outputs:
+            error = rounding_error(output.values)
+            times = error / output.sigma
+            # a sigma of 1 is what stands where none is given, and says nothing of the sensor
+            if output.sigma != 1.0 and times > worst.get(output.variable, (1.0,))[0]:
+                worst[output.variable] = times, error, each
+    return [
+        CheckFinding(
+            CheckVerdict.NOTE,
+            f"output {name}",
+            f"its values in experiment {each.id} are whole steps of {error * np.sqrt(12.0):.3g}: "
+            f"rounding alone makes an error of {error:.3g}, {times:.2g} times the sigma that is "
+            "given",
+            f"sigma.{name} = NUMBER, of {error:.3g} or more, or measure with a finer resolution",
+        )
+        for name, (times, error, each) in worst.items()
     ]
 
 

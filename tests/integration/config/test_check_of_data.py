@@ -211,6 +211,25 @@ class TestGaps:
         assert "the longest gap is 0.2 s, from 0 to 0.2 s" in found.found
 
 
+class TestRounding:
+    """An encoder of 256 lines and a sigma that was taken from its data sheet."""
+
+    @pytest.mark.parametrize(("sigma", "said"), [(0.01, True), (0.2, False)])
+    def test_steps_above_sigma_are_said(self, sigma, said):
+        rounded = np.round(TRUTH["w"] / 0.25) * 0.25
+        found = lines(
+            page(experiment(TRUTH | {"w": rounded}, sigma={"speed": sigma})), "output speed"
+        )
+        assert bool(found) is said
+        if said:
+            assert found[0].verdict == "note"
+            assert found[0].found == (
+                "its values in experiment run are whole steps of 0.25: rounding alone makes an "
+                "error of 0.0722, 7.2 times the sigma that is given"
+            )
+            assert "0.0722 or more" in found[0].do
+
+
 class TestStart:
     def test_an_equilibrium_is_named(self):
         coasting = {"t": TIMES, "V": 0.0 * TIMES, "w": 80.0 * np.exp(-2.0 * TIMES)}
