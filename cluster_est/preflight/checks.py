@@ -12,6 +12,12 @@ from cluster_est.preflight.findings import CheckFinding, CheckPage, CheckVerdict
 from cluster_est.preflight.measured_data import data_findings
 from cluster_est.preflight.misread_units import misread_units
 from cluster_est.preflight.parameters import bounds, corners, effects
+from cluster_est.preflight.remedies import (
+    Remedy,
+    refused_parameters,
+    remedy,
+    without_parameters,
+)
 from cluster_est.preflight.repeatability import instances, repeatable
 from cluster_est.preflight.rest import at_rest
 from cluster_est.preflight.simulation_costs import costs
@@ -90,11 +96,16 @@ def run_checks(
             declared=declared,
         )
         simulations = _simulate(subject)
+        cure = remedy(subject, simulations)
+        if cure.refused:
+            smaller = without_parameters(problem, cure.refused)
+            page = run_checks(smaller, resources, max(subject.budget.left, 0.1), declared=False)
+            return replace(page, findings=(*page.findings, refused_parameters(cure.refused)))
         findings = [
             CheckFinding(CheckVerdict.OK, "loads", "it can be loaded and instantiated"),
             *bounds(subject),
             *data,
-            *_simulation_findings(subject, simulations),
+            *_simulation_findings(subject, simulations, cure),
             *at_rest(subject, simulations),
             *_probe_findings(subject, simulations),
         ]
@@ -166,7 +177,7 @@ def _simulate(subject: CheckSubject) -> list[Simulation]:
 
 
 def _simulation_findings(
-    subject: CheckSubject, simulations: list[Simulation]
+    subject: CheckSubject, simulations: list[Simulation], cure: Remedy
 ) -> list[CheckFinding]:
     """Return a finding for all experiments that can be simulated, and one for each that cannot."""
     successful = [s for s in simulations if s.outcome.ok]
@@ -183,7 +194,10 @@ def _simulation_findings(
             )
         elif not outcome.ok:
             said = f"at the start values: {outcome.status}: {outcome.message}"
-            lines.append(CheckFinding(CheckVerdict.PROBLEM, name, said, _advice(outcome)))
+            do = _advice(outcome)
+            if cure.step is not None and simulation is simulations[0]:
+                do = f"model.step = {cure.step:.3g}, with which it ends well"
+            lines.append(CheckFinding(CheckVerdict.PROBLEM, name, said, do))
     if successful:
         said = f"{len(successful)} of {len(simulations)} experiments, at the start values"
         lines.append(CheckFinding(CheckVerdict.OK, "simulates", said))

@@ -107,7 +107,7 @@ def _far(pair: tuple[str, float]) -> float:
 
 def _finer(subject: CheckSubject, solver: Solver) -> tuple[Solver, str, str]:
     if solver.name in ("rk4", "fmu"):
-        step = min(solver.step or math.inf, _usual_step(subject))
+        step = min(solver.step or math.inf, longest_step(subject))
         name = "the step" if solver.name == "rk4" else "the communication step"
         how = f"{name} of {step:.3g} s halved"
         return replace(solver, step=step / 2.0), how, f"model.step = {step / 4.0:.3g}"
@@ -118,7 +118,7 @@ def _finer(subject: CheckSubject, solver: Solver) -> tuple[Solver, str, str]:
     return replace(solver, rtol=tight, atol=atol), how, f"model.rtol = {tight:.1g}"
 
 
-def _usual_step(subject: CheckSubject) -> float:
+def longest_step(subject: CheckSubject) -> float:
     """Return the longest step from one time in the data to the next."""
     experiment = subject.problem.experiments[subject.experiment]
     times = [np.array([experiment.start, experiment.stop])]

@@ -21,6 +21,8 @@ OPTIONAL double model_partial(Model *m, unsigned unknown, unsigned known)
 }
 OPTIONAL bool model_is_lazy(void) { return false; }
 OPTIONAL double model_step_unit(void) { return 0.0; }
+OPTIONAL double model_longest_step(void) { return INFINITY; }
+OPTIONAL bool model_refuses(const char *name) { (void)name; return false; }
 OPTIONAL int model_resources(Model *m, const char *location)
 {
     (void)m, (void)location;

@@ -109,6 +109,10 @@ double model_nominal(Model *m, size_t state);
 bool model_is_lazy(void);
 /* The number of which communication steps must be exact multiples; 0 for any step. */
 double model_step_unit(void);
+/* The longest communication step that is taken. */
+double model_longest_step(void);
+/* Says whether a variable cannot be set, whatever the description says. */
+bool model_refuses(const char *name);
 /* Refuses an instance by returning ERROR, for what is at the location of its resources. */
 int model_resources(Model *m, const char *location);
 /* Refuses an instance by returning ERROR. */

@@ -103,6 +103,8 @@ static int check_step(const Model *m, const char *function, double point, double
     if (unit > 0.0 && step != unit * round(step / unit))
         return error(m, "%s: the step size must be a multiple of %g, is %.17g", function, unit,
                      step);
+    if (step > model_longest_step())
+        return error(m, "%s: no convergence at time %g", function, point + step);
     if (!(fabs(point - M(time)) <= 1e-8 * (1.0 + fabs(M(time)))))
         return error(m, "%s: the step begins at %g, the model is at %g", function, point, M(time));
     if (earlier(m->state.stop, point + step))

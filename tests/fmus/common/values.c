@@ -70,6 +70,10 @@ void *writable(Model *m, const char *function, unsigned reference, unsigned type
               phase_name(m->state.phase));
         return NULL;
     }
+    if (model_refuses(variable->name)) {
+        error(m, "%s: %s is constant and cannot be set", function, variable->name);
+        return NULL;
+    }
     m->state.stale = true;
     m->state.slope[reference] = 0.0;
     m->state.updating = m->state.phase == EVENT_MODE;

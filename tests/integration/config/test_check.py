@@ -93,6 +93,30 @@ def test_what_is_wrong_is_named(
     assert do in named.do
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined: Examine, fmi: int) -> None:
+    page = examined("refuses_parameter", fmi)
+
+    assert page.good
+    refused = next(each for each in page.findings if "refuses" in each.found)
+    assert refused.verdict == "note"
+    assert refused.found.startswith("limit: ")
+    assert "1 of 1 act on the outputs" in line(page, "parameters").found
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_the_communication_step_with_which_it_can_be_simulated_is_named(
+    own_fmu: Give, fmi: int
+) -> None:
+    problem = in_co_simulation(bare_problem(own_fmu("needs_short_steps", fmi)))
+    page = run_checks(problem, Resources(), MINUTE, declared=False)
+
+    assert not page.good
+    failed = line(page, "experiment default")
+    assert "t = " in failed.found
+    assert failed.do.startswith("model.step = 0.01, ")
+
+
 @pytest.mark.parametrize("name", ["leaks", "leaks_on_reset"])
 def test_a_leak_has_its_size(examined: Examine, name: str) -> None:
     named = line(examined(name, executor="processes"), "memory")
