@@ -18,6 +18,7 @@ from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.residual_diagnostics import diagnose_residuals
 from cluster_est.results.result import Result
+from cluster_est.results.solver_error import measure_solver_error
 from cluster_est.running.arguments import (
     check_multistart,
     check_problem,
@@ -149,6 +150,10 @@ def fit_in(environment: RunEnvironment, problem: Problem, plan: FitPlan) -> Resu
     train = check_search(problem, plan)
     with one_blas_thread(), environment.executor(problem) as executor:
         result = fit_on(environment.runner(executor), train, plan)
+    if result.success and not result.interrupted:
+        resources = environment.resources
+        error = measure_solver_error(train, result.solution, result.simulations, resources)
+        result = replace(result, solver_error=error)
     return replace(result, seconds=time.monotonic() - begin)
 
 

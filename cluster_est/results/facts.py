@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.residual_sentences import residual_facts, residual_sentences
+from cluster_est.results.solver_error import solver_facts
 
 if TYPE_CHECKING:  # a result offers its facts, so it knows this file
     from cluster_est.results.result import Result
@@ -26,6 +27,7 @@ def fit_facts(result: Result) -> dict[str, Any]:
         "cost": result.cost,
         "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
         "residuals": None if diagnostics is None else residual_facts(diagnostics),
+        "solver_error": solver_facts(result.solver_error),
         "notes": list(result.notes),
         "iterations": result.solution.iterations,
         "evaluations": result.evaluations,
@@ -40,6 +42,8 @@ def fit_notes(result: Result) -> tuple[str, ...]:
     notes = list(result.problem.notes())
     if result.diagnostics is not None:
         notes += residual_sentences(result.diagnostics)
+    if result.solver_error is not None:
+        notes += result.solver_error.sentences
     if result.uncertainty is not None:
         notes += result.uncertainty.sentences
     for profile in result.profiles:

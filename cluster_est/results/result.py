@@ -28,6 +28,7 @@ from cluster_est.results.row_types import (
     StartResult,
 )
 from cluster_est.results.shapes.effect_table import curve_table
+from cluster_est.results.solver_error import SolverError
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
 from cluster_est.uncertainty.rows import (
@@ -85,6 +86,8 @@ class Result:
     diagnostics
         Whether the training residuals are white and as large as sigma says; None where that means
         nothing, see `diagnose_residuals`.
+    solver_error
+        What half the solver's step changes; None where no step decides, see `measure_solver_error`.
     shapes
         Of the effects that the problem declares.
     interrupted
@@ -114,6 +117,7 @@ class Result:
     profiles: tuple[ProfileResult, ...] = field(default=(), repr=False)
     bootstrap: BootstrapResult | None = field(default=None, repr=False)
     diagnostics: ResidualDiagnostics | None = field(default=None, repr=False)
+    solver_error: SolverError | None = field(default=None, repr=False)
     shapes: tuple[EffectCurve, ...] = field(default=(), repr=False)
     interrupted: bool = False
     seed: int = 0

@@ -16,7 +16,6 @@ from cluster_est.closed_loop.candidates.arguments import (
     variables_of,
 )
 from cluster_est.closed_loop.candidates.equation import equation_text
-from cluster_est.closed_loop.candidates.resolution import communication_step, fixed_step
 from cluster_est.closed_loop.candidates.scales import SignalScales
 from cluster_est.closed_loop.candidates.shapes import shape_of
 from cluster_est.closed_loop.candidates.sites import candidate_sites, forms_at, single_sites
@@ -24,6 +23,7 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, 
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
+from cluster_est.results.communication_step import communication_step, fixed_step
 from workers.effects.forms import (
     FORMS,
     EffectForm,

@@ -13,14 +13,14 @@ from cluster_est.closed_loop.numerical_error.error import (
     extrapolated,
     observed_order,
 )
-from cluster_est.closed_loop.numerical_error.finer import (
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.errors import ClusterEstError
+from cluster_est.executors import executor_class
+from cluster_est.results.finer_solver import (
     SolverScale,
     solver_scale,
     step_never_taken,
 )
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.errors import ClusterEstError
-from cluster_est.executors import executor_class
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
 from workers.messages import FloatArray, Solver

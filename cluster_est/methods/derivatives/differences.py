@@ -85,6 +85,12 @@ def relative_noise(solver: Solver) -> float:
     return max(NOISE_UNKNOWN, NOISE_OF_TOLERANCE * (solver.rtol or 0.0))
 
 
+def suitable_step(space: SearchSpace, scheme: Scheme) -> float:
+    """Return the relative step that suits the noise of the solver."""
+    noise = relative_noise(space.problem.model.solver)
+    return float(noise ** (0.5 if scheme == "forward" else 1.0 / 3.0))
+
+
 def difference_steps(
     space: SearchSpace, x: FloatArray, scheme: Scheme, relative: float
 ) -> FloatArray:
@@ -93,8 +99,7 @@ def difference_steps(
     A relative step of 0 takes the one that suits the simulation's noise.
     """
     if relative <= 0.0:
-        noise = relative_noise(space.problem.model.solver)
-        relative = noise ** (0.5 if scheme == "forward" else 1.0 / 3.0)
+        relative = suitable_step(space, scheme)
     logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
     size = np.where(logarithmic, 1.0, np.maximum(np.abs(x), space.typical))
     distance = np.maximum(space.upper - x, x - space.lower)

@@ -23,12 +23,17 @@ from cluster_est.methods.derivatives.differences import (
     difference_steps,
     jacobian,
     relative_noise,
+    suitable_step,
 )
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
 CHAIN_STEP = 6e-6
 """Relative, of the differences of physical values by the unknowns: formulas, of no noise."""
+LENGTHENING = 10.0
+"""Of differences that lead nowhere."""
+LONGEST_STEP = 0.03
+"""Relative, of differences; longer ones would show another function."""
 AGREEMENT = 1e-3
 """By how much, relative to their size, the residuals' changes may differ in the check."""
 LEAST_EFFECT = 1e-3
@@ -61,6 +66,7 @@ class JacobianProvider:
         if differences == "sensitivities":
             self.scheme = None
         self.note = ""
+        self._longer = 1.0
 
     @property
     def exact(self) -> bool:
@@ -73,6 +79,26 @@ class JacobianProvider:
             return False
         self.scheme = "central"
         return True
+
+    def lengthen(self) -> bool:
+        """Take longer differences if the user left that open; return whether.
+
+        For simulations that are noisier than what is known of their solver.
+        """
+        relative = self._relative(LENGTHENING * self._longer)
+        if not self._automatic or self._relative_step > 0.0 or self.scheme is None:
+            return False
+        if relative > LONGEST_STEP:
+            return False
+        self._longer *= LENGTHENING
+        self.note = f"simulations are noisy: differences took relative steps of {relative:.1g}"
+        return True
+
+    def _relative(self, longer: float) -> float:
+        """Relative step of the differences; that of the user, or what suits the noise."""
+        if self._relative_step > 0.0:
+            return self._relative_step
+        return longer * suitable_step(self._space, self.scheme or "central")
 
     def jacobian(
         self, scaled: SearchSpace, x: FloatArray, at: Evaluation, progress: Progress | None
@@ -88,7 +114,8 @@ class JacobianProvider:
             self.note = f"differences took the place of sensitivities: {found.reason}"
             self.scheme = "forward"
         space = scaled if self.scheme == "central" else self._space
-        return (yield from jacobian(space, x, at, self.scheme, self._relative_step, progress))
+        relative = self._relative(self._longer)
+        return (yield from jacobian(space, x, at, self.scheme, relative, progress))
 
 
 @dataclass(frozen=True)

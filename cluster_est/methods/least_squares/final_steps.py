@@ -16,13 +16,16 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Points
-from cluster_est.methods.least_squares.iteration import LEAST_DAMPING, IterationState, Result
+from cluster_est.methods.least_squares.iteration import (
+    CLOSE,
+    LEAST_DAMPING,
+    IterationState,
+    Result,
+)
 from cluster_est.methods.least_squares.local_model import LocalModel
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
-CLOSE = 1e-6
-"""Relative reduction by a full step below which a point is close to the minimum."""
 FINAL_PART = 1e-6
 """Part of `ftol` below which the relative reduction ends the search."""
 LARGEST_FACTOR = 10.0

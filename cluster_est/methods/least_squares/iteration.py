@@ -15,6 +15,11 @@ from workers.messages import FloatArray
 
 DAMPING_RATIO = 10.0
 LEAST_DAMPING, LARGEST_DAMPING = 1e-14, 1e14
+CLOSE = 1e-6
+"""Relative reduction by a full step below which a point is close to the minimum."""
+NOTICEABLE = 0.01
+"""Fall of the sum of squares, over the variance of the residuals, that is a tenth of a standard
+error of the unknowns: what is closer to the minimum than that is at it, for all that data say."""
 CURVED_RATIO = 3.0
 """Predicted over actual reduction above which second-order corrections are tried."""
 
@@ -91,7 +96,7 @@ class LeastSquaresIteration:
             dampings = damping * DAMPING_RATIO ** (np.arange(float(self.trials)) - below)
             steps = np.array([model.step(d) for d in dampings])
             if self._negligible(state, model, steps[0]):
-                return state, Ending.CONVERGED
+                return state, _end_without_a_step(state, dampings[0])
             trials = yield from self._try(state, "trial", steps, dampings)
             if self._is_curved(state, model, trials):
                 steps, steps_dampings = curved_steps(model, trials, state.at.cost)
@@ -102,7 +107,7 @@ class LeastSquaresIteration:
                 return self._accept(state, model, trials)
             damping = dampings[-1] * DAMPING_RATIO ** (1 + below)
             if damping > LARGEST_DAMPING:
-                return state, Ending.STALLED
+                return state, _end_without_a_step(state, damping)
 
     def _try(
         self, state: IterationState, purpose: str, steps: FloatArray, dampings: FloatArray
@@ -134,9 +139,20 @@ class LeastSquaresIteration:
         return new, Ending.CONVERGED if converged else None
 
     def _negligible(self, state: IterationState, model: LocalModel, step: FloatArray) -> bool:
-        """Return whether even a step with little damping changes nothing."""
+        """Return whether a step changes nothing, in a search that began with little damping."""
         long = state.damping <= 1.0
         return long and (
             bool(np.all(np.abs(step) <= self.xtol * unknown_sizes(self.space, state.x)))
             or model.predicted_reduction(step) <= 1e-3 * self.ftol * model.squares
         )
+
+
+def _end_without_a_step(state: IterationState, damping: float) -> Ending:
+    """Return the ending where nothing is left to try.
+
+    A step that was made short by damping says nothing of the minimum: the cost must also promise to
+    fall by no more, or the derivatives are wrong, as where simulations are noisy.
+    """
+    enough = max(CLOSE, NOTICEABLE / max(len(state.at.residuals), 1))
+    close = damping <= 1.0 or state.relative_reduction <= enough
+    return Ending.CONVERGED if close else Ending.STALLED

@@ -74,8 +74,10 @@ class LeastSquares(Method):
         residuals and every column of the Jacobian that is not held by a bound is below `gtol`.
     differences
         "forward", "central", or "auto": forward until converged, then central to the end, which
-        removes the error that forward differences leave in the minimum. Where they are central, the
-        last steps go on to a millionth of `ftol`. "sensitivities": none; one simulation carries the
+        removes the error that forward differences leave in the minimum; where no step lowers the
+        cost, though they promise it, with longer steps, as for simulations that are noisier than
+        their solver lets expect. Where they are central, the last steps go on to a millionth of
+        `ftol`. "sensitivities": none; one simulation carries the
         derivatives along, where an FMU in model exchange provides directional derivatives that
         agree with differences, and "auto" elsewhere. `cluster-est check` says where they are
         quicker; nothing else takes them.
@@ -124,14 +126,15 @@ class LeastSquares(Method):
             state, ending = yield from self._iterate(space, state, jacobian, provider.exact)
             if ending is None:
                 continue
-            if ending in (Ending.CONVERGED, Ending.STALLED) and provider.refine():
+            better = ending in (Ending.CONVERGED, Ending.STALLED) and provider.refine()
+            if better or (ending is Ending.STALLED and provider.lengthen()):
                 state = replace(state, damping=min(state.damping, INITIAL_DAMPING))
                 continue
             return Solution(
                 x=state.x,
                 cost=state.at.cost,
                 ending=ending,
-                message=provider.note,
+                message=provider.note if ending.success else _with_note(ending, provider.note),
                 iterations=state.progress.iteration,
                 jacobian=jacobian.dense_if_small,
                 block_jacobian=jacobian.blocks_if_large,
@@ -162,6 +165,11 @@ class LeastSquares(Method):
         state = replace(state, relative_reduction=reduction)
         iteration = LeastSquaresIteration(space, self.trials, self.ftol, self.xtol)
         return (yield from iteration.iterate(state, model))
+
+
+def _with_note(ending: Ending, note: str) -> str:
+    """Return the ending in words, where there is something to be said beside it."""
+    return f"{ending}; {note}" if note else ""
 
 
 def _with_current_sizes(space: SearchSpace, x: FloatArray) -> SearchSpace:

@@ -13,10 +13,10 @@ from cluster_est.closed_loop.numerical_error.error import (
     extrapolated,
     observed_order,
 )
-from cluster_est.closed_loop.numerical_error.finer import SolverScale
 from cluster_est.closed_loop.selection.gates import _failed_gate
 from cluster_est.closed_loop.selection.rounds import RejectionReason
 from cluster_est.closed_loop.thresholds import LoopThresholds
+from cluster_est.results.finer_solver import SolverScale
 
 STEP = SolverScale(Solver("fmu", step=0.1), "the communication step of 0.1 s", step=0.1)
 RTOL = SolverScale(

@@ -1,0 +1,208 @@
+"""The error of a solver's step at the end of a fit: the same experiments, with half the step."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cluster_est.errors import ClusterEstError
+from cluster_est.executors import executor_class
+from cluster_est.methods.base import Solution
+from cluster_est.problem.space import SearchSpace
+from cluster_est.results.finer_solver import SolverScale, solver_scale
+from cluster_est.results.output_errors import Simulation, output_residuals
+from cluster_est.running.resources import Resources
+from cluster_est.running.runner import Runner
+from workers.messages import Experiment, FloatArray, Output
+
+MOST_EXPERIMENTS = 8
+"""That are simulated again; of more, every n-th."""
+NOTICED = 0.1
+"""Share of what is left, or of the sigma, above which an error of the solver is said."""
+FAINT = 1e-3
+"""Share of a signal's spread below which nothing is said where no sigma is given."""
+
+
+@dataclass(frozen=True)
+class OutputSolverError:
+    """The error that a solver makes in one output, over the experiments that were simulated again.
+
+    Attributes
+    ----------
+    output
+        Its name.
+    over_residual, over_spread
+        Root mean square of the error over that of the residual, and over the spread of what was
+        measured.
+    over_sigma
+        Over the sigma; NaN where none is given.
+    """
+
+    output: str
+    over_residual: float
+    over_spread: float
+    over_sigma: float
+
+    @property
+    def noticed(self) -> bool:
+        """Whether it may have moved the estimates by more than noise does."""
+        if np.isfinite(self.over_sigma):
+            return self.over_sigma > NOTICED and self.over_residual > NOTICED
+        return self.over_residual > NOTICED and self.over_spread > FAINT
+
+
+@dataclass(frozen=True)
+class SolverError:
+    """The error of a solver's step at the estimates, taken as first order: twice what half does.
+
+    Attributes
+    ----------
+    scale
+        The step.
+    experiments
+        How many were simulated again.
+    outputs
+        The error of each.
+    """
+
+    scale: SolverScale
+    experiments: int
+    outputs: tuple[OutputSolverError, ...]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """A sentence where the error is not small beside what the fit has left."""
+        noticed = [output for output in self.outputs if output.noticed]
+        if not noticed:
+            return ()
+        worst = max(noticed, key=lambda output: output.over_residual)
+        factor = max(output.over_residual for output in noticed) / NOTICED
+        return (
+            f"{self.scale.name} is too long: it makes an error in {worst.output} of "
+            f"{worst.over_residual:.2g} times what the fit has left there, and of "
+            f"{worst.over_spread:.1%} of the signal, which the parameters may have been bent to; "
+            f"set {self.scale.advice(factor, 1.0)} and fit again",
+        )
+
+
+def solver_facts(error: SolverError | None) -> dict[str, Any] | None:
+    """Return what run.json says of it; None where it was not measured."""
+    if error is None:
+        return None
+    return {
+        "step": error.scale.step,
+        "experiments": error.experiments,
+        "outputs": [dataclasses.asdict(output) for output in error.outputs],
+    }
+
+
+def measure_solver_error(
+    space: SearchSpace,
+    solution: Solution,
+    simulations: Sequence[Simulation],
+    resources: Resources,
+) -> SolverError | None:
+    """Simulate training experiments again with half the step, where a fit stands.
+
+    Only where a step decides how exact a simulation is: communication steps of an FMU, which may
+    integrate with steps as long as those, and "rk4". Solvers with a tolerance keep it themselves.
+    The simulations run one after the other in a process of their own, and are not logged: a log is
+    of one solver. By L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307-357,
+    doi:10.1098/rsta.1911.0009, an error of first order is twice what half a step changes.
+
+    Parameters
+    ----------
+    space, solution
+        Of the training experiments.
+    simulations
+        Of every experiment of the problem at the estimates, with trajectories.
+    resources
+        For the limits of a simulation.
+
+    Returns
+    -------
+    SolverError or None
+        None where no step decides, or where the finer one fails.
+    """
+    problem = space.problem
+    if problem.model.solver.name not in ("fmu", "rk4"):
+        return None
+    every = -(-len(space.experiments) // MOST_EXPERIMENTS)
+    positions = list(range(0, len(space.experiments), every))
+    runs = tuple(problem.experiments[space.experiments[p]] for p in positions)
+    scale = solver_scale(problem.model, problem.describe(), runs)
+    if scale.why_not or scale.fixed or not scale.step:
+        return None
+    outcomes = {s.experiment: s for s in simulations}
+    usual = [outcomes[space.experiments[p]] for p in positions]
+    try:
+        finer = _simulated(space, space.physical(solution.x)[positions], runs, scale, resources)
+    except ClusterEstError:
+        return None
+    found = [
+        _of_output(name, runs, usual, finer)
+        for name in dict.fromkeys(output.variable for run in runs for output in run.outputs)
+    ]
+    return SolverError(scale, len(runs), tuple(each for each in found if each is not None))
+
+
+def _simulated(
+    space: SearchSpace,
+    values: FloatArray,
+    runs: tuple[Experiment, ...],
+    scale: SolverScale,
+    resources: Resources,
+) -> list[Simulation]:
+    """The experiments with half the step, in a process of their own where there are such."""
+    problem = space.problem
+    # what a simulation leaves behind must not look like an error of the solver
+    reset = "instance" if problem.model.reset == "auto" else problem.model.reset
+    model = replace(problem.model, solver=scale.finer(), reset=reset)
+    kind = executor_class("processes" if hasattr(os, "fork") else "local")
+    numbers = tuple(range(len(runs)))
+    with kind.open(model, runs, 1, None, resources.limits) as pool:
+        outcomes = Runner(pool).simulate(
+            values, numbers, "trajectory", "numerical error", problem.effects
+        )
+    return [Simulation(n, outcome) for n, outcome in zip(numbers, outcomes, strict=True)]
+
+
+def _of_output(
+    name: str, runs: Sequence[Experiment], usual: Sequence[Simulation], finer: Sequence[Simulation]
+) -> OutputSolverError | None:
+    """The error of one output; None where it could not be simulated."""
+    errors, residuals, values, given = [], [], [], []
+    for run, before, after in zip(runs, usual, finer, strict=True):
+        for output in run.outputs:
+            if output.variable == name:
+                coarse = output_residuals(output, before.outcome)
+                fine = output_residuals(output, after.outcome)
+                if coarse is None or fine is None or not len(coarse):
+                    continue
+                errors.append(2.0 * (coarse - fine))
+                residuals.append(coarse)
+                values.append(_centred(output))
+                given.append(output.sigma != 1.0)
+    if not errors:
+        return None
+    error, residual, spread = (_rms(parts) for parts in (errors, residuals, values))
+    return OutputSolverError(
+        name,
+        error / residual if residual > 0.0 else 0.0,
+        error / spread if spread > 0.0 else 0.0,
+        error if all(given) else np.nan,
+    )
+
+
+def _centred(output: Output) -> FloatArray:
+    """The measured signal around its mean, over its sigma."""
+    return (output.values - np.mean(output.values)) / output.sigma
+
+
+def _rms(parts: Sequence[FloatArray]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
