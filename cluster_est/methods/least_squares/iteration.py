@@ -20,6 +20,8 @@ CLOSE = 1e-6
 NOTICEABLE = 0.01
 """Fall of the sum of squares, over the variance of the residuals, that is a tenth of a standard
 error of the unknowns: what is closer to the minimum than that is at it, for all that data say."""
+EXHAUSTED = 1e-12
+"""Share of the first cost: residuals of a millionth, as of simulated data without noise."""
 CURVED_RATIO = 3.0
 """Predicted over actual reduction above which second-order corrections are tried."""
 
@@ -40,6 +42,8 @@ class IterationState:
         Predicted for a full step at the point before, over the sum of squares.
     full_step
         The point before and its full step, if that was taken.
+    start_cost
+        Of the point that the search began at.
     """
 
     x: FloatArray
@@ -49,6 +53,12 @@ class IterationState:
     damping: float
     relative_reduction: float = 1.0
     full_step: tuple[FloatArray, FloatArray] | None = None
+    start_cost: float = np.inf
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether so little is left of the cost that it is the noise of simulations."""
+        return bool(self.at.cost <= EXHAUSTED * self.start_cost)
 
     def moved(
         self, space: SearchSpace, x: FloatArray, at: Evaluation, damping: float
@@ -154,5 +164,5 @@ def _end_without_a_step(state: IterationState, damping: float) -> Ending:
     fall by no more, or the derivatives are wrong, as where simulations are noisy.
     """
     enough = max(CLOSE, NOTICEABLE / max(len(state.at.residuals), 1))
-    close = damping <= 1.0 or state.relative_reduction <= enough
+    close = damping <= 1.0 or state.relative_reduction <= enough or state.exhausted
     return Ending.CONVERGED if close else Ending.STALLED

@@ -47,6 +47,9 @@ from workers.messages import FloatArray
 INITIAL_DAMPING = 1e-3
 SMALLER = 0.1
 """An unknown this much smaller than its start gets smaller differences at the end."""
+MATTERS = 1e-3
+"""Change of the residuals, over their size, that an unknown makes when it changes by its own size,
+below which its derivative does not matter."""
 CONSTRAINED_XTOL = 1e-6
 """Shortest step under constraints; at their kinks the cost stops falling long before it."""
 
@@ -118,17 +121,35 @@ class LeastSquares(Method):
         (at,) = yield Points(x[None, :], "start", Progress(0, np.nan))
         if not at.ok:
             return Solution(x, np.nan, Ending.START_FAILED, at.reason)
-        state = IterationState(x, at, Progress(0, at.cost), np.zeros(space.size), INITIAL_DAMPING)
+        state = IterationState(
+            x,
+            at,
+            Progress(0, at.cost),
+            np.zeros(space.size),
+            INITIAL_DAMPING,
+            start_cost=at.cost,
+        )
         provider = JacobianProvider(space, self.differences, self.relative_step)
+        doubted: ResidualJacobian | None = None
         while True:
             scaled = _with_current_sizes(space, state.x)
             jacobian = yield from provider.jacobian(scaled, state.x, state.at, state.progress)
+            if doubted is not None and _disagree(scaled, state, doubted, jacobian):
+                doubted = jacobian
+                if provider.lengthen():
+                    state = _without_scales(state)
+                    continue
+            doubted = None
             state, ending = yield from self._iterate(space, state, jacobian, provider.exact)
             if ending is None:
                 continue
-            better = ending in (Ending.CONVERGED, Ending.STALLED) and provider.refine()
-            if better or (ending is Ending.STALLED and provider.lengthen()):
+            if ending in (Ending.CONVERGED, Ending.STALLED) and provider.refine():
+                doubted = jacobian
                 state = replace(state, damping=min(state.damping, INITIAL_DAMPING))
+                continue
+            if ending is Ending.STALLED and provider.lengthen():
+                doubted = jacobian
+                state = _without_scales(state)
                 continue
             return Solution(
                 x=state.x,
@@ -165,6 +186,30 @@ class LeastSquares(Method):
         state = replace(state, relative_reduction=reduction)
         iteration = LeastSquaresIteration(space, self.trials, self.ftol, self.xtol)
         return (yield from iteration.iterate(state, model))
+
+
+def _disagree(
+    space: SearchSpace, state: IterationState, one: ResidualJacobian, other: ResidualJacobian
+) -> bool:
+    """Return whether two Jacobians by different differences differ by more than half in a column.
+
+    Then both are the noise of simulations, or a kink. Columns of unknowns that hardly matter are
+    left out, as is everything where nothing is left of the residuals.
+    """
+    if state.exhausted or one.dense_if_small is None or other.dense_if_small is None:
+        return False
+    size = np.maximum(np.abs(state.x), space.typical)
+    lengths = [np.linalg.norm(jacobian.matrix, axis=0) for jacobian in (one, other)]
+    longest = np.maximum(*lengths)
+    matters = longest * size > MATTERS * float(np.linalg.norm(state.at.residuals))
+    apart = np.linalg.norm(one.matrix - other.matrix, axis=0)
+    return bool(np.any(matters & (apart > 0.5 * longest)))
+
+
+def _without_scales(state: IterationState) -> IterationState:
+    """Return the state without the sizes of columns that were noise."""
+    damping = min(state.damping, INITIAL_DAMPING)
+    return replace(state, damping=damping, largest=np.zeros(len(state.x)))
 
 
 def _with_note(ending: Ending, note: str) -> str:
