@@ -1,0 +1,84 @@
+"""A fit with too long a step says so; the data are exact, from the matrix exponential."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.problems.springs import FMU, TRUE
+from support.truth.exact_linear import position
+
+from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver, fit
+
+EVERY = 0.3
+TIMES = EVERY * np.arange(40.0)
+
+
+def spring(solver: Solver, *, sigma: float = 1.0, interface: str = "model_exchange") -> Problem:
+    """A mass that swings freely, seen at few times."""
+    measured = position(TIMES, np.zeros(len(TIMES)), **TRUE, x0=1.0, v0=0.0)
+    run = Experiment(
+        "e",
+        0.0,
+        float(TIMES[-1]),
+        (),
+        (Output("y", TIMES, measured, sigma),),
+        values=(("x", 1.0), ("m", TRUE["m"])),
+    )
+    names = ("m", "k", "c", "x")
+    model = Model(FMU.name, FMU.read_bytes(), interface, solver, names)
+    parameters = [
+        Parameter("m", 1.0),
+        Parameter("k", 28.0, 1.0, 100.0),
+        Parameter("c", 0.5, 0.0, 10.0),
+        Parameter("x", 0.0),
+    ]
+    return Problem(model, parameters, [run])
+
+
+def test_a_step_that_bends_the_parameters_is_named_with_what_to_set():
+    result = fit(spring(Solver("rk4")))
+    assert result.success
+    found = {e.label: e.value for e in result.estimates}
+    assert abs(found["k"] / TRUE["k"] - 1.0) > 0.01
+    (said,) = [note for note in result.notes if "too long" in note]
+    assert said.startswith(f"the step of {EVERY} s is too long: it makes an error in y of ")
+    assert "set model.step = " in said
+    assert result.facts()["solver_error"]["experiments"] == 1
+
+
+@pytest.mark.parametrize("step", [0.01, 0.005])
+def test_nothing_is_said_of_a_step_that_is_short_enough(step):
+    result = fit(spring(Solver("rk4", step)))
+    assert result.solver_error is not None
+    assert result.solver_error.sentences == ()
+    found = {e.label: e.value for e in result.estimates}
+    assert found["k"] == pytest.approx(TRUE["k"], rel=1e-4)
+
+
+def test_what_is_set_by_the_advice_is_short_enough():
+    problem = spring(Solver("rk4"))
+    said = next(note for note in fit(problem).notes if "too long" in note)
+    step = float(said.partition("model.step = ")[2].split()[0].rstrip(";,"))
+    model = replace(problem.model, solver=Solver("rk4", step))
+    result = fit(replace(problem, model=model))
+    assert not [note for note in result.notes if "too long" in note]
+
+
+def test_a_sigma_that_is_given_decides_what_is_noticed():
+    """An error of some per cent of the signal hides in noise as large as the signal."""
+    loud = fit(spring(Solver("rk4", 0.1), sigma=10.0))
+    assert loud.solver_error is not None
+    assert loud.solver_error.sentences == ()
+
+
+def test_a_solver_with_a_tolerance_is_not_asked():
+    assert fit(spring(Solver("dormand_prince", rtol=1e-6))).solver_error is None
+
+
+def test_communication_steps_that_bend_the_parameters_are_named():
+    """This FMU makes one Euler step of each communication step that is shorter than its own."""
+    exact = fit(spring(Solver("fmu"), interface="co_simulation"))
+    assert exact.solver_error is not None
+    assert exact.solver_error.scale.name == f"the communication step of {EVERY} s"
