@@ -50,6 +50,8 @@ SMALLER = 0.1
 MATTERS = 1e-3
 """Change of the residuals, over their size, that an unknown makes when it changes by its own size,
 below which its derivative does not matter."""
+DOUBTED = (Ending.CONVERGED, Ending.STALLED, Ending.NO_EFFECT)
+"""Endings that better derivatives may show to be none."""
 CONSTRAINED_XTOL = 1e-6
 """Shortest step under constraints; at their kinks the cost stops falling long before it."""
 
@@ -143,11 +145,11 @@ class LeastSquares(Method):
             state, ending = yield from self._iterate(space, state, jacobian, provider.exact)
             if ending is None:
                 continue
-            if ending in (Ending.CONVERGED, Ending.STALLED) and provider.refine():
+            if ending in DOUBTED and provider.refine():
                 doubted = jacobian
                 state = replace(state, damping=min(state.damping, INITIAL_DAMPING))
                 continue
-            if ending is Ending.STALLED and provider.lengthen():
+            if ending in (Ending.STALLED, Ending.NO_EFFECT) and provider.lengthen():
                 doubted = jacobian
                 state = _without_scales(state)
                 continue
@@ -172,6 +174,8 @@ class LeastSquares(Method):
         model = LocalModel(space, state.x, state.at, jacobian, state.largest)
         if model.squares == 0.0:
             return state, Ending.PERFECT
+        if not jacobian.blocks.norms().any():
+            return state, Ending.NO_EFFECT
         progress = replace(state.progress, optimality=model.optimality, damping=state.damping)
         state = replace(state, largest=model.scale, progress=progress)
         if model.optimality <= self.gtol:

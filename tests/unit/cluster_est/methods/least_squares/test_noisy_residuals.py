@@ -58,3 +58,22 @@ def test_a_minimum_within_a_tenth_of_a_standard_error_is_one():
     expected = TRUTH - (SHAPE @ offset) / (SHAPE @ SHAPE)
     error = np.sqrt(offset @ offset / 49 / (SHAPE @ SHAPE))
     assert abs(solution.x[0] - expected) < 0.1 * error
+
+
+def test_an_output_that_moves_in_steps_is_followed_by_longer_differences():
+    """Steps of 0.01 are longer than the differences that suit a solver without noise."""
+
+    def residuals(x):
+        return SHAPE * (np.round(100.0 * x[0] + PHASES) / 100.0 - TRUTH)
+
+    solution = FunctionProblem("steps", residuals, (1.0,), np.nan).solve(LeastSquares())
+    assert solution.x[0] == pytest.approx(TRUTH, abs=0.01)
+
+
+def test_unknowns_without_any_effect_do_not_converge():
+    def residuals(x):
+        return 1.0 + PHASES
+
+    solution = FunctionProblem("dead", residuals, (1.0,), np.nan).solve(LeastSquares())
+    assert solution.ending is Ending.NO_EFFECT
+    assert not solution.ending.success
