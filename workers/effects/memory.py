@@ -26,8 +26,16 @@ class SampledSignal(NamedTuple):
 
 
 def delay(signal: SampledSignal, seconds: float) -> SampledSignal:
-    """Return the signal as it was some seconds ago; before its start it was as at its start."""
-    return signal._replace(times=signal.times + seconds)
+    """Return the signal as it was some seconds ago; before its start it was as at its start.
+
+    Of samples so close that they fall on one time when it is moved, as behind a backlash, the last
+    one is kept.
+    """
+    times = signal.times + seconds
+    kept = np.append(times[1:] > times[:-1], True)
+    if kept.all():
+        return signal._replace(times=times)
+    return signal._replace(times=times[kept], values=signal.values[kept])
 
 
 def backlash(signal: SampledSignal, half_width: float) -> SampledSignal:
