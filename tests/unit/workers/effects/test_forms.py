@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from workers.effects.definition import coefficients, split_variable
+from workers.effects.expression import FUNCTIONS
 from workers.effects.forms import FORMS, FormCondition, GridScale, positive
 from workers.effects.memory import MEMORIES
 from workers.messages import Effect
@@ -57,10 +58,7 @@ def test_only_known_names_tell_what_a_minus_is():
     assert split_variable("2 * x", known) == ()
 
 
-MATHEMATICS = {
-    "sin": np.sin, "cos": np.cos, "tanh": np.tanh, "exp": np.exp, "sqrt": np.sqrt, "abs": abs,
-    "sign": np.sign, "max": max, "min": min, "where": lambda yes, a, b: a if yes else b,
-}  # fmt: skip
+MATHEMATICS = {name: getattr(np, name) for name in FUNCTIONS} | {"max": max, "min": min}
 
 
 def size_of(unit, scales):
