@@ -193,8 +193,8 @@ class TestSearch:
         if entry.method.needs_bounds:
             said = refusal(entry.method, make_space(unbounded.problem(), (0,)))
             assert "bounds: must be finite" in said, (
-                "needs_bounds is True: `check` must raise a ProblemError that says `bounds: must be "
-                "finite`, as that of methods/populations/method.py does"
+                "needs_bounds is True: `check` must raise a ProblemError that says `bounds: must "
+                "be finite`, as that of methods/populations/method.py does"
             )
             return
         found = unbounded.solve(entry.method)
