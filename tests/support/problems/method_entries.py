@@ -42,7 +42,7 @@ class Entry:
     method
         With the options that it needs here.
     kinds
-        Of the problems that it is tried on. SMOOTH for every method that ends in one minimum;
+        Of the problems that it is tried on. SMOOTH for nearly every method;
         REGRESSION too if it follows narrow valleys from far away, as one that spreads points over a
         box does not; ROUGHNESS if it needs no derivatives; INEQUALITY if its class says
         `keeps_constraints`, EQUALITY if `keeps_equality` too.
