@@ -21,9 +21,6 @@ class Cost(ABC):
     name: ClassVar[str]
     """Its name in a config."""
 
-    smooth: ClassVar[bool] = True
-    """True if it has a gradient everywhere, and so `weights`."""
-
     reduction: ClassVar[Reduction | None] = None
     """A number that may take the place of the residuals of an output in an experiment, because
     `value` of it is the same. None for a cost that needs each residual, as most costs do."""

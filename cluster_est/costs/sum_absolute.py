@@ -22,7 +22,6 @@ class SumAbsolute(Cost):
     """
 
     name: ClassVar[str] = "sae"
-    smooth: ClassVar[bool] = False
     reduction: ClassVar[Reduction | None] = "absolutes"
 
     @override

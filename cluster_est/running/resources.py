@@ -26,7 +26,8 @@ class Resources:
     budget
         When to stop.
     limits
-        When a simulation is ended from outside; "local" cannot do that.
+        When a simulation is ended from outside, which no executor can whose workers are in this
+        process, such as "local".
     """
 
     executor: str = "local"

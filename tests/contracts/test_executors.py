@@ -1,4 +1,4 @@
-"""What every executor promises. A new one joins by a line in `OPENERS`."""
+"""What every executor promises. A new one joins by two lines in `OPENERS`."""
 
 from __future__ import annotations
 
@@ -100,10 +100,11 @@ def gather(executor: Executor, tasks: Sequence[Task]) -> dict[int, Outcome]:
     outcomes: list[Outcome] = []
     while len(outcomes) < len(tasks):
         some = executor.completed()
-        assert some, "nothing was completed although tasks are queued"
+        assert some, "nothing was completed although tasks are queued: wait for at least one"
         outcomes += some
-    assert Counter(o.task for o in outcomes) == Counter(t.id for t in tasks)
-    assert executor.completed() == []
+    answered, asked = Counter(o.task for o in outcomes), Counter(t.id for t in tasks)
+    assert answered == asked, "each task must be answered, and once"
+    assert executor.completed() == [], "where nothing is queued, `completed` returns [] at once"
     return {outcome.task: outcome for outcome in outcomes}
 
 
@@ -117,10 +118,10 @@ def check_nothing_is_left(executor: Executor) -> None:
     """What was asked twice may still be on its way, but it answers nothing any more."""
     deadline = time.monotonic() + 60.0
     while executor.busy and time.monotonic() < deadline:
-        assert executor.completed() == []
+        assert executor.completed() == [], "each task must be answered once"
         time.sleep(0.01)
-    assert executor.completed() == []
-    assert executor.busy == 0
+    assert executor.completed() == [], "each task must be answered once"
+    assert executor.busy == 0, "no worker is busy any more once everything is answered"
 
 
 def same(outcome: Outcome, expected: Outcome) -> bool:
@@ -151,7 +152,9 @@ def check(outcomes: dict[int, Outcome], tasks: Sequence[Task]) -> None:
 
 
 def test_every_executor_is_tested() -> None:
-    assert {name for name, _ in OPENERS.values()} == set(EXECUTORS), "add a line to OPENERS"
+    assert {name for name, _ in OPENERS.values()} == set(EXECUTORS), (
+        "add two lines to OPENERS, for one worker and for several"
+    )
 
 
 @pytest.mark.parametrize("name", EXECUTORS)
@@ -204,7 +207,9 @@ class TestContract:
     def test_busy_counts_workers(self, setup: Setup) -> None:
         tasks = make_tasks(20)
         setup.executor.submit(tasks)
-        assert 1 <= setup.executor.busy <= setup.executor.workers
+        assert 1 <= setup.executor.busy <= setup.executor.workers, (
+            "`busy` counts the workers that have something to do, not the tasks"
+        )
         found = 0
         while found < len(tasks):
             found += len(setup.executor.completed())
@@ -216,12 +221,17 @@ class TestContract:
             long = [Task(100 + i, len(EXPERIMENTS), np.array([1.0, 30.0])) for i in range(500)]
             executor.submit([*short, *long])
             taken = executor.cancel({task.id for task in long})
-            assert taken, "so many long ones cannot all have begun"
-            assert set(taken) <= {task.id for task in long}
+            assert taken, (
+                "so many long ones cannot all have begun: `cancel` must withdraw those that have "
+                "not, and return their ids"
+            )
+            assert set(taken) <= {task.id for task in long}, "only what is asked for is withdrawn"
             outcomes: list[Outcome] = []
             drain(executor, outcomes)
             left = [task for task in (*short, *long) if task.id not in set(taken)]
-            assert Counter(o.task for o in outcomes) == Counter(task.id for task in left)
+            assert Counter(o.task for o in outcomes) == Counter(task.id for task in left), (
+                "what `cancel` returned is not answered, and all else is"
+            )
             check({o.task: o for o in outcomes if o.task < 100}, short)
             assert all(outcome.ok for outcome in outcomes if outcome.task >= 100)
             assert executor.cancel([short[0].id]) == []
@@ -230,32 +240,44 @@ class TestContract:
         tasks = make_tasks(6)
         assert isinstance(setup.executor, WorkerPool)
         outcomes = setup.executor.first_worker(tasks)
-        assert [outcome.task for outcome in outcomes] == [task.id for task in tasks]
+        assert [outcome.task for outcome in outcomes] == [task.id for task in tasks], (
+            "`first_worker` answers in the order of the tasks"
+        )
         check({outcome.task: outcome for outcome in outcomes}, tasks)
         again = setup.executor.first_worker(tasks)
         assert all(same(one, other) for one, other in zip(outcomes, again, strict=True))
-        assert setup.executor.completed() == []
+        assert setup.executor.completed() == [], "`first_worker` alone returns these outcomes"
+
+    def test_all_that_are_done_come_together(self, setup: Setup) -> None:
+        for seconds in (0.1, 1.0, 10.0):  # until each has answered its own, however busy all is
+            with setup.open(SPRING, EXPERIMENTS) as executor:  # which knows of no quick ones yet
+                executor.submit(make_tasks(executor.workers))
+                time.sleep(seconds)
+                if len(executor.completed()) == executor.workers:
+                    return
+        pytest.fail("`completed` must return all outcomes that are there, not one at a time")
 
     def test_an_interrupt_comes_through_while_it_waits(self, setup: Setup) -> None:
         with setup.open(SPRING, (*EXPERIMENTS, long_experiment())) as executor:
             long = [Task(i, len(EXPERIMENTS), np.array([1.0, 30.0])) for i in range(500)]
             executor.submit(long)
             done = executor.completed()
+            assert len(done) < len(long), "`completed` must wait for the first one, not for all"
             interrupt = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
             interrupt.start()
             with pytest.raises(KeyboardInterrupt):
                 drain(executor, done)
             interrupt.join()
-            assert len(done) < len(long), "it waited for all of them first"
+            assert len(done) < len(long), "an interrupt must end the wait at once"
             executor.close()
-            assert executor.busy == 0
+            assert executor.busy == 0, "after `close` no worker is busy"
 
     def test_close_forgets_what_is_queued_and_may_be_called_twice(self, setup: Setup) -> None:
         with setup.open(SPRING, EXPERIMENTS[:1]) as executor:
             executor.submit([Task(i, 0, np.array([1.0, 30.0])) for i in range(50)])
             executor.close()
-            assert executor.completed() == []
-            assert executor.busy == 0
+            assert executor.completed() == [], "after `close` nothing is completed any more"
+            assert executor.busy == 0, "after `close` no worker is busy"
         executor.close()
 
     @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ A new method joins by an entry in `method_entries.ENTRIES`.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 
 import numpy as np
 import pytest
@@ -33,13 +33,22 @@ PRODUCT = [
 
 
 def test_every_registered_method_is_tested():
-    tested = {type(entry.method) for entry in ENTRIES}
-    assert tested == set(METHODS.values()), "add an entry to ENTRIES in method_entries.py"
+    tested, registered = {type(entry.method) for entry in ENTRIES}, set(METHODS.values())
+    assert registered <= tested, "add an entry to ENTRIES in method_entries.py"
+    assert tested <= registered, "add it to METHODS, under a name that no other method has"
 
 
 @pytest.mark.parametrize("name", METHODS)
 def test_a_method_is_called_what_the_config_calls_it(name):
     assert METHODS[name].name == name, "METHODS and the class name it differently"
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=lambda method: method.__name__)
+def test_registered_options_are_the_fields_of_a_frozen_dataclass_with_defaults(method):
+    own = vars(method).get("__dataclass_params__")
+    assert getattr(own, "frozen", False), "write @dataclass(frozen=True) above it"
+    bare = [f.name for f in fields(method) if f.default is MISSING and f.default_factory is MISSING]
+    assert bare == [], "each option needs a default, as in NAME: int = field(default=32)"
 
 
 def methods_on(kind):
@@ -78,20 +87,22 @@ class TestProduct:
 
         problem = replace(chosen(entry, case.problem), residuals=watched)
         solution = problem.solve(entry.method)
+        points = np.array(seen)
+        inside = points >= np.array(problem.lower or -np.inf)
+        inside &= points <= np.array(problem.upper or np.inf)
+        assert inside.all(), "clip the points to space.lower and space.upper"
+        if isinstance(entry.method, ScipyLeastSquares):  # it gives no evaluation back
+            assert solution.at is None
+        else:
+            assert solution.at is not None, "return Solution(..., at=evaluation), that of its x"
+            assert solution.at.feasible, "compare points by `rank`: this one breaks a constraint"
+            assert solution.at.cost == solution.cost, "`at` must be the evaluation at the best x"
         allowed = case.tolerance + entry.accuracy_on(case) * case.scale
         nearest = min(case.minima, key=lambda minimum: abs(solution.cost - minimum))
         assert solution.cost == pytest.approx(nearest, rel=1e-7, abs=allowed), (
             f"its entry allows {entry.accuracy_on(case):.1e} of how far the start is from the "
             f"minimum, and it left {abs(solution.cost - nearest) / case.scale:.1e}"
         )
-        if isinstance(entry.method, ScipyLeastSquares):  # it gives no evaluation back
-            assert solution.at is None
-        else:
-            assert solution.at.feasible
-            assert solution.at.cost == solution.cost
-        points = np.array(seen)
-        assert (points >= np.array(problem.lower or -np.inf)).all()
-        assert (points <= np.array(problem.upper or np.inf)).all()
 
 
 class TestRegressions:
@@ -111,20 +122,30 @@ class TestRegressions:
         assert own >= solved(ScipyLeastSquares(algorithm="lm"))
 
 
+CHANCE = "the same seed must give the same search: draw from `generator` alone, never np.random"
+ORDER = (
+    "a method must not ask how many workers there are, or which of them answered first (but mend "
+    "test_same_seed_same_bits before, where that fails too)"
+)
+
+
 @pytest.mark.parametrize("entry", [entry for entry in ENTRIES if entry.kinds], ids=str)
 class TestSearch:
     def test_can_be_closed_at_any_time(self, entry):
         problem = chosen(entry, ROSENBROCK).problem()
         search = entry.method.search(make_space(problem, (0,)), np.random.default_rng(0))
-        assert isinstance(next(search), Points)
+        assert isinstance(next(search), Points), "`search` must yield Points(x, purpose)"
         search.close()
 
     def test_a_failed_start_is_a_solution_that_says_so(self, entry):
         broken = FunctionProblem("broken", lambda x: np.array([np.nan, 1.0]), (1.0, 1.0), 0.0)
         solution = chosen(entry, broken).solve(entry.method)
-        assert isinstance(solution, Solution)
-        assert solution.ending is Ending.START_FAILED
-        assert "not finite" in solution.message
+        said = (
+            "where the start is not `ok`, return Solution(x, nan, Ending.START_FAILED, at.reason)"
+        )
+        assert isinstance(solution, Solution), said
+        assert solution.ending is Ending.START_FAILED, said
+        assert "not finite" in solution.message, said
 
     def test_failed_trials_do_not_end_the_search(self, entry):
         def walled(x):
@@ -132,14 +153,25 @@ class TestSearch:
 
         problem = FunctionProblem("walled", walled, (-1.2, 1.0), 0.0)
         solution = chosen(entry, problem).solve(entry.method)
-        assert solution.cost == pytest.approx(0.0, abs=max(1e-6, 24.2 * entry.accuracy))
+        assert solution.cost == pytest.approx(0.0, abs=max(1e-6, 24.2 * entry.accuracy)), (
+            f"it left {solution.cost / 24.2:.1e}, more than its entry allows: a point that "
+            "failed has a cost of NaN, so compare by `rank`, and go on"
+        )
 
     def test_same_seed_same_bits(self, entry):
         first, second = (
             chosen(entry, ROSENBROCK).solve(brief(entry.method), seed=7) for _ in range(2)
         )
-        assert first.x.tobytes() == second.x.tobytes()
-        assert first.iterations == second.iterations
+        assert first.x.tobytes() == second.x.tobytes(), CHANCE
+        assert first.iterations == second.iterations, CHANCE
+
+    def test_workers_and_the_order_of_their_answers_change_no_bit(self, entry):
+        if entry.method.asynchronous:
+            pytest.skip("it says that its result may depend on the order")
+        problem, method = chosen(entry, ROSENBROCK), brief(entry.method)
+        alone, together = (problem.solve(method, seed=7, workers=count) for count in (1, 3))
+        assert alone.x.tobytes() == together.x.tobytes(), ORDER
+        assert alone.iterations == together.iterations, ORDER
 
     def test_units_of_the_unknowns_do_not_matter(self, entry):
         scale = np.array([2.0**20, 2.0**-13])
@@ -148,25 +180,41 @@ class TestSearch:
         bounds = [None if b is None else tuple(np.array(b) * scale) for b in (box.lower, box.upper)]
         scaled = FunctionProblem("scaled", lambda x: rosenbrock(x / scale), start, 0.0, *bounds)
         plain = box.solve(brief(entry.method))
-        np.testing.assert_allclose(scaled.solve(brief(entry.method)).x / scale, plain.x, rtol=1e-6)
+        found = scaled.solve(brief(entry.method)).x / scale
+        said = "take steps in units of space.typical, or of the room between the bounds"
+        np.testing.assert_allclose(found, plain.x, rtol=1e-6, err_msg=said)
 
     def test_scaling_the_residuals_does_not_matter(self, entry):
         plain = chosen(entry, ROSENBROCK)
         scaled = replace(plain, residuals=lambda x: 2.0**20 * rosenbrock(x))
-        expected = plain.solve(brief(entry.method)).x
-        np.testing.assert_allclose(scaled.solve(brief(entry.method)).x, expected, rtol=1e-9)
+        found, expected = (each.solve(brief(entry.method)).x for each in (scaled, plain))
+        said = "compare costs with each other or by their ratio, never with a number of your own"
+        np.testing.assert_allclose(found, expected, rtol=1e-9, err_msg=said)
 
     def test_without_bounds_it_refuses_or_finds_something_finite(self, entry):
         """A method that spreads points between bounds must say in `check` that it needs them."""
         unbounded = replace(ROSENBROCK, lower=None, upper=None)
         if entry.method.needs_bounds:
-            with pytest.raises(ProblemError, match="bounds: must be finite"):
-                entry.method.check(make_space(unbounded.problem(), (0,)))
+            said = refusal(entry.method, make_space(unbounded.problem(), (0,)))
+            assert "bounds: must be finite" in said, (
+                "needs_bounds is True: `check` must raise a ProblemError that says `bounds: must "
+                "be finite`, as that of methods/populations/method.py does"
+            )
             return
         found = unbounded.solve(entry.method)
         start = GivenPoints(np.array([ROSENBROCK.start]), "start")
-        assert np.isfinite(found.x).all()
-        assert found.cost <= unbounded.solve(start).cost
+        said = "if it cannot search without bounds, set needs_bounds and refuse them in `check`"
+        assert np.isfinite(found.x).all(), said
+        assert found.cost <= unbounded.solve(start).cost, said
+
+
+def refusal(method, space):
+    """What `check` says against a space; empty if nothing."""
+    try:
+        method.check(space)
+    except ProblemError as error:
+        return str(error)
+    return ""
 
 
 def brief(method):

@@ -39,7 +39,10 @@ TIMES = np.linspace(0.1, 3.0, 30)
 
 
 def test_only_sums_over_residuals_can_be_reduced():
-    assert set(REDUCIBLE) == {"sse", "sae"}
+    assert set(REDUCIBLE) == {"sse", "sae"}, (
+        "a cost that sums something else over residuals has no `reduction`; one that sums squares "
+        "or absolute values is named here and in test_the_cost_says_how"
+    )
 
 
 @pytest.mark.parametrize("cost", REDUCIBLE.values(), ids=lambda cost: cost.name)
@@ -50,7 +53,9 @@ class TestCost:
         assert len(reduced) == 3
         power = 2 if cost.name == "sse" else 1
         truth = math.fsum(abs(r) ** power for r in residuals.tolist())
-        assert cost().value(reduced, np.arange(3)) == pytest.approx(truth, rel=1e-12, abs=1e-300)
+        assert cost().value(reduced, np.arange(3)) == pytest.approx(truth, rel=1e-12, abs=1e-300), (
+            "`value` must be the same of one reduced number for each output: else set no reduction"
+        )
 
     def test_a_view_of_a_batch_gives_the_same_bits(self, cost):
         batch = np.random.default_rng(0).normal(size=(21, 5))
@@ -81,7 +86,7 @@ class TestWant:
     @pytest.mark.parametrize("name", COSTS)
     def test_the_cost_says_how(self, name):
         expected = {"sse": "squares", "sae": "absolutes"}.get(name, "residuals")
-        assert want_of(experiment(50), COSTS[name]()) == expected
+        assert want_of(experiment(50), COSTS[name]()) == expected, "name its reduction here"
 
     def test_what_a_function_returns_is_left_alone(self):
         own = experiment(50, cost_function=UserFunction("none", "cost"))
@@ -116,7 +121,9 @@ BLIND = [entry for entry in ENTRIES if not entry.method.needs_every_residual]
 
 def test_methods_that_work_on_residuals_get_them_all():
     for method in METHODS.values():
-        assert method.needs_every_residual or not method.needs_residuals
+        assert method.needs_every_residual or not method.needs_residuals, (
+            f"{method.name} works on residuals: leave out its needs_every_residual = False"
+        )
 
 
 @pytest.mark.parametrize("cost", REDUCIBLE)
@@ -148,7 +155,10 @@ def test_a_method_goes_the_same_way(entry, cost, monkeypatch):
         assert sizes == {16 * outputs if every else outputs}
         ways.append((asked, found.ending, found.iterations))
     assert len(ways[0][0]) > 50
-    assert ways[0] == ways[1]
+    assert ways[0] == ways[1], (
+        "it goes another way where residuals are reduced: look at `cost` alone, or leave out "
+        "needs_every_residual = False"
+    )
 
 
 @pytest.mark.parametrize("kind", ["outputs", "experiments"])

@@ -58,6 +58,7 @@ def simulated(effects, coefficients, solver=EXACT):
 
 
 BASE = solve(plain)
+OTHERWISE = "the form's equation and its truth in support/truth/form_terms.py differ"
 
 
 def test_every_form_has_a_truth():
@@ -75,7 +76,9 @@ def test_terms_at_a_state_derivative(form):
     effect = Effect("e", "der(v)", form, variables)
     truth = solve(pushed(term))[:, 0]
     # a kink of an effect is not on the grid, so the tolerance only holds step by step
-    np.testing.assert_allclose(simulated([effect], coefficients), truth, atol=1e-7)
+    np.testing.assert_allclose(
+        simulated([effect], coefficients), truth, atol=1e-7, err_msg=OTHERWISE
+    )
 
 
 def test_dahl_friction_has_a_state_of_its_own():
@@ -118,7 +121,7 @@ def test_functions_of_an_input(form, solver, bar):
     coefficients, change = INPUT[form]
     truth = solve(lambda t, x, f: plain(t, x, change(t, f)))[:, 0]
     result = simulated([Effect("e", "input F", form)], coefficients, solver)
-    np.testing.assert_allclose(result, truth, atol=bar)
+    np.testing.assert_allclose(result, truth, atol=bar, err_msg=OTHERWISE)
 
 
 @pytest.mark.parametrize("form", FORCES)
@@ -126,7 +129,7 @@ def test_functions_of_a_state_at_an_input(form):
     coefficients, variable, force = FORCES[form]
     truth = solve(lambda t, x, f: plain(t, x, f + force(x, f)))[:, 0]
     result = simulated([Effect("e", "input F", form, (variable,))], coefficients)
-    np.testing.assert_allclose(result, truth, atol=2e-7)
+    np.testing.assert_allclose(result, truth, atol=2e-7, err_msg=OTHERWISE)
 
 
 def test_dahl_friction_at_an_input():
@@ -165,7 +168,7 @@ def test_a_delay_of_an_input(solver, bar):
 def test_functions_of_an_output(form, case, solver):
     coefficients, variables, change = case
     result = simulated([Effect("e", "output y", form, variables)], coefficients, solver)
-    np.testing.assert_allclose(result, change(*BASE.T), atol=1e-8)
+    np.testing.assert_allclose(result, change(*BASE.T), atol=1e-8, err_msg=OTHERWISE)
 
 
 @pytest.mark.parametrize("tau", [0.0005, 0.05, 1.0])
@@ -203,7 +206,8 @@ def test_variations_of_a_parameter(form):
     coefficients, variables, share = PARAMETER[form]
     truth = solve(pushed(lambda t, x, f: -C / M * share(t, x[1]) * x[1]))[:, 0]
     result = simulated([Effect("e", "parameter c", form, variables)], coefficients)
-    np.testing.assert_allclose(result, truth, atol=1e-6 if form == "table" else 2e-8)
+    bar = 1e-6 if form == "table" else 2e-8
+    np.testing.assert_allclose(result, truth, atol=bar, err_msg=OTHERWISE)
 
 
 def test_a_parameter_that_heats_up():
@@ -282,8 +286,14 @@ def test_every_form_does_nothing_when_neutral_and_something_otherwise(kind, name
     neutral = [c.neutral for c in form.coefficients]
     shapes = [s if n is None else n for n, s in zip(neutral, shapes, strict=True)]
     without = simulated([], (), solver)
-    assert simulated([effect], shapes, solver).tobytes() == without.tobytes()
-    assert np.abs(simulated([effect], sizes, solver) - without).max() > 1e-6
+    assert simulated([effect], shapes, solver).tobytes() == without.tobytes(), (
+        "with each coefficient at its `neutral`, the equation must add 0 to a derivative, and be s "
+        "elsewhere"
+    )
+    assert np.abs(simulated([effect], sizes, solver) - without).max() > 1e-6, (
+        f"it does nothing with {dict(zip((c.name for c in form.coefficients), sizes, strict=True))}"
+        ": look at the equation, or give this test other values in `known`"
+    )
 
 
 def test_a_declared_effect_is_fitted_together_with_the_parameters():

@@ -54,23 +54,26 @@ class FunctionProblem:
         model = Model("none", b"", "model_exchange", Solver("rk4"), names)
         return Problem(model, parameters, (experiment,), self.cost)
 
-    def solve(self, method: Method, seed: int = 0) -> Solution:
+    def solve(self, method: Method, seed: int = 0, workers: int = 1) -> Solution:
         problem = self.problem()
-        with FunctionExecutor(self.residuals, self.constraints) as executor:
+        with FunctionExecutor(self.residuals, self.constraints, workers) as executor:
             request = SearchRequest("test", method, make_space(problem, (0,)), seed)
             return Runner(executor).run([request])[0]
 
 
 class FunctionExecutor(Executor):
-    """Answers a task with the residuals of a function; not finite counts as a failure."""
+    """Answers a task with the residuals of a function; not finite counts as a failure.
 
-    workers = 1
+    Of several workers, the one that began last is always the first to answer.
+    """
 
     def __init__(
         self,
         residuals: Callable[[np.ndarray], np.ndarray],
         constraints: Callable[[np.ndarray], np.ndarray] | None = None,
+        workers: int = 1,
     ) -> None:
+        self.workers = workers
         self._residuals = residuals
         self._constraints = constraints or (lambda x: np.zeros(0))
         self._queue: list = []
@@ -79,6 +82,8 @@ class FunctionExecutor(Executor):
         self._queue += tasks
 
     def completed(self):
+        if self.workers > 1 and self._queue:
+            return [self._answer(self._queue.pop(min(self.workers, len(self._queue)) - 1))]
         outcomes = [self._answer(task) for task in self._queue]
         self._queue = []
         return outcomes

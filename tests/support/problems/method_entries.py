@@ -35,9 +35,25 @@ ALL = (SMOOTH, REGRESSION, ROUGHNESS, *CONSTRAINTS)
 
 @dataclass(frozen=True)
 class Entry:
-    """A method, the kinds of problems that it is for, and the part of the start's distance to the
-    minimum that it may leave. `boxed`: only problems with finite bounds. `constrained`: the part
-    that it may leave where there are inequality constraints, if that is another."""
+    """A method, what it is for, and how closely it must find a minimum.
+
+    Attributes
+    ----------
+    method
+        With the options that it needs here.
+    kinds
+        Of the problems that it is tried on. SMOOTH for nearly every method;
+        REGRESSION too if it follows narrow valleys from far away, as one that spreads points over a
+        box does not; ROUGHNESS if it needs no derivatives; INEQUALITY if its class says
+        `keeps_constraints`, EQUALITY if `keeps_equality` too.
+    accuracy
+        The part of the start's distance to the minimum that it may leave.
+    boxed
+        Problems are given a wide box in place of bounds that are not finite: for a method with
+        `needs_bounds`, or that searches much better within bounds.
+    constrained
+        The part that it may leave where there are inequality constraints, if that is another.
+    """
 
     method: Method
     kinds: tuple[str, ...]

@@ -22,10 +22,10 @@ def test_a_name_that_would_be_an_option_is_refused(base):
 def test_what_is_set_without_an_annotation_or_with_the_right_one_is_fine():
     class Right(Cost):
         name: ClassVar[str] = "right"
-        smooth = False
+        reduction = "squares"
         scale: float = 1.0
 
-    assert (Right.name, Right.smooth) == ("right", False)
+    assert (Right.name, Right.reduction) == ("right", "squares")
 
 
 def test_the_base_of_the_base_counts_too():

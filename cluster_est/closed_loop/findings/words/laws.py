@@ -112,16 +112,18 @@ def _in_one(term: sp.Expr, over: sp.Symbol) -> Law:
     """The law of a function of one variable."""
     if term.has(sp.sin) or term.has(sp.cos):
         return Law.PERIODIC
-    if term.has(sp.tanh):
-        if term.has(sp.exp):
-            return Law.SWITCH_WITH_PEAK
-        return Law.TWO_SWITCHES if term.has(sp.Max) or term.has(sp.Min) else Law.SWITCH
     compiled = sp.lambdify(over, term, "numpy")
 
     def value(x: float) -> float:
         with np.errstate(all="ignore"):
             return float(compiled(np.float64(x)))
 
+    if term.has(sp.tanh):
+        if value(20.0) != value(40.0):
+            return Law.OTHER
+        if term.has(sp.exp):
+            return Law.SWITCH_WITH_PEAK
+        return Law.TWO_SWITCHES if term.has(sp.Max) or term.has(sp.Min) else Law.SWITCH
     return _power(value) or _threshold(value) or _rational(value) or Law.OTHER
 
 

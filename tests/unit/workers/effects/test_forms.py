@@ -8,24 +8,32 @@ import numpy as np
 import pytest
 
 from workers.effects.definition import coefficients, split_variable
+from workers.effects.expression import FUNCTIONS
 from workers.effects.forms import FORMS, FormCondition, GridScale, positive
 from workers.effects.memory import MEMORIES
 from workers.messages import Effect
+
+WORDS = {"site", "other", "v", "w", "s", "second", "rad", "travel"}
 
 
 @pytest.mark.parametrize(("kind", "name"), FORMS)
 def test_what_is_no_strength_has_a_grid_and_all_has_a_unit(kind, name):
     form = FORMS[kind, name]
-    assert all(isinstance(condition, FormCondition) for condition in form.when)
-    assert form.memory in ("", *MEMORIES)
-    assert bool(form.reaction) is (kind == "pair")
+    conditions = isinstance(form.when, tuple) and {type(each) for each in form.when}
+    assert conditions in (set(), {FormCondition}), "`when` is a tuple: when=(FormCondition.OWN,)"
+    assert form.memory in ("", *MEMORIES), "write its memory in workers/effects/memory.py"
+    assert bool(form.reaction) is (kind == "pair"), "at a pair, and only there, it has a `reaction`"
     for c in form.coefficients:
-        assert isinstance(c.scale, GridScale) is bool(c.grid)
-        assert c.neutral == 0.0 or c.grid
-        assert c.grid or not c.held
-        words = set(re.findall(r"[a-z]+", c.unit))
-        assert c.unit
-        assert words <= {"site", "other", "v", "w", "s", "second", "rad", "travel"}
+        assert isinstance(c.scale, GridScale) is bool(c.grid), (
+            f"{c.name}: `grid` and its `scale`, a GridScale, go together: both or neither"
+        )
+        assert c.neutral == 0.0 or c.grid, (
+            f"{c.name}: what is not 0 where the form does nothing needs a `grid` to start from"
+        )
+        assert c.grid or not c.held, f"{c.name}: what is held stays at a value of its `grid`"
+        assert c.unit, f'{c.name}: needs a unit in words, such as unit="site / v"'
+        unknown = set(re.findall(r"[a-z]+", c.unit)) - WORDS
+        assert unknown == set(), f"{c.name}: words of a unit are {', '.join(sorted(WORDS))}"
 
 
 @pytest.mark.parametrize(
@@ -57,10 +65,7 @@ def test_only_known_names_tell_what_a_minus_is():
     assert split_variable("2 * x", known) == ()
 
 
-MATHEMATICS = {
-    "sin": np.sin, "cos": np.cos, "tanh": np.tanh, "exp": np.exp, "sqrt": np.sqrt, "abs": abs,
-    "sign": np.sign, "max": max, "min": min, "where": lambda yes, a, b: a if yes else b,
-}  # fmt: skip
+MATHEMATICS = {name: getattr(np, name) for name in FUNCTIONS} | {"max": max, "min": min}
 
 
 def size_of(unit, scales):
@@ -103,4 +108,7 @@ def test_units_of_coefficients_are_those_that_the_equation_needs(kind, name, see
         values[state.name], other[state.name] = 0.6, 0.6 * size_of(fitting[0], scales)
     for equation, unit in ((form.equation, "site"), (form.reaction or "0", "other")):
         expected = evaluated(equation, values) * scales[unit]
-        assert evaluated(equation, other) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+        assert evaluated(equation, other) == pytest.approx(expected, rel=1e-9, abs=1e-12), (
+            f"{equation} must have the unit of the {unit}, but has not with the units of "
+            f"{', '.join(f'{c.name}: {c.unit}' for c in form.coefficients)}"
+        )

@@ -64,6 +64,7 @@ def test_every_form_has_a_law(kind, name):
         ("k * abs(v)", Law.ABSOLUTE),
         ("k * v * abs(v) + k * v", Law.OTHER),
         ("k * exp(v / at)", Law.OTHER),
+        ("-k * (exp(abs(v) / at) - 1) * tanh(v / L)", Law.OTHER),
     ],
 )
 def test_equations_that_the_library_may_have_one_day(equation, law):
