@@ -17,8 +17,8 @@ DAMPING_RATIO = 10.0
 LEAST_DAMPING, LARGEST_DAMPING = 1e-14, 1e14
 CLOSE = 1e-6
 """Relative reduction by a full step below which a point is close to the minimum."""
-NOTICEABLE = 0.01
-"""Fall of the sum of squares, over the variance of the residuals, that is a tenth of a standard
+NOTICEABLE = 0.04
+"""Fall of the sum of squares, over the variance of the residuals, that is a fifth of a standard
 error of the unknowns: what is closer to the minimum than that is at it, for all that data say."""
 EXHAUSTED = 1e-12
 """Share of the first cost: residuals of a millionth, as of simulated data without noise."""
@@ -157,12 +157,17 @@ class LeastSquaresIteration:
         )
 
 
+def enough_to_notice(at: Evaluation) -> float:
+    """Return the relative fall of a cost that data can show at all."""
+    return max(CLOSE, NOTICEABLE / max(len(at.residuals), 1))
+
+
 def _end_without_a_step(state: IterationState, damping: float) -> Ending:
     """Return the ending where nothing is left to try.
 
     A step that was made short by damping says nothing of the minimum: the cost must also promise to
     fall by no more, or the derivatives are wrong, as where simulations are noisy.
     """
-    enough = max(CLOSE, NOTICEABLE / max(len(state.at.residuals), 1))
+    enough = enough_to_notice(state.at)
     close = damping <= 1.0 or state.relative_reduction <= enough or state.exhausted
     return Ending.CONVERGED if close else Ending.STALLED

@@ -38,6 +38,7 @@ from cluster_est.methods.least_squares.iteration import (
     IterationState,
     LeastSquaresIteration,
     Steps,
+    enough_to_notice,
 )
 from cluster_est.methods.least_squares.local_model import LocalModel
 from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
@@ -132,38 +133,30 @@ class LeastSquares(Method):
             start_cost=at.cost,
         )
         provider = JacobianProvider(space, self.differences, self.relative_step)
-        doubted: ResidualJacobian | None = None
+        compared: ResidualJacobian | None = None
+        before: _End | None = None  # where shorter differences ended
+        ended = Ending.CONVERGED
         while True:
             scaled = _with_current_sizes(space, state.x)
             jacobian = yield from provider.jacobian(scaled, state.x, state.at, state.progress)
-            if doubted is not None and _disagree(scaled, state, doubted, jacobian):
-                doubted = jacobian
-                if provider.lengthen():
-                    state = _without_scales(state)
+            doubtful = compared is not None and _disagree(scaled, state, compared, jacobian)
+            end = _End(state, jacobian, ended, provider.note)
+            if not (doubtful and provider.lengthen()):
+                state, ending = yield from self._iterate(space, state, jacobian, provider.exact)
+                if ending is None:
+                    compared = None
                     continue
-            doubted = None
-            state, ending = yield from self._iterate(space, state, jacobian, provider.exact)
-            if ending is None:
-                continue
-            if ending in DOUBTED and provider.refine():
-                doubted = jacobian
-                state = replace(state, damping=min(state.damping, INITIAL_DAMPING))
-                continue
-            if ending in (Ending.STALLED, Ending.NO_EFFECT) and provider.lengthen():
-                doubted = jacobian
-                state = _without_scales(state)
-                continue
-            return Solution(
-                x=state.x,
-                cost=state.at.cost,
-                ending=ending,
-                message=provider.note if ending.success else _with_note(ending, provider.note),
-                iterations=state.progress.iteration,
-                jacobian=jacobian.dense_if_small,
-                block_jacobian=jacobian.blocks_if_large,
-                difference_steps=jacobian.steps,
-                at=state.at,
-            )
+                ended = ending
+                if ending in DOUBTED and provider.refine():
+                    compared = jacobian
+                    state = replace(state, damping=min(state.damping, INITIAL_DAMPING))
+                    continue
+                end = _End(state, jacobian, ending, provider.note)
+                unsettled = ending in (Ending.STALLED, Ending.NO_EFFECT)
+                if not (unsettled and provider.lengthen()):
+                    return end.better_than(before).solution()
+            before = end.better_than(before)
+            compared, state = jacobian, _without_scales(state)
 
     def _iterate(
         self, space: SearchSpace, state: IterationState, jacobian: ResidualJacobian, exact: bool
@@ -192,6 +185,42 @@ class LeastSquares(Method):
         return (yield from iteration.iterate(state, model))
 
 
+@dataclass(frozen=True)
+class _End:
+    """An end of the search, with the derivatives that led there, and what is to be said of them."""
+
+    state: IterationState
+    jacobian: ResidualJacobian
+    ending: Ending
+    note: str
+
+    def better_than(self, before: _End | None) -> _End:
+        """Return this end, or the one before if hardly anything is gained.
+
+        That has shorter differences, which are those of a point that is as good as this one.
+        """
+        if before is None:
+            return self
+        enough = enough_to_notice(before.state.at)
+        gained = self.state.at.cost < (1.0 - enough) * before.state.at.cost
+        settled = self.ending.success and not before.ending.success
+        return self if gained or settled else replace(before, state=self.state)
+
+    def solution(self) -> Solution:
+        state, ending, note = self.state, self.ending, self.note
+        return Solution(
+            x=state.x,
+            cost=state.at.cost,
+            ending=ending,
+            message=note if ending.success or not note else f"{ending}; {note}",
+            iterations=state.progress.iteration,
+            jacobian=self.jacobian.dense_if_small,
+            block_jacobian=self.jacobian.blocks_if_large,
+            difference_steps=self.jacobian.steps,
+            at=state.at,
+        )
+
+
 def _disagree(
     space: SearchSpace, state: IterationState, one: ResidualJacobian, other: ResidualJacobian
 ) -> bool:
@@ -214,11 +243,6 @@ def _without_scales(state: IterationState) -> IterationState:
     """Return the state without the sizes of columns that were noise."""
     damping = min(state.damping, INITIAL_DAMPING)
     return replace(state, damping=damping, largest=np.zeros(len(state.x)))
-
-
-def _with_note(ending: Ending, note: str) -> str:
-    """Return the ending in words, where there is something to be said beside it."""
-    return f"{ending}; {note}" if note else ""
 
 
 def _with_current_sizes(space: SearchSpace, x: FloatArray) -> SearchSpace:

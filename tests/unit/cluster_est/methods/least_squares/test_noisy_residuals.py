@@ -32,10 +32,16 @@ def test_longer_differences_lead_through_noise(size):
     assert "simulations are noisy" in solution.message
 
 
-def test_nothing_has_converged_where_no_step_lowers_a_cost_that_promises_to_fall():
-    """What a user has set is left as it is."""
-    solution = noisy(0.01).solve(LeastSquares(differences="forward"))
-    assert abs(solution.x[0] - TRUTH) > 0.1
+@pytest.mark.parametrize("differences", ["forward", "auto"])
+def test_nothing_has_converged_where_no_step_lowers_a_cost_that_promises_to_fall(differences):
+    """At a kink, the slope to one side says that the cost falls to the other."""
+
+    def residuals(x):
+        return SHAPE * (1.0 + np.abs(x[0] - TRUTH))
+
+    problem = FunctionProblem("kink", residuals, (TRUTH,), np.nan)
+    solution = problem.solve(LeastSquares(differences=differences))
+    assert solution.x[0] == TRUTH
     assert solution.ending is Ending.STALLED
 
 
@@ -46,7 +52,7 @@ def test_without_noise_differences_stay_short():
     assert solution.x[0] == pytest.approx(TRUTH, abs=1e-12)
 
 
-def test_a_minimum_within_a_tenth_of_a_standard_error_is_one():
+def test_a_minimum_within_a_fifth_of_a_standard_error_is_one():
     """Noise of this size moves nothing that the data could show: no longer differences."""
     offset = np.where(np.arange(50) % 2 == 0, 0.5, -0.5)
 
@@ -57,7 +63,7 @@ def test_a_minimum_within_a_tenth_of_a_standard_error_is_one():
     assert solution.ending is Ending.CONVERGED
     expected = TRUTH - (SHAPE @ offset) / (SHAPE @ SHAPE)
     error = np.sqrt(offset @ offset / 49 / (SHAPE @ SHAPE))
-    assert abs(solution.x[0] - expected) < 0.1 * error
+    assert abs(solution.x[0] - expected) < 0.2 * error
 
 
 def test_an_output_that_moves_in_steps_is_followed_by_longer_differences():
