@@ -91,7 +91,10 @@ class JacobianProvider:
         if relative > LONGEST_STEP:
             return False
         self._longer *= LENGTHENING
-        self.note = f"simulations are noisy: differences took relative steps of {relative:.1g}"
+        self.note = (
+            f"differences took relative steps of {relative:.1g}, because shorter ones were doubtful: "
+            "simulations are noisy, or the cost has a kink"
+        )
         return True
 
     def _relative(self, longer: float) -> float:

@@ -29,7 +29,7 @@ def test_longer_differences_lead_through_noise(size):
     solution = noisy(size).solve(LeastSquares())
     assert solution.ending is Ending.CONVERGED
     assert solution.x[0] == pytest.approx(TRUTH, abs=0.1 * size)
-    assert "simulations are noisy" in solution.message
+    assert "shorter ones were doubtful" in solution.message
 
 
 @pytest.mark.parametrize("differences", ["forward", "auto"])
