@@ -92,7 +92,7 @@ class JacobianProvider:
             return False
         self._longer *= LENGTHENING
         self.note = (
-            f"differences took relative steps of {relative:.1g}, because shorter ones were doubtful: "
+            f"differences took relative steps of {relative:.1g}, as shorter ones were doubtful: "
             "simulations are noisy, or the cost has a kink"
         )
         return True
