@@ -150,7 +150,7 @@ def fit_in(environment: RunEnvironment, problem: Problem, plan: FitPlan) -> Resu
     train = check_search(problem, plan)
     with one_blas_thread(), environment.executor(problem) as executor:
         result = fit_on(environment.runner(executor), train, plan)
-    if result.success and not result.interrupted:
+    if not result.interrupted:
         resources = environment.resources
         error = measure_solver_error(train, result.solution, result.simulations, resources)
         result = replace(result, solver_error=error)

@@ -10,6 +10,7 @@ from support.problems.springs import FMU, TRUE
 from support.truth.exact_linear import position
 
 from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver, fit
+from cluster_est.methods.least_squares.method import LeastSquares
 
 EVERY = 0.3
 TIMES = EVERY * np.arange(40.0)
@@ -57,6 +58,12 @@ def test_nothing_is_said_of_a_step_that_is_short_enough(step):
     assert found["k"] == pytest.approx(TRUE["k"], rel=1e-4)
 
 
+def test_it_is_said_of_a_fit_that_has_not_converged_too():
+    result = fit(spring(Solver("rk4")), LeastSquares(max_iterations=1))
+    assert not result.success
+    assert [note for note in result.notes if "too long" in note]
+
+
 def test_what_is_set_by_the_advice_is_short_enough():
     problem = spring(Solver("rk4"))
     said = next(note for note in fit(problem).notes if "too long" in note)
@@ -77,8 +84,7 @@ def test_a_solver_with_a_tolerance_is_not_asked():
     assert fit(spring(Solver("dormand_prince", rtol=1e-6))).solver_error is None
 
 
-def test_communication_steps_that_bend_the_parameters_are_named():
-    """This FMU makes one Euler step of each communication step that is shorter than its own."""
-    exact = fit(spring(Solver("fmu"), interface="co_simulation"))
-    assert exact.solver_error is not None
-    assert exact.solver_error.scale.name == f"the communication step of {EVERY} s"
+def test_communication_steps_are_measured_too():
+    result = fit(spring(Solver("fmu"), interface="co_simulation"))
+    assert result.solver_error is not None
+    assert result.solver_error.scale.name == f"the communication step of {EVERY} s"
