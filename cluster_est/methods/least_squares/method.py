@@ -199,7 +199,7 @@ class _End:
 
         That has shorter differences, which are those of a point that is as good as this one.
         """
-        if before is None:
+        if before is None or self.ending not in DOUBTED:
             return self
         enough = enough_to_notice(before.state.at)
         gained = self.state.at.cost < (1.0 - enough) * before.state.at.cost
@@ -235,6 +235,7 @@ def _disagree(
     lengths = [np.linalg.norm(jacobian.matrix, axis=0) for jacobian in (one, other)]
     longest = np.maximum(*lengths)
     matters = longest * size > MATTERS * float(np.linalg.norm(state.at.residuals))
+    matters &= ~(one.frozen | other.frozen)
     apart = np.linalg.norm(one.matrix - other.matrix, axis=0)
     return bool(np.any(matters & (apart > 0.5 * longest)))
 

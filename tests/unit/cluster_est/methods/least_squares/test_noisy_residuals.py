@@ -83,3 +83,15 @@ def test_unknowns_without_any_effect_do_not_converge():
     solution = FunctionProblem("dead", residuals, (1.0,), np.nan).solve(LeastSquares())
     assert solution.ending is Ending.NO_EFFECT
     assert not solution.ending.success
+
+
+def test_a_wall_of_failures_is_no_minimum():
+    """Beyond it nothing can be simulated, so one side of the last difference fails."""
+    levels = np.array([4.2, 5.3, 4.6, 3.9, 4.8])
+
+    def residuals(x):
+        return x[0] - levels if x[0] > 4.9 else np.full(5, np.nan)
+
+    solution = FunctionProblem("wall", residuals, (5.1,), np.nan).solve(LeastSquares())
+    assert solution.x[0] == pytest.approx(4.9, abs=1e-6)
+    assert solution.ending is Ending.DERIVATIVES_FAILED
