@@ -18,7 +18,7 @@ from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.residual_diagnostics import diagnose_residuals
 from cluster_est.results.result import Result
-from cluster_est.results.solver_error import measure_solver_error
+from cluster_est.results.solver_error.measure import measure_solver_error
 from cluster_est.running.arguments import (
     check_multistart,
     check_problem,

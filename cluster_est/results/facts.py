@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.residual_sentences import residual_facts, residual_sentences
-from cluster_est.results.solver_error import solver_facts
+from cluster_est.results.solver_error.measure import solver_facts
 
 if TYPE_CHECKING:  # a result offers its facts, so it knows this file
     from cluster_est.results.result import Result

@@ -28,7 +28,7 @@ from cluster_est.results.row_types import (
     StartResult,
 )
 from cluster_est.results.shapes.effect_table import curve_table
-from cluster_est.results.solver_error import SolverError
+from cluster_est.results.solver_error.measure import SolverError
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
 from cluster_est.uncertainty.rows import (

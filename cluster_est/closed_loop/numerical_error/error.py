@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.closed_loop.thresholds import NumericalErrorThresholds
-from cluster_est.results.finer_solver import SolverScale
+from cluster_est.results.solver_error.finer_solver import SolverScale
 from workers.messages import FloatArray
 
 LEAST_ORDER, MOST_ORDER = 1.0, 4.0

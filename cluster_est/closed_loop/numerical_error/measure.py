@@ -16,7 +16,7 @@ from cluster_est.closed_loop.numerical_error.error import (
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.executors import executor_class
-from cluster_est.results.finer_solver import (
+from cluster_est.results.solver_error.finer_solver import (
     SolverScale,
     solver_scale,
     step_never_taken,

@@ -16,7 +16,7 @@ from cluster_est.closed_loop.numerical_error.error import (
 from cluster_est.closed_loop.selection.gates import _failed_gate
 from cluster_est.closed_loop.selection.rounds import RejectionReason
 from cluster_est.closed_loop.thresholds import LoopThresholds
-from cluster_est.results.finer_solver import SolverScale
+from cluster_est.results.solver_error.finer_solver import SolverScale
 
 STEP = SolverScale(Solver("fmu", step=0.1), "the communication step of 0.1 s", step=0.1)
 RTOL = SolverScale(

@@ -14,8 +14,8 @@ from cluster_est.errors import ClusterEstError
 from cluster_est.executors import executor_class
 from cluster_est.methods.base import Solution
 from cluster_est.problem.space import SearchSpace
-from cluster_est.results.finer_solver import SolverScale, solver_scale
 from cluster_est.results.output_errors import Simulation, output_residuals
+from cluster_est.results.solver_error.finer_solver import SolverScale, solver_scale
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
 from workers.messages import Experiment, FloatArray, Output

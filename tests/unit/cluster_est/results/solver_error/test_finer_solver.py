@@ -9,8 +9,8 @@ import pytest
 from support.truth.systems_with_missing_effects import missing_effect_problem
 
 from cluster_est import Solver
-from cluster_est.results.communication_step import communication_step
-from cluster_est.results.finer_solver import (
+from cluster_est.results.solver_error.communication_step import communication_step
+from cluster_est.results.solver_error.finer_solver import (
     solver_scale,
     step_never_taken,
     usual_interval,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.results.communication_step import communication_step
+from cluster_est.results.solver_error.communication_step import communication_step
 from workers.fmu.description import ModelDescription
 from workers.grid import build_grid
 from workers.messages import Experiment, Model, Solver

@@ -1,0 +1,1 @@
+"""The error of the solver's step beside what a fit has left."""
