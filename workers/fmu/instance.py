@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import math
 import os
+import re
 import threading
 from collections import deque
 from collections.abc import Iterator
@@ -199,6 +200,12 @@ class FmuInstance:
         advice = "Check that it runs on this machine and that everything it needs is installed"
         if self._description.offer(self._model.interface).needs_execution_tool:
             advice += f"; it needs {self._description.tool or 'the tool that exported it'} here"
+        lacking = re.search(r"undefined symbol: (fmi\w+)", str(error))
+        if lacking:
+            advice = (
+                f"Its library lacks {lacking[1]}, which the standard demands of every FMU: export "
+                "it with another version of its tool"
+            )
         if any(is_about_licence(line) for line in (*self.log, str(error))):
             advice = "Get the licence that it asks for, or export it without the need of one"
         return f"{self._model.name}: cannot be loaded and instantiated ({error}).{log} {advice}"

@@ -147,6 +147,10 @@ def pop_library(entries: dict[str, bytes]) -> None:
             spoiled_fmu(lambda e: e.update({LIBRARY: random.Random(1).randbytes(9000)})),
             ["x.fmu: cannot be loaded and instantiated", "mass_spring_damper.so"],
         ),
+        (
+            spoiled_fmu(lambda e: e.update({LIBRARY: e[LIBRARY].replace(b"fmi2DeS", b"xmi2DeS")})),
+            ["lacks fmi2DeSerializeFMUstate", "demands of every FMU", "another version"],
+        ),
         (spoiled_fmu(xml={GUID: "{0}"}), ["cannot be loaded and instantiated", "GUID differs"]),
     ],
 )
