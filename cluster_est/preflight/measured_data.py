@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,11 +11,13 @@ import numpy as np
 from cluster_est.config.reader import Config
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.problem.problem import Problem
-from cluster_est.statistics.quantisation import rounding_error
+from cluster_est.statistics.quantisation import quantisation_step
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
 from workers.messages import Experiment, FloatArray
 
+ROUNDING = math.sqrt(12.0)
+"""A step over the standard deviation that rounding to it makes; see `quantisation_step`."""
 GAP = 1.5
 """Sampling intervals of an input from which on it has a gap."""
 
@@ -83,21 +86,21 @@ def _rounded(problem: Problem) -> list[CheckFinding]:
     worst: dict[str, tuple[float, float, Experiment]] = {}
     for each in problem.experiments:
         for output in each.outputs:
-            error = rounding_error(output.values)
-            times = error / output.sigma
+            step = quantisation_step(output.values)
+            times = step / ROUNDING / output.sigma
             # a sigma of 1 is what stands where none is given, and says nothing of the sensor
             if output.sigma != 1.0 and times > worst.get(output.variable, (1.0,))[0]:
-                worst[output.variable] = times, error, each
+                worst[output.variable] = times, step, each
     return [
         CheckFinding(
             CheckVerdict.NOTE,
             f"output {name}",
-            f"its values in experiment {each.id} are whole steps of {error * np.sqrt(12.0):.3g}: "
-            f"rounding alone makes an error of {error:.3g}, {times:.2g} times the sigma that is "
-            "given",
-            f"sigma.{name} = NUMBER, of {error:.3g} or more, or measure with a finer resolution",
+            f"its values in experiment {each.id} are whole steps of {step:.3g}: rounding alone "
+            f"makes an error of {step / ROUNDING:.3g}, {times:.2g} times the sigma that is given",
+            f"sigma.{name} = NUMBER, of {step / ROUNDING:.3g} or more, or measure with a finer "
+            "resolution",
         )
-        for name, (times, error, each) in worst.items()
+        for name, (times, step, each) in worst.items()
     ]
 
 

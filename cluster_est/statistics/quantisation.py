@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from workers.messages import FloatArray
@@ -18,22 +16,6 @@ all come so close to whole numbers with a probability of (2 * 0.01)^4, about 2e-
 REPEATED = 0.5
 """Share of samples that repeat a value beyond which one gap is enough: noise in a double never
 repeats one."""
-
-
-def rounding_error(values: FloatArray) -> float:
-    """Return the standard deviation that rounding to a quantised signal's steps makes: step / √12.
-
-    Parameters
-    ----------
-    values : (n,)
-        Of one sensor, in any order.
-
-    Returns
-    -------
-    float
-        In the unit of `values`; 0 where they have no step. See `quantisation_step`.
-    """
-    return quantisation_step(values) / math.sqrt(12.0)
 
 
 def quantisation_step(values: FloatArray) -> float:

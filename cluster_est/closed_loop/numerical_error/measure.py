@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -15,14 +14,13 @@ from cluster_est.closed_loop.numerical_error.error import (
 )
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.errors import ClusterEstError
-from cluster_est.executors import executor_class
 from cluster_est.results.solver_error.finer_solver import (
     SolverScale,
     solver_scale,
     step_never_taken,
 )
+from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.resources import Resources
-from cluster_est.running.runner import Runner
 from workers.messages import FloatArray, Solver
 
 
@@ -110,20 +108,9 @@ def _residuals(
     workbench: LoopWorkbench, fitted: FittedModel, solver: Solver, resources: Resources
 ) -> FloatArray:
     """The residuals of the training experiments with another solver."""
-    problem = workbench.problem
-    # what a simulation leaves behind must not look like an error of the solver
-    reset = "instance" if problem.model.reset == "auto" else problem.model.reset
-    model = replace(problem.model, solver=solver, reset=reset)
-    runs = tuple(problem.experiments[e] for e in workbench.train)
-    kind = executor_class("processes" if hasattr(os, "fork") else "local")
-    with kind.open(model, runs, 1, None, resources.limits) as pool:
-        outcomes = Runner(pool).simulate(
-            fitted.space.physical(fitted.x),
-            tuple(range(len(runs))),
-            "residuals",
-            "numerical error",
-            fitted.problem.effects,
-        )
+    runs = tuple(workbench.problem.experiments[e] for e in workbench.train)
+    values = fitted.space.physical(fitted.x)
+    outcomes = simulate_with_solver(fitted.problem, runs, values, solver, "residuals", resources)
     workbench.meter.full += len(runs)
     for run, outcome in zip(runs, outcomes, strict=True):
         if not outcome.ok or outcome.residuals is None:

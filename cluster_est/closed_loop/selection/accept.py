@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cluster_est.closed_loop.selection.refinement.first_steps import longest_step
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import enlarged_kind
 from cluster_est.closed_loop.thresholds import AcceptanceThresholds
@@ -124,9 +125,7 @@ def _left_out(fitted: FittedModel, part: IntArray, thresholds: AcceptanceThresho
     if usable.any():
         scaled = matrix[:, usable] / sizes[usable]
         step[usable] = np.linalg.lstsq(scaled, -residuals, rcond=1e-6)[0] / sizes[usable]
-    log = np.array([u.log for u in fitted.space.unknowns], bool)
-    size = np.where(log, 1.0, np.maximum(np.abs(fitted.x), fitted.space.typical))
-    most = thresholds.largest_step * size
+    most = longest_step(fitted.space, fitted.x, thresholds.largest_step)
     step = np.clip(step, -most, most)
     points = [fitted.x + length * step for length in thresholds.step_lengths]
     return np.clip(np.array(points), fitted.space.lower, fitted.space.upper)

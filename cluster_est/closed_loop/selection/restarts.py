@@ -8,6 +8,10 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.selection.accept import stays_bounded
+from cluster_est.closed_loop.selection.refinement.first_steps import (
+    gauss_newton_step,
+    longest_step,
+)
 from cluster_est.closed_loop.selection.refinement.refine import FULL, SHORT
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
@@ -82,13 +86,9 @@ def _adapted(
 ) -> FloatArray:
     """A point, after the Gauss-Newton step of all unknowns that it has in common with the fit."""
     same = point == grown.x
-    matrix = grown.jacobian[:, same]
-    sizes = np.linalg.norm(matrix, axis=0)
-    sizes[~(sizes > 0.0)] = 1.0
-    step = np.linalg.lstsq(matrix / sizes, -residuals, rcond=1e-6)[0] / sizes
-    log = np.array([u.log for u in space.unknowns], bool)[same]
-    typical = np.maximum(np.abs(grown.x), space.typical)[same]
-    most = workbench.thresholds.refinement.largest_step * np.where(log, 1.0, typical)
+    step = gauss_newton_step(grown.jacobian[:, same], residuals)
+    largest = workbench.thresholds.refinement.largest_step
+    most = longest_step(space, grown.x, largest)[same]
     moved = point.copy()
     moved[same] += np.clip(step, -most, most)
     return np.asarray(np.clip(moved, space.lower, space.upper))

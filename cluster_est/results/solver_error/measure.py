@@ -13,12 +13,13 @@ import numpy as np
 from cluster_est.errors import ClusterEstError
 from cluster_est.executors import executor_class
 from cluster_est.methods.base import Solution
+from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace
 from cluster_est.results.output_errors import Simulation, output_residuals
 from cluster_est.results.solver_error.finer_solver import SolverScale, solver_scale
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
-from workers.messages import Experiment, FloatArray, Output
+from workers.messages import Experiment, FloatArray, Outcome, Output, Solver, Want
 
 MOST_EXPERIMENTS = 8
 """That are simulated again; of more, every n-th."""
@@ -81,12 +82,12 @@ class SolverError:
         if not noticed:
             return ()
         worst = max(noticed, key=lambda output: output.over_residual)
-        factor = max(output.over_residual for output in noticed) / NOTICED
+        advice = self.scale.advice(worst.over_residual / NOTICED, 1.0)
         return (
             f"{self.scale.name} is too long: it makes an error in {worst.output} of "
             f"{worst.over_residual:.2g} times what the fit has left there, and of "
             f"{worst.over_spread:.1%} of the signal, which the parameters may have been bent to; "
-            f"set {self.scale.advice(factor, 1.0)} and fit again",
+            f"set {advice} and fit again",
         )
 
 
@@ -138,10 +139,11 @@ def measure_solver_error(
     scale = solver_scale(problem.model, problem.describe(), runs)
     if scale.why_not or scale.fixed or not scale.step:
         return None
-    outcomes = {s.experiment: s for s in simulations}
+    outcomes = {s.experiment: s.outcome for s in simulations}
     usual = [outcomes[space.experiments[p]] for p in positions]
     try:
-        finer = _simulated(space, space.physical(solution.x)[positions], runs, scale, resources)
+        values = space.physical(solution.x)[positions]
+        finer = simulate_with_solver(problem, runs, values, scale.finer(), "trajectory", resources)
     except ClusterEstError:
         return None
     found = [
@@ -151,37 +153,55 @@ def measure_solver_error(
     return SolverError(scale, len(runs), tuple(each for each in found if each is not None))
 
 
-def _simulated(
-    space: SearchSpace,
-    values: FloatArray,
+def simulate_with_solver(
+    problem: Problem,
     runs: tuple[Experiment, ...],
-    scale: SolverScale,
+    values: FloatArray,
+    solver: Solver,
+    want: Want,
     resources: Resources,
-) -> list[Simulation]:
-    """The experiments with half the step, in a process of their own where there are such."""
-    problem = space.problem
+) -> list[Outcome]:
+    """Simulate experiments with another solver, in a process of their own where there are such.
+
+    They are not logged.
+
+    Parameters
+    ----------
+    problem
+        Its model and effects are simulated.
+    runs
+        Of its experiments.
+    values : (runs, parameters)
+        Physical values of the model's parameters.
+    solver, want
+        How, and what for.
+    resources
+        For the limits of a simulation.
+
+    Raises
+    ------
+    ClusterEstError
+        If no process can be started, or the FMU cannot be loaded.
+    """
     # what a simulation leaves behind must not look like an error of the solver
     reset = "instance" if problem.model.reset == "auto" else problem.model.reset
-    model = replace(problem.model, solver=scale.finer(), reset=reset)
+    model = replace(problem.model, solver=solver, reset=reset)
     kind = executor_class("processes" if hasattr(os, "fork") else "local")
-    numbers = tuple(range(len(runs)))
     with kind.open(model, runs, 1, None, resources.limits) as pool:
-        outcomes = Runner(pool).simulate(
-            values, numbers, "trajectory", "numerical error", problem.effects
+        return Runner(pool).simulate(
+            values, tuple(range(len(runs))), want, "numerical error", problem.effects
         )
-    return [Simulation(n, outcome) for n, outcome in zip(numbers, outcomes, strict=True)]
 
 
 def _of_output(
-    name: str, runs: Sequence[Experiment], usual: Sequence[Simulation], finer: Sequence[Simulation]
+    name: str, runs: Sequence[Experiment], usual: Sequence[Outcome], finer: Sequence[Outcome]
 ) -> OutputSolverError | None:
     """The error of one output; None where it could not be simulated."""
     errors, residuals, values, given = [], [], [], []
     for run, before, after in zip(runs, usual, finer, strict=True):
         for output in run.outputs:
             if output.variable == name:
-                coarse = output_residuals(output, before.outcome)
-                fine = output_residuals(output, after.outcome)
+                coarse, fine = (output_residuals(output, each) for each in (before, after))
                 if coarse is None or fine is None or not len(coarse):
                     continue
                 errors.append(2.0 * (coarse - fine))

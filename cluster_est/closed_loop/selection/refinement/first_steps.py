@@ -84,9 +84,7 @@ class _AskedStep:
     ) -> FloatArray:
         """The point that a part of the step leads to, in the extended space."""
         known, space = len(current.x), self.space
-        log = np.array([u.log for u in current.space.unknowns], bool)
-        sizes = np.where(log, 1.0, np.maximum(np.abs(current.x), current.space.typical))
-        most = thresholds.largest_step * sizes
+        most = longest_step(current.space, current.x, thresholds.largest_step)
         moved = current.x + np.clip(length * self.step, -most, most)
         point = np.concatenate([moved, space.start[known:]])
         for i, unknown in enumerate(space.unknowns[known:], known):
@@ -160,14 +158,45 @@ def joint_step(
             residuals = residuals + column[:, 0]
     own = [column if free else column[:, :0] for column, free in zip(columns, scaled, strict=True)]
     joined = np.hstack([matrix, *own])
-    sizes = np.linalg.norm(joined, axis=0)
-    sizes[~(sizes > 0.0)] = 1.0
-    solved = np.linalg.lstsq(joined / sizes, -residuals, rcond=1e-6)[0] / sizes
+    solved = gauss_newton_step(joined, residuals)
     after = residuals + joined @ solved
     before = float(np.add.reduce(current.residuals[ranking.rows] ** 2))
     left = float(np.add.reduce(after**2)) / max(before, 1e-300)
     ends = np.cumsum([matrix.shape[1], *(part.shape[1] for part in own)])
     return solved[: ends[0]], [solved[a:b] for a, b in pairwise(ends)], left
+
+
+def gauss_newton_step(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Return the step that minimises the linear model of the residuals, whatever the units.
+
+    Parameters
+    ----------
+    jacobian : (N, unknowns)
+    residuals : (N,)
+
+    Returns
+    -------
+    (unknowns,)
+        Zero for an unknown without effect.
+    """
+    sizes = np.linalg.norm(jacobian, axis=0)
+    sizes[~(sizes > 0.0)] = 1.0
+    step: FloatArray = np.linalg.lstsq(jacobian / sizes, -residuals, rcond=1e-6)[0] / sizes
+    return step
+
+
+def longest_step(space: SearchSpace, x: FloatArray, largest: float) -> FloatArray:
+    """Return how far each unknown may be moved from a point at once, in search coordinates.
+
+    Parameters
+    ----------
+    space, x
+        The unknowns, and where they stand: (unknowns,).
+    largest
+        Of a parameter: in logarithms, or as a share of its value.
+    """
+    log = np.array([u.log for u in space.unknowns], bool)
+    return largest * np.where(log, 1.0, np.maximum(np.abs(x), space.typical))
 
 
 def is_proportional(trial: CandidatePoint) -> bool:

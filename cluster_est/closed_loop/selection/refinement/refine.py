@@ -13,7 +13,11 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
-from cluster_est.closed_loop.selection.refinement.first_steps import FirstStep, first_steps
+from cluster_est.closed_loop.selection.refinement.first_steps import (
+    FirstStep,
+    first_steps,
+    gauss_newton_step,
+)
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.thresholds import RefinementThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
@@ -164,9 +168,7 @@ def _may_reach(workbench: LoopWorkbench, fitted: FittedModel, most: float) -> bo
     iterations the rest of a fit brings little more than that, so some times as much is allowed.
     """
     reached = fitted.criterion(workbench.records)
-    sizes = np.linalg.norm(fitted.jacobian, axis=0)
-    sizes[~(sizes > 0.0)] = 1.0
-    step = np.linalg.lstsq(fitted.jacobian / sizes, -fitted.residuals, rcond=1e-6)[0] / sizes
+    step = gauss_newton_step(fitted.jacobian, fitted.residuals)
     ahead = replace(fitted, residuals=fitted.residuals + fitted.jacobian @ step)
     fall = reached - ahead.criterion(workbench.records)
     return reached - workbench.thresholds.refinement.linear_promise * fall <= most
