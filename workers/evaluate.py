@@ -190,6 +190,7 @@ class _BatchEvaluation:
             trajectory,
             linearisation=self.result.linearisations.get(p),
             constraints=self.comparison.constraints[p],
+            steps=int(self.result.steps[p]),
         )
 
     def _failure(self, p: int) -> tuple[Status, str] | None:

@@ -74,7 +74,7 @@ class OutcomeColumns:
 
     Attributes
     ----------
-    ids, lengths, seconds : (n,)
+    ids, lengths, seconds, steps : (n,)
         Of each outcome; a length of -1 stands for no residuals.
     residuals
         Those of all outcomes, one after the other.
@@ -90,6 +90,7 @@ class OutcomeColumns:
     lengths: IntArray
     residuals: FloatArray
     seconds: FloatArray
+    steps: IntArray
     failures: dict[int, tuple[Status, str]]
     trajectories: dict[int, Trajectory]
     linearisations: dict[int, Linearisation]
@@ -109,6 +110,7 @@ class OutcomeColumns:
             ),
             residuals=np.concatenate([np.zeros(0), *kept]),
             seconds=np.array([o.seconds for o in outcomes]),
+            steps=np.array([o.steps for o in outcomes], np.int64),
             failures={i: (o.status, o.message) for i, o in pairs if o.message or not o.ok},
             trajectories={i: o.trajectory for i, o in pairs if o.trajectory is not None},
             linearisations={i: o.linearisation for i, o in pairs if o.linearisation is not None},
@@ -121,10 +123,15 @@ class OutcomeColumns:
         """Unpack; the residuals are views of one array."""
         ends = np.cumsum(np.maximum(self.lengths, 0)).tolist()
         columns = zip(
-            self.ids.tolist(), self.lengths.tolist(), ends, self.seconds.tolist(), strict=True
+            self.ids.tolist(),
+            self.lengths.tolist(),
+            ends,
+            self.seconds.tolist(),
+            self.steps.tolist(),
+            strict=True,
         )
         found = []
-        for i, (task, length, end, seconds) in enumerate(columns):
+        for i, (task, length, end, seconds, steps) in enumerate(columns):
             status, message = self.failures.get(i, (Status.OK, ""))
             residuals = None if length < 0 else self.residuals[end - length : end]
             trajectory = self.trajectories.get(i)
@@ -140,6 +147,7 @@ class OutcomeColumns:
                     self.linearisations.get(i),
                     self.constraints.get(i, np.zeros(0)),
                     self.sensitivities.get(i),
+                    steps,
                 )
             )
         return found

@@ -24,6 +24,7 @@ from cluster_est.closed_loop.findings.effect_curves import effect_curves
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.residual_noise import believed_noise, residual_noise
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
+from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.findings.unused_columns import varying_columns
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
@@ -116,7 +117,8 @@ def run_loop(request: LoopRequest) -> LoopResult:
             judged = judge(workbench, found)
         report = _report(workbench, found, judged, begin)
     seconds = time.monotonic() - begin
-    return replace(report, notes=(*error.notes, *report.notes), seconds=seconds)
+    notes = (*error.notes, *report.notes, *dear_structures(found.path))
+    return replace(report, notes=notes, seconds=seconds)
 
 
 def _noise(workbench: LoopWorkbench, base: FittedModel) -> FloatArray:

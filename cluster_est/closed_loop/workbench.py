@@ -41,6 +41,9 @@ class FittedModel:
         The effects that the loop has added, in order.
     converged
         The fit has ended by its tolerances.
+    steps
+        Steps of the solver in one simulation of every training experiment; 0 where they are not
+        counted.
     """
 
     space: SearchSpace = field(repr=False)
@@ -49,6 +52,7 @@ class FittedModel:
     jacobian: FloatArray = field(repr=False)
     added: tuple[EffectCandidate, ...] = ()
     converged: bool = False
+    steps: int = 0
 
     @property
     def problem(self) -> Problem:
@@ -258,9 +262,17 @@ class LoopWorkbench:
             if found.at is None or found.jacobian is None or not found.at.ok:
                 fitted.append(None)
                 continue
-            residuals = found.at.residuals
-            done = found.ending is Ending.CONVERGED
-            fitted.append(FittedModel(space, found.x, residuals, found.jacobian, start.added, done))
+            fitted.append(
+                FittedModel(
+                    space,
+                    found.x,
+                    found.at.residuals,
+                    found.jacobian,
+                    start.added,
+                    found.ending is Ending.CONVERGED,
+                    found.at.steps,
+                )
+            )
         return fitted
 
     def evaluate(

@@ -157,6 +157,11 @@ class Evaluation:
         return [slice(a, b) for a, b in pairwise(ends)]
 
     @property
+    def steps(self) -> int:
+        """Steps that the solver made in all simulations; 0 where a solver does not count them."""
+        return sum(outcome.steps for outcome in self.outcomes)
+
+    @property
     def reason(self) -> str:
         """The status and message of the first simulation that failed; "" if none did."""
         failed = [outcome for outcome in self.outcomes if not outcome.ok]

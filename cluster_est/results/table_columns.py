@@ -402,6 +402,12 @@ TABLES = (
                 "",
                 "whether it passed every gate, or came from such a one by revision",
             ),
+            ColumnDescription(
+                "relative_steps",
+                NUMBER,
+                "",
+                "steps of the solver over those of the declared model, for one simulation of all",
+            ),
         ),
     ),
     TableMeaning(

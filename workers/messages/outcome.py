@@ -111,6 +111,8 @@ class Outcome:
         the model cannot give them: the simulation itself may be OK then.
     seconds
         What this simulation cost: its share of the batch that it ran in.
+    steps
+        Steps of the solver: the same on every machine, however busy; 0 where it is not known.
     worker
         Who ran it.
     """
@@ -125,6 +127,7 @@ class Outcome:
     linearisation: Linearisation | None = None
     constraints: FloatArray = field(default_factory=lambda: np.zeros(0))
     sensitivities: FloatArray | None = None
+    steps: int = 0
 
     @property
     def ok(self) -> bool:

@@ -9,11 +9,12 @@ import numpy as np
 
 from workers.messages.types import IntArray
 
-CALLED, SIMULATIONS, RUNNING = range(3)
+CALLED, SIMULATIONS, RUNNING, STEPS = range(4)
 """Whether the FMU was told where it is, or to make a step, since somebody looked; how many
-simulations have begun; and whether one of them is under way."""
+simulations have begun; whether one of them is under way; and the steps of the solver in the last
+one that reached its end."""
 
 
 def no_watcher() -> IntArray:
     """Progress that nobody looks at."""
-    return np.zeros(3, np.int64)
+    return np.zeros(4, np.int64)

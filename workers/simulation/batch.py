@@ -20,6 +20,8 @@ class SimulationBatch:
         Empty where a simulation reached its end, else a sentence.
     codes : (points,)
         See `workers.kernels.fmi.failure`.
+    steps : (points,)
+        Steps of the solver; 0 where that is not known.
     linearisations
         By point, where that was asked for and the simulation reached its end.
     sensitivities
@@ -30,6 +32,7 @@ class SimulationBatch:
     outputs: FloatArray
     messages: list[str]
     codes: IntArray
+    steps: IntArray
     linearisations: dict[int, Linearisation] = field(default_factory=dict)
     sensitivities: dict[int, FloatArray] = field(default_factory=dict)
 
@@ -37,5 +40,8 @@ class SimulationBatch:
     def empty(cls, points: int, times: int, outputs: int) -> SimulationBatch:
         """Make one of which nothing is simulated yet."""
         return cls(
-            np.full((points, times, outputs), np.nan), [""] * points, np.zeros(points, np.int64)
+            np.full((points, times, outputs), np.nan),
+            [""] * points,
+            np.zeros(points, np.int64),
+            np.zeros(points, np.int64),
         )

@@ -111,6 +111,7 @@ class _BatchRun:
             self.result.outputs[points],
             self.result.codes[points],
             self.stopped_at[points],
+            self.result.steps[points],
         )
 
 

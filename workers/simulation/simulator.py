@@ -119,6 +119,7 @@ class Simulator:
         for rows, active in self._bindings.groups(effects, coefficients):
             run = self._run_with_effects(experiment, values[rows], coefficients[rows], active)
             batch.outputs[rows], batch.codes[rows] = run.outputs, run.codes
+            batch.steps[rows] = run.steps
             for row, message in zip(rows.tolist(), run.messages, strict=True):
                 batch.messages[row] = message
         return batch
@@ -179,6 +180,7 @@ class Simulator:
                 run = self.run(experiment, point[None], effects)
                 run.messages[0] = run.messages[0] or f"no sensitivities: {reason}"
             batch.outputs[p], batch.codes[p] = run.outputs[0], run.codes[0]
+            batch.steps[p] = run.steps[0]
             batch.messages[p] = run.messages[0]
             if run.sensitivities:
                 batch.sensitivities[p] = run.sensitivities[0]
@@ -291,7 +293,7 @@ class Simulator:
                 bound_effects.apply_to_outputs(bound.grid, outputs, coefficients[chunk][p])
             kept = np.searchsorted(bound.grid.times, without_effects.grid.times)
             batch.outputs[chunk] = run.outputs[:, kept, : len(without_effects.outputs)]
-            batch.codes[chunk] = run.codes
+            batch.codes[chunk], batch.steps[chunk] = run.codes, run.steps
             batch.messages[chunk] = run.messages
         return batch
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, RoundEnd
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 
@@ -46,4 +48,5 @@ def compared_structure(
         closed=(base.sse - fitted.sse) / max(base.sse - floor, 1e-300),
         converged=True,
         accepted=True,
+        relative_steps=fitted.steps / base.steps if base.steps and fitted.steps else np.nan,
     )

@@ -113,6 +113,8 @@ class ComparedStructure:
         It was refitted to convergence; the others fell behind before.
     accepted
         It passed every gate, or is what revision made of one that did.
+    relative_steps
+        Steps of the solver over those of the declared model; NaN where they are not counted.
     """
 
     step: int
@@ -121,6 +123,7 @@ class ComparedStructure:
     closed: float
     converged: bool
     accepted: bool
+    relative_steps: float = np.nan
 
 
 @dataclass(frozen=True)

@@ -172,6 +172,29 @@ class TestEverySolver:
         assert outcome.status is Status.SOLVER_FAILURE
         assert outcome.message.startswith("the limit on the number of steps was reached at t = ")
 
+    def test_the_steps_of_a_solver_are_counted_for_each_point(self, solver: str) -> None:
+        """By itself or among others, and not those of a simulation that failed before."""
+        together = ask(evaluator(solver), [(0, POINTS[i]) for i in (0, 1, 6)])
+        alone = [ask(evaluator(solver), [(0, POINTS[i])])[0] for i in (0, 6)]
+        assert [together[0].steps, together[2].steps] == [each.steps for each in alone]
+        assert all(each.steps > 0 for each in alone)
+        assert together[1].ok or together[1].steps == 0
+
+
+def test_equal_steps_are_as_many_as_fit() -> None:
+    (outcome,) = ask(evaluator("rk4"), [(0, POINTS[0])])
+    run = EXPERIMENTS[0]
+    ends = [run.start, run.stop]
+    times = np.unique(np.concatenate([ends, run.outputs[0].times, *(i.times for i in run.inputs)]))
+    gaps = np.diff(times[(times >= run.start) & (times <= run.stop)])
+    assert outcome.steps == sum(int(np.ceil(gap / 0.02 - 1e-9)) for gap in gaps)
+
+
+@pytest.mark.parametrize("solver", ["dormand_prince", "cvode"])
+def test_a_stiffer_spring_takes_more_steps(solver: str) -> None:
+    soft, stiff = ask(evaluator(solver), [(0, np.array([1.0, 25.0])), (0, np.array([1.0, 1e6]))])
+    assert stiff.steps > 5 * soft.steps
+
 
 @pytest.mark.parametrize("solver", ["dormand_prince", "cvode"])
 def test_a_tolerance_that_vanishes_is_no_division_by_zero(solver):

@@ -50,6 +50,7 @@ def outcomes() -> list[Outcome]:
     return [
         Outcome(7, Status.OK, np.arange(3.0), seconds=0.5, worker="w"),
         Outcome(3, Status.OK, np.arange(2.0), worker="w", linearisation=linearisation(0)),
+        Outcome(10, Status.OK, np.arange(2.0), worker="w", steps=149),
         Outcome(4, Status.NOT_FINITE, message="too large", worker="w"),
         Outcome(5, Status.OK, np.zeros(0), trajectory, worker="w"),
         Outcome(6, Status.OK, np.arange(4.0), worker="w", linearisation=linearisation(1)),

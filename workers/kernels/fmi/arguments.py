@@ -17,7 +17,7 @@ from workers.messages import FloatArray, IntArray
 
 
 class KernelArguments(NamedTuple):
-    """The arguments of a loop, in its order; the last three are what it fills.
+    """The arguments of a loop, in its order; the last four are what it fills.
 
     Attributes
     ----------
@@ -37,6 +37,8 @@ class KernelArguments(NamedTuple):
         The outputs at each time of the grid.
     codes, stopped_at : (p,)
         0, or what went wrong (see `workers.kernels.fmi.failure`), and the time of it.
+    steps : (p,)
+        Of the solver, where a simulation reaches its end.
     """
 
     c: FmiComponent
@@ -50,3 +52,4 @@ class KernelArguments(NamedTuple):
     outputs: FloatArray
     codes: IntArray
     stopped_at: FloatArray
+    steps: IntArray

@@ -8,7 +8,7 @@ simulations a quarter longer.
 from __future__ import annotations
 
 from workers.kernels.fmi.compiling import inlined
-from workers.messages.progress import CALLED, RUNNING, SIMULATIONS
+from workers.messages.progress import CALLED, RUNNING, SIMULATIONS, STEPS
 
 
 @inlined
@@ -22,3 +22,9 @@ def count_simulation(work):  # type: ignore[no-untyped-def]
     """Count a simulation that begins; the caller of the loop says when the last one has ended."""
     work.progress[SIMULATIONS] += 1
     work.progress[RUNNING] = 1
+
+
+@inlined
+def note_steps(work, steps):  # type: ignore[no-untyped-def]
+    """Note how many steps the solver has made in a simulation, at its end."""
+    work.progress[STEPS] = steps

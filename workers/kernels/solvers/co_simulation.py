@@ -30,14 +30,15 @@ from workers.kernels.fmi.hooks import (
 )
 from workers.kernels.fmi.initialise import initialise, n_steps
 from workers.kernels.fmi.own_states import substep_count
-from workers.kernels.fmi.progress import note_call
+from workers.kernels.fmi.progress import note_call, note_steps
 from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD, get_values, set_reals, set_values
+from workers.messages.progress import STEPS
 
 
 @kernel
 def co_simulate_batch(  # type: ignore[no-untyped-def]
-    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at
+    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at, steps
 ):
     """Simulate one experiment for many points.
 
@@ -51,6 +52,8 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
         Filled with the outputs at each time of the grid.
     codes, stopped_at : (p,)
         Filled with 0, or what went wrong (see `workers.kernels.fmi.failure`), and the time of it.
+    steps : (p,)
+        Filled with the number of steps, where a simulation reaches its end.
 
     Returns
     -------
@@ -66,6 +69,7 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
         codes[p], stopped_at[p] = _co_simulate(
             c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
         )
+        steps[p] = work.progress[STEPS]
         if codes[p] != FINISHED:
             return p + 1
     return len(points)
@@ -111,6 +115,7 @@ def _step_through_grid(c, references, settings, grid, work, outputs):  # type: i
             return failed_step(status), times[i]
         if has_terminated(c, work.info):
             return TERMINATED, _termination_time(c, times[i], work)
+    note_steps(work, settings.max_steps - steps_left)
     return FINISHED, times[-1]
 
 
@@ -137,6 +142,7 @@ def _step_through_grid_with_effects(c, references, settings, hooks, grid, work, 
             return failed_step(status), times[i]
         if has_terminated(c, work.info):
             return TERMINATED, _termination_time(c, times[i], work)
+    note_steps(work, settings.max_steps - steps_left)
     return FINISHED, times[-1]
 
 

@@ -20,6 +20,7 @@ from workers.kernels.fmi.failure import (
     failed,
 )
 from workers.kernels.fmi.hooks import select_point
+from workers.kernels.fmi.progress import note_steps
 from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD
 from workers.kernels.model_exchange.evaluation import record_outputs
@@ -43,6 +44,7 @@ from workers.kernels.solvers.sundials import (
     libraries,
 )
 from workers.messages import FloatArray
+from workers.messages.progress import STEPS
 
 OTHER_RIGHT_HAND_SIDE = -1
 """Returned by the loop if the integrator was made with another right-hand side than its own."""
@@ -96,7 +98,7 @@ class CvodeBatch:
 @kernel
 def _cvode_batch(  # type: ignore[no-untyped-def]
     s, c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at,
-    states_out,
+    steps, states_out,
 ):  # fmt: skip
     s, c, references, starts, settings, hooks, grid, work = by_reference(
         (s, c, references, starts, settings, hooks, grid, work)
@@ -121,6 +123,7 @@ def _cvode_batch(  # type: ignore[no-untyped-def]
         codes[p], stopped_at[p] = _simulate(
             s, c, references, starts, settings, hooks, grid, points[p], work, outputs[p], states_out
         )
+        steps[p] = work.progress[STEPS]
         if codes[p] != FINISHED:
             return p + 1
     return len(points)
@@ -148,4 +151,5 @@ def _simulate(s, c, references, starts, settings, hooks, grid, point, work, outp
             if i == s.flags[NEXT_STOP]:
                 set_next_stop(s, settings, grid, i, work)
             code = advance_to(s, c, references, settings, hooks, grid, i + 1, work)
+    note_steps(work, settings.max_steps - s.flags[STEPS_LEFT])
     return code, s.time[0]

@@ -28,6 +28,7 @@ from workers.kernels.fmi.failure import (
     failed,
 )
 from workers.kernels.fmi.hooks import select_point
+from workers.kernels.fmi.progress import note_steps
 from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD, ERROR
 from workers.kernels.model_exchange.evaluation import (
@@ -47,6 +48,7 @@ from workers.kernels.model_exchange.solver_steps import (
     handle_input_jump,
     start_simulation,
 )
+from workers.messages.progress import STEPS
 
 # c, a and b - b^ of the Butcher tableau; the last row of a is b.
 NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
@@ -82,7 +84,7 @@ SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 
 @kernel
 def dormand_prince_batch(  # type: ignore[no-untyped-def]
-    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at
+    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at, steps
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     c, references, starts, settings, hooks, grid, work = by_reference(
@@ -93,6 +95,7 @@ def dormand_prince_batch(  # type: ignore[no-untyped-def]
         codes[p], stopped_at[p] = _simulate(
             c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
         )
+        steps[p] = work.progress[STEPS]
         if codes[p] != FINISHED:
             return p + 1
     return len(points)
@@ -115,6 +118,7 @@ def _simulate(c, references, starts, settings, hooks, grid, point, work, outputs
             code, time, proposed, steps_left = adaptive_steps(
                 c, references, settings, hooks, grid, i, time, proposed, steps_left, work
             )
+    note_steps(work, settings.max_steps - steps_left)
     return code, time
 
 

@@ -23,6 +23,7 @@ from workers.kernels.fmi.failure import (
 )
 from workers.kernels.fmi.hooks import select_point
 from workers.kernels.fmi.initialise import n_steps
+from workers.kernels.fmi.progress import note_steps
 from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD
 from workers.kernels.model_exchange.evaluation import (
@@ -43,6 +44,7 @@ from workers.kernels.model_exchange.solver_steps import (
     handle_input_jump,
     start_simulation,
 )
+from workers.messages.progress import STEPS
 
 INTERPOLANT = np.array(
     [[1.0, -3 / 2, 2 / 3], [0.0, 1.0, -2 / 3], [0.0, 1.0, -2 / 3], [0.0, -1 / 2, 2 / 3]]
@@ -53,7 +55,7 @@ E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 
 
 @kernel
 def rk4_batch(  # type: ignore[no-untyped-def]
-    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at
+    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at, steps
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     c, references, starts, settings, hooks, grid, work = by_reference(
@@ -64,6 +66,7 @@ def rk4_batch(  # type: ignore[no-untyped-def]
         codes[p], stopped_at[p] = _simulate(
             c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
         )
+        steps[p] = work.progress[STEPS]
         if codes[p] != FINISHED:
             return p + 1
     return len(points)
@@ -86,6 +89,7 @@ def _simulate(c, references, starts, settings, hooks, grid, point, work, outputs
             code, time, steps_left = equal_steps(
                 c, references, settings, hooks, grid, i, time, steps_left, work
             )
+    note_steps(work, settings.max_steps - steps_left)
     return code, time
 
 
