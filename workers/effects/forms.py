@@ -101,6 +101,13 @@ _WAVES = tuple(0.5 * halves for halves in range(3, 33))
 _BEYOND = _shape("at", "v", GridScale.MAX_V, 0.35, 0.55, 0.75)
 _HALF = _shape("half", "v", GridScale.MAX_V, 0.1, 0.3, 1.0)
 """Where half of the limit is reached, as in the law of Michaelis and Menten."""
+_REFERENCE = FormCoefficient(
+    "ref", None, positive=True, scale=GridScale.MAX_V, grid=(1.0,), held=True, unit="v"
+)
+"""Of a power law: there it is as large as its strength, whatever its exponent."""
+_EXPONENT = _shape("n", "1", GridScale.EXPONENT, 0.7, 1.5, 2.5, 4.5)
+"""Beside those of the square root, the line, the square and the cube, which have forms of their
+own."""
 _LATE = FormCoefficient(
     "tau", positive=True, scale=GridScale.STEP, grid=(1.0, 4.0, 12.0), unit="second"
 )
@@ -181,6 +188,8 @@ _RATES = (
          (_drag("site / v^2", if_own=True),), 1, when=_OSCILLATES),
     EffectForm("cubic", "drag", _DER, "-k * v^3", (_drag("site / v^3", if_own=True),), 1,
          order=0.5),
+    EffectForm("power", "drag", _DER, "-k * sign(v) * (abs(v) / ref)^n",
+         (_drag("site", if_own=True), _EXPONENT, _REFERENCE), 1, order=1.0),
     EffectForm("coulomb", "friction", _DER, "-k * tanh(v / width)",
          (_drag("site"), _WIDTH), 1, when=_OWN_OSCILLATES),
     EffectForm("stribeck", "friction", _DER, "-(k + peak * exp(-(v / vs)^2)) * tanh(v / width)",
@@ -225,6 +234,8 @@ _RATES = (
     _between("linear", "coupling", "v", " / v", when=(), order=0.3),
     _between("quadratic", "drag", "v * abs(v)", " / v^2"),
     _between("cubic", "drag", "v^3", " / v^3", when=(), order=0.5),
+    _between("power", "drag", "sign(v) * (abs(v) / ref)^n", "", _EXPONENT, _REFERENCE,
+             when=(), order=1.0),
     _between("coulomb", "friction", "tanh(v / width)", "", _WIDTH),
     _between("overflow", "leak", "max(v - at, 0)", " / v",
              _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9),
@@ -237,8 +248,8 @@ _RATES = (
 )  # fmt: skip
 
 _AS_FORCES = (
-    "periodic", "viscous", "quadratic", "coulomb", "stribeck", "asymmetric_coulomb", "dahl",
-    "linear", "hinge", "hinge_below", "gap", "signed_root", "table",
+    "periodic", "viscous", "quadratic", "power", "coulomb", "stribeck", "asymmetric_coulomb",
+    "dahl", "linear", "hinge", "hinge_below", "gap", "signed_root", "table",
 )  # fmt: skip
 
 
@@ -263,6 +274,11 @@ _SIGNALS = (
     EffectForm("gain", "gain", _SIGNAL, "s * (1 + k)", (_k("1"),)),
     EffectForm("square", "nonlinearity", _SIGNAL, "s + k * s^2", (_k("1 / site"),), order=0.5),
     EffectForm("cubic", "nonlinearity", _SIGNAL, "s + k * s^3", (_k("1 / site^2"),), order=0.5),
+    EffectForm("power_characteristic", "nonlinearity", _SIGNAL, "sign(s) * ref * (abs(s) / ref)^n",
+         (FormCoefficient("n", 1.0, positive=True, scale=GridScale.EXPONENT, grid=(0.7, 1.5, 2.5),
+                          unit="1"),
+          FormCoefficient("ref", None, positive=True, scale=GridScale.MAX_S, grid=(1.0,),
+                          held=True, unit="site")), order=1.0),
     EffectForm("asymmetry", "nonlinearity", _IN, "s + k * max(s, 0)", (_k("1"),),
          when=_OSCILLATES),
     EffectForm("dead_zone", "nonlinearity", _IN, "where(abs(s) > k, s - k * sign(s), 0)",
@@ -314,6 +330,12 @@ _VARIATIONS = (
          (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V)), 1, order=1.0),
     EffectForm("saturating", "variation", _PAR, "s * (1 - k * abs(v) / (half + abs(v)))",
          (_k("1"), _HALF), 1, when=(FormCondition.POSITIVE,), order=1.5),
+    EffectForm("power", "variation", _PAR, "s * (abs(v) / at)^n",
+         (FormCoefficient("n", scale=GridScale.EXPONENT, grid=(-0.5, 0.5), unit="1"),
+          _centre("v", GridScale.MEAN_ABSOLUTE_V)), 1, when=(FormCondition.POSITIVE,), order=1.2),
+    EffectForm("exponential", "variation", _PAR, "s * exp(k * (v - at))",
+         (FormCoefficient("k", scale=GridScale.PER_SPREAD_V, grid=(-0.5, 0.5), unit="1 / v"),
+          _centre("v", GridScale.MEAN_V)), 1, order=1.2),
     EffectForm("heating", "variation", _PAR, "s * (1 + k * (z - at))",
          (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V), _tau(20.0, 80.0)), 1,
          (OwnState("z", "(v^2 - z) / tau", "0"),), order=1.0),

@@ -48,6 +48,10 @@ class GridScale(enum.Enum):
     """The sampling interval."""
     MIDDLE_T = "middle t"
     """The middle of the experiment."""
+    EXPONENT = "exponent"
+    """Entries are exponents of a power law, whatever the data are."""
+    PER_SPREAD_V = "1 / spread v"
+    """Multiples of 1 over the standard deviation of v."""
     SPECTRUM = "spectrum"
     """Angular frequency of a peak in the residual's spectrum."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -51,6 +51,9 @@ class OpenArguments:
         that changes along the data.
     speeds
         For each state that is the integral of another one, that one.
+    surroundings
+        For each state the inputs of its unit that act on its derivative: an ambient temperature, a
+        road, a pressure outside. What goes over to them is a function of the difference.
     """
 
     states: tuple[str, ...]
@@ -59,6 +62,7 @@ class OpenArguments:
     units: Mapping[str, str]
     pushed: Mapping[str, Mapping[str, int]]
     speeds: Mapping[str, str]
+    surroundings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def at(self, site: EffectSite) -> list[str]:
         """Return the arguments of functions of one variable at a site.
@@ -73,7 +77,15 @@ class OpenArguments:
             others = [name for name in self.states if name not in site.targets]
             return [site.targets[0], *differences, *others]
         names = [*self.states, *self.driven, *(self.outputs if site.kind == "output" else ())]
+        if site.kind == "derivative":
+            around = self.surroundings.get(site.target, ())
+            return [*names, *(f"{site.target} - {name}" for name in around)]
+        if site.kind == "parameter":
+            return [*names, *self._to_surroundings()]
         return [n for n in names if site.kind not in ("input", "output") or n != site.target]
+
+    def _to_surroundings(self) -> list[str]:
+        return [f"{x} - {u}" for x, inputs in self.surroundings.items() for u in inputs]
 
     @cached_property
     def differences(self) -> int:
@@ -119,14 +131,37 @@ def open_arguments(
     signals = [{s.variable for s in e.signals} for e in problem.experiments]
     lacking = {n for own in signals for n in own if not all(n in others for others in signals)}
     names = trajectories[0].names
+    units = {name: description.variables[name].unit for name in states}
+    pushed = _pushed(trajectories, states)
     return OpenArguments(
         states=states,
         driven=tuple(n for n in common if n not in (*states, *names, *lacking)),
         outputs=tuple(n for n in names if n in common and n not in states),
-        units={name: description.variables[name].unit for name in states},
-        pushed=_pushed(trajectories, states),
+        units=units,
+        pushed=pushed,
         speeds={x: v for x, (v, _) in integrated_states(trajectories).items()},
+        surroundings=_surroundings(description, units, pushed, common),
     )
+
+
+def _surroundings(
+    description: ModelDescription,
+    units: Mapping[str, str],
+    pushed: Mapping[str, Mapping[str, int]],
+    known: Collection[str],
+) -> dict[str, tuple[str, ...]]:
+    """For each state the inputs of its unit that act on it; none where it has no unit."""
+    found: dict[str, tuple[str, ...]] = {}
+    for state, unit in units.items():
+        own = [
+            name
+            for name, states in pushed.items()
+            if unit and name in known and state in states and state != name
+            if description.variables[name].unit == unit
+        ]
+        if own:
+            found[state] = tuple(own)
+    return found
 
 
 def _pushed(
@@ -171,4 +206,5 @@ def variables_of(
     names = arguments.at(site) if leading is None else [n for n in leading if n != TIME]
     if form.variables == 1:
         return [(name,) for name in names if arguments.takes(form, site, name)]
-    return list(itertools.combinations(names, 2))
+    single = [name for name in names if " - " not in name or name in arguments.states]
+    return list(itertools.combinations(single, 2))

@@ -32,6 +32,8 @@ class Law(enum.Enum):
     FOURTH = "of the fourth power"
     ROOT = "a square root"
     ODD_ROOT = "a square root with the sign"
+    POWER = "a power law"
+    EXPONENTIAL = "exponential"
     SWITCH = "a switch with the sign"
     SWITCH_WITH_PEAK = "a switch with the sign and a peak near zero"
     TWO_SWITCHES = "a switch with the sign, of two levels"
@@ -78,6 +80,8 @@ def law_of(form: EffectForm) -> Law:
     elif form.kinds[0] in ("input", "output"):
         term = sp.expand(term - s)
     ones = {symbols[c.name]: sp.Integer(1) for c in form.coefficients}
+    if _has_free_exponent(term, set(ones)):
+        return Law.POWER
     if form.states:
         return _with_state(form, term.subs(ones), symbols, where)
     if term.has(t):
@@ -89,6 +93,12 @@ def law_of(form: EffectForm) -> Law:
         both = v * w if form.variables == 2 else v * s
         return Law.PRODUCT if sp.simplify(term / both).is_number else Law.OTHER
     return _in_one(term, v if term.has(v) else s)
+
+
+def _has_free_exponent(term: sp.Expr, coefficients: set[sp.Symbol]) -> bool:
+    """Return whether a power of something has a coefficient as its exponent."""
+    powers = term.atoms(sp.Pow)
+    return any(p.exp.free_symbols & coefficients and not p.base.is_number for p in powers)
 
 
 def _with_state(form: EffectForm, term: sp.Expr, symbols: dict[str, sp.Symbol], where: str) -> Law:
@@ -118,6 +128,9 @@ def _in_one(term: sp.Expr, over: sp.Symbol) -> Law:
         with np.errstate(all="ignore"):
             return float(compiled(np.float64(x)))
 
+    if term.has(sp.exp) and not term.has(sp.tanh):
+        slope = sp.simplify(sp.diff(sp.log(sp.Abs(term + 1)), over))
+        return Law.OTHER if slope.has(over) else Law.EXPONENTIAL
     if term.has(sp.tanh):
         if value(20.0) != value(40.0):
             return Law.OTHER

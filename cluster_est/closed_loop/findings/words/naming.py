@@ -163,7 +163,8 @@ def _own(candidate: EffectCandidate, law: Law, variables: tuple[str, ...], way: 
     if site.kind == "pair":
         spill = law is Law.ABOVE and variables[0] == site.target
         return spill or variables[0] == " - ".join(site.targets)
-    return site.kind == "derivative" and variables[0] == site.target
+    own = (site.target, f"{site.target} - ")  # itself, or over what is around it
+    return site.kind == "derivative" and (variables[0] == own[0] or variables[0].startswith(own[1]))
 
 
 def _own_position(candidate: EffectCandidate, curve: EffectCurve | None) -> bool:
