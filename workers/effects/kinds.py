@@ -50,8 +50,6 @@ class GridScale(enum.Enum):
     """The middle of the experiment."""
     EXPONENT = "exponent"
     """Entries are exponents of a power law, whatever the data are."""
-    PER_SPREAD_V = "1 / spread v"
-    """Multiples of 1 over the standard deviation of v."""
     SPECTRUM = "spectrum"
     """Angular frequency of a peak in the residual's spectrum."""
 

@@ -219,7 +219,7 @@ def _bounds(
         v = pooled(scales.trajectories, variables[0])  # moves, once the effect is there
         return float(2.0 * v.min() - v.max()), float(2.0 * v.max() - v.min())
     if coefficient.scale is GridScale.EXPONENT:
-        return (0.125, 8.0) if coefficient.positive else (-4.0, 8.0)
+        return 0.125, 8.0
     thresholds = scales.thresholds
     if coefficient.positive:
         low = min(values) / thresholds.narrowest

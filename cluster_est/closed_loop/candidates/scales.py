@@ -189,6 +189,5 @@ _SIZES: Mapping[GridScale, Callable[[FloatArray], Any]] = {
     GridScale.MAX_V: lambda v: np.abs(v).max(),
     GridScale.MAX_S: lambda s: np.abs(s).max(),
     GridScale.RMS_V: lambda v: np.sqrt(np.mean(v**2)),
-    GridScale.PER_SPREAD_V: lambda v: 1.0 / max(float(np.std(v)), 1e-300),
 }
 """Sizes of a signal that a grid is a multiple of."""

@@ -56,8 +56,8 @@ class ArrayForm:
     form
         Of the library.
     strengths
-        Coefficients that the equation is linear in and that switch the effect off at 0; empty
-        where the effect can only be switched on by a finite amount, like a dead zone.
+        Coefficients that switch the effect off at 0 and that the equation is smooth in there;
+        empty where the effect can only be switched on by a finite amount, like a dead zone.
     mirrored
         At a pair: each strength acts on both derivatives.
     """
@@ -107,12 +107,15 @@ def shape_of(form: EffectForm) -> ArrayForm:
     order = [symbols[name] for name in names]
     mirrored = any(reaction.has(k) and equation.has(k) for k in neutral)
     added = equation if mirrored else equation + reaction  # then no strength is in both
-    linear = bool(neutral) and all(_linear_in(added, k, neutral) for k in neutral)
-    changes = [sp.diff(added, k) for k in neutral] if linear else [equation - symbols["s"]]
-    backs = [sp.diff(reaction, k) for k in neutral] if mirrored else []
+    smooth = bool(neutral) and all(_smooth_in(added, k, neutral) for k in neutral)
+    off = dict.fromkeys(neutral, 0)
+    changes = [equation - symbols["s"]]
+    if smooth:
+        changes = [sp.diff(added, k).subs(off) for k in neutral]
+    backs = [sp.diff(reaction, k).subs(off) for k in neutral] if mirrored else []
     return ArrayForm(
         form=form,
-        strengths=tuple(str(k) for k in neutral) if linear else (),
+        strengths=tuple(str(k) for k in neutral) if smooth else (),
         mirrored=mirrored,
         _change=tuple(sp.lambdify(order, change, "numpy") for change in changes),
         _back=tuple(sp.lambdify(order, back, "numpy") for back in backs),
@@ -120,14 +123,12 @@ def shape_of(form: EffectForm) -> ArrayForm:
     )
 
 
-def _linear_in(equation: sp.Expr, strength: sp.Symbol, others: list[sp.Symbol]) -> bool:
-    """Return whether the derivative by a strength has none of the strengths left in it."""
-    if equation.has(sp.Piecewise, sp.Min, sp.Max, sp.Abs):
-        inside = equation.atoms(sp.Piecewise, sp.Min, sp.Max, sp.Abs)
-        if any(a.free_symbols & set(others) for a in inside):
-            return False
-    slope = sp.diff(equation, strength)
-    return slope != 0 and not (slope.free_symbols & set(others))
+def _smooth_in(equation: sp.Expr, strength: sp.Symbol, strengths: list[sp.Symbol]) -> bool:
+    """Return whether the equation changes with a strength from 0 on, and has no kink in any."""
+    kinks = equation.atoms(sp.Piecewise, sp.Min, sp.Max, sp.Abs)
+    if any(kink.free_symbols & set(strengths) for kink in kinks):
+        return False
+    return sp.diff(equation, strength).subs(dict.fromkeys(strengths, 0)) != 0
 
 
 def _own_state(

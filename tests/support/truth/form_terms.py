@@ -21,6 +21,11 @@ DERIVATIVE = {
     "viscous": ((0.5,), (), lambda t, x, f: -0.5 * x[1]),
     "quadratic": ((0.7,), (), lambda t, x, f: -0.7 * x[1] * abs(x[1])),
     "cubic": ((0.7,), (), lambda t, x, f: -0.7 * x[1] ** 3),
+    "power": (
+        (0.5, 1.4, 0.9),
+        (),
+        lambda t, x, f: -0.5 * np.sign(x[1]) * (abs(x[1]) / 0.9) ** 1.4,
+    ),
     "coulomb": ((0.5, 0.05), (), lambda t, x, f: -0.5 * np.tanh(x[1] / 0.05)),
     "stribeck": (
         (0.5, 0.4, 0.1, 0.05),
@@ -69,6 +74,10 @@ INPUT = {
         (*TABLE[1:-1], -4.0, 3.0),
         lambda t, f: f + np.interp(f, np.linspace(-4.0, 3.0, 7), (0.0, *TABLE[1:-1], 0.0)),
     ),
+    "power_characteristic": (
+        (1.4, 2.0),
+        lambda t, f: 2.0 * np.sign(f) * (abs(f) / 2.0) ** 1.4,
+    ),
     "asymmetry": ((0.3,), lambda t, f: f + 0.3 * max(f, 0.0)),
     "saturation": ((2.0,), lambda t, f: min(max(f, -2.0), 2.0)),
     "dead_zone": ((1.0,), lambda t, f: f - np.sign(f) if abs(f) > 1.0 else 0.0),
@@ -79,6 +88,11 @@ INPUT = {
 FORCES = {
     "viscous": ((0.5,), "v", lambda x, f: -0.5 * x[1]),
     "quadratic": ((0.7,), "v", lambda x, f: -0.7 * x[1] * abs(x[1])),
+    "power": (
+        (0.5, 1.4, 0.9),
+        "v",
+        lambda x, f: -0.5 * np.sign(x[1]) * (abs(x[1]) / 0.9) ** 1.4,
+    ),
     "coulomb": ((0.5, 0.05), "v", lambda x, f: -0.5 * np.tanh(x[1] / 0.05)),
     "stribeck": (
         (0.5, 0.4, 0.1, 0.05),
@@ -125,6 +139,11 @@ OUTPUT = {
         (),
         lambda y, v: y + np.interp(y, np.linspace(-0.2, 0.3, 7), (0.0, *TABLE[1:-1], 0.0)),
     ),
+    "power_characteristic": (
+        (1.4, 0.1),
+        (),
+        lambda y, v: 0.1 * np.sign(y) * (abs(y) / 0.1) ** 1.4,
+    ),
     "saturation": ((0.1,), (), lambda y, v: np.clip(y, -0.1, 0.1)),
     "clip_above": ((0.04,), (), lambda y, v: np.minimum(y, 0.04)),
     "clip_below": ((-0.03,), (), lambda y, v: np.maximum(y, -0.03)),
@@ -152,6 +171,8 @@ PARAMETER = {
     "linear": ((0.9, 0.1), ("v",), lambda t, v: 0.9 * (v - 0.1)),
     "magnitude": ((0.9, 0.1), ("v",), lambda t, v: 0.9 * (abs(v) - 0.1)),
     "square": ((3.0, 0.02), ("v",), lambda t, v: 3.0 * (v**2 - 0.02)),
+    "power": ((0.5, 0.1), ("v",), lambda t, v: (abs(v) / 0.1) ** 0.5 - 1.0),
+    "exponential": ((1.5, 0.1), ("v",), lambda t, v: np.exp(1.5 * (v - 0.1)) - 1.0),
     "saturating": ((0.8, 0.1), ("v",), lambda t, v: -0.8 * abs(v) / (0.1 + abs(v))),
     "table": (
         (*TABLE[:3], *TABLE[4:], -0.2, 0.3),
@@ -171,6 +192,11 @@ PAIR = {
     "linear": ((2.0, 15.0), (), lambda v: v),
     "quadratic": ((2.0, 15.0), (), lambda v: v * abs(v)),
     "cubic": ((2e3, 15e3), TRAVEL, lambda v: v**3),
+    "power": (
+        (0.02, 0.15, 1.4, 0.05),
+        TRAVEL,
+        lambda v: np.sign(v) * (abs(v) / 0.05) ** 1.4,
+    ),
     "coulomb": ((0.3, 2.2, 0.05), (), lambda v: np.tanh(v / 0.05)),
     "leak": ((1.0, 7.5), ("v_wheel",), lambda v: np.sign(v) * np.sqrt(abs(v))),
 }

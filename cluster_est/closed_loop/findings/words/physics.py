@@ -105,6 +105,7 @@ FRICTION = {
     Law.LINEAR: "viscous friction",
     Law.ODD_SQUARE: "drag",
     Law.CUBE: "damping that grows with the cube of the speed",
+    Law.POWER: "drag that goes with a power of the speed",
     Law.SWITCH: "Coulomb friction",
     Law.SWITCH_WITH_PEAK: "Stribeck friction",
     Law.TWO_SWITCHES: "Coulomb friction, unlike in the two directions",
@@ -147,9 +148,10 @@ def _heat(placed: PlacedLaw) -> str:
     if not placed.site.same_as(TEMPERATURE) or not placed.at_rates or placed.argument is None:
         return ""
     if placed.argument.same_as(TEMPERATURE) and placed.own and placed.loss:
-        if placed.kind == "pair":
-            return "heat conduction or convection" if placed.law is Law.LINEAR else ""
-        return "heat loss" if placed.law is Law.LINEAR else ""
+        goes = "heat conduction or convection" if placed.kind == "pair" else "heat loss"
+        if placed.law is Law.POWER:
+            return f"{goes} by a power law (as of natural convection)"
+        return goes if placed.law is Law.LINEAR else ""
     if placed.law is Law.FOURTH and placed.argument == TEMPERATURE:
         return "thermal radiation"  # of an absolute temperature
     if placed.law is Law.SQUARE and placed.gain and placed.argument.same_as(CURRENT):
@@ -183,6 +185,8 @@ def _flow(placed: PlacedLaw) -> str:
         return "leakage"
     if placed.law in (Law.ROOT, Law.ODD_ROOT):
         return "flow through an orifice"
+    if placed.law is Law.POWER:
+        return "outflow by a power law (as through an orifice or over a weir)"
     if placed.law is not Law.ABOVE:
         return ""
     relieved = placed.argument.same_as(PRESSURE)
@@ -210,7 +214,11 @@ def _stock(placed: PlacedLaw) -> str:
 def _kinetics(placed: PlacedLaw) -> str:
     """Rates that an amount limits."""
     known = placed.argument
-    if known is None or not known.same_as(AMOUNT, CONCENTRATION, DENSITY, MASS):
+    if known is None:
+        return ""
+    if placed.law is Law.EXPONENTIAL and placed.kind == "parameter" and known == TEMPERATURE:
+        return "an exponential rise with temperature (as of Arrhenius)" if placed.gain else ""
+    if not known.same_as(AMOUNT, CONCENTRATION, DENSITY, MASS):
         return ""
     if placed.law is Law.SATURATING and placed.kind == "parameter":
         return "inhibition" if placed.loss else ""
