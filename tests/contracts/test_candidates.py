@@ -30,7 +30,9 @@ from workers.effects.definition import define
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site
 
-NAMES = ("mass_spring_damper", "pendulum", "cascaded_tanks", "two_mass_drive", "gantry_crane")
+NAMES = (
+    "mass_spring_damper", "pendulum", "cascaded_tanks", "two_mass_drive", "gantry_crane", "kiln"
+)  # fmt: skip
 LINEAR = ("mass_spring_damper", "two_mass_drive")
 """Where the response to a finite change is what a linear system says."""
 KINK = re.compile(r"max|min|abs|where|sign|tanh")

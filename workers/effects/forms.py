@@ -108,6 +108,7 @@ _REFERENCE = FormCoefficient(
 _EXPONENT = _shape("n", "1", GridScale.EXPONENT, 0.7, 1.5, 2.5, 4.5)
 """Beside those of the square root, the line, the square and the cube, which have forms of their
 own."""
+_ZERO = FormCoefficient("zero", None, scale=GridScale.ABSOLUTE_ZERO, held=True, unit="v")
 _LATE = FormCoefficient(
     "tau", positive=True, scale=GridScale.STEP, grid=(1.0, 4.0, 12.0), unit="second"
 )
@@ -211,6 +212,16 @@ _RATES = (
     # of an amount: with both signs it is little else than a dry friction with a soft edge
     EffectForm("saturating", "coupling", _DER, "k * v / (half + abs(v))",
          (_k("site"), _HALF), 1, when=(FormCondition.POSITIVE,), order=1.0),
+    # of a state at its surroundings' temperature, or of two
+    EffectForm("radiation", "radiation", _DER, "-k * ((v + zero)^4 - (w + zero)^4)",
+         (_drag("site / v^4"), _ZERO), 2, when=(FormCondition.AROUND,), order=0.6),
+    EffectForm("radiation", "radiation", _PAIR, "-k * ((v + zero)^4 - (w + zero)^4)",
+         (_drag("site / v^4"), _drag("other / v^4", name="back"), _ZERO), 2,
+         reaction="back * ((v + zero)^4 - (w + zero)^4)", when=(FormCondition.AROUND,), order=0.6),
+    # of a diode, of a chemical reaction that heats itself
+    EffectForm("exponential", "coupling", _DER, "k * exp((v - at) / width)",
+         (_k("site"), _at("v", GridScale.HIGH_V, 1.0, held=True),
+          _shape("width", "v", GridScale.RMS_V, 0.15, 0.5)), 1, order=1.2),
     EffectForm("lagged", "coupling", _DER, "k * z", (_k("site / v"), _tau(4.0, 15.0, 50.0)), 1,
          (_LAG,),
          when=_DRIVEN, order=0.3),
@@ -218,6 +229,10 @@ _RATES = (
          (_k("site / v"), _at("v", GridScale.QUANTILE_V, 0.5, 0.6, 0.7, 0.8, 0.9)), 1, order=1.0),
     EffectForm("hinge_below", "end stop", _DER, "k * max(at - v, 0)",
          (_k("site / v"), _at("v", GridScale.QUANTILE_V, 0.1, 0.2, 0.3, 0.4, 0.5)), 1, order=1.0),
+    # of a sphere on a plane (Hertz), of what flows over a weir
+    EffectForm("contact", "end stop", _DER, "k * max(v - at, 0)^n",
+         (_k("site / v^1.5"), _at("v", GridScale.QUANTILE_V, 0.5, 0.7, 0.85),
+          _shape("n", "1", GridScale.EXPONENT, 1.5)), 1, order=1.3),
     EffectForm("gap", "end stop", _DER, "-k * (max(v - at, 0) - max(-v - at, 0))",
          (_drag("site / v"), _BEYOND), 1, when=_OSCILLATES),
     EffectForm("square_root", "leak", _DER, "-k * sqrt(max(v, 0))", (_k("site / v^0.5"),), 1,
@@ -330,6 +345,10 @@ _VARIATIONS = (
          (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V)), 1, order=1.0),
     EffectForm("saturating", "variation", _PAR, "s * (1 - k * abs(v) / (half + abs(v)))",
          (_k("1"), _HALF), 1, when=(FormCondition.POSITIVE,), order=1.5),
+    EffectForm("inverse", "variation", _PAR, "s / (1 + k * (v - at))",
+         (_k("1 / v"), _centre("v", GridScale.MEAN_V)), 1, order=1.2),
+    EffectForm("inverse_square", "variation", _PAR, "s / (1 + k * (v^2 - at))",
+         (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V)), 1, order=1.2),
     EffectForm("power", "variation", _PAR, "s * (max(abs(v), at / 1000) / at)^n",
          (FormCoefficient("n", unit="1"), _centre("v", GridScale.MEAN_ABSOLUTE_V)), 1,
          when=(FormCondition.POSITIVE,), order=1.2),

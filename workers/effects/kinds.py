@@ -48,6 +48,8 @@ class GridScale(enum.Enum):
     """The sampling interval."""
     MIDDLE_T = "middle t"
     """The middle of the experiment."""
+    ABSOLUTE_ZERO = "absolute zero"
+    """How far the zero of v's unit lies above absolute zero; for temperatures in K or degC."""
     EXPONENT = "exponent"
     """Entries are exponents of a power law, whatever the data are."""
     SPECTRUM = "spectrum"
@@ -74,6 +76,9 @@ class FormCondition(enum.Enum):
     """Its variable is the integral, but for a factor, of a state that the effect pushes."""
     NO_POSITION = "no position"
     """Its variable is the derivative of no state."""
+    AROUND = "around"
+    """Its two variables are the state at whose derivative it acts and an input of its unit that
+    acts on it, such as an ambient temperature; at a pair, its two states if they have one unit."""
     DRIVEN = "driven"
     """Its variable is an input or a measured signal."""
 

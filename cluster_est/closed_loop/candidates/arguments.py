@@ -84,6 +84,15 @@ class OpenArguments:
             return [*names, *self._to_surroundings()]
         return [n for n in names if site.kind not in ("input", "output") or n != site.target]
 
+    def around(self, site: EffectSite) -> list[tuple[str, str]]:
+        """Return a state and what is around it: inputs of its unit, or the other one of a pair."""
+        if site.kind == "pair":
+            first, second = site.targets
+            alike = self.units[first] and self.units[first] == self.units[second]
+            ordered = self.states.index(first) < self.states.index(second)
+            return [(first, second)] if alike and ordered else []
+        return [(site.target, name) for name in self.surroundings.get(site.target, ())]
+
     def _to_surroundings(self) -> list[str]:
         return [f"{x} - {u}" for x, inputs in self.surroundings.items() for u in inputs]
 
@@ -203,6 +212,9 @@ def variables_of(
     if form.variables == 0:
         left_out = leading is not None and site.kind == "derivative" and TIME not in leading
         return [] if left_out else [()]
+    if FormCondition.AROUND in form.when:
+        pairs = arguments.around(site)
+        return [p for p in pairs if leading is None or " - ".join(p) in leading]
     names = arguments.at(site) if leading is None else [n for n in leading if n != TIME]
     if form.variables == 1:
         return [(name,) for name in names if arguments.takes(form, site, name)]

@@ -121,8 +121,8 @@ def make_candidates(
     """
     thresholds = settings.thresholds.candidates
     exchanged, step = communication_step(problem.model, description), fixed_step(problem.model)
-    scales = SignalScales(trajectories, frequencies, thresholds, exchanged, step)
     arguments = open_arguments(problem, description, trajectories)
+    scales = SignalScales(trajectories, frequencies, thresholds, exchanged, step, arguments.units)
     known = {_identity(effect) for effect in problem.effects if effect.form}
     taken = {effect.name for effect in problem.effects}
     leading = None if places is None else _by_site(places)

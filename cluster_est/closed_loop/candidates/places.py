@@ -82,6 +82,8 @@ def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments
     """Return of how many variables a form at a site may be a function, without a list of them."""
     if form.variables == 0:
         return 1
+    if FormCondition.AROUND in form.when:
+        return len(arguments.around(site))
     n = len(arguments.states)
     if site.kind == "pair":
         if FormCondition.FIRST in form.when:

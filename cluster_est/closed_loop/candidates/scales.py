@@ -22,6 +22,7 @@ class SignalScales:
 
     `communication` is the step at which an FMU exchanges them, 0.0 where it does so at all times of
     the data. `step` is that of a solver which does not shorten it at a switch, 0.0 for others.
+    `units` are those of the states.
     """
 
     trajectories: Sequence[LinearisedTrajectory]
@@ -29,11 +30,13 @@ class SignalScales:
     thresholds: CandidateThresholds = field(default_factory=CandidateThresholds)
     communication: float = 0.0
     step: float = 0.0
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def allow(self, form: EffectForm, site: EffectSite, variables: tuple[str, ...]) -> bool:
         """Return whether a form makes sense for these signals."""
         about = self._about(site, variables)
-        signals = [pooled(self.trajectories, name) for name in variables]
+        moving = variables[:1] if FormCondition.AROUND in form.when else variables
+        signals = [pooled(self.trajectories, name) for name in moving]
         if about is not None and not all(_moves(signal) for signal in (about, *signals)):
             return False
         share = self.thresholds.both_signs
@@ -57,6 +60,9 @@ class SignalScales:
         grid = coefficient.grid or (1.0,)
         if scale is GridScale.EXPONENT:
             return grid
+        if scale is GridScale.ABSOLUTE_ZERO:
+            above = _ABOVE_ZERO.get(self.units.get(variables[0], ""))
+            return () if above is None else (above,)
         if scale is GridScale.STEP:
             return tuple(g * self.resolution for g in grid)
         if scale is GridScale.MIDDLE_T:
@@ -178,6 +184,8 @@ def oscillates(signal: FloatArray, share: float = CandidateThresholds.both_signs
     return bool(signal.min() < -reach and signal.max() > reach)
 
 
+_ABOVE_ZERO = {"K": 0.0, "degC": 273.15, "Cel": 273.15, "\N{DEGREE SIGN}C": 273.15}
+"""How far the zero of a unit of temperature lies above absolute zero."""
 _OF_SIGNAL = (GridScale.MAX_S, GridScale.RANGE_S, GridScale.FASTEST_S)
 _ENDS = (GridScale.LOW_V, GridScale.HIGH_V)
 _SIZES: Mapping[GridScale, Callable[[FloatArray], Any]] = {

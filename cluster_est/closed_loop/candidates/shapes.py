@@ -128,7 +128,7 @@ def _smooth_in(equation: sp.Expr, strength: sp.Symbol, strengths: list[sp.Symbol
     kinks = equation.atoms(sp.Piecewise, sp.Min, sp.Max, sp.Abs)
     if any(kink.free_symbols & set(strengths) for kink in kinks):
         return False
-    return sp.diff(equation, strength).subs(dict.fromkeys(strengths, 0)) != 0
+    return bool(sp.diff(equation, strength).subs(dict.fromkeys(strengths, 0)) != 0)
 
 
 def _own_state(

@@ -73,6 +73,7 @@ PLACES = {
     TRAVEL: lambda x: x[0] - x[2],
     (): lambda x: x[1] - x[3],
     ("v_wheel",): lambda x: x[3],
+    ("z_body", "z_wheel"): lambda x: (x[0], x[2]),
 }
 
 

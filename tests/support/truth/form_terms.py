@@ -26,6 +26,17 @@ DERIVATIVE = {
         (),
         lambda t, x, f: -0.5 * np.sign(x[1]) * (abs(x[1]) / 0.9) ** 1.4,
     ),
+    "radiation": (
+        (0.05, 0.3),
+        ("v", "F"),
+        lambda t, x, f: -0.05 * ((x[1] + 0.3) ** 4 - (f + 0.3) ** 4),
+    ),
+    "exponential": (
+        (0.4, 0.2, 0.1),
+        ("x",),
+        lambda t, x, f: 0.4 * np.exp((x[0] - 0.2) / 0.1),
+    ),
+    "contact": ((-60.0, 0.05, 1.5), ("x",), lambda t, x, f: -60.0 * max(x[0] - 0.05, 0.0) ** 1.5),
     "coulomb": ((0.5, 0.05), (), lambda t, x, f: -0.5 * np.tanh(x[1] / 0.05)),
     "stribeck": (
         (0.5, 0.4, 0.1, 0.05),
@@ -171,6 +182,12 @@ PARAMETER = {
     "linear": ((0.9, 0.1), ("v",), lambda t, v: 0.9 * (v - 0.1)),
     "magnitude": ((0.9, 0.1), ("v",), lambda t, v: 0.9 * (abs(v) - 0.1)),
     "square": ((3.0, 0.02), ("v",), lambda t, v: 3.0 * (v**2 - 0.02)),
+    "inverse": ((0.5, 0.1), ("v",), lambda t, v: 1.0 / (1.0 + 0.5 * (v - 0.1)) - 1.0),
+    "inverse_square": (
+        (3.0, 0.02),
+        ("v",),
+        lambda t, v: 1.0 / (1.0 + 3.0 * (v**2 - 0.02)) - 1.0,
+    ),
     "power": ((0.5, 0.1), ("v",), lambda t, v: (abs(v) / 0.1) ** 0.5 - 1.0),
     "exponential": ((1.5, 0.1), ("v",), lambda t, v: np.exp(1.5 * (v - 0.1)) - 1.0),
     "saturating": ((0.8, 0.1), ("v",), lambda t, v: -0.8 * abs(v) / (0.1 + abs(v))),
@@ -196,6 +213,11 @@ PAIR = {
         (0.02, 0.15, 1.4, 0.05),
         TRAVEL,
         lambda v: np.sign(v) * (abs(v) / 0.05) ** 1.4,
+    ),
+    "radiation": (
+        (3e3, 2e4, 0.2),
+        ("z_body", "z_wheel"),
+        lambda v: (v[0] + 0.2) ** 4 - (v[1] + 0.2) ** 4,
     ),
     "coulomb": ((0.3, 2.2, 0.05), (), lambda v: np.tanh(v / 0.05)),
     "leak": ((1.0, 7.5), ("v_wheel",), lambda v: np.sign(v) * np.sqrt(abs(v))),

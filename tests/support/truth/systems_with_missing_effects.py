@@ -50,6 +50,10 @@ SYSTEMS = {
         {"m_trolley": 6.0, "m_load": 2.0, "l_rope": 0.8, "b_trolley": 8.0, "d_pivot": 0.05},
         "F", ("position", "angle"), 6.0, 0.01, 0.0, 12.0, (("phi", 0.2),),
     ),
+    "kiln": System(
+        {"C_plate": 400.0, "C_charge": 900.0, "G_between": 6.0, "G_plate": 2.5, "G_charge": 1.2},
+        "power", ("plate", "charge"), 3000.0, 10.0, 950.0, 400.0,
+    ),
     "battery": System(
         {"Q": 7200.0, "R0": 0.05, "R1": 0.03, "C1": 3000.0},
         "current", ("voltage",), 2000.0, 10.0, 0.5, 1.5,

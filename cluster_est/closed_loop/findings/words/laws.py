@@ -30,6 +30,10 @@ class Law(enum.Enum):
     ODD_SQUARE = "quadratic with the sign"
     CUBE = "cubic"
     FOURTH = "of the fourth power"
+    FOURTH_DIFFERENCE = "a difference of fourth powers"
+    ABOVE_BY_POWER = "a power law above a threshold"
+    INVERSE = "inverse"
+    INVERSE_SQUARE = "inverse in the square"
     ROOT = "a square root"
     ODD_ROOT = "a square root with the sign"
     POWER = "a power law"
@@ -80,8 +84,9 @@ def law_of(form: EffectForm) -> Law:
     elif form.kinds[0] in ("input", "output"):
         term = sp.expand(term - s)
     ones = {symbols[c.name]: sp.Integer(1) for c in form.coefficients}
-    if _has_free_exponent(term, set(ones)):
-        return Law.POWER
+    power = _with_free_exponent(term, set(ones))
+    if power is not None:
+        return power
     if form.states:
         return _with_state(form, term.subs(ones), symbols, where)
     if term.has(t):
@@ -90,15 +95,24 @@ def law_of(form: EffectForm) -> Law:
     if not term.has(v, s):
         return Law.CONSTANT
     if term.has(v) and term.has(w if form.variables == 2 else s):
-        both = v * w if form.variables == 2 else v * s
-        return Law.PRODUCT if sp.simplify(term / both).is_number else Law.OTHER
+        return _in_two(term, v, w if form.variables == 2 else s)
     return _in_one(term, v if term.has(v) else s)
 
 
-def _has_free_exponent(term: sp.Expr, coefficients: set[sp.Symbol]) -> bool:
-    """Return whether a power of something has a coefficient as its exponent."""
-    powers = term.atoms(sp.Pow)
-    return any(p.exp.free_symbols & coefficients and not p.base.is_number for p in powers)
+def _with_free_exponent(term: sp.Expr, coefficients: set[sp.Symbol]) -> Law | None:
+    """The law of a power that has a coefficient as its exponent; None where there is none."""
+    powers = [p for p in term.atoms(sp.Pow) if p.exp.free_symbols & coefficients]
+    bases = [p.base for p in powers if not p.base.is_number]
+    if not bases:
+        return None
+    above = any(base.has(sp.Max) and not base.has(sp.Abs) for base in bases)
+    return Law.ABOVE_BY_POWER if above else Law.POWER
+
+
+def _in_two(term: sp.Expr, v: sp.Symbol, w: sp.Symbol) -> Law:
+    """The law of a function of two variables, or of a variable and the signal."""
+    laws = {Law.PRODUCT: v * w, Law.FOURTH_DIFFERENCE: (v + 1) ** 4 - (w + 1) ** 4}
+    return next((k for k, own in laws.items() if sp.simplify(term / own).is_number), Law.OTHER)
 
 
 def _with_state(form: EffectForm, term: sp.Expr, symbols: dict[str, sp.Symbol], where: str) -> Law:
@@ -128,9 +142,13 @@ def _in_one(term: sp.Expr, over: sp.Symbol) -> Law:
         with np.errstate(all="ignore"):
             return float(compiled(np.float64(x)))
 
+    inverse = {Law.INVERSE: over, Law.INVERSE_SQUARE: over**2}
+    for law, own in inverse.items():  # of what a parameter is divided by
+        if sp.simplify((term + 1) * own).is_number:
+            return law
     if term.has(sp.exp) and not term.has(sp.tanh):
-        slope = sp.simplify(sp.diff(sp.log(sp.Abs(term + 1)), over))
-        return Law.OTHER if slope.has(over) else Law.EXPONENTIAL
+        grows = (sp.simplify(sp.diff(each, over) / each) for each in (term, term + 1))
+        return Law.EXPONENTIAL if any(not rate.has(over) for rate in grows) else Law.OTHER
     if term.has(sp.tanh):
         if value(20.0) != value(40.0):
             return Law.OTHER

@@ -35,6 +35,9 @@ IN_ONE = {
     Law.ODD_SQUARE: "a term quadratic in {v} that has its sign",
     Law.CUBE: "a term cubic in {v}",
     Law.FOURTH: "a term of the fourth power of {v}",
+    Law.INVERSE: "a term inverse in {v}",
+    Law.INVERSE_SQUARE: "a term inverse in the square of {v}",
+    Law.ABOVE_BY_POWER: "a power law in {v} above a threshold",
     Law.ROOT: "a term in the square root of {v}",
     Law.ODD_ROOT: "a term in the square root of {v} that has its sign",
     Law.POWER: "a power law in {v}",
@@ -74,6 +77,8 @@ def mathematics_of(law: Law, form: EffectForm, site: EffectSite, variables: tupl
     if not form.variables and site.kind in ("input", "output"):
         return OF_SIGNALS.get(form.name, "another characteristic")
     named = [f"({v})" if " - " in v else v for v in variables]
+    if law is Law.FOURTH_DIFFERENCE:
+        return f"a term in the difference of the fourth powers of {' and '.join(named)}"
     if law is Law.PRODUCT:
         factors = named if form.variables == 2 else [site.target, *named]
         return f"a product of {' and '.join(factors)}"

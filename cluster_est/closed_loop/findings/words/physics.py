@@ -152,6 +152,8 @@ def _heat(placed: PlacedLaw) -> str:
         if placed.law is Law.POWER:
             return f"{goes} by a power law (as of natural convection)"
         return goes if placed.law is Law.LINEAR else ""
+    if placed.law is Law.FOURTH_DIFFERENCE:
+        return "thermal radiation"
     if placed.law is Law.FOURTH and placed.argument == TEMPERATURE:
         return "thermal radiation"  # of an absolute temperature
     if placed.law is Law.SQUARE and placed.gain and placed.argument.same_as(CURRENT):
@@ -220,7 +222,7 @@ def _kinetics(placed: PlacedLaw) -> str:
         return "an exponential rise with temperature (as of Arrhenius)" if placed.gain else ""
     if not known.same_as(AMOUNT, CONCENTRATION, DENSITY, MASS):
         return ""
-    if placed.law is Law.SATURATING and placed.kind == "parameter":
+    if placed.law in (Law.SATURATING, Law.INVERSE) and placed.kind == "parameter":
         return "inhibition" if placed.loss else ""
     if placed.law is Law.SATURATING:
         return "saturation (as of Michaelis and Menten)"
