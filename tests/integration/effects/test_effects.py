@@ -272,6 +272,14 @@ SITES = {
 }
 
 
+SIZES = {
+    "exponential": {"k": -0.4, "width": 0.5},
+    "inverse": {"k": 0.1},
+    "inverse_square": {"k": 0.1},
+}
+"""Of forms that leave the range of numbers, or divide by nothing, with the usual ones."""
+
+
 @pytest.mark.parametrize("solver", [EXACT, Solver("rk4", step=0.005), CO_SIMULATION])
 @pytest.mark.parametrize(("kind", "name"), FORMS)
 def test_every_form_does_nothing_when_neutral_and_something_otherwise(kind, name, solver):
@@ -280,9 +288,12 @@ def test_every_form_does_nothing_when_neutral_and_something_otherwise(kind, name
     form = FORMS[kind, name]
     variables = (("v", "x") if kind in ("derivative", "pair") else ("F", "F"))[: form.variables]
     effect = Effect("e", SITES[kind], name, variables)
-    known = {"low": -0.5, "limit": 0.03}
+    known = {"low": -0.5, "limit": 0.03} | SIZES.get(name, {})
     shapes = [known.get(c.name, 0.03) for c in form.coefficients]
-    sizes = [0.4 if c.neutral == 0.0 else s for c, s in zip(form.coefficients, shapes, strict=True)]
+    sizes = [
+        known.get(c.name, 0.4) if c.neutral == 0.0 else s
+        for c, s in zip(form.coefficients, shapes, strict=True)
+    ]
     neutral = [c.neutral for c in form.coefficients]
     shapes = [s if n is None else n for n, s in zip(neutral, shapes, strict=True)]
     without = simulated([], (), solver)
