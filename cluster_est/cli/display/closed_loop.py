@@ -77,7 +77,7 @@ def _print_effect(console: Console, effect: Facts, *, too_narrow: bool = False) 
     if any(_differs(other) for other in effect["alternatives"]):
         say(console, "  (an experiment that stays where they differ most would tell them apart)")
     elif effect["alternatives"]:
-        say(console, "  (only data outside the range of these can tell them apart)")
+        say(console, "  (nothing in these data tells them apart)")
     else:
         say(console, "  nothing else that was tried explains the data as well")
 

@@ -23,7 +23,12 @@ def print_page(console: Console, page: CheckPage) -> None:
     problems = sum(each.verdict == "problem" for each in page.findings)
     left = sum(each.verdict == "not done" for each in page.findings)
     said = _counted(problems, "problem") if problems else "no problem was found"
-    say(console, said + (f"; {_counted(left, 'check')} not done" if left else ""))
+    if left:
+        said = (
+            f"{left} of {_counted(len(page.findings), 'check')} were not done; in the others "
+            + said
+        )
+    say(console, said)
 
 
 def _counted(count: int, what: str) -> str:

@@ -44,7 +44,8 @@ def first_steps(
 ) -> list[FirstStep]:
     """Simulate the first step of each leader; shorter ones where it does less than predicted.
 
-    Leaders that cannot be simulated are left out.
+    Leaders that cannot be simulated are left out. One whose steps all make it worse starts from
+    nothing instead: with one effect more no model need fit worse.
     """
     thresholds = workbench.thresholds.refinement
     asked = [
@@ -65,7 +66,21 @@ def first_steps(
                 values = each.space.estimates(point)
                 start = FitStart(each.start.problem, values, each.start.added)
                 best[each.owner] = FirstStep(sse, each.predicted, start)
+    for owner, step in best.items():
+        if step.sse > current.sse and (start := _from_nothing(current, ranking, leaders[owner])):
+            best[owner] = FirstStep(current.sse, step.predicted, start)
     return [best[owner] for owner in range(len(leaders)) if owner in best]
+
+
+def _from_nothing(current: FittedModel, ranking: CandidateRanking, leader: int) -> FitStart | None:
+    """A leader switched off, where it can be switched on little by little; else None."""
+    trial = ranking.trials[leader]
+    strengths = trial.candidate.strengths
+    if not strengths:
+        return None
+    names = [c.name for c in trial.candidate.form.coefficients]
+    off = [0.0 if n in strengths else v for n, v in zip(names, trial.values, strict=True)]
+    return current.start.plus(trial.candidate, off)
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def test_words_and_sentence_take_the_place_of_family_and_equation():
 @pytest.mark.parametrize(
     ("difference", "advice"),
     [
-        (0.0, "only data outside the range of these can tell them apart"),
+        (0.0, "nothing in these data tells them apart"),
         (3.0, "where they differ most"),
     ],
 )
