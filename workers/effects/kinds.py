@@ -46,6 +46,8 @@ class GridScale(enum.Enum):
     """Entries are parts of the way from min s to max s."""
     STEP = "step"
     """The sampling interval."""
+    PER_STEP = "1 / step"
+    """Multiples of 1 over the sampling interval."""
     MIDDLE_T = "middle t"
     """The middle of the experiment."""
     ABSOLUTE_ZERO = "absolute zero"

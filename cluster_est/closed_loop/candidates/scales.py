@@ -65,6 +65,8 @@ class SignalScales:
             return () if above is None else (above,)
         if scale is GridScale.STEP:
             return tuple(g * self.resolution for g in grid)
+        if scale is GridScale.PER_STEP:
+            return tuple(g / self.resolution for g in grid)
         if scale is GridScale.MIDDLE_T:
             return tuple(g * self._middle() for g in grid)
         if scale is GridScale.COUPLING:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 from scipy.integrate import cumulative_trapezoid
+from scipy.linalg import expm
 
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm
@@ -48,6 +49,15 @@ class _OwnState:
 
 
 @dataclass(frozen=True)
+class _CoupledStates:
+    """z' = M z + drives, with M of the coefficients alone."""
+
+    matrix: Function
+    drives: tuple[Function, ...]
+    starts: tuple[Function, ...]
+
+
+@dataclass(frozen=True)
 class ArrayForm:
     """A form made ready for numpy.
 
@@ -68,6 +78,7 @@ class ArrayForm:
     _change: tuple[Function, ...]
     _back: tuple[Function, ...]
     _states: tuple[_OwnState, ...]
+    _coupled: _CoupledStates | None
 
     def directions(self, signals: FormArguments, values: Mapping[str, float]) -> FloatArray:
         """(n, d): what is added per unit of each strength, or the whole finite change.
@@ -90,6 +101,8 @@ class ArrayForm:
     ) -> FloatArray:
         with np.errstate(all="ignore"):
             own = [_follow(state, signals, values) for state in self._states]
+            if self._coupled is not None:
+                own = list(_follow_coupled(self._coupled, signals, values))
             columns = [f(*signals.arrays, *own, *values.values()) for f in functions]
         size = len(signals.t)
         return np.column_stack([np.broadcast_to(np.asarray(c, float), size) for c in columns])
@@ -119,7 +132,12 @@ def shape_of(form: EffectForm) -> ArrayForm:
         mirrored=mirrored,
         _change=tuple(sp.lambdify(order, change, "numpy") for change in changes),
         _back=tuple(sp.lambdify(order, back, "numpy") for back in backs),
-        _states=tuple(_own_state(z, form, symbols, where) for z in form.states),
+        _states=()
+        if _are_coupled(form, symbols, where)
+        else tuple(_own_state(z, form, symbols, where) for z in form.states),
+        _coupled=_coupled_states(form, symbols, where)
+        if _are_coupled(form, symbols, where)
+        else None,
     )
 
 
@@ -168,3 +186,68 @@ def _follow(state: _OwnState, signals: FormArguments, values: Mapping[str, float
         value = keep * value + push
         z[n + 1] = value
     return z
+
+
+def _are_coupled(form: EffectForm, symbols: Mapping[str, sp.Symbol], where: str) -> bool:
+    """Return whether own states of a form act on each other."""
+    names = {symbols[z.name] for z in form.states}
+    parsed = [(symbols[z.name], parse(z.derivative, symbols, where)) for z in form.states]
+    return any(derivative.free_symbols & (names - {z}) for z, derivative in parsed)
+
+
+def _coupled_states(
+    form: EffectForm, symbols: Mapping[str, sp.Symbol], where: str
+) -> _CoupledStates:
+    """Split the derivatives of own states into what they do to each other and what drives them."""
+    own = [symbols[z.name] for z in form.states]
+    derivatives = sp.Matrix([parse(z.derivative, symbols, where) for z in form.states])
+    matrix = derivatives.jacobian(own)
+    drives = sp.simplify(derivatives - matrix * sp.Matrix(own))
+    coefficients = [symbols[c.name] for c in form.coefficients]
+    order = [*(symbols[name] for name in _ARGUMENTS), *coefficients]
+    starts = [parse(z.start, symbols, where) for z in form.states]
+    return _CoupledStates(
+        sp.lambdify(coefficients, matrix, "numpy"),
+        tuple(sp.lambdify(order, drive, "numpy") for drive in drives),
+        tuple(sp.lambdify(order, start, "numpy") for start in starts),
+    )
+
+
+def _follow_coupled(
+    states: _CoupledStates, signals: FormArguments, values: Mapping[str, float]
+) -> FloatArray:
+    """Integrate own states that act on each other, (states, n), exactly for linear drives.
+
+    Between two times z' = M z + b + c t; with a row for 1 and one for t the exponential of one
+    matrix takes a step. Steps of one length share it.
+    """
+    numbers, times = tuple(values.values()), signals.t
+    matrix = np.asarray(states.matrix(*numbers), float)
+    drives, starts = (
+        np.array([np.broadcast_to(f(*signals.arrays, *numbers), len(times)) for f in of], float)
+        for of in (states.drives, states.starts)
+    )
+    count = len(matrix)
+    found = np.empty((count, len(times)))
+    found[:, 0] = starts[:, 0]
+    known: dict[float, tuple[FloatArray, FloatArray, FloatArray]] = {}
+    for n, step in enumerate(np.diff(times).tolist()):
+        length = float(f"{step:.9e}")
+        if length not in known:
+            known[length] = _step_of(matrix, length)
+        keep, first, last = known[length]
+        found[:, n + 1] = keep @ found[:, n] + first @ drives[:, n] + last @ drives[:, n + 1]
+    return found
+
+
+def _step_of(matrix: FloatArray, step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what a step makes of the states, and of the drives at its start and its end."""
+    count = len(matrix)
+    one = np.eye(count)
+    large = np.zeros((3 * count, 3 * count))
+    large[:count, :count] = matrix * step
+    large[:count, count : 2 * count] = one * step
+    large[count : 2 * count, 2 * count :] = one
+    power = expm(large)
+    constant, slope = power[:count, count : 2 * count], power[:count, 2 * count :]
+    return power[:count, :count], constant - slope, slope

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lsim, lti
 from support.problems.springs import FMU
 from support.truth.form_terms import (
     DERIVATIVE,
@@ -149,6 +150,36 @@ def test_a_lag_of_an_input(solver, bar):
     truth = solve(slope, (*START, FORCE[0]))[:, 0]
     result = simulated([Effect("e", "input F", "lag")], (0.1,), solver)
     np.testing.assert_allclose(result, truth, atol=bar)
+
+
+@pytest.mark.parametrize(("solver", "bar"), [(EXACT, 1e-7), (CO_SIMULATION, 1e-3)])
+def test_an_actuator_that_swings(solver, bar):
+    """The second-order equation z'' = f^2 (F - z) - 2 d f z'."""
+    f, d = 12.0, 0.3
+
+    def slope(t, x, force):
+        return [*plain(t, x, x[2]), x[3], f**2 * (force - x[2]) - 2.0 * d * f * x[3]]
+
+    truth = solve(slope, (*START, FORCE[0], 0.0))[:, 0]
+    assert np.abs(truth - BASE[:, 0]).max() > 0.01
+    result = simulated([Effect("e", "input F", "mode")], (f, d), solver)
+    np.testing.assert_allclose(result, truth, atol=bar)
+
+
+@pytest.mark.parametrize(("f", "d"), [(30.0, 0.1), (5.0, 0.7)])
+def test_a_sensor_that_swings(f, d):
+    """Of what was recorded, as a system of second order that SciPy follows exactly."""
+    y = BASE[:, 0]
+    system = lti([f**2], [1.0, 2.0 * d * f, f**2])
+    _, truth, _ = lsim(system, y, TIMES, X0=_at_rest(system, y[0]), interp=True)
+    result = simulated([Effect("e", "output y", "mode")], (f, d))
+    np.testing.assert_allclose(result, truth, atol=2e-5)
+
+
+def _at_rest(system, value):
+    """The state of a system of gain 1 that has shown a value for ever."""
+    state_space = system.to_ss()
+    return np.linalg.solve(state_space.A, -state_space.B[:, 0] * value)
 
 
 @pytest.mark.parametrize(("solver", "bar"), [(EXACT, 1e-9), (CO_SIMULATION, 2e-8)])

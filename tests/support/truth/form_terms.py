@@ -231,6 +231,8 @@ OWN_TESTS = {
     ("pair", "table"): "test_a_curve_between_two_states_acts_on_both_in_proportion",
     ("input", "dahl"): "test_dahl_friction_at_an_input",
     ("input", "lag"): "test_a_lag_of_an_input",
+    ("input", "mode"): "test_an_actuator_that_swings",
+    ("output", "mode"): "test_a_sensor_that_swings",
     ("input", "delay"): "test_a_delay_of_an_input",
     ("input", "backlash"): "test_backlash_at_an_input",
     ("input", "rate_limit"): "test_a_limited_rate_of_an_input",

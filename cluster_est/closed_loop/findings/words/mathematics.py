@@ -21,6 +21,7 @@ OF_SIGNALS = {
     "clip_above": "a limit from above",
     "clip_below": "a limit from below",
     "lag": "a lag of first order",
+    "mode": "a lag of second order",
     "delay": "a delay",
     "absolute": "another gain for the magnitude",
     "characteristic": "a curved characteristic",

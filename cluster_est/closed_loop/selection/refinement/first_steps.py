@@ -67,8 +67,8 @@ def first_steps(
                 start = FitStart(each.start.problem, values, each.start.added)
                 best[each.owner] = FirstStep(sse, each.predicted, start)
     for owner, step in best.items():
-        if step.sse > current.sse and (start := _from_nothing(current, ranking, leaders[owner])):
-            best[owner] = FirstStep(current.sse, step.predicted, start)
+        if step.sse > current.sse and (off := _from_nothing(current, ranking, leaders[owner])):
+            best[owner] = FirstStep(current.sse, step.predicted, off)
     return [best[owner] for owner in range(len(leaders)) if owner in best]
 
 
