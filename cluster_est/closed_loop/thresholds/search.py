@@ -35,6 +35,9 @@ class RefinementThresholds:
         the rest of a fit may bring. Benchmark.
     finalists
         Candidates that are refitted to convergence. Benchmark.
+    promising
+        Candidates that go on although they are behind, because of what the linear model promises.
+        Benchmark.
     curves
         Free curves that are refitted. Benchmark.
     same_argument
@@ -60,6 +63,7 @@ class RefinementThresholds:
     behind: float = 0.25
     linear_promise: float = 3.0
     finalists: int = 3
+    promising: int = 2
     curves: int = 2
     same_argument: int = 3
     explains: float = 0.8

@@ -117,6 +117,8 @@ def successive_halving(
 
     What has converged waits for the last round. What is far behind where one candidate does it all
     is refitted no further, nor what cannot come below the criterion that it needs to be of use.
+    Some candidates have further to go than others, as where a parameter must make room for them:
+    those that the linear model promises to become the best go on too.
     """
     thresholds = workbench.thresholds.refinement
     fits = [f for f in workbench.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
@@ -127,13 +129,17 @@ def successive_halving(
         near = _near_the_best(sums, sums, current, floor, thresholds)
         near = [i for i in near if _may_reach(workbench, fits[i], most)]
         kept = near[: max(thresholds.finalists, len(fits) // 2)]
+        kept += _promising(workbench, fits, near, kept)
         lost += [f for i, f in enumerate(fits) if i not in kept]
         fits = [fits[i] for i in kept]
         if not last:
             going = [f for f in fits if not f.converged]
             further = iter(workbench.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
             fits = [f if f.converged else next(further) or f for f in fits]
-    best, rest = fits[: thresholds.finalists], fits[thresholds.finalists :]
+    order = list(range(len(fits)))
+    first = order[: thresholds.finalists]
+    first += _promising(workbench, fits, order, first)
+    best, rest = [fits[i] for i in first], [fits[i] for i in order if i not in first]
     finished = workbench.fit(LoopStage.REFITS, [f.start for f in best], FULL)
     found = [(f, False) for f in (*lost, *rest)]
     found += [(new or old, True) for new, old in zip(finished, best, strict=True)]
@@ -168,10 +174,30 @@ def _may_reach(workbench: LoopWorkbench, fitted: FittedModel, most: float) -> bo
     iterations the rest of a fit brings little more than that, so some times as much is allowed.
     """
     reached = fitted.criterion(workbench.records)
+    fall = reached - _promised(workbench, fitted)
+    return reached - workbench.thresholds.refinement.linear_promise * fall <= most
+
+
+def _promised(workbench: LoopWorkbench, fitted: FittedModel) -> float:
+    """The criterion that the linear model promises after one more step without bounds."""
     step = gauss_newton_step(fitted.jacobian, fitted.residuals)
     ahead = replace(fitted, residuals=fitted.residuals + fitted.jacobian @ step)
-    fall = reached - ahead.criterion(workbench.records)
-    return reached - workbench.thresholds.refinement.linear_promise * fall <= most
+    return ahead.criterion(workbench.records)
+
+
+def _promising(
+    workbench: LoopWorkbench,
+    fits: Sequence[FittedModel],
+    near: Sequence[int],
+    kept: Sequence[int],
+) -> list[int]:
+    """Positions of some that are not kept, though their next step promises more than the best's."""
+    if not kept:
+        return []
+    best = min(_promised(workbench, fits[i]) for i in kept)
+    others = [(_promised(workbench, fits[i]), i) for i in near if i not in kept]
+    better = sorted(each for each in others if each[0] < best)
+    return [i for _, i in better[: workbench.thresholds.refinement.promising]]
 
 
 def _closes(
