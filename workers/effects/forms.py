@@ -112,6 +112,12 @@ _ZERO = FormCoefficient("zero", None, scale=GridScale.ABSOLUTE_ZERO, held=True, 
 _LATE = FormCoefficient(
     "tau", positive=True, scale=GridScale.STEP, grid=(1.0, 4.0, 12.0), unit="second"
 )
+_SWINGS = (
+    FormCoefficient("f", float("inf"), positive=True, scale=GridScale.PER_STEP,
+                    grid=(0.5, 0.15, 0.05), unit="rad / second"),
+    _shape("d", "1", GridScale.EXPONENT, 0.2, 0.7),
+)  # fmt: skip
+_PULLED = "f * (s - z) - 2 * d * f * y"
 _LAG = OwnState("z", "(v - z) / tau", "v")
 _RESTING = OwnState("z", "(v - z) / tau", "0")
 """A lag of something that was at rest before, like a further branch in an electrical model."""
@@ -318,13 +324,14 @@ _SIGNALS = (
          (_limit(float("-inf"), GridScale.RANGE_S, 0.05, 0.12, 0.2, 0.3, 0.45),)),
     EffectForm("product", "nonlinearity", _IN, "s + k * s * v", (_k("1 / v"),), 1, order=0.7),
     EffectForm("lag", "lag", _SIGNAL, "z", (_LATE,), 0, (OwnState("z", "(s - z) / tau", "s"),)),
+    EffectForm("lag_from_rest", "lag", _IN, "z", (_LATE,), 0,
+         (OwnState("z", "(s - z) / tau", "0"),), when=(FormCondition.FROM_REST,), order=0.2),
     # of an actuator or a sensor that swings, with a gain of 1 at rest
-    EffectForm("mode", "lag", _SIGNAL, "z",
-         (FormCoefficient("f", float("inf"), positive=True, scale=GridScale.PER_STEP,
-                          grid=(0.5, 0.15, 0.05), unit="rad / second"),
-          _shape("d", "1", GridScale.EXPONENT, 0.2, 0.7)), 0,
-         (OwnState("z", "f * y", "s"), OwnState("y", "f * (s - z) - 2 * d * f * y", "0")),
-         order=0.8),
+    EffectForm("mode", "lag", _SIGNAL, "z", _SWINGS, 0,
+         (OwnState("z", "f * y", "s"), OwnState("y", _PULLED, "0")), order=0.8),
+    EffectForm("mode_from_rest", "lag", _IN, "z", _SWINGS, 0,
+         (OwnState("z", "f * y", "0"), OwnState("y", _PULLED, "0")),
+         when=(FormCondition.FROM_REST,), order=0.9),
     EffectForm("delay", "delay", _SIGNAL, "s", (_LATE,), memory="delay"),
     EffectForm("absolute", "nonlinearity", _OUT, "s + k * abs(s)", (_k("1"),), when=_OSCILLATES),
     EffectForm("feed_through", "coupling", _OUT, "s + k * v", (_k("site / v"),), 1, order=0.3),

@@ -35,6 +35,8 @@ class SignalScales:
     def allow(self, form: EffectForm, site: EffectSite, variables: tuple[str, ...]) -> bool:
         """Return whether a form makes sense for these signals."""
         about = self._about(site, variables)
+        if FormCondition.FROM_REST in form.when and not self._begins(site.target):
+            return False
         moving = variables[:1] if FormCondition.AROUND in form.when else variables
         signals = [pooled(self.trajectories, name) for name in moving]
         if about is not None and not all(_moves(signal) for signal in (about, *signals)):
@@ -101,6 +103,12 @@ class SignalScales:
         if scale is GridScale.FASTEST_S:
             return rates * self._fastest(site.target)
         return np.asarray(rates * _SIZES[scale](signal))
+
+    def _begins(self, name: str) -> bool:
+        """Return whether a signal is not zero at the start of some experiment."""
+        starts = [each.signal(name)[0] for each in self.trajectories if each.has(name)]
+        reach = 1e-6 * float(np.abs(pooled(self.trajectories, name)).max())
+        return bool(np.abs(starts).max() > reach)
 
     def _about(self, site: EffectSite, variables: tuple[str, ...]) -> FloatArray | None:
         """The signal that a form bends: its variable, else that at the site."""

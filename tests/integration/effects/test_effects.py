@@ -166,6 +166,22 @@ def test_an_actuator_that_swings(solver, bar):
     np.testing.assert_allclose(result, truth, atol=bar)
 
 
+def test_actuators_that_begin_at_rest():
+    def lagged(t, x, force):
+        return [*plain(t, x, x[2]), (force - x[2]) / 0.1]
+
+    def swinging(t, x, force):
+        return [*plain(t, x, x[2]), x[3], 12.0**2 * (force - x[2]) - 2.0 * 0.3 * 12.0 * x[3]]
+
+    assert abs(FORCE[0]) > 0.1
+    truth = solve(lagged, (*START, 0.0))[:, 0]
+    result = simulated([Effect("e", "input F", "lag_from_rest")], (0.1,))
+    np.testing.assert_allclose(result, truth, atol=1e-8)
+    truth = solve(swinging, (*START, 0.0, 0.0))[:, 0]
+    result = simulated([Effect("e", "input F", "mode_from_rest")], (12.0, 0.3))
+    np.testing.assert_allclose(result, truth, atol=1e-7)
+
+
 @pytest.mark.parametrize(("f", "d"), [(30.0, 0.1), (5.0, 0.7)])
 def test_a_sensor_that_swings(f, d):
     """Of what was recorded, as a system of second order that SciPy follows exactly."""

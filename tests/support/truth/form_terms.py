@@ -232,6 +232,8 @@ OWN_TESTS = {
     ("input", "dahl"): "test_dahl_friction_at_an_input",
     ("input", "lag"): "test_a_lag_of_an_input",
     ("input", "mode"): "test_an_actuator_that_swings",
+    ("input", "lag_from_rest"): "test_actuators_that_begin_at_rest",
+    ("input", "mode_from_rest"): "test_actuators_that_begin_at_rest",
     ("output", "mode"): "test_a_sensor_that_swings",
     ("input", "delay"): "test_a_delay_of_an_input",
     ("input", "backlash"): "test_backlash_at_an_input",

@@ -22,6 +22,8 @@ OF_SIGNALS = {
     "clip_below": "a limit from below",
     "lag": "a lag of first order",
     "mode": "a lag of second order",
+    "lag_from_rest": "a lag of first order that begins at zero",
+    "mode_from_rest": "a lag of second order that begins at zero",
     "delay": "a delay",
     "absolute": "another gain for the magnitude",
     "characteristic": "a curved characteristic",
