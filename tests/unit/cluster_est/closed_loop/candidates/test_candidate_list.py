@@ -49,6 +49,41 @@ def test_kinematic_states(name, kinematic):
         assert set(integrated_states(bench.trajectories(unfitted(bench)))) == kinematic
 
 
+def test_functions_of_the_difference_to_what_is_around_a_state():
+    """A kiln in a hall: an input of the state's unit that acts on it, and no other one."""
+    own = {(str(c.site), c.form.name, c.effect.variables) for c in listed(
+        missing_effect_problem("kiln", signals=())
+    )}  # fmt: skip
+    lost = ("T_charge - T_ambient",)
+    assert ("der(T_charge)", "power", lost) in own
+    assert ("parameter G_charge", "linear", lost) in own
+    assert ("der(T_charge)", "radiation", ("T_charge", "T_ambient")) in own
+    assert ("pair T_plate,T_charge", "radiation", ("T_plate", "T_charge")) in own
+    assert not any("power" in v for _, _, variables in own for v in variables if " - " in v)
+    assert not any(site == "der(T_plate)" and v == lost for site, _, v in own)
+
+
+def test_without_units_nothing_is_known_to_be_around_a_state():
+    own = listed(missing_effect_problem("mass_spring_damper", signals=()))
+    assert not any(
+        " - " in v for c in own if c.site.kind == "derivative" for v in c.effect.variables
+    )
+
+
+@pytest.mark.parametrize(("first", "named"), [(0.0, False), (2.0, True)])
+def test_a_lag_may_begin_at_zero_only_where_its_signal_does_not(first, named):
+    problem = missing_effect_problem("mass_spring_damper", signals=())
+    runs = []
+    for run in problem.experiments:
+        (force,) = run.inputs
+        values = force.values - force.values[0] + first
+        runs.append(replace(run, inputs=(replace(force, values=values),)))
+    own = {c.form.name for c in listed(replace(problem, experiments=tuple(runs)))}
+    assert ("lag_from_rest" in own) is named
+    assert ("mode_from_rest" in own) is named
+    assert "lag" in own
+
+
 def test_a_kinematic_state_is_one_at_rest_too():
     problem = missing_effect_problem("mass_spring_damper", experiments=1)
     still = Input("F", np.array([0.0, 6.0]), np.zeros(2))

@@ -15,6 +15,7 @@ from cluster_est.closed_loop.screening.places import rank_places
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.thresholds import PlaceThresholds
 from cluster_est.statistics.projection import OrthogonalProjection, ProjectedResidual
+from workers.effects.kinds import FormCondition
 
 SETTINGS = LoopSettings()
 
@@ -105,6 +106,8 @@ def test_the_count_is_that_of_the_list(drive):
                 1: sum(drive.arguments.takes(form, site, name) for name in names),
                 2: len(names) * (len(names) - 1) // 2,
             }[form.variables]
+            if FormCondition.AROUND in form.when:
+                listed = len(drive.arguments.around(site))
             assert count_variables(form, site, drive.arguments) == listed
 
 

@@ -64,6 +64,10 @@ AT_ITSELF = [
     ("rad/s", "viscous", "viscous friction"),
     ("rpm", "viscous", "viscous friction"),
     ("m/s", "quadratic", "drag"),
+    ("m/s", "power", "drag that goes with a power of the speed"),
+    ("degC", "power", "heat loss by a power law (as of natural convection)"),
+    ("bar", "power", "outflow by a power law (as through an orifice or over a weir)"),
+    ("V", "power", "a power law in z"),
     ("m/s", "coulomb", "Coulomb friction"),
     ("rad/s", "stribeck", "Stribeck friction"),
     ("m/s", "dahl", "friction with presliding (Dahl)"),
@@ -122,6 +126,16 @@ def test_between_two_states():
     assert name(tanks, pair("a", "b"), "leak", "a - b") == "flow through an orifice"
     unlike = {"a": "rad/s", "b": "m/s"}
     assert name(unlike, pair("a", "b"), "linear", "a - b") == "a term linear in (a - b)"
+
+
+def test_over_to_what_is_around_a_state():
+    warm = {"T": "degC", "T_ambient": "degC"}
+    assert name(warm, der("T"), "radiation", "T", "T_ambient") == "thermal radiation"
+    lost = name(warm, der("T"), "power", "T - T_ambient")
+    assert lost == "heat loss by a power law (as of natural convection)"
+    assert name(warm, der("T"), "linear", "T - T_ambient", values=[-1.0]) == "heat loss"
+    other = name(warm, der("T"), "linear", "T_ambient", values=[-1.0])
+    assert other == "a term linear in T_ambient"
 
 
 def test_a_length_is_a_level_only_where_nothing_moves():

@@ -59,6 +59,22 @@ def test_a_step_that_does_less_is_tried_in_part():
     assert step.sse == whole.sse
 
 
+def test_one_that_only_gets_worse_starts_from_nothing():
+    """Steps that are far too long overshoot a bias; it is as good as the model without it then."""
+    thresholds = LoopThresholds(refinement=RefinementThresholds(step_lengths=(40.0, 20.0)))
+    with opened(shifted(), LoopSettings(forms=("bias",), thresholds=thresholds)) as bench:
+        current = fit_declared(bench, FitStart(bench.problem, {}))
+        ranking = rank(bench, current)
+        (leader,) = [
+            i for i, t in enumerate(ranking.trials) if str(t.candidate.site).startswith("output")
+        ]
+        (step,) = first_steps(bench, current, ranking, [leader])
+    assert step.sse == current.sse
+    (shift,) = [p for p in step.start.problem.parameters if p.name.startswith("bias")]
+    assert shift.start == 0.0
+    assert step.start.values == current.estimates
+
+
 def test_the_linear_model_leaves_what_a_regression_on_all_columns_leaves():
     """A bias of the sensor is a column of ones beside the sensitivities."""
     step, _, current = stepped(0.5)
