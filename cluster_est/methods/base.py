@@ -51,7 +51,7 @@ class Progress:
     violation
         Largest violation of a constraint at the best point; NaN where there are none.
     ending
-        Name of the ending, in the last line of a search.
+        Name of the ending, in the last line of a search; the runner writes that one.
     """
 
     iteration: int
