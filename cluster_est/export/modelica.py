@@ -14,7 +14,10 @@ from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_
 
 _NO_FUNCTION = {
     "backlash": "the play operator: no function of Modelica, see Modelica.Blocks",
-    "rate_limit": "no function of Modelica, see Modelica.Blocks.Nonlinear.SlewRateLimiter",
+    **dict.fromkeys(
+        ("rate_limit", "rate_limit_from_rest"),
+        "no function of Modelica, see Modelica.Blocks.Nonlinear.SlewRateLimiter",
+    ),
 }
 _FUNCTIONS = {"Abs": "abs", "sign": "sign", "Min": "min", "Max": "max", "sqrt": "sqrt"}
 

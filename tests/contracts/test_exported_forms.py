@@ -26,7 +26,7 @@ SITES = {
     "parameter": "parameter c",
 }
 LAGGARDS = ("lag", "delay")
-LIMITED = ("rate_limit",)
+LIMITED = ("rate_limit", "rate_limit_from_rest")
 CASES = [
     (kind, group, solver)
     for kind in SITES
@@ -73,7 +73,8 @@ def effects_of(kind, group="function"):
         variables = ("v", "x") if kind == "derivative" else ("F", "F")
         effects.append(Effect(f"e{number}", SITES[kind], name, variables[: form.variables]))
         shape = 2.0 if name == "hysteresis" else 0.04  # slow: its steps follow the whole record
-        values += [known.get(c.name, 0.3 if c.neutral == 0.0 else shape) for c in form.coefficients]
+        own = known | ({"width": 0.5} if name == "exponential" else {})  # else it runs away
+        values += [own.get(c.name, 0.3 if c.neutral == 0.0 else shape) for c in form.coefficients]
     return effects, values
 
 

@@ -112,6 +112,14 @@ _ZERO = FormCoefficient("zero", None, scale=GridScale.ABSOLUTE_ZERO, held=True, 
 _LATE = FormCoefficient(
     "tau", positive=True, scale=GridScale.STEP, grid=(1.0, 4.0, 12.0), unit="second"
 )
+_RATE = FormCoefficient(
+    "rate",
+    float("inf"),
+    positive=True,
+    scale=GridScale.FASTEST_S,
+    grid=(0.8, 0.5, 0.25, 0.1, 0.04, 0.015, 0.005),
+    unit="site / second",
+)
 _SWINGS = (
     FormCoefficient("f", float("inf"), positive=True, scale=GridScale.PER_STEP,
                     grid=(0.5, 0.15, 0.05), unit="rad / second"),
@@ -309,11 +317,9 @@ _SIGNALS = (
          (FormCoefficient("k", positive=True, scale=GridScale.MAX_S, grid=(0.05, 0.12, 0.25),
                           unit="site"),),
          memory="backlash"),
-    EffectForm("rate_limit", "limit", _IN, "s",
-         (FormCoefficient("rate", float("inf"), positive=True, scale=GridScale.FASTEST_S,
-                      grid=(0.8, 0.5, 0.25, 0.1, 0.04, 0.015, 0.005),
-                      unit="site / second"),),
-         memory="rate_limit"),
+    EffectForm("rate_limit", "limit", _IN, "s", (_RATE,), memory="rate_limit"),
+    EffectForm("rate_limit_from_rest", "limit", _IN, "s", (_RATE,), memory="rate_limit_from_rest",
+         when=(FormCondition.FROM_REST,), order=0.2),
     EffectForm("saturation", "limit", _SIGNAL, "max(min(s, limit), -limit)",
          (FormCoefficient("limit", float("inf"), positive=True, scale=GridScale.MAX_S,
                       grid=(0.95, 0.88, 0.8, 0.7, 0.6, 0.45, 0.3),

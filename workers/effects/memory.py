@@ -70,11 +70,20 @@ def rate_limit(signal: SampledSignal, fastest: float) -> SampledSignal:
     a further sample wherever the signal is caught up with. What follows a signal that is held is
     linear between its samples.
     """
+    return _followed(signal, fastest, float(signal.values[0]))
+
+
+def rate_limit_from_rest(signal: SampledSignal, fastest: float) -> SampledSignal:
+    """Return the same of an actuator that stands at zero at the start."""
+    return _followed(signal, fastest, 0.0)
+
+
+def _followed(signal: SampledSignal, fastest: float, out: float) -> SampledSignal:
+    """Follow a signal at a limited rate, from a value on."""
     if not math.isfinite(fastest):
         return signal
     times, starts = signal.times.tolist(), signal.values.tolist()
     ends = starts[:-1] if signal.interpolation == "hold" else starts[1:]
-    out = starts[0]
     at, followed = [times[0]], [out]
     for (begin, end), start, stop in zip(pairwise(times), starts, ends, strict=False):
         for time, reached in _limited(out, begin, start, end, stop, fastest):
@@ -113,5 +122,6 @@ MEMORIES: dict[str, Callable[[SampledSignal, float], SampledSignal]] = {
     "delay": delay,
     "backlash": backlash,
     "rate_limit": rate_limit,
+    "rate_limit_from_rest": rate_limit_from_rest,
 }
 """By the name that a form calls them."""

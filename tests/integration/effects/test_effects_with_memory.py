@@ -76,28 +76,30 @@ def test_a_signal_is_changed_as_a_whole_before_it_is_bent():
     np.testing.assert_allclose(found, played(0.7, gain=1.2), atol=2e-6)
 
 
-def limited(times, force, fastest):
+def limited(times, force, fastest, first):
     """Followed in small steps, each no larger than the rate allows."""
-    out, most = [force[0]], fastest * (times[1] - times[0])
+    out, most = [first], fastest * (times[1] - times[0])
     for target in force[1:].tolist():
         out.append(min(max(target, out[-1] - most), out[-1] + most))
     return np.array(out)
 
 
+@pytest.mark.parametrize("form", ["rate_limit", "rate_limit_from_rest"])
 @pytest.mark.parametrize("interpolation", ["linear", "hold"])
 @pytest.mark.parametrize("solver", [EXACT, CO_SIMULATION])
-def test_a_limited_rate_of_an_input(solver, interpolation):
+def test_a_limited_rate_of_an_input(solver, interpolation, form):
     finer = 16 * FINE  # a step of the truth is as wrong as what the signal does in it
     times = np.linspace(TIMES[0], TIMES[-1], finer * (len(TIMES) - 1) + 1)
     force = np.interp(times, TIMES, FORCE)
     if interpolation == "hold":
         force = FORCE[np.searchsorted(TIMES, times + 1e-9, side="right") - 1]
-    effect = Effect("e", "input F", "rate_limit")
+    effect, first = Effect("e", "input F", form), force[0] if form == "rate_limit" else 0.0
+    assert abs(force[0]) > 0.1
     rates = (4.0, 25.0, 0.5)
     several = simulated([effect], [(rate,) for rate in rates], solver, FORCE, interpolation)
     unlimited = position(times, force, M, K, C, *START)[::finer]
     for rate, found in zip(rates, several, strict=True):
-        truth = position(times, limited(times, force, rate), M, K, C, *START)[::finer]
+        truth = position(times, limited(times, force, rate, first), M, K, C, *START)[::finer]
         assert np.abs(truth - unlimited).max() > 1e-3
         np.testing.assert_allclose(found, truth, atol=6e-5)
 

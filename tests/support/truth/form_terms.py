@@ -238,6 +238,7 @@ OWN_TESTS = {
     ("input", "delay"): "test_a_delay_of_an_input",
     ("input", "backlash"): "test_backlash_at_an_input",
     ("input", "rate_limit"): "test_a_limited_rate_of_an_input",
+    ("input", "rate_limit_from_rest"): "test_a_limited_rate_of_an_input",
     ("output", "lag"): "test_a_lag_of_an_output",
     ("output", "lagged_feed_through"): "test_an_output_that_shows_a_lagged_state",
     ("output", "hysteresis"): "test_hysteresis_of_a_sensor",

@@ -17,6 +17,7 @@ OF_SIGNALS = {
     "dead_zone": "a dead zone",
     "backlash": "backlash",
     "rate_limit": "a limit of the rate",
+    "rate_limit_from_rest": "a limit of the rate, from zero on",
     "saturation": "saturation on both sides",
     "clip_above": "a limit from above",
     "clip_below": "a limit from below",

@@ -72,7 +72,7 @@ double history_at(const History *history, double at, double now, double value) {
 }
 
 #if N_INPUT_MEMORIES > 0
-enum { DELAY, BACKLASH, RATE_LIMIT };
+enum { DELAY, BACKLASH, RATE_LIMIT, RATE_LIMIT_FROM_REST };
 static const struct { int kind, column, coefficient; } memories[] = INPUT_MEMORIES;
 
 /* Whether a signal goes on as it did, so that nothing need be noted. */
@@ -144,7 +144,7 @@ static Segment limited(double *out, Segment given, double fastest, double *next)
 static double sampled(const Instance *c, int j, double value) {
     double size = c->now.coefficients[memories[j].coefficient];
     double out = c->now.play[j], most;
-    if (!c->now.begun) return value;
+    if (!c->now.begun) return memories[j].kind == RATE_LIMIT_FROM_REST && !isinf(size) ? 0.0 : value;
     if (memories[j].kind == BACKLASH) return fmin(fmax(out, value - size), value + size);
     most = size * fmax(c->now.time - c->now.noted[j], 0.0);
     return isnan(most) ? value : fmin(fmax(value, out - most), out + most);
@@ -167,6 +167,7 @@ double see_inputs(Instance *c, double time, double end) {
         double size = c->now.coefficients[memories[j].coefficient];
         switch (memories[j].kind) {
             case BACKLASH: *seen = played(&c->now.play[j], *seen, size, &next); break;
+            case RATE_LIMIT_FROM_REST:
             case RATE_LIMIT: *seen = limited(&c->now.play[j], *seen, size, &next); break;
             default: *seen = delayed(&c->histories[j], *seen, size, &next);
         }
