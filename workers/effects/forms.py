@@ -108,7 +108,9 @@ _REFERENCE = FormCoefficient(
 _EXPONENT = _shape("n", "1", GridScale.EXPONENT, 0.7, 1.5, 2.5, 4.5)
 """Beside those of the square root, the line, the square and the cube, which have forms of their
 own."""
-_ZERO = FormCoefficient("zero", None, scale=GridScale.ABSOLUTE_ZERO, held=True, unit="v")
+_ZERO = FormCoefficient(
+    "zero", None, scale=GridScale.ABSOLUTE_ZERO, grid=(1.0,), held=True, unit="v"
+)
 _LATE = FormCoefficient(
     "tau", positive=True, scale=GridScale.STEP, grid=(1.0, 4.0, 12.0), unit="second"
 )
@@ -244,9 +246,9 @@ _RATES = (
     EffectForm("hinge_below", "end stop", _DER, "k * max(at - v, 0)",
          (_k("site / v"), _at("v", GridScale.QUANTILE_V, 0.1, 0.2, 0.3, 0.4, 0.5)), 1, order=1.0),
     # of a sphere on a plane (Hertz), of what flows over a weir
-    EffectForm("contact", "end stop", _DER, "k * max(v - at, 0)^n",
-         (_k("site / v^1.5"), _at("v", GridScale.QUANTILE_V, 0.5, 0.7, 0.85),
-          _shape("n", "1", GridScale.EXPONENT, 1.5)), 1, order=1.3),
+    EffectForm("contact", "end stop", _DER, "k * (max(v - at, 0) / ref)^n",
+         (_k("site"), _at("v", GridScale.QUANTILE_V, 0.5, 0.7, 0.85),
+          _shape("n", "1", GridScale.EXPONENT, 1.5), _REFERENCE), 1, order=1.3),
     EffectForm("gap", "end stop", _DER, "-k * (max(v - at, 0) - max(-v - at, 0))",
          (_drag("site / v"), _BEYOND), 1, when=_OSCILLATES),
     EffectForm("square_root", "leak", _DER, "-k * sqrt(max(v, 0))", (_k("site / v^0.5"),), 1,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import product
 
 import numpy as np
 import pytest
@@ -90,22 +91,26 @@ def test_units_of_coefficients_are_those_that_the_equation_needs(kind, name, see
     form, generator = FORMS[kind, name], np.random.default_rng(seed)
     words = ("site", "other", "v", "w", "second")
     scales = dict(zip(words, generator.uniform(0.5, 2.0, 5), strict=True))
+    if FormCondition.AROUND in form.when:  # both have one unit
+        scales["w"] = scales["v"]
     scales |= {"s": scales["site"], "rad": 1.0, "travel": scales["v"] * scales["second"]}
     units = {"s": "site", "v": "v", "w": "w", "t": "second"}
     units |= {c.name: c.unit for c in form.coefficients}
     values = {word: generator.uniform(0.2, 0.9) for word in units}
     values |= {"low": 0.1, "high": 0.95} if "low" in units else {}
     other = {word: value * size_of(units[word], scales) for word, value in values.items()}
-    for state in form.states:
-        here = evaluated(state.derivative, values | {state.name: 0.6})
-        fitting = [
-            unit
-            for unit in ("v", "travel", "v^2", "s", "1")
-            if evaluated(state.derivative, other | {state.name: 0.6 * size_of(unit, scales)})
-            == pytest.approx(here * size_of(unit, scales) / scales["second"], rel=1e-9)
-        ]
-        assert fitting, f"no unit of {state.name} makes its derivative one of {state.name} / second"
-        values[state.name], other[state.name] = 0.6, 0.6 * size_of(fitting[0], scales)
+    values |= {state.name: 0.6 for state in form.states}
+    rates = [evaluated(state.derivative, values) for state in form.states]
+    fitting = []
+    for units in product(("v", "travel", "v^2", "s", "1"), repeat=len(form.states)):
+        sizes = [size_of(unit, scales) for unit in units]
+        own = {z.name: 0.6 * size for z, size in zip(form.states, sizes, strict=True)}
+        found = [evaluated(state.derivative, other | own) for state in form.states]
+        expected = [rate * size / scales["second"] for rate, size in zip(rates, sizes, strict=True)]
+        if found == pytest.approx(expected, rel=1e-9):
+            fitting.append(own)
+    assert fitting, "no units of its states make their derivatives ones of those units / second"
+    other |= fitting[0]
     for equation, unit in ((form.equation, "site"), (form.reaction or "0", "other")):
         expected = evaluated(equation, values) * scales[unit]
         assert evaluated(equation, other) == pytest.approx(expected, rel=1e-9, abs=1e-12), (

@@ -30,7 +30,7 @@ LINEAR = {
     ("derivative", "power"): ([0, 1.4, 0.9], [-np.sign(V) * (np.abs(V) / 0.9) ** 1.4]),
     ("derivative", "radiation"): ([0, 0.3], [-((V + 0.3) ** 4) + (W + 0.3) ** 4]),
     ("derivative", "exponential"): ([0, 0.9, 0.4], [np.exp((V - 0.9) / 0.4)]),
-    ("derivative", "contact"): ([0, 0.4, 1.5], [np.maximum(V - 0.4, 0) ** 1.5]),
+    ("derivative", "contact"): ([0, 0.4, 1.5, 0.9], [(np.maximum(V - 0.4, 0) / 0.9) ** 1.5]),
     ("derivative", "coulomb"): ([0, 0.1], [-np.tanh(V / 0.1)]),
     ("derivative", "stribeck"): (
         [0, 0, 0.3, 0.1],
