@@ -280,7 +280,7 @@ _RATES = (
 
 _AS_FORCES = (
     "periodic", "viscous", "quadratic", "power", "coulomb", "stribeck", "asymmetric_coulomb",
-    "dahl", "linear", "hinge", "hinge_below", "gap", "signed_root", "table",
+    "dahl", "linear", "hinge", "hinge_below", "contact", "gap", "signed_root", "table",
 )  # fmt: skip
 
 
