@@ -310,6 +310,8 @@ _SIGNALS = (
                           unit="1"),
           FormCoefficient("ref", None, positive=True, scale=GridScale.MAX_S, grid=(1.0,),
                           held=True, unit="site")), order=1.0),
+    EffectForm("saturating", "nonlinearity", _SIGNAL, "s / (1 + k * abs(s))",
+         (FormCoefficient("k", positive=True, unit="1 / site"),), order=0.8),
     EffectForm("asymmetry", "nonlinearity", _IN, "s + k * max(s, 0)", (_k("1"),),
          when=_OSCILLATES),
     EffectForm("dead_zone", "nonlinearity", _IN, "where(abs(s) > k, s - k * sign(s), 0)",

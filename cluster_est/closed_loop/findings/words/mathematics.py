@@ -13,6 +13,7 @@ OF_SIGNALS = {
     "square": "a quadratic part",
     "cubic": "a cubic part",
     "power_characteristic": "a power law",
+    "saturating": "a characteristic that levels off",
     "asymmetry": "another gain for positive values",
     "dead_zone": "a dead zone",
     "backlash": "backlash",
