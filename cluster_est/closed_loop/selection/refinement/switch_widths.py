@@ -15,6 +15,10 @@ from cluster_est.closed_loop.selection.refinement.refine import FULL, RefittedCa
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.problem.parameter import Parameter
+from workers.effects.kinds import GridScale
+
+WIDTH = GridScale.RMS_V
+"""Of a width that is held: a small part of how much its variable moves."""
 
 
 def refit_switch_widths(
@@ -65,11 +69,12 @@ def _held(contender: RefittedCandidate) -> dict[str, tuple[float, float]]:
 
 
 def _widths(candidate: EffectCandidate) -> dict[str, tuple[float, float]]:
+    """The ranges of its widths. What a power law refers to is no width, and held for good."""
     columns = zip(candidate.form.coefficients, zip(*candidate.grid, strict=True), strict=True)
     return {
         f"{candidate.effect.name}.{c.name}": (min(values), max(values))
         for c, values in columns
-        if c.held and c.positive
+        if c.held and c.scale is WIDTH
     }
 
 
