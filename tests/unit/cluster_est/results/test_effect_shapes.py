@@ -46,7 +46,7 @@ def definition(kind: str, form) -> EffectDefinition:
 def test_every_form_is_drawn_as_its_equation(kind, form):
     parts = part_shapes(definition(kind, form), 2.5)
     if not parts:
-        assert form.name == "product" or form.equation == "k"  # of two, or of none
+        assert form.variables == 2 or form.name == "product" or form.equation == "k"
         return
     values = np.linspace(0.6, 1.7, len(form.coefficients))
     names = {c.name: v for c, v in zip(form.coefficients, values, strict=True)}

@@ -169,6 +169,7 @@ def run(
         outputs,
         codes,
         stopped,
+        np.zeros(1, np.int64),
     )
     assert batch(asked) == 1
     return int(codes[0]), float(stopped[0]), outputs[0, :, 0]

@@ -81,7 +81,7 @@ def test_a_step_begins_it_anew(progress, let_pass: Passed, which: int) -> None:
 
 def test_each_simulation_has_the_time_for_itself(progress, let_pass: Passed) -> None:
     seen = ProgressWatch(1, progress)
-    progress[:] = 1, 1, 1
+    progress[:] = 1, 1, 1, 0
     for _ in range(4):
         let_pass(2.0, None)
         progress[SIMULATIONS] += 1
@@ -101,12 +101,12 @@ def test_progress_is_seen_by_another_process() -> None:
     shared = SharedProgress()
     code = (
         "import sys; from workers.process.watch import map_progress; "
-        "map_progress(int(sys.argv[1]))[:] = 7, 8, 9"
+        "map_progress(int(sys.argv[1]))[:] = 7, 8, 9, 10"
     )
     command = [sys.executable, "-c", code, str(shared.descriptor)]
     subprocess.run(command, pass_fds=[shared.descriptor], check=True)
-    assert shared.progress.tolist() == [7, 8, 9]
-    assert map_progress(shared.descriptor).tolist() == [7, 8, 9]
+    assert shared.progress.tolist() == [7, 8, 9, 10]
+    assert map_progress(shared.descriptor).tolist() == [7, 8, 9, 10]
     shared.close()
     shared.close()
 
