@@ -93,6 +93,10 @@ class OpenArguments:
             return [(first, second)] if alike and ordered else []
         return [(site.target, name) for name in self.surroundings.get(site.target, ())]
 
+    def single(self, names: Collection[str]) -> list[str]:
+        """Return the arguments that are no differences: products are made of these alone."""
+        return [name for name in names if " - " not in name or name in self.states]
+
     def _to_surroundings(self) -> list[str]:
         return [f"{x} - {u}" for x, inputs in self.surroundings.items() for u in inputs]
 
@@ -218,5 +222,4 @@ def variables_of(
     names = arguments.at(site) if leading is None else [n for n in leading if n != TIME]
     if form.variables == 1:
         return [(name,) for name in names if arguments.takes(form, site, name)]
-    single = [name for name in names if " - " not in name or name in arguments.states]
-    return list(itertools.combinations(single, 2))
+    return list(itertools.combinations(arguments.single(names), 2))

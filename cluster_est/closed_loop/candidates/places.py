@@ -94,7 +94,7 @@ def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments
         return n - 2 + (arguments.differences if first < second else 0)
     names = arguments.at(site)
     if form.variables == 2:
-        single = len([name for name in names if " - " not in name or name in arguments.states])
+        single = len(arguments.single(names))
         return single * (single - 1) // 2
     return sum(arguments.takes(form, site, name) for name in names)
 

@@ -6,22 +6,20 @@ simulated: their equations are evaluated along signals that are already there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 import sympy as sp
 
-from cluster_est.closed_loop.candidates.own_states import OwnStates, own_states_of
+from cluster_est.closed_loop.candidates.own_states import Function, OwnStates, own_states_of
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm
 from workers.effects.memory import MEMORIES, SampledSignal
 from workers.messages import FloatArray
 
 _ARGUMENTS = ("t", "s", "v", "w")
-Function = Callable[..., Any]
 
 
 @dataclass(frozen=True)

@@ -163,8 +163,10 @@ def _own(candidate: EffectCandidate, law: Law, variables: tuple[str, ...], way: 
     if site.kind == "pair":
         spill = law is Law.ABOVE and variables[0] == site.target
         return spill or variables[0] == " - ".join(site.targets)
-    own = (site.target, f"{site.target} - ")  # itself, or over what is around it
-    return site.kind == "derivative" and (variables[0] == own[0] or variables[0].startswith(own[1]))
+    over = f"{site.target} - "  # what is around it
+    return site.kind == "derivative" and (
+        variables[0] == site.target or variables[0].startswith(over)
+    )
 
 
 def _own_position(candidate: EffectCandidate, curve: EffectCurve | None) -> bool:
