@@ -11,6 +11,7 @@ import numpy as np
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import MeasuredTable, read_table
+from cluster_est.problem.tables.jumps import count_jumps
 from cluster_est.problem.tables.units import WORDS, conversion, is_known
 from workers.messages import FloatArray
 
@@ -42,12 +43,15 @@ class TableColumn:
         "force" and "N" of "force [N]".
     noise
         A first guess of the standard deviation of its noise, in its unit; 0 if there is none.
+    jumps
+        Times that it jumps, if it keeps its value in between.
     """
 
     name: str
     plain: str
     unit: str
     noise: float = 0.0
+    jumps: int = 0
 
     @property
     def folded(self) -> str:
@@ -117,8 +121,11 @@ def read_columns(path: Path, time_column: str = "") -> TableColumns:
     rows = Counter(len(values) for values in numbers.values()).most_common(1)[0][0]
     if time is not None:
         rows = len(numbers[time.name])
+    times = np.arange(float(rows)) if time is None else numbers[time.name]
     kept = [
-        c for c in columns if (time is None or c.name != time.name) and len(numbers[c.name]) == rows
+        replace(c, jumps=count_jumps(times, numbers[c.name]))
+        for c in columns
+        if (time is None or c.name != time.name) and len(numbers[c.name]) == rows
     ]
     rising = [] if time is not None else [c.name for c in kept if _increases(numbers[c.name])]
     return TableColumns(path, tuple(kept), time, tuple(rising), tuple(unusable))

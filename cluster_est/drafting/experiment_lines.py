@@ -124,13 +124,26 @@ def _input(match: ColumnMatch, columns: tuple[TableColumn, ...]) -> Iterator[str
     variable = match.variable
     key = dotted("inputs", variable.name)
     if match.column is not None:
-        yield f"{key} = {inline(match.column.name)}{said(variable)}"
+        value = _held(match.column, inline(match.column.name))
+        yield f"{key} = {value}{said(variable, _why_held(match.column))}"
     elif match.similar is not None:
-        yield f"{key} = {_guess(match.similar)}{said(variable, _choices(columns))}"
+        value = _held(match.similar, _guess(match.similar))
+        why = (_why_held(match.similar), _choices(columns))
+        yield f"{key} = {value}{said(variable, '; '.join(filter(None, why)))}"
     else:
         start = variable.start or 0.0
         kept = f"no column is like it, so it keeps its start value {start:g}"
         yield f'# {key} = "COLUMN"{said(variable, kept)}'
+
+
+def _held(column: TableColumn, name: str) -> str:
+    """Return an input's column as TOML; one that jumps keeps each sample until the next."""
+    return f'{{ column = {name}, interpolation = "hold" }}' if column.jumps else name
+
+
+def _why_held(column: TableColumn) -> str:
+    """Say why each sample of an input is kept, where it is."""
+    return 'it keeps its value and jumps; "linear" if it does not' if column.jumps else ""
 
 
 def _outputs(run: DraftExperiment) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Checks of the data: inputs without any, gaps in them, rounded outputs, weights of outputs."""
+"""Checks of the data: inputs without any, gaps and jumps in them, rounded outputs, weights."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from cluster_est.config.reader import Config
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.tables.jumps import jumping_inputs
 from cluster_est.statistics.quantisation import quantisation_step
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
@@ -24,7 +25,12 @@ GAP = 1.5
 
 def data_findings(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     """Look at what drives the model; nothing is simulated."""
-    return [*_inputs_without_data(problem, description), *_bridged(problem), *_rounded(problem)]
+    return [
+        *_inputs_without_data(problem, description),
+        *_bridged(problem),
+        *_jumping(problem),
+        *_rounded(problem),
+    ]
 
 
 def idle_inputs(problem: Problem, description: ModelDescription) -> dict[str, list[str]]:
@@ -78,6 +84,22 @@ def _bridged(problem: Problem) -> list[CheckFinding]:
     return [
         CheckFinding(CheckVerdict.NOTE, f"input {name}", said, do)
         for name, (_, said) in worst.items()
+    ]
+
+
+def _jumping(problem: Problem) -> list[CheckFinding]:
+    """Return a line for each input that jumps, and is interpolated by straight lines."""
+    return [
+        CheckFinding(
+            CheckVerdict.NOTE,
+            "jumps",
+            f"input {name} keeps its value and jumps {count} time{'s' if count > 1 else ''}; "
+            "straight lines between its samples make ramps of the jumps, which a fit may take for "
+            "a delay",
+            f'inputs.{name} = {{ column = "COLUMN", interpolation = "hold" }}, if it keeps each '
+            "sample until the next",
+        )
+        for name, count in jumping_inputs(problem.experiments).items()
     ]
 
 

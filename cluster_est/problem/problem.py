@@ -13,6 +13,7 @@ from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.names import coefficient_names, refuse_repeated
 from cluster_est.problem.options import check_options
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.tables.jumps import jump_notes
 from cluster_est.problem.tables.unused import TableSource
 from cluster_est.problem.variables import (
     check_effects,
@@ -164,16 +165,17 @@ class Problem:
         return description
 
     def notes(self) -> tuple[str, ...]:
-        """Say what a user should know about how the FMU is simulated.
+        """Say what a user should know about how the FMU is simulated, and with which inputs.
 
         Raises
         ------
         ModelError, ProblemError
             As `describe`, or if it cannot be simulated at the experiments' times.
         """
+        jumps = jump_notes(self.experiments)
         if self.model.interface == "model_exchange":
-            return ()
-        return communication_notes(self.model, self.describe(), self.experiments)
+            return jumps
+        return (*communication_notes(self.model, self.describe(), self.experiments), *jumps)
 
     def _repr_html_(self) -> str:
         """Show model, parameters and experiments in a display."""

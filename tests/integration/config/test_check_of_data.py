@@ -43,6 +43,7 @@ def motor(times: np.ndarray, volts: np.ndarray) -> dict[str, np.ndarray]:
 
 
 TRUTH = motor(TIMES, VOLTS)
+HELD = {"V": {"column": "V", "interpolation": "hold"}}
 
 
 def experiment(columns: Mapping[str, np.ndarray], **changes: object) -> ce.Experiment:
@@ -87,7 +88,7 @@ def alarms(found: CheckPage) -> list[CheckFinding]:
 
 
 def test_data_as_the_model_wants_them_raise_no_alarm():
-    assert alarms(page(experiment(TRUTH))) == []
+    assert alarms(page(experiment(TRUTH, inputs=HELD))) == []
 
 
 class TestUnits:
@@ -122,7 +123,7 @@ class TestUnits:
 
     def test_a_start_that_is_far_off_is_no_evidence(self):
         """The gain of the motor is wrong by a factor of three."""
-        run = experiment(TRUTH | {"w": TRUTH["w"] * 3.0})
+        run = experiment(TRUTH | {"w": TRUTH["w"] * 3.0}, inputs=HELD)
         assert [each.check for each in alarms(page(run))] == []
 
 
@@ -209,6 +210,13 @@ class TestGaps:
         found = line(page(experiment(TRUTH | {"V": volts})), "input V")
         assert "40 of 401 samples are missing" in found.found
         assert "the longest gap is 0.2 s, from 0 to 0.2 s" in found.found
+
+
+def test_an_input_that_jumps_and_is_no_ramp_is_named():
+    found = line(page(experiment(TRUTH)), "jumps")
+    assert found.verdict == "note"
+    assert found.found.startswith("input V keeps its value and jumps 2 times; straight lines")
+    assert found.do.startswith('inputs.V = { column = "COLUMN", interpolation = "hold" }')
 
 
 class TestRounding:

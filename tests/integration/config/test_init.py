@@ -25,7 +25,8 @@ from workers.fmu.description import describe
 from workers.fmu.variable import ModelVariable
 
 TIMES = np.arange(50) * 0.02
-FORCE = np.where(TIMES > 0.1, 1.0, 0.0)
+FORCE = np.sin(0.5 * np.pi * TIMES / TIMES[-1])
+STEP = np.where(TIMES > 0.1, 1.0, 0.0)
 TANK = ROOT / "configs" / "models" / "stirred_tank_reactor.fmu"
 
 
@@ -244,6 +245,20 @@ class TestColumnsThatAreGiven:
         error = capsys.readouterr().err
         assert said in error
         assert "Traceback" not in error
+
+
+def test_an_input_that_jumps_keeps_each_sample(written, tmp_path):
+    """Also where its name must be confirmed; what is measured is compared as it is."""
+    text, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, F=STEP, y=STEP))
+    assert tree["experiments"][0]["inputs"]["F"] == {"column": "F", "interpolation": "hold"}
+    assert tree["experiments"][0]["outputs"]["y"] == "y"
+    assert 'it keeps its value and jumps; "linear" if it does not' in text
+    text, _, said = written(
+        table(tmp_path / "b.csv", time=TIMES, force=STEP, position=FORCE), out="second.toml"
+    )
+    held = 'inputs.F = { column = "FILL IN: force?", interpolation = "hold" }'
+    assert f"\n{held}  # " in text
+    assert f"fill in {held}" in said
 
 
 def test_columns_that_nothing_uses_are_proposed_as_signals(written, tmp_path):

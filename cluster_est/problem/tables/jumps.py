@@ -1,0 +1,71 @@
+"""Signals that keep their value and jump: a switch, a set point, the output of a controller.
+
+Between two samples a straight line makes a ramp of such a jump, which begins up to a sampling
+interval too early. A fit calls that a delay or a lag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from workers.messages import Experiment, FloatArray
+
+LEAST_SAMPLES = 10
+KEPT = 0.5
+"""Least share of the samples that repeat the one before."""
+ALONE = 0.8
+"""Least share of the changes that stand alone, with samples that repeat before and after."""
+SIZE = 0.05
+"""Least median change, over the range of the signal: smaller ones are the steps of a converter."""
+
+
+def count_jumps(times: FloatArray, values: FloatArray) -> int:
+    """Return the number of jumps of a signal that keeps its value between them; 0 for any other.
+
+    A ramp that a table gives two points of its own, closer than its other samples, is no jump.
+
+    Parameters
+    ----------
+    times, values : (n,)
+        Of its samples, in order.
+    """
+    if len(values) < LEAST_SAMPLES or not np.isfinite(values).all():
+        return 0
+    size = np.abs(np.diff(values))
+    intervals = np.diff(times)
+    changes = size > 1e-9 * float(np.ptp(values))
+    wide = intervals >= 0.5 * float(np.median(intervals))
+    if not changes.any() or np.mean(~changes) < KEPT:
+        return 0
+    around = np.concatenate([[False], changes, [False]])
+    alone = changes & wide & ~around[:-2] & ~around[2:]
+    binary = len(np.unique(values)) == 2 and bool(np.all(wide[changes]))
+    small = float(np.median(size[changes])) < SIZE * float(np.ptp(values))
+    if small or not (binary or np.sum(alone) >= ALONE * np.sum(changes)):
+        return 0
+    return int(np.sum(changes))
+
+
+def jumping_inputs(experiments: Sequence[Experiment]) -> dict[str, int]:
+    """Return the inputs that jump and are interpolated by straight lines, with how often."""
+    found: dict[str, int] = {}
+    for each in experiments:
+        for given in each.inputs:
+            if given.interpolation == "linear":
+                jumps = count_jumps(given.times, given.values)
+                if jumps:
+                    found[given.variable] = found.get(given.variable, 0) + jumps
+    return found
+
+
+def jump_notes(experiments: Sequence[Experiment]) -> tuple[str, ...]:
+    """Say which inputs jump and are interpolated by straight lines, and what to do."""
+    return tuple(
+        f"input {name} keeps its value and jumps {count} time{'s' if count > 1 else ''}; straight "
+        "lines between its samples make ramps of the jumps, which a fit may take for a delay: "
+        f'inputs.{name} = {{ column = "COLUMN", interpolation = "hold" }}, if it keeps each sample '
+        "until the next"
+        for name, count in jumping_inputs(experiments).items()
+    )
