@@ -148,8 +148,9 @@ def _lengths(space: SearchSpace, x: FloatArray, directions: FloatArray) -> tuple
     step = min(max(noise**0.2, LEAST_STEP), LARGEST_STEP)
     largest = np.max(np.abs(directions) / relative_sizes(space, x), axis=1)
     distance = np.minimum(space.upper - x, x - space.lower)
-    with np.errstate(divide="ignore"):
-        most = np.min(np.where(directions != 0.0, distance / np.abs(directions), np.inf), axis=1)
+    far = np.full(directions.shape, np.inf)
+    np.divide(distance, np.abs(directions), out=far, where=directions != 0.0)
+    most = np.min(far, axis=1)
     lengths = np.minimum(step / largest, most)
     return lengths, float(np.min(lengths * largest))
 
