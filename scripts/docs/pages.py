@@ -1,4 +1,4 @@
-"""The pages of the reference as Markdown: keys, tables, commands and Python, from the code."""
+"""The pages of the reference as Markdown, from the code: keys, tables, forms, commands, Python."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from cluster_est.config.reader import Config
 from cluster_est.config.sections.sweep import SweepSections
 from cluster_est.results.table_columns import BEFORE, TABLES, ColumnDescription
 from cluster_est.toml import inline
+from workers.effects.forms import FORMS, EffectForm, FormCoefficient, SiteKind
 
 REFERENCE = Path(__file__).parents[2] / "configs" / "reference.toml"
 KINDS = {float: "number", int: "whole number", str: "text", bool: "true or false", Any: "value"}
@@ -53,6 +54,63 @@ def tables_page() -> str:
         if table.name == "parameters":
             parts += ["In runs of `close-loop` also:", _columns(BEFORE)]
     return "\n\n".join(parts) + "\n"
+
+
+FORM_SITES: dict[SiteKind, tuple[str, str]] = {
+    "derivative": ("der(STATE)", "The equation is added to the derivative of a state. `v` is that "
+                   "state where `variables` names no other argument."),
+    "pair": ("pair STATE,STATE", "The equation is added to the first derivative, the second one to "
+             "the other. `v` is the difference of the two states where `variables` names no other "
+             "argument."),
+    "input": ("input NAME", "The equation takes the place of the input `s`. `v` is a state or "
+              "another signal that `variables` names."),
+    "output": ("output NAME", "The equation takes the place of the output `s`: it is what the "
+               "sensor shows."),
+    "parameter": ("parameter NAME", "The equation takes the place of the parameter `s`, at every "
+                  "time."),
+}  # fmt: skip
+
+
+def forms_page() -> str:
+    """Every form of an effect: its equation and its coefficients."""
+    parts = [
+        "# Forms of effects",
+        "Made from the code. [Adding what the model lacks](adding_effects.md) says how to declare "
+        "an effect. In the equations, `v` and `w` are the variables that an effect is a function "
+        "of, `t` is the time, and `z` and `y` are states of its own. In the units, `site` is that "
+        "of what the equation gives, and `other` that of the second derivative. A strength does "
+        "nothing at 0 unless another value is given. A coefficient that the closed loop holds "
+        "stays where it was set when the effect is fitted; what you declare yourself is fitted "
+        "unless it says `fixed = true`.",
+    ]
+    for kind, (site, meaning) in FORM_SITES.items():
+        parts += [f"## {site}", meaning]
+        forms = [form for (at, _), form in FORMS.items() if at == kind]
+        parts.append(_table(("form", "equation", "coefficients"), [_form(f) for f in forms]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _form(form: EffectForm) -> tuple[str, str, str]:
+    if form.free:
+        before = {"parameter": "`s` times 1 plus ", "derivative": "", "pair": ""}
+        equation = (
+            f"{before.get(form.kinds[0], '`s` plus ')}a curve of `{'v' if form.variables else 's'}`"
+            ": straight lines between values at 7 equal steps from `low` to `high`"
+        )
+    elif form.memory:
+        equation = f"`{form.memory}(s, {form.coefficients[0].name})`"
+    else:
+        own = [f"{z.name}' = {z.derivative}, from {z.start}" for z in form.states]
+        equation = "; ".join(f"`{part}`" for part in (form.equation, form.reaction, *own) if part)
+    return f"`{form.name}`", equation, "; ".join(map(_coefficient, form.coefficients))
+
+
+def _coefficient(coefficient: FormCoefficient) -> str:
+    said = [f"`{coefficient.name}`", f"in {coefficient.unit}" if coefficient.unit != "1" else ""]
+    if coefficient.neutral:
+        said.append(f"(does nothing at {coefficient.neutral:g})")
+    said += ["(held)"] if coefficient.held else []
+    return " ".join(filter(None, said))
 
 
 def commands_page() -> str:

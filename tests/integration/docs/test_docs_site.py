@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from docs.pages import cell, keys_page, tables_page
+from docs.pages import FORM_SITES, cell, forms_page, keys_page, tables_page
 from pydantic import BaseModel
 from support.problems.springs import ROOT
 
@@ -18,6 +18,7 @@ from cluster_est.config.sections.sweep import SweepSections
 from cluster_est.results.table_columns import BEFORE, TABLES
 from cluster_est.run_folder.evaluation_log import read_log
 from cluster_est.toml import to_toml
+from workers.effects.forms import FORMS
 
 FETCHED = re.compile(r"""(?:<(?:script|img|iframe)[^>]*\ssrc|<link[^>]*\shref)=["']?(https?:)?//""")
 SPRING = ROOT / "configs" / "models" / "mass_spring_damper.fmu"
@@ -44,7 +45,7 @@ def site(tmp_path_factory) -> Path:
 def test_the_site_has_every_page(site):
     sources = {path.stem for path in (ROOT / "cluster_est" / "docs").glob("*.md")}
     built = {path.stem for path in site.glob("*.html")}
-    assert sources | {"keys", "tables", "commands", "python"} <= built
+    assert sources | {"keys", "tables", "forms", "commands", "python"} <= built
 
 
 def test_no_page_asks_another_host_for_anything(site):
@@ -186,3 +187,14 @@ def test_every_column_has_a_meaning_on_the_page():
             assert column.meaning
             cells = (f"`{column.name}`", column.type, column.unit, column.meaning)
             assert f"| {' | '.join(cell(text) for text in cells)} |" in page
+
+
+def test_every_form_is_on_the_page_under_its_site():
+    _, *sections = forms_page().split("\n## ")
+    assert [s.partition("\n")[0] for s in sections] == [site for site, _ in FORM_SITES.values()]
+    for kind, section in zip(FORM_SITES, sections, strict=True):
+        for form in (form for (site, _), form in FORMS.items() if site == kind):
+            row = next(line for line in section.splitlines() if line.startswith(f"| `{form.name}`"))
+            plain = not form.free and not form.memory
+            assert not plain or f"`{form.equation}`" in row
+            assert all(f"`{c.name}`" in row for c in form.coefficients)
