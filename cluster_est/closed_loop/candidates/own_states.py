@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import sympy as sp
 from scipy.integrate import cumulative_trapezoid
-from scipy.linalg import expm
 
+from cluster_est.closed_loop.candidates.step_matrices import StepMatrices, step_matrices
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm
 from workers.messages import FloatArray
@@ -125,38 +125,22 @@ def _follow_coupled(
 ) -> FloatArray:
     """Integrate states that act on each other, (states, n); exact where the drives are linear.
 
-    Steps of one length share the exponential of their matrix.
+    Steps of one length share their matrices.
     """
     times = arguments[0]
     matrix = np.asarray(states.matrix(*coefficients), float)
     drives = np.array([_along(f, arguments, coefficients) for f in states.drives])
     found = np.empty((len(matrix), len(times)))
     found[:, 0] = [_along(f, arguments, coefficients)[0] for f in states.starts]
-    known: dict[float, tuple[FloatArray, FloatArray, FloatArray]] = {}
+    known: dict[float, StepMatrices] = {}
     for n, step in enumerate(np.diff(times).tolist()):
         length = float(f"{step:.9e}")  # the differences of equal times differ in their last bits
         if length not in known:
-            known[length] = _step_of(matrix, length)
-        keep, first, last = known[length]
-        found[:, n + 1] = keep @ found[:, n] + first @ drives[:, n] + last @ drives[:, n + 1]
+            known[length] = step_matrices(matrix, length)
+        by = known[length]
+        forced = by.from_first @ drives[:, n] + by.from_last @ drives[:, n + 1]
+        found[:, n + 1] = by.keep @ found[:, n] + forced
     return found
-
-
-def _step_of(matrix: FloatArray, step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what a step makes of the states, and of the drives at its start and its end.
-
-    All are parts of the exponential of one matrix (C. F. Van Loan, IEEE Trans. Autom. Control 23
-    (1978) 395-404, doi:10.1109/TAC.1978.1101743).
-    """
-    count = len(matrix)
-    one = np.eye(count)
-    large = np.zeros((3 * count, 3 * count))
-    large[:count, :count] = matrix * step
-    large[:count, count : 2 * count] = one * step
-    large[count : 2 * count, 2 * count :] = one
-    power = expm(large)
-    constant, slope = power[:count, count : 2 * count], power[:count, 2 * count :]
-    return power[:count, :count], constant - slope, slope
 
 
 def _along(

@@ -3,7 +3,7 @@
     d(dx)/dt = A dx + f,    dy = C dx
 
 f is linear between the times of the grid, and A constant within each step: the mean of its values
-at both ends. Symbols are those of the references in `step_matrices.py`.
+at both ends. Symbols are those of the references in `discrete_time.py` and `step_matrices.py`.
 """
 
 from __future__ import annotations
@@ -15,12 +15,9 @@ from typing import final
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.step_matrices import StepMatrices
+from cluster_est.closed_loop.screening.discrete_time import discretise, streamed_steps
 from cluster_est.closed_loop.screening.linear_kernel import run_adjoint, run_linear
-from cluster_est.closed_loop.screening.step_matrices import (
-    StepMatrices,
-    discretise,
-    streamed_steps,
-)
 from workers.messages import FloatArray, IntArray, Linearisation
 
 LARGE = 24

@@ -12,8 +12,8 @@ from support.truth.systems_with_missing_effects import missing_effect_problem, o
 from cluster_est.closed_loop.candidates.make import make_candidates
 from cluster_est.closed_loop.screening import linear_system as module
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
+from cluster_est.closed_loop.screening.discrete_time import discretise
 from cluster_est.closed_loop.screening.linear_system import propagate
-from cluster_est.closed_loop.screening.step_matrices import discretise
 from cluster_est.closed_loop.settings import LoopSettings
 from workers.messages import Linearisation, MatrixSeries
 

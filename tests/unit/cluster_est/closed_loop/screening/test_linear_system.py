@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from cluster_est.closed_loop.screening import step_matrices as module
+from cluster_est.closed_loop.candidates.step_matrices import step_matrices
+from cluster_est.closed_loop.screening import discrete_time as module
+from cluster_est.closed_loop.screening.discrete_time import streamed_steps
 from cluster_est.closed_loop.screening.linear_system import (
     LARGE,
     Forcing,
@@ -14,7 +16,6 @@ from cluster_est.closed_loop.screening.linear_system import (
     SmallSystem,
     linear_system,
 )
-from cluster_est.closed_loop.screening.step_matrices import step_matrices, streamed_steps
 from workers.messages import Linearisation, MatrixSeries
 
 N, OUTPUTS = 60, 3
