@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluster_est.closed_loop.selection.refinement.first_steps import longest_step
+from cluster_est.closed_loop.selection.refinement.linear_step import longest_step
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import enlarged_kind
 from cluster_est.closed_loop.thresholds import AcceptanceThresholds

@@ -22,11 +22,13 @@ from cluster_est.closed_loop.selection.gates import (
     best_that_passes,
     leaves_more_than_noise,
     reason_to_stop,
+    useful_sse,
 )
 from cluster_est.closed_loop.selection.grow import best_distinct, grow
 from cluster_est.closed_loop.selection.path import compared_structure, compared_structures
 from cluster_est.closed_loop.selection.refinement.pairs import refit_pairs
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, Rivals, rivals_of
+from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit
 from cluster_est.closed_loop.selection.restarts import refit_from_other_starts
 from cluster_est.closed_loop.selection.revise import revise
 from cluster_est.closed_loop.selection.rounds import (
@@ -73,9 +75,9 @@ def beam_search(
         number = len(steps) + 1
         _say_phase(workbench, current)
         screened = screen(workbench, current, number)
-        begun = RoundStart(current, prediction, screened, floor, beside, numerical)
+        begun = RoundStart(base, current, prediction, screened, floor, beside, numerical)
         first = first or begun
-        end = _round(workbench, base, begun)
+        end = _round(workbench, begun)
         steps.append(end.seen)
         seen += _noted(workbench, current, end, number)
         path += compared_structures(workbench, base, end, floor, number)
@@ -93,7 +95,7 @@ def beam_search(
         if again and not current.added and _was_local(workbench, base, won):
             restart = FitStart(base.problem, _declared_only(won), base.added)
             return beam_search(workbench, fit_declared(workbench, restart), numerical, again=False)
-        grown, rivals = _revised(workbench, base, begun, end, won, rivals)
+        grown, rivals = _revised(workbench, begun, end, won, rivals)
         predicted = predict(workbench, grown) if grown is not won.fitted else end.prediction
         if grown.structure != won.fitted.structure:
             path.append(compared_structure(workbench, base, grown, floor, number))
@@ -115,7 +117,6 @@ def _say_phase(workbench: LoopWorkbench, current: FittedModel) -> None:
 
 def _revised(
     workbench: LoopWorkbench,
-    base: FittedModel,
     begun: RoundStart,
     end: RoundEnd,
     won: RefittedCandidate,
@@ -126,22 +127,22 @@ def _revised(
     rivals = {**found, **rivals, **{name: own for name, own in found.items() if own[1]}}
     grown = won.fitted
     if _grows_several(workbench, grown, begun.floor):
-        grown = refit_from_other_starts(workbench, base, grown)
+        grown = refit_from_other_starts(workbench, begun.base, grown)
     if len(grown.added) > 1:
         grown, rivals = revise(workbench, grown, begun.screening.count, begun.floor, rivals)
     return grown, rivals
 
 
-def _round(workbench: LoopWorkbench, base: FittedModel, begun: RoundStart) -> RoundEnd:
+def _round(workbench: LoopWorkbench, begun: RoundStart) -> RoundEnd:
     """Try to add something to a structure, or to others that are as large."""
     stop = reason_to_stop(workbench, begun)
     if stop is not None:
         return RoundEnd(SelectionRound(begun.screening, (), stop))
-    grown = grow(workbench, begun, _parents(workbench, base, begun))
+    grown = grow(workbench, begun, _parents(workbench, begun))
     single = best_that_passes(workbench, begun, grown)
     if not _looks_for_two(workbench, begun, single):
         return replace(single, compared=tuple(grown))
-    more = _two_more(workbench, base, begun, grown if single.won is None else ())
+    more = _two_more(workbench, begun, grown if single.won is None else ())
     best = _better(workbench, begun, single, best_that_passes(workbench, begun, more))
     curves: list[RefittedCandidate] = []
     if best.won is None:
@@ -151,15 +152,13 @@ def _round(workbench: LoopWorkbench, base: FittedModel, begun: RoundStart) -> Ro
     return replace(best, compared=(*grown, *more, *curves))
 
 
-def _parents(
-    workbench: LoopWorkbench, base: FittedModel, begun: RoundStart
-) -> tuple[FittedModel, ...]:
+def _parents(workbench: LoopWorkbench, begun: RoundStart) -> tuple[FittedModel, ...]:
     """The accepted structure, and where it leaves more than noise, others as large."""
     if not begun.beside or not _grows_several(workbench, begun.model, begun.floor):
         return (begun.model,)
     size = len(begun.model.added)
     beside = [c for c in begun.beside if len(c.fitted.added) == size]
-    return best_distinct(workbench, base, beside, first=begun.model)
+    return best_distinct(workbench, begun.base, beside, first=begun.model)
 
 
 def _grows_several(workbench: LoopWorkbench, fitted: FittedModel, floor: float) -> bool:
@@ -177,15 +176,15 @@ def _looks_for_two(workbench: LoopWorkbench, begun: RoundStart, single: RoundEnd
 
 def _two_more(
     workbench: LoopWorkbench,
-    base: FittedModel,
     begun: RoundStart,
     singles: Sequence[RefittedCandidate],
 ) -> list[RefittedCandidate]:
     """Structures of two effects more: from pairs of directions, and grown from single ones."""
-    pairs = refit_pairs(workbench, begun.model, begun.screening.ranking, begun.floor)
+    useful = UsefulFit(sse=useful_sse(workbench, begun, len(begun.model.added) + 2))
+    pairs = refit_pairs(workbench, begun.model, begun.screening.ranking, begun.floor, useful)
     found = {c.fitted.structure: c for c in pairs}
     if _grows_several(workbench, begun.model, begun.floor):
-        parents = best_distinct(workbench, base, singles)
+        parents = best_distinct(workbench, begun.base, singles)
         for contender in grow(workbench, begun, parents, known=tuple(found)):
             found.setdefault(contender.fitted.structure, contender)
     return sorted(found.values(), key=lambda c: c.criterion)

@@ -20,12 +20,11 @@ from cluster_est.closed_loop.selection.gates import (
 )
 from cluster_est.closed_loop.selection.refinement.first_steps import first_steps
 from cluster_est.closed_loop.selection.refinement.refine import (
-    FULL,
-    SHORT,
     RefittedCandidate,
     Rivals,
     rivals_of,
 )
+from cluster_est.closed_loop.selection.refinement.refits import SHORT, full_refit
 from cluster_est.closed_loop.selection.rounds import RoundStart
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
@@ -42,7 +41,7 @@ def refit_curves(
     starts = [step.start for step in first_steps(workbench, current, ranking, leaders)]
     brief = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
     brief.sort(key=lambda fitted: fitted.criterion(workbench.records))
-    finished = workbench.fit(LoopStage.REFITS, [f.start for f in brief[:1]], FULL)
+    finished = workbench.fit(LoopStage.REFITS, [f.start for f in brief[:1]], full_refit(workbench))
     full = [new or old for new, old in zip(finished, brief, strict=False)]
     return [
         RefittedCandidate(f, f.criterion(workbench.records), i == 0)

@@ -40,11 +40,34 @@ def leaves_more_than_noise(workbench: LoopWorkbench, fitted: FittedModel, floor:
     return fitted.sse > workbench.thresholds.selection.gap * floor
 
 
+def useful_sse(workbench: LoopWorkbench, begun: RoundStart, added: int) -> float:
+    """Return the sum of squares that structures of a round must come down to, to be of any use.
+
+    With the last effect that is allowed a structure must close the least share of the gap, and as
+    much of it as a claim needs. What may be the noise of sensors for its size has to close nothing,
+    and a smaller structure neither: a further effect may show what it is good for.
+
+    Parameters
+    ----------
+    added
+        Number of effects of the structures.
+    """
+    thresholds, settings, floor = workbench.thresholds, workbench.settings, begun.floor
+    if added < settings.max_effects:
+        return np.inf
+    gate = begun.model.sse - settings.least_gain * (begun.model.sse - floor)
+    claim = begun.base.sse - thresholds.verdict.most * (begun.base.sse - floor)
+    near = settings.near_noise if workbench.sigma_declared else thresholds.verdict.coloured
+    return float(max(min(gate, claim), near**2 * floor))
+
+
 def best_that_passes(
     workbench: LoopWorkbench, begun: RoundStart, contenders: Sequence[RefittedCandidate]
 ) -> RoundEnd:
     """The best contender that stays bounded, if it passes the gates."""
     current = begun.model
+    if not contenders:
+        return RoundEnd(SelectionRound(begun.screening, (), RejectionReason.LITTLE_PROMISED))
     better = [c for c in contenders if c.criterion < current.criterion(workbench.records)]
     left = believable(workbench, current, better)
     why = RejectionReason.ONLY_WAVES if better and not left else RejectionReason.NO_IMPROVEMENT

@@ -7,9 +7,12 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from cluster_est.closed_loop.screening.ranking import rank
-from cluster_est.closed_loop.selection.refinement.refine import FULL, RefittedCandidate, refit
+from cluster_est.closed_loop.selection.gates import useful_sse
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, refit
+from cluster_est.closed_loop.selection.refinement.refits import full_refit
 from cluster_est.closed_loop.selection.refinement.same_argument import refit_same_argument
 from cluster_est.closed_loop.selection.refinement.switch_widths import refit_switch_widths
+from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit
 from cluster_est.closed_loop.selection.rounds import RoundStart
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
@@ -25,14 +28,18 @@ def grow(
     """Refit structures with one effect more than each parent has; the best first.
 
     A structure that several parents lead to is refitted from the first of them alone, and one that
-    is known already not at all. From the second parent on, what cannot come near the best structure
-    so far is refitted no further.
+    is known already not at all. What cannot come to be of any use is refitted no further: from the
+    second parent on it must come near the best structure so far.
     """
     found: dict[frozenset[str], RefittedCandidate] = {}
     for parent in parents:
         accepted = parent is begun.model
         ranking = begun.screening.ranking if accepted else rank(workbench, parent)
         best = min((c.criterion for c in found.values()), default=np.inf)
+        useful = UsefulFit(
+            best + workbench.thresholds.refinement.alternative,
+            useful_sse(workbench, begun, len(parent.added) + 1),
+        )
         contenders = refit(
             workbench,
             parent,
@@ -40,7 +47,7 @@ def grow(
             begun.floor,
             wide=accepted,
             known={*known, *found},
-            most=best + workbench.thresholds.refinement.alternative,
+            useful=useful,
         )
         contenders += refit_same_argument(workbench, parent, ranking, contenders)
         for contender in refit_switch_widths(workbench, contenders, begun.floor):
@@ -85,7 +92,7 @@ def best_distinct(
         changes.append(change)
     rough = {id(c.fitted) for c in contenders if not c.full}
     asked = [fitted.start for fitted in kept if id(fitted) in rough]
-    finished = iter(workbench.fit(LoopStage.REFITS, asked, FULL))
+    finished = iter(workbench.fit(LoopStage.REFITS, asked, full_refit(workbench)))
     return tuple((next(finished) or f) if id(f) in rough else f for f in kept)
 
 

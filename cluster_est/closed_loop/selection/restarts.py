@@ -8,11 +8,11 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.selection.accept import stays_bounded
-from cluster_est.closed_loop.selection.refinement.first_steps import (
+from cluster_est.closed_loop.selection.refinement.linear_step import (
     gauss_newton_step,
     longest_step,
 )
-from cluster_est.closed_loop.selection.refinement.refine import FULL, SHORT
+from cluster_est.closed_loop.selection.refinement.refits import SHORT, full_refit
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.problem.space import SearchSpace
@@ -46,7 +46,7 @@ def refit_from_other_starts(
     if not brief:
         return grown
     best = min(brief, key=lambda fitted: fitted.sse)
-    (finished,) = workbench.fit(LoopStage.OTHER_STARTS, [best.start], FULL)
+    (finished,) = workbench.fit(LoopStage.OTHER_STARTS, [best.start], full_refit(workbench))
     if finished is None or finished.sse >= grown.sse:
         return grown
     return finished if stays_bounded(workbench, finished, declared) else grown

@@ -9,13 +9,14 @@ import numpy as np
 from cluster_est.closed_loop.screening.ranking import rank
 from cluster_est.closed_loop.selection.accept import stays_bounded
 from cluster_est.closed_loop.selection.refinement.refine import (
-    FULL,
     RefittedCandidate,
     Rivals,
     plainest,
     refit,
     rivals_of,
 )
+from cluster_est.closed_loop.selection.refinement.refits import full_refit
+from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit
 from cluster_est.closed_loop.selection.waves import believable
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
@@ -80,7 +81,9 @@ def _without_needless(workbench: LoopWorkbench, grown: FittedModel, saved: float
     for position in reversed(range(len(grown.added))):
         if len(grown.added) < 2:
             break
-        (rest,) = workbench.fit(LoopStage.DROP, [grown.start.minus(position)], FULL)
+        (rest,) = workbench.fit(
+            LoopStage.DROP, [grown.start.minus(position)], full_refit(workbench)
+        )
         if rest is not None and (
             rest.criterion(workbench.records) < grown.criterion(workbench.records) + saved
         ):
@@ -102,13 +105,14 @@ def _instead(
     start = grown.start
     for position in reversed(positions):
         start = start.minus(position)
-    (rest,) = workbench.fit(LoopStage.SWAP, [start], FULL)
+    (rest,) = workbench.fit(LoopStage.SWAP, [start], full_refit(workbench))
     if rest is None:
         return None
     thresholds = workbench.thresholds.refinement
     most = grown.criterion(workbench.records) + rise
-    possible = most + thresholds.alternative
-    refitted = refit(workbench, rest, rank(workbench, rest), floor, wide=False, most=possible)
+    useful = UsefulFit(most + thresholds.alternative)
+    ranking = rank(workbench, rest)
+    refitted = refit(workbench, rest, ranking, floor, wide=False, useful=useful)
     contenders = believable(workbench, rest, refitted)
     if not contenders or contenders[0].criterion >= most:
         return None

@@ -23,6 +23,7 @@ class RejectionReason(enum.StrEnum):
     COLOURED_NOISE = "coloured noise"
     LIMIT_OF_EFFECTS = "limit of effects"
     FREE_CURVE = "a free curve was added, whose own error is part of what is left"
+    LITTLE_PROMISED = "no candidate that can be simulated promises to explain enough"
     NO_IMPROVEMENT = "no candidate improves the fit and stays bounded"
     ONLY_WAVES = (
         "the only candidates that help are sinusoids in time, each seen too briefly, at a "
@@ -55,6 +56,8 @@ class RoundStart:
 
     Attributes
     ----------
+    base
+        The declared model, fitted.
     model, prediction
         The accepted structure, fitted, and its leave-one-out prediction.
     screening
@@ -67,6 +70,7 @@ class RoundStart:
         Fall of the sum of squares that an effect could owe to the error of the solver.
     """
 
+    base: FittedModel = field(repr=False)
     model: FittedModel = field(repr=False)
     prediction: LeaveOneOutPrediction = field(repr=False)
     screening: ScreeningResult = field(repr=False)

@@ -31,8 +31,8 @@ class RefinementThresholds:
         Share of what the best candidate does, where that closes the gap, that another must do to
         be refitted further. Benchmark.
     linear_promise
-        Times the fall of the criterion that the linear model promises after some iterations that
-        the rest of a fit may bring. Benchmark.
+        Times the fall that the linear model promises, of the criterion after some iterations or of
+        the squares before the first, that the rest of a fit may bring. Benchmark.
     finalists
         Candidates that are refitted to convergence. Benchmark.
     promising
@@ -44,6 +44,8 @@ class RefinementThresholds:
         Other functions of the best candidate's argument that are refitted. Benchmark.
     explains
         Share of what that candidate does that they must be able to do. Benchmark.
+    settled
+        Fall of the criterion that ends a refit to convergence. Theory: a tenth of `equal`.
     equal
         Difference of criteria that does not tell two candidates apart. Theory: below 2 "not worth
         more than a bare mention", R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795.
@@ -67,6 +69,7 @@ class RefinementThresholds:
     curves: int = 2
     same_argument: int = 3
     explains: float = 0.8
+    settled: float = 0.2
     equal: float = 2.0
     alternative: float = 10.0
 

@@ -10,6 +10,15 @@ import numpy as np
 
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
+from cluster_est.closed_loop.selection.refinement.linear_step import (
+    gauss_newton_step,
+    longest_step,
+)
+from cluster_est.closed_loop.selection.refinement.useful_fit import (
+    ANY_FIT,
+    UsefulFit,
+    may_start_useful,
+)
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.thresholds import RefinementThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
@@ -41,10 +50,12 @@ def first_steps(
     current: FittedModel,
     ranking: CandidateRanking,
     leaders: Sequence[int],
+    useful: UsefulFit = ANY_FIT,
 ) -> list[FirstStep]:
     """Simulate the first step of each leader; shorter ones where it does less than predicted.
 
-    Leaders that cannot be simulated are left out. One whose steps all make it worse starts from
+    Leaders that cannot be simulated are left out, and those that the linear model does not let hope
+    to be useful. One whose steps all make it worse starts from
     nothing instead: with one effect more no model need fit worse.
     """
     thresholds = workbench.thresholds.refinement
@@ -53,6 +64,8 @@ def first_steps(
         for owner, leader in enumerate(leaders)
         for i in _grid_points(ranking, leader)[: thresholds.points_of_grid]
     ]
+    hopeful = {each.owner for each in asked if each.may_be_useful(workbench, current, useful)}
+    asked = [each for each in asked if each.owner in hopeful]
     best: dict[int, FirstStep] = {}
     for length in thresholds.step_lengths:
         asked = [each for each in asked if not _does_enough(each, best, current, thresholds)]
@@ -85,14 +98,27 @@ def _from_nothing(current: FittedModel, ranking: CandidateRanking, leader: int) 
 
 @dataclass(frozen=True)
 class _AskedStep:
-    """A candidate at a point of its grid with the step that the linear model asks for."""
+    """A candidate at a point of its grid with the step that the linear model asks for.
+
+    `left` is the share of each output's squares that the linear model leaves.
+    """
 
     owner: int
     trial: CandidatePoint
     step: FloatArray = field(repr=False)
     predicted: float
+    left: FloatArray = field(repr=False)
     start: FitStart = field(repr=False)
     space: SearchSpace = field(repr=False)
+
+    def may_be_useful(
+        self, workbench: LoopWorkbench, current: FittedModel, useful: UsefulFit
+    ) -> bool:
+        """Return whether it may; of what is no small change, the linear model knows nothing."""
+        if not is_proportional(self.trial):
+            return True
+        added = len(self.space.unknowns) - len(current.x)
+        return may_start_useful(workbench, current, self.left, added, useful)
 
     def point(
         self, current: FittedModel, length: float, thresholds: RefinementThresholds
@@ -116,11 +142,29 @@ def _asked_step(
     index: int,
 ) -> _AskedStep:
     trial = ranking.trials[index]
-    step, (strengths,), left = joint_step(current, ranking, [index])
+    step, (strengths,), after = joint_step(current, ranking, [index])
     values = values_at(trial, strengths, workbench.thresholds.refinement)
     start = current.start.plus(trial.candidate, values)
-    predicted = left * current.sse
-    return _AskedStep(owner, trial, step, predicted, start, workbench.space(start))
+    left = shares_left(current, ranking, after)
+    sizes = [current.residuals[workbench.records.of_output(o)] for o in range(len(left))]
+    predicted = float(
+        sum(share * np.add.reduce(r**2) for share, r in zip(left, sizes, strict=True))
+    )
+    return _AskedStep(owner, trial, step, predicted, left, start, workbench.space(start))
+
+
+def shares_left(current: FittedModel, ranking: CandidateRanking, after: FloatArray) -> FloatArray:
+    """Return the share (outputs,) of each output's squares that is left, on the screened rows.
+
+    Parameters
+    ----------
+    after
+        The screened residuals of the linear model.
+    """
+    before = current.residuals[ranking.rows]
+    rows = [ranking.records.of_output(o) for o in range(len(ranking.records.outputs))]
+    squares = [(np.add.reduce(after[r] ** 2), np.add.reduce(before[r] ** 2)) for r in rows]
+    return np.array([a / b if b > 0.0 else 1.0 for a, b in squares])
 
 
 def _does_enough(
@@ -149,7 +193,7 @@ def _grid_points(ranking: CandidateRanking, leader: int) -> list[int]:
 
 def joint_step(
     current: FittedModel, ranking: CandidateRanking, trials: Sequence[int]
-) -> tuple[FloatArray, list[FloatArray], float]:
+) -> tuple[FloatArray, list[FloatArray], FloatArray]:
     """Gauss-Newton step of all unknowns, and how strong each trial is to be, on the screened rows.
 
     A limit cannot be made stronger or weaker in proportion: it is switched on as it is, the other
@@ -161,8 +205,8 @@ def joint_step(
         Of the unknowns.
     strengths
         Of each trial.
-    left
-        Share of the residual's squares that the linear model leaves.
+    after
+        The residuals that the linear model leaves.
     """
     matrix = current.jacobian[ranking.rows]
     residuals = current.residuals[ranking.rows]
@@ -175,43 +219,8 @@ def joint_step(
     joined = np.hstack([matrix, *own])
     solved = gauss_newton_step(joined, residuals)
     after = residuals + joined @ solved
-    before = float(np.add.reduce(current.residuals[ranking.rows] ** 2))
-    left = float(np.add.reduce(after**2)) / max(before, 1e-300)
     ends = np.cumsum([matrix.shape[1], *(part.shape[1] for part in own)])
-    return solved[: ends[0]], [solved[a:b] for a, b in pairwise(ends)], left
-
-
-def gauss_newton_step(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Return the step that minimises the linear model of the residuals, whatever the units.
-
-    Parameters
-    ----------
-    jacobian : (N, unknowns)
-    residuals : (N,)
-
-    Returns
-    -------
-    (unknowns,)
-        Zero for an unknown without effect.
-    """
-    sizes = np.linalg.norm(jacobian, axis=0)
-    sizes[~(sizes > 0.0)] = 1.0
-    step: FloatArray = np.linalg.lstsq(jacobian / sizes, -residuals, rcond=1e-6)[0] / sizes
-    return step
-
-
-def longest_step(space: SearchSpace, x: FloatArray, largest: float) -> FloatArray:
-    """Return how far each unknown may be moved from a point at once, in search coordinates.
-
-    Parameters
-    ----------
-    space, x
-        The unknowns, and where they stand: (unknowns,).
-    largest
-        Of a parameter: in logarithms, or as a share of its value.
-    """
-    log = np.array([u.log for u in space.unknowns], bool)
-    return largest * np.where(log, 1.0, np.maximum(np.abs(x), space.typical))
+    return solved[: ends[0]], [solved[a:b] for a, b in pairwise(ends)], after
 
 
 def is_proportional(trial: CandidatePoint) -> bool:

@@ -10,23 +10,36 @@ from __future__ import annotations
 import numpy as np
 
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
-from cluster_est.closed_loop.selection.refinement.first_steps import joint_step, values_at
+from cluster_est.closed_loop.selection.refinement.first_steps import (
+    is_proportional,
+    joint_step,
+    shares_left,
+    values_at,
+)
 from cluster_est.closed_loop.selection.refinement.refine import (
     RefittedCandidate,
     successive_halving,
 )
-from cluster_est.closed_loop.thresholds import PairThresholds, RefinementThresholds
+from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit, may_start_useful
+from cluster_est.closed_loop.thresholds import PairThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 
 
 def refit_pairs(
-    workbench: LoopWorkbench, current: FittedModel, ranking: CandidateRanking, floor: float
+    workbench: LoopWorkbench,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    floor: float,
+    useful: UsefulFit,
 ) -> list[RefittedCandidate]:
-    """Refit the best pairs; the best first. A contender's last two effects are the pair."""
-    thresholds = workbench.thresholds
-    found = best_pairs(ranking, thresholds.pairs)
-    starts = [_start(current, ranking, pair, thresholds.refinement) for pair in found]
-    return successive_halving(workbench, current, floor, starts) if starts else []
+    """Refit the best pairs; the best first. A contender's last two effects are the pair.
+
+    Those that the linear model does not let hope to be useful are left out.
+    """
+    found = best_pairs(ranking, workbench.thresholds.pairs)
+    asked = [_start(workbench, current, ranking, pair, useful) for pair in found]
+    starts = [start for start in asked if start is not None]
+    return successive_halving(workbench, current, floor, starts, useful) if starts else []
 
 
 def best_pairs(
@@ -64,15 +77,22 @@ def best_pairs(
 
 
 def _start(
+    workbench: LoopWorkbench,
     current: FittedModel,
     ranking: CandidateRanking,
     pair: tuple[int, int],
-    thresholds: RefinementThresholds,
-) -> FitStart:
-    """Both effects, with the strengths of the joint linear step."""
-    _, strengths, _ = joint_step(current, ranking, pair)
+    useful: UsefulFit,
+) -> FitStart | None:
+    """Both effects, with the strengths of the joint linear step; None if of no use."""
+    _, strengths, after = joint_step(current, ranking, pair)
     start = current.start
     for m, own in zip(pair, strengths, strict=True):
         trial = ranking.trials[m]
-        start = start.plus(trial.candidate, values_at(trial, own, thresholds))
+        values = values_at(trial, own, workbench.thresholds.refinement)
+        start = start.plus(trial.candidate, values)
+    if all(is_proportional(ranking.trials[m]) for m in pair):
+        added = workbench.space(start).size - len(current.x)
+        left = shares_left(current, ranking, after)
+        if not may_start_useful(workbench, current, left, added, useful):
+            return None
     return start

@@ -13,20 +13,18 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
-from cluster_est.closed_loop.selection.refinement.first_steps import (
-    FirstStep,
-    first_steps,
-    gauss_newton_step,
+from cluster_est.closed_loop.selection.refinement.first_steps import FirstStep, first_steps
+from cluster_est.closed_loop.selection.refinement.refits import FIRST, SHORT, full_refit
+from cluster_est.closed_loop.selection.refinement.useful_fit import (
+    ANY_FIT,
+    UsefulFit,
+    may_become_useful,
+    promised,
 )
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.thresholds import RefinementThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.statistics.score import ScoreTests
-
-FIRST = LeastSquares(trials=2, max_iterations=1, ftol=1e-4, xtol=1e-5, differences="forward")
-SHORT = LeastSquares(trials=2, max_iterations=2, ftol=1e-4, xtol=1e-5, differences="forward")
-FULL = LeastSquares(trials=2, max_iterations=10, ftol=1e-6, xtol=1e-7, differences="forward")
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ def refit(
     *,
     wide: bool = True,
     known: Collection[frozenset[str]] = (),
-    most: float = np.inf,
+    useful: UsefulFit = ANY_FIT,
 ) -> list[RefittedCandidate]:
     """Refit the leading candidates; the best first.
 
@@ -71,9 +69,8 @@ def refit(
         effect, the less the score of a small one says. Without, only half as many are refitted.
     known
         Structures that need no refit, because they were reached from another one.
-    most
-        Criterion above which a structure is of no use. What cannot come below it is refitted no
-        further.
+    useful
+        What a structure must come down to. What cannot is refitted no further.
     """
     thresholds = workbench.thresholds.refinement
     count, trials = workbench.settings.refits, workbench.settings.trials
@@ -90,19 +87,19 @@ def refit(
     leaders = leading(ranking.plain, 2 * trials)
     white = leading(ranking.white, thresholds.white_leaders)
     first = list(dict.fromkeys([*leaders[:trials], *white]))
-    chosen, left = _mixed(first_steps(workbench, current, ranking, first), count)
+    chosen, left = _mixed(first_steps(workbench, current, ranking, first, useful), count)
     reached = [step.sse for step in chosen]
     possible = [min(step.sse, step.predicted) for step in chosen]
     near = _near_the_best(reached, possible, current, floor, thresholds)
     starts = [chosen[i].start for i in near]
-    contenders = successive_halving(workbench, current, floor, starts, most)
+    contenders = successive_halving(workbench, current, floor, starts, useful)
     if not wide or _closes(current, contenders, floor, thresholds.closes):
         return contenders
     later = [i for i in leaders[trials:] if i not in first]
-    left += first_steps(workbench, current, ranking, later)
+    left += first_steps(workbench, current, ranking, later, useful)
     left.sort(key=lambda step: step.sse)
     later_starts = [step.start for step in left[:count]]
-    contenders += successive_halving(workbench, current, floor, later_starts, most)
+    contenders += successive_halving(workbench, current, floor, later_starts, useful)
     return sorted(contenders, key=lambda c: c.criterion)
 
 
@@ -111,12 +108,12 @@ def successive_halving(
     current: FittedModel,
     floor: float,
     starts: Sequence[FitStart],
-    most: float = np.inf,
+    useful: UsefulFit = ANY_FIT,
 ) -> list[RefittedCandidate]:
     """Refit all a little, the better half more, and the best to convergence; the best first.
 
     What has converged waits for the last round. What is far behind where one candidate does it all
-    is refitted no further, nor what cannot come below the criterion that it needs to be of use.
+    is refitted no further, nor what cannot come down to what it must reach.
     Some candidates have further to go than others, as where a parameter must make room for them:
     those that the linear model promises to become the best go on too.
     """
@@ -127,7 +124,7 @@ def successive_halving(
         fits.sort(key=lambda f: f.criterion(workbench.records))
         sums = [f.sse for f in fits]
         near = _near_the_best(sums, sums, current, floor, thresholds)
-        near = [i for i in near if _may_reach(workbench, fits[i], most)]
+        near = [i for i in near if may_become_useful(workbench, fits[i], useful)]
         kept = near[: max(thresholds.finalists, len(fits) // 2)]
         kept += _promising(workbench, fits, near, kept)
         lost += [f for i, f in enumerate(fits) if i not in kept]
@@ -140,7 +137,7 @@ def successive_halving(
     first = order[: thresholds.finalists]
     first += _promising(workbench, fits, order, first)
     best, rest = [fits[i] for i in first], [fits[i] for i in order if i not in first]
-    finished = workbench.fit(LoopStage.REFITS, [f.start for f in best], FULL)
+    finished = workbench.fit(LoopStage.REFITS, [f.start for f in best], full_refit(workbench))
     found = [(f, False) for f in (*lost, *rest)]
     found += [(new or old, True) for new, old in zip(finished, best, strict=True)]
     made = [RefittedCandidate(f, f.criterion(workbench.records), full) for f, full in found]
@@ -167,24 +164,6 @@ def _near_the_best(
     return [i for i, sse in enumerate(possible) if current.sse - sse >= least]
 
 
-def _may_reach(workbench: LoopWorkbench, fitted: FittedModel, most: float) -> bool:
-    """Return whether more iterations could bring the criterion down to what it must reach.
-
-    The linear model says how far one more step would lead, if there were no bounds. After some
-    iterations the rest of a fit brings little more than that, so some times as much is allowed.
-    """
-    reached = fitted.criterion(workbench.records)
-    fall = reached - _promised(workbench, fitted)
-    return reached - workbench.thresholds.refinement.linear_promise * fall <= most
-
-
-def _promised(workbench: LoopWorkbench, fitted: FittedModel) -> float:
-    """The criterion that the linear model promises after one more step without bounds."""
-    step = gauss_newton_step(fitted.jacobian, fitted.residuals)
-    ahead = replace(fitted, residuals=fitted.residuals + fitted.jacobian @ step)
-    return ahead.criterion(workbench.records)
-
-
 def _promising(
     workbench: LoopWorkbench,
     fits: Sequence[FittedModel],
@@ -194,8 +173,8 @@ def _promising(
     """Positions of some that are not kept, though their next step promises more than the best's."""
     if not kept:
         return []
-    best = min(_promised(workbench, fits[i]) for i in kept)
-    others = [(_promised(workbench, fits[i]), i) for i in near if i not in kept]
+    best = min(promised(workbench, fits[i]) for i in kept)
+    others = [(promised(workbench, fits[i]), i) for i in near if i not in kept]
     better = sorted(each for each in others if each[0] < best)
     return [i for _, i in better[: workbench.thresholds.refinement.promising]]
 

@@ -18,7 +18,8 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.ranking import CandidateRanking, candidate_columns
 from cluster_est.closed_loop.selection.refinement.first_steps import is_proportional, values_at
-from cluster_est.closed_loop.selection.refinement.refine import FULL, SHORT, RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.refits import SHORT, full_refit
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.statistics.projection import OrthogonalProjection
@@ -61,7 +62,7 @@ def refit_same_argument(
     most = best.criterion + workbench.thresholds.refinement.alternative
     criteria = [fitted.criterion(workbench.records) for fitted in brief]
     near = [f for f, criterion in zip(brief, criteria, strict=True) if criterion < most]
-    finished = workbench.fit(LoopStage.REFITS, [f.start for f in near], FULL)
+    finished = workbench.fit(LoopStage.REFITS, [f.start for f in near], full_refit(workbench))
     full = [new or old for new, old in zip(finished, near, strict=True)]
     far = [
         RefittedCandidate(f, criterion, False)

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.selection.refinement.refine import FULL, RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.refits import full_refit
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.problem.parameter import Parameter
@@ -51,7 +52,9 @@ def refit_switch_widths(
         for i, contender in enumerate(ranked)
         if _held(contender) and contender.fitted.sse > floor + thresholds.alternative
     ][: thresholds.finalists]
-    fits = workbench.fit(LoopStage.REFITS, [_released(ranked[i]) for i in asked], FULL)
+    fits = workbench.fit(
+        LoopStage.REFITS, [_released(ranked[i]) for i in asked], full_refit(workbench)
+    )
     for i, fitted in zip(asked, fits, strict=True):
         if fitted is None:
             continue

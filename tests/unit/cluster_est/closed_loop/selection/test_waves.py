@@ -100,7 +100,7 @@ def test_where_only_waves_are_left_that_cannot_be_believed_that_is_the_reason(be
     """The first has less than three periods in its records, the second does not fit better."""
     base = unfitted(bench)
     screening = made_screening(base.jacobian, base.residuals, [], [])
-    begun = RoundStart(base, LeaveOneOutPrediction(np.ones(2)), screening, 1.0)
+    begun = RoundStart(base, base, LeaveOneOutPrediction(np.ones(2)), screening, 1.0)
     brief = grown(bench, "sine", (1.0, 0.5, 2.0), 1.0)
     brief = replace(brief, criterion=base.criterion(bench.records) - 100.0)
     worse = replace(brief, criterion=base.criterion(bench.records) + 100.0)
