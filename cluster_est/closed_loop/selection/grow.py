@@ -32,6 +32,7 @@ def grow(
     second parent on it must come near the best structure so far.
     """
     found: dict[frozenset[str], RefittedCandidate] = {}
+    large = _leaves_much(workbench, begun)
     for parent in parents:
         accepted = parent is begun.model
         ranking = begun.screening.ranking if accepted else rank(workbench, parent)
@@ -46,13 +47,21 @@ def grow(
             ranking,
             begun.floor,
             wide=accepted,
+            further=accepted and large,
             known={*known, *found},
             useful=useful,
         )
         contenders += refit_same_argument(workbench, parent, ranking, contenders)
-        for contender in refit_switch_widths(workbench, contenders, begun.floor):
+        for contender in refit_switch_widths(workbench, contenders, begun.floor, useful.criterion):
             found.setdefault(contender.fitted.structure, contender)
     return sorted(found.values(), key=lambda c: c.criterion)
+
+
+def _leaves_much(workbench: LoopWorkbench, begun: RoundStart) -> bool:
+    """Return whether what is missing is still large: the score of a small effect says enough."""
+    closed = begun.base.sse - begun.model.sse
+    share = workbench.thresholds.refinement.closes
+    return closed < share * (begun.base.sse - begun.floor)
 
 
 def best_distinct(

@@ -112,7 +112,7 @@ def _instead(
     most = grown.criterion(workbench.records) + rise
     useful = UsefulFit(most + thresholds.alternative)
     ranking = rank(workbench, rest)
-    refitted = refit(workbench, rest, ranking, floor, wide=False, useful=useful)
+    refitted = refit(workbench, rest, ranking, floor, wide=False, further=False, useful=useful)
     contenders = believable(workbench, rest, refitted)
     if not contenders or contenders[0].criterion >= most:
         return None

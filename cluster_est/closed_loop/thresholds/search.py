@@ -30,9 +30,12 @@ class RefinementThresholds:
     behind
         Share of what the best candidate does, where that closes the gap, that another must do to
         be refitted further. Benchmark.
+    first_promise
+        Times the fall of the squares that the linear model promises for an effect that is not yet
+        there, that it may bring. Benchmark: 1.1 times as a median, 1.5 times in one of twenty.
     linear_promise
-        Times the fall that the linear model promises, of the criterion after some iterations or of
-        the squares before the first, that the rest of a fit may bring. Benchmark.
+        Times the fall of the criterion that the linear model promises after some iterations that
+        the rest of a fit may bring. Benchmark.
     finalists
         Candidates that are refitted to convergence. Benchmark.
     promising
@@ -63,6 +66,7 @@ class RefinementThresholds:
     closes: float = 0.9
     actual_reduction: float = 0.5
     behind: float = 0.25
+    first_promise: float = 2.0
     linear_promise: float = 3.0
     finalists: int = 3
     promising: int = 2

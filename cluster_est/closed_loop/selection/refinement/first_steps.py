@@ -18,6 +18,7 @@ from cluster_est.closed_loop.selection.refinement.useful_fit import (
     ANY_FIT,
     UsefulFit,
     may_start_useful,
+    shares_left,
 )
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.thresholds import RefinementThresholds
@@ -145,26 +146,12 @@ def _asked_step(
     step, (strengths,), after = joint_step(current, ranking, [index])
     values = values_at(trial, strengths, workbench.thresholds.refinement)
     start = current.start.plus(trial.candidate, values)
-    left = shares_left(current, ranking, after)
+    left = shares_left(ranking.records, current.residuals[ranking.rows], after)
     sizes = [current.residuals[workbench.records.of_output(o)] for o in range(len(left))]
     predicted = float(
         sum(share * np.add.reduce(r**2) for share, r in zip(left, sizes, strict=True))
     )
     return _AskedStep(owner, trial, step, predicted, left, start, workbench.space(start))
-
-
-def shares_left(current: FittedModel, ranking: CandidateRanking, after: FloatArray) -> FloatArray:
-    """Return the share (outputs,) of each output's squares that is left, on the screened rows.
-
-    Parameters
-    ----------
-    after
-        The screened residuals of the linear model.
-    """
-    before = current.residuals[ranking.rows]
-    rows = [ranking.records.of_output(o) for o in range(len(ranking.records.outputs))]
-    squares = [(np.add.reduce(after[r] ** 2), np.add.reduce(before[r] ** 2)) for r in rows]
-    return np.array([a / b if b > 0.0 else 1.0 for a, b in squares])
 
 
 def _does_enough(

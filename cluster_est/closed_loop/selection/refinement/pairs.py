@@ -13,14 +13,17 @@ from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.selection.refinement.first_steps import (
     is_proportional,
     joint_step,
-    shares_left,
     values_at,
 )
 from cluster_est.closed_loop.selection.refinement.refine import (
     RefittedCandidate,
     successive_halving,
 )
-from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit, may_start_useful
+from cluster_est.closed_loop.selection.refinement.useful_fit import (
+    UsefulFit,
+    may_start_useful,
+    shares_left,
+)
 from cluster_est.closed_loop.thresholds import PairThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 
@@ -92,7 +95,7 @@ def _start(
         start = start.plus(trial.candidate, values)
     if all(is_proportional(ranking.trials[m]) for m in pair):
         added = workbench.space(start).size - len(current.x)
-        left = shares_left(current, ranking, after)
+        left = shares_left(ranking.records, current.residuals[ranking.rows], after)
         if not may_start_useful(workbench, current, left, added, useful):
             return None
     return start

@@ -51,6 +51,7 @@ def refit(
     floor: float,
     *,
     wide: bool = True,
+    further: bool = True,
     known: Collection[frozenset[str]] = (),
     useful: UsefulFit = ANY_FIT,
 ) -> list[RefittedCandidate]:
@@ -65,8 +66,10 @@ def refit(
     floor
         Sum of squares that the noise alone would leave.
     wide
+        Try all that the settings ask for; without, half as many.
+    further
         Go on to candidates further back where the first do not close the gap to it: the larger an
-        effect, the less the score of a small one says. Without, only half as many are refitted.
+        effect, the less the score of a small one says.
     known
         Structures that need no refit, because they were reached from another one.
     useful
@@ -75,7 +78,7 @@ def refit(
     thresholds = workbench.thresholds.refinement
     count, trials = workbench.settings.refits, workbench.settings.trials
     if not wide:
-        count = (count + 1) // 2
+        count, trials = (count + 1) // 2, (trials + 1) // 2
     own = current.structure
 
     def leading(scores: ScoreTests, most: int) -> list[int]:
@@ -93,7 +96,7 @@ def refit(
     near = _near_the_best(reached, possible, current, floor, thresholds)
     starts = [chosen[i].start for i in near]
     contenders = successive_halving(workbench, current, floor, starts, useful)
-    if not wide or _closes(current, contenders, floor, thresholds.closes):
+    if not further or _closes(current, contenders, floor, thresholds.closes):
         return contenders
     later = [i for i in leaders[trials:] if i not in first]
     left += first_steps(workbench, current, ranking, later, useful)

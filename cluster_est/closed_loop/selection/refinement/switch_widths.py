@@ -10,9 +10,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.selection.refinement.linear_step import gauss_newton_step
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.refinement.refits import full_refit
+from cluster_est.closed_loop.selection.refinement.useful_fit import (
+    UsefulFit,
+    may_start_useful,
+    shares_left,
+)
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.problem.parameter import Parameter
@@ -23,12 +31,15 @@ WIDTH = GridScale.RMS_V
 
 
 def refit_switch_widths(
-    workbench: LoopWorkbench, contenders: Sequence[RefittedCandidate], floor: float
+    workbench: LoopWorkbench,
+    contenders: Sequence[RefittedCandidate],
+    floor: float,
+    most: float = np.inf,
 ) -> list[RefittedCandidate]:
     """Refit the best contenders with the widths of their switches as unknowns.
 
-    Only those that leave more than noise, whether they converged or not; a width stays an unknown
-    where that pays.
+    Only those that leave more than noise, whether they converged or not, and may come near the
+    best; a width stays an unknown where that pays.
 
     Parameters
     ----------
@@ -36,6 +47,8 @@ def refit_switch_widths(
         Refitted candidates, in any order.
     floor
         Sum of squares that the noise alone would leave.
+    most
+        Criterion above which a structure is of no use.
 
     Returns
     -------
@@ -52,9 +65,11 @@ def refit_switch_widths(
         for i, contender in enumerate(ranked)
         if _held(contender) and contender.fitted.sse > floor + thresholds.alternative
     ][: thresholds.finalists]
-    fits = workbench.fit(
-        LoopStage.REFITS, [_released(ranked[i]) for i in asked], full_refit(workbench)
-    )
+    near = min([most, *(c.criterion + thresholds.alternative for c in ranked[:1])])
+    paying = _may_pay(workbench, [ranked[i] for i in asked], near)
+    asked = [i for i, pays in zip(asked, paying, strict=True) if pays]
+    starts = [_released(ranked[i]) for i in asked]
+    fits = workbench.fit(LoopStage.REFITS, starts, full_refit(workbench))
     for i, fitted in zip(asked, fits, strict=True):
         if fitted is None:
             continue
@@ -62,6 +77,33 @@ def refit_switch_widths(
         if criterion < ranked[i].criterion:
             ranked[i] = RefittedCandidate(fitted, criterion, True)
     return sorted(ranked, key=lambda c: c.criterion)
+
+
+def _may_pay(
+    workbench: LoopWorkbench, contenders: Sequence[RefittedCandidate], most: float
+) -> list[bool]:
+    """Return for each whether other widths could lower its criterion enough to be of any use.
+
+    The change of the residuals with the widest switches counts as one more direction of the linear
+    model.
+    """
+    spaces = [workbench.space(_released(contender)) for contender in contenders]
+    points = [(space, space.start[None]) for space in spaces]
+    answers = workbench.evaluate(LoopStage.TRIALS, points)
+    found = []
+    for contender, space, (widest,) in zip(contenders, spaces, answers, strict=True):
+        fitted = contender.fitted
+        if not widest.ok:
+            found.append(False)
+            continue
+        change = (widest.residuals - fitted.residuals)[:, None]
+        joined = np.hstack([fitted.jacobian, change])
+        after = fitted.residuals + joined @ gauss_newton_step(joined, fitted.residuals)
+        left = shares_left(workbench.records, fitted.residuals, after)
+        useful = UsefulFit(criterion=min(contender.criterion, most))
+        added = space.size - fitted.space.size
+        found.append(may_start_useful(workbench, fitted, left, added, useful))
+    return found
 
 
 def _held(contender: RefittedCandidate) -> dict[str, tuple[float, float]]:

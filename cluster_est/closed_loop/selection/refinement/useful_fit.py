@@ -13,6 +13,7 @@ import numpy as np
 
 from cluster_est.closed_loop.selection.refinement.linear_step import gauss_newton_step
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.statistics.records import StackedRecords
 from workers.messages import FloatArray
 
 
@@ -71,7 +72,7 @@ def may_start_useful(
         Number of new unknowns.
     """
     records = workbench.records
-    times, total, likelihood = workbench.thresholds.refinement.linear_promise, 0.0, 0.0
+    times, total, likelihood = workbench.thresholds.refinement.first_promise, 0.0, 0.0
     for output, share in enumerate(shares.tolist()):
         part = current.residuals[records.of_output(output)]
         if len(part):
@@ -80,6 +81,21 @@ def may_start_useful(
             likelihood += len(part) * np.log(max(squares / len(part), 1e-300))
     price = (current.space.size + added) * np.log(len(current.residuals))
     return total <= useful.sse and likelihood + price <= useful.criterion
+
+
+def shares_left(records: StackedRecords, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the share (outputs,) of each output's squares that is left.
+
+    Parameters
+    ----------
+    records
+        Of the residuals.
+    before, after : (N,)
+        The residuals, and those of the linear model.
+    """
+    rows = [records.of_output(output) for output in range(len(records.outputs))]
+    squares = [(np.add.reduce(after[r] ** 2), np.add.reduce(before[r] ** 2)) for r in rows]
+    return np.array([a / b if b > 0.0 else 1.0 for a, b in squares])
 
 
 def _ahead(fitted: FittedModel) -> FittedModel:
