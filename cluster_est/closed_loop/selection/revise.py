@@ -11,11 +11,13 @@ from cluster_est.closed_loop.selection.accept import stays_bounded
 from cluster_est.closed_loop.selection.refinement.refine import (
     RefittedCandidate,
     Rivals,
+    ending_with,
     plainest,
     refit,
     rivals_of,
 )
 from cluster_est.closed_loop.selection.refinement.refits import full_refit
+from cluster_est.closed_loop.selection.refinement.same_argument import refit_same_argument
 from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit
 from cluster_est.closed_loop.selection.waves import believable
 from cluster_est.closed_loop.stages import LoopStage
@@ -100,6 +102,9 @@ def _instead(
 ) -> tuple[RefittedCandidate, Rivals] | None:
     """The best effect in the place of some, with its rivals.
 
+    Other functions of the argument of the one that is replaced start from where that one stands:
+    without it the model may be far from there.
+
     None if the criterion would rise by more than what it may, or the outputs run away.
     """
     start = grown.start
@@ -113,6 +118,11 @@ def _instead(
     useful = UsefulFit(most + thresholds.alternative)
     ranking = rank(workbench, rest)
     refitted = refit(workbench, rest, ranking, floor, wide=False, further=False, useful=useful)
+    if len(positions) == 1:
+        own = RefittedCandidate(grown, grown.criterion(workbench.records), True)
+        there = ending_with(own, grown.added[positions[0]].effect.name)
+        refitted += refit_same_argument(workbench, rest, ranking, [there])
+    refitted.sort(key=lambda contender: contender.criterion)
     contenders = believable(workbench, rest, refitted)
     if not contenders or contenders[0].criterion >= most:
         return None

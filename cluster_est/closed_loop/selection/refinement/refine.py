@@ -217,13 +217,13 @@ def rivals_of(
         for contender in possible:
             instead = sorted(contender.fitted.structure - others)
             if len(instead) == 1 and others < contender.fitted.structure:
-                own.setdefault(instead[0], _ending_with(contender, instead[0]))
+                own.setdefault(instead[0], ending_with(contender, instead[0]))
         own.pop(effect.effect.name, None)
         found[effect.effect.name] = (won, list(own.values()))
     return found
 
 
-def _ending_with(contender: RefittedCandidate, name: str) -> RefittedCandidate:
+def ending_with(contender: RefittedCandidate, name: str) -> RefittedCandidate:
     """The same structure, with one of its effects counted last."""
     added = contender.fitted.added
     if added[-1].effect.name == name:
