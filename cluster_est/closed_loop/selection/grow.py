@@ -52,7 +52,7 @@ def grow(
             useful=useful,
         )
         contenders += refit_same_argument(workbench, parent, ranking, contenders)
-        for contender in refit_switch_widths(workbench, contenders, begun.floor, useful.criterion):
+        for contender in refit_switch_widths(workbench, contenders, useful.criterion):
             found.setdefault(contender.fitted.structure, contender)
     return sorted(found.values(), key=lambda c: c.criterion)
 

@@ -18,6 +18,7 @@ from cluster_est.closed_loop.selection.refinement.refine import (
 )
 from cluster_est.closed_loop.selection.refinement.refits import full_refit
 from cluster_est.closed_loop.selection.refinement.same_argument import refit_same_argument
+from cluster_est.closed_loop.selection.refinement.switch_widths import refit_switch_widths
 from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit
 from cluster_est.closed_loop.selection.waves import believable
 from cluster_est.closed_loop.stages import LoopStage
@@ -122,7 +123,7 @@ def _instead(
         own = RefittedCandidate(grown, grown.criterion(workbench.records), True)
         there = ending_with(own, grown.added[positions[0]].effect.name)
         refitted += refit_same_argument(workbench, rest, ranking, [there])
-    refitted.sort(key=lambda contender: contender.criterion)
+    refitted = refit_switch_widths(workbench, refitted, useful.criterion)
     contenders = believable(workbench, rest, refitted)
     if not contenders or contenders[0].criterion >= most:
         return None

@@ -24,7 +24,9 @@ from cluster_est.closed_loop.selection.refinement.useful_fit import (
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.space import SearchSpace
 from workers.effects.kinds import GridScale
+from workers.messages import FloatArray
 
 WIDTH = GridScale.RMS_V
 """Of a width that is held: a small part of how much its variable moves."""
@@ -33,20 +35,17 @@ WIDTH = GridScale.RMS_V
 def refit_switch_widths(
     workbench: LoopWorkbench,
     contenders: Sequence[RefittedCandidate],
-    floor: float,
     most: float = np.inf,
 ) -> list[RefittedCandidate]:
     """Refit the best contenders with the widths of their switches as unknowns.
 
-    Only those that leave more than noise, whether they converged or not, and may come near the
-    best; a width stays an unknown where that pays.
+    Only those that may come near the best by it, whether they converged or not; a width stays an
+    unknown where that pays.
 
     Parameters
     ----------
     contenders
         Refitted candidates, in any order.
-    floor
-        Sum of squares that the noise alone would leave.
     most
         Criterion above which a structure is of no use.
 
@@ -60,11 +59,7 @@ def refit_switch_widths(
     for contender in sorted(contenders, key=lambda c: c.criterion):
         best.setdefault(contender.fitted.structure, contender)
     ranked = list(best.values())
-    asked = [
-        i
-        for i, contender in enumerate(ranked)
-        if _held(contender) and contender.fitted.sse > floor + thresholds.alternative
-    ][: thresholds.finalists]
+    asked = [i for i, c in enumerate(ranked) if _held(c)][: thresholds.finalists]
     near = min([most, *(c.criterion + thresholds.alternative for c in ranked[:1])])
     paying = _may_pay(workbench, [ranked[i] for i in asked], near)
     asked = [i for i, pays in zip(asked, paying, strict=True) if pays]
@@ -84,26 +79,36 @@ def _may_pay(
 ) -> list[bool]:
     """Return for each whether other widths could lower its criterion enough to be of any use.
 
-    The change of the residuals with the widest switches counts as one more direction of the linear
-    model.
+    The changes of the residuals with the widest switches, and with some halfway there, count as two
+    more directions of the linear model.
     """
     spaces = [workbench.space(_released(contender)) for contender in contenders]
-    points = [(space, space.start[None]) for space in spaces]
+    points = [
+        (space, _on_the_way(contender, space))
+        for contender, space in zip(contenders, spaces, strict=True)
+    ]
     answers = workbench.evaluate(LoopStage.TRIALS, points)
     found = []
-    for contender, space, (widest,) in zip(contenders, spaces, answers, strict=True):
+    for contender, space, seen in zip(contenders, spaces, answers, strict=True):
         fitted = contender.fitted
-        if not widest.ok:
-            found.append(False)
-            continue
-        change = (widest.residuals - fitted.residuals)[:, None]
-        joined = np.hstack([fitted.jacobian, change])
+        changes = [(at.residuals - fitted.residuals)[:, None] for at in seen if at.ok]
+        joined = np.hstack([fitted.jacobian, *changes])
         after = fitted.residuals + joined @ gauss_newton_step(joined, fitted.residuals)
         left = shares_left(workbench.records, fitted.residuals, after)
         useful = UsefulFit(criterion=min(contender.criterion, most))
         added = space.size - fitted.space.size
         found.append(may_start_useful(workbench, fitted, left, added, useful))
     return found
+
+
+def _on_the_way(contender: RefittedCandidate, space: SearchSpace) -> FloatArray:
+    """Points (2, unknowns): the widest switches, and halfway there from those that are held."""
+    held = {p.name: p.start for p in contender.fitted.problem.parameters if p.fixed}
+    halfway = space.start.copy()
+    for i, unknown in enumerate(space.unknowns):
+        if unknown.label in held:  # in logarithms
+            halfway[i] = 0.5 * (space.start[i] + np.log(held[unknown.label]))
+    return np.array([space.start, halfway])
 
 
 def _held(contender: RefittedCandidate) -> dict[str, tuple[float, float]]:
