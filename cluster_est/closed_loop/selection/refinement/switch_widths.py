@@ -79,7 +79,7 @@ def _may_pay(
 ) -> list[bool]:
     """Return for each whether other widths could lower its criterion enough to be of any use.
 
-    The changes of the residuals with the widest switches, and with some halfway there, count as two
+    Where the refit was broken off the linear model says too little, and they may. Else the changes of the residuals with the widest switches, and with some halfway there, count as two
     more directions of the linear model.
     """
     spaces = [workbench.space(_released(contender)) for contender in contenders]
@@ -97,7 +97,8 @@ def _may_pay(
         left = shares_left(workbench.records, fitted.residuals, after)
         useful = UsefulFit(criterion=min(contender.criterion, most))
         added = space.size - fitted.space.size
-        found.append(may_start_useful(workbench, fitted, left, added, useful))
+        pays = may_start_useful(workbench, fitted, left, added, useful)
+        found.append(pays or not contender.full)
     return found
 
 
