@@ -47,10 +47,9 @@ def may_become_useful(workbench: LoopWorkbench, fitted: FittedModel, useful: Use
     """
     times, ahead = workbench.thresholds.refinement.linear_promise, _ahead(fitted)
     criteria = [each.criterion(workbench.records) for each in (fitted, ahead)]
-    return (
-        criteria[0] - times * (criteria[0] - criteria[1]) <= useful.criterion
-        and fitted.sse - times * (fitted.sse - ahead.sse) <= useful.sse
-    )
+    criterion = criteria[0] - times * (criteria[0] - criteria[1])
+    sse = fitted.sse - times * (fitted.sse - ahead.sse)
+    return bool(criterion <= useful.criterion and sse <= useful.sse)
 
 
 def may_start_useful(
@@ -80,7 +79,7 @@ def may_start_useful(
             total += squares
             likelihood += len(part) * np.log(max(squares / len(part), 1e-300))
     price = (current.space.size + added) * np.log(len(current.residuals))
-    return total <= useful.sse and likelihood + price <= useful.criterion
+    return bool(total <= useful.sse and likelihood + price <= useful.criterion)
 
 
 def shares_left(records: StackedRecords, before: FloatArray, after: FloatArray) -> FloatArray:

@@ -41,7 +41,7 @@ def rounds(monkeypatch):
     kept = [grown[0], fit_with_squares(PROBLEM, 480.0, [A])]
     ends = iter(grown)
 
-    def one(_, __, begun):
+    def one(_, begun):
         won = RefittedCandidate(next(ends), 0.0, True)
         seen = SelectionRound(begun.screening, (), None)
         return RoundEnd(seen, won, predicted(None, won.fitted))

@@ -11,6 +11,7 @@ from support.truth.systems_with_missing_effects import measured, missing_effect_
 from cluster_est.closed_loop.screening.ranking import rank
 from cluster_est.closed_loop.selection.declared_model import fit_declared
 from cluster_est.closed_loop.selection.refinement.first_steps import first_steps
+from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.thresholds import LoopThresholds, RefinementThresholds
 from cluster_est.closed_loop.workbench import FitStart
@@ -73,6 +74,17 @@ def test_one_that_only_gets_worse_starts_from_nothing():
     (shift,) = [p for p in step.start.problem.parameters if p.name.startswith("bias")]
     assert shift.start == 0.0
     assert step.start.values == current.estimates
+
+
+def test_what_cannot_hope_to_be_useful_is_not_simulated():
+    with opened(shifted(), LoopSettings(forms=("bias",))) as bench:
+        current = fit_declared(bench, FitStart(bench.problem, {}))
+        ranking = rank(bench, current)
+        leaders = list(range(len(ranking.trials)))
+        before = bench.runner.simulations
+        assert leaders
+        assert not first_steps(bench, current, ranking, leaders, UsefulFit(criterion=-1e9))
+        assert bench.runner.simulations == before
 
 
 def test_the_linear_model_leaves_what_a_regression_on_all_columns_leaves():
