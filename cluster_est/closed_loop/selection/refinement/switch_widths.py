@@ -79,8 +79,9 @@ def _may_pay(
 ) -> list[bool]:
     """Return for each whether other widths could lower its criterion enough to be of any use.
 
-    Where the refit was broken off the linear model says too little, and they may. Else the changes of the residuals with the widest switches, and with some halfway there, count as two
-    more directions of the linear model.
+    Where the refit was broken off the linear model says too little, and they may. Else the changes
+    of the residuals with the widest switches, and with some halfway there, count as two more
+    directions of the linear model.
     """
     spaces = [workbench.space(_released(contender)) for contender in contenders]
     points = [
