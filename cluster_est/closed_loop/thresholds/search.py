@@ -30,9 +30,10 @@ class RefinementThresholds:
     behind
         Share of what the best candidate does, where that closes the gap, that another must do to
         be refitted further. Benchmark.
-    first_promise
+    claim_promise, rival_promise
         Times the fall of the squares that the linear model promises for an effect that is not yet
-        there, that it may bring. Benchmark: 1.1 times as a median, 1.5 times in one of twenty.
+        there, that it may bring: where a claim hangs on it, and where it must come near what was
+        found already. Benchmark: 1.1 times as a median, 1.5 times in one of twenty.
     linear_promise
         Times the fall of the criterion that the linear model promises after some iterations that
         the rest of a fit may bring. Benchmark.
@@ -66,7 +67,8 @@ class RefinementThresholds:
     closes: float = 0.9
     actual_reduction: float = 0.5
     behind: float = 0.25
-    first_promise: float = 2.0
+    claim_promise: float = 2.0
+    rival_promise: float = 1.5
     linear_promise: float = 3.0
     finalists: int = 3
     promising: int = 2

@@ -70,14 +70,15 @@ def may_start_useful(
     added
         Number of new unknowns.
     """
-    records = workbench.records
-    times, total, likelihood = workbench.thresholds.refinement.first_promise, 0.0, 0.0
+    records, thresholds = workbench.records, workbench.thresholds.refinement
+    total, likelihood = 0.0, 0.0
     for output, share in enumerate(shares.tolist()):
         part = current.residuals[records.of_output(output)]
         if len(part):
-            squares = float(np.add.reduce(part**2)) * max(1.0 - times * (1.0 - share), 0.0)
-            total += squares
-            likelihood += len(part) * np.log(max(squares / len(part), 1e-300))
+            squares = float(np.add.reduce(part**2))
+            total += squares * max(1.0 - thresholds.claim_promise * (1.0 - share), 0.0)
+            rest = squares * max(1.0 - thresholds.rival_promise * (1.0 - share), 0.0)
+            likelihood += len(part) * np.log(max(rest / len(part), 1e-300))
     price = (current.space.size + added) * np.log(len(current.residuals))
     return bool(total <= useful.sse and likelihood + price <= useful.criterion)
 

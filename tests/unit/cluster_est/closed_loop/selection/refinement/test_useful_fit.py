@@ -17,7 +17,8 @@ from cluster_est.closed_loop.selection.refinement.useful_fit import (
 from cluster_est.closed_loop.thresholds import RefinementThresholds
 
 SIZE, TOTAL = 40, 200.0
-TIMES = RefinementThresholds().first_promise
+TIMES = RefinementThresholds().claim_promise
+RIVAL = RefinementThresholds().rival_promise
 PROBLEM = made_problem(SIZE)
 
 
@@ -36,12 +37,12 @@ def test_some_times_of_what_the_linear_model_promises_may_come(most, hopes):
 @pytest.mark.parametrize("added", [1, 3])
 @pytest.mark.parametrize(("beyond", "hopes"), [(-0.1, False), (0.1, True)])
 def test_a_criterion_counts_the_new_unknowns(added, beyond, hopes):
-    reached = SIZE * np.log(0.8 * TOTAL / SIZE) + (1 + added) * np.log(SIZE)
+    reached = SIZE * np.log((1.0 - 0.1 * RIVAL) * TOTAL / SIZE) + (1 + added) * np.log(SIZE)
     assert start([0.9], UsefulFit(criterion=reached + beyond), added) is hopes
 
 
 def test_what_may_explain_all_always_hopes():
-    assert start([0.4], UsefulFit(criterion=-1000.0, sse=1e-9))
+    assert start([0.3], UsefulFit(criterion=-1000.0, sse=1e-9))
 
 
 def test_each_output_falls_by_its_own_share():
