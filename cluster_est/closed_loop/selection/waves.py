@@ -1,8 +1,8 @@
-"""Waves in time: they must earn more than a mechanism.
+"""Functions of time alone, waves and drifts: they must earn more than a mechanism.
 
-A wave in time describes a disturbance; it holds for these records and for no others. So it is
-accepted only where it is no resonance of the model itself, where it is seen often enough, and where
-all experiments agree on its phase; and a mechanism that does nearly as much comes first.
+A function of time describes a disturbance; it holds for these records and for no others. So it is
+accepted only where all experiments agree on it. A wave must besides be no resonance of the model
+itself and be seen often enough, and a mechanism that does nearly as much comes first.
 """
 
 from __future__ import annotations
@@ -70,6 +70,9 @@ def _waves(fitted: FittedModel, current: FittedModel) -> list[EffectCandidate]:
 
 
 def _may_be_believed(workbench: LoopWorkbench, current: FittedModel, fitted: FittedModel) -> bool:
+    new = [c for c in fitted.added if c.effect.name not in current.structure]
+    if not all(_agrees(workbench, fitted, c) for c in new if c.form.of_time_alone):
+        return False
     for candidate in _waves(fitted, current):
         period = period_of(candidate, fitted)
         records = [record for record in workbench.records.items if len(record.times)]
@@ -77,8 +80,6 @@ def _may_be_believed(workbench: LoopWorkbench, current: FittedModel, fitted: Fit
         if longest < workbench.thresholds.waves.periods * period:
             return False
         if _is_resonance(workbench, current, 2.0 * np.pi / period):
-            return False
-        if not _phases_agree(workbench, fitted, candidate):
             return False
     return True
 
@@ -104,17 +105,16 @@ def _is_resonance(workbench: LoopWorkbench, current: FittedModel, frequency: flo
     return False
 
 
-def _phases_agree(
-    workbench: LoopWorkbench, fitted: FittedModel, candidate: EffectCandidate
-) -> bool:
-    """Return whether each experiment by itself wants nearly the wave that all share.
+def _agrees(workbench: LoopWorkbench, fitted: FittedModel, candidate: EffectCandidate) -> bool:
+    """Return whether each experiment by itself wants nearly the function of time that all share.
 
-    To first order, the two parts that an experiment wants are those of the fit and the step of
-    least squares on its own residual. With one experiment there is nothing to compare.
+    To first order, the strengths that an experiment wants are those of the fit and the step of
+    least squares on its own residual. Of that step, what white noise alone would make is allowed
+    for. With one experiment there is nothing to compare.
     """
     labels = [u.label for u in fitted.space.unknowns]
-    names = [f"{candidate.effect.name}.{part}" for part in PARTS]
-    if len(workbench.train) < 2 or not all(name in labels for name in names):
+    names = [f"{candidate.effect.name}.{strength}" for strength in candidate.strengths]
+    if len(workbench.train) < 2 or not names or not all(name in labels for name in names):
         return True
     columns = [labels.index(name) for name in names]
     shared = np.array([fitted.x[column] for column in columns])
@@ -123,10 +123,13 @@ def _phases_agree(
         own: FloatArray = fitted.jacobian[rows][:, columns]
         size = float(np.linalg.norm(own))
         if size > 0.0:
-            step = np.linalg.lstsq(own, -fitted.residuals[rows], rcond=1e-6)[0]
-            squares.append(float(step @ step))
+            inverse = np.linalg.pinv(own, rcond=1e-6)
+            step = -inverse @ fitted.residuals[rows]
+            left = fitted.residuals[rows] + own @ step
+            noise = float(np.mean(left**2)) * float(np.add.reduce(inverse**2, axis=None))
+            squares.append(float(step @ step) - noise)
             weights.append(size)
     if not squares:
         return True
-    apart = float(np.sqrt(np.average(squares, weights=weights)))
+    apart = float(np.sqrt(max(np.average(squares, weights=weights), 0.0)))
     return apart <= workbench.thresholds.waves.apart * float(np.linalg.norm(shared))

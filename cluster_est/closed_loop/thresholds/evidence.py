@@ -64,8 +64,8 @@ class WaveThresholds:
     nearly
         Share of what it explains that a mechanism must explain to come first. Benchmark.
     apart
-        Of its amplitude, by which the experiments may want another wave on average. Theory: with
-        phases at random the wave that all share is smaller than what each wants.
+        Of its strength, by which the experiments may want another function of time on average.
+        Theory: with phases or signs at random what all share is smaller than what each wants.
     """
 
     periods: float = 3.0
