@@ -187,6 +187,9 @@ def _candidate(
         low, high = _bounds(
             coefficient, way, strengths, values, scales, variables, free=bool(form.memory)
         )
+        if _is_slope_of_a_stop(coefficient, form):
+            steepest = scales.steepest(site, variables[0])
+            low, high = max(low, -steepest), min(high, steepest)
         axes.append(values)
         lows.append(low)
         highs.append(high)
@@ -195,6 +198,11 @@ def _candidate(
         return None
     effect = Effect(name, str(site), form.name, variables)
     return EffectCandidate(effect, form, site, own, grid, tuple(lows), tuple(highs))
+
+
+def _is_slope_of_a_stop(coefficient: FormCoefficient, form: EffectForm) -> bool:
+    """Return whether a coefficient is the slope of a function that begins at some place."""
+    return coefficient.unit == "site / v" and any(c.name == "at" for c in form.coefficients)
 
 
 def _bounds(

@@ -104,6 +104,24 @@ class SignalScales:
             return rates * self._fastest(site.target)
         return np.asarray(rates * _SIZES[scale](signal))
 
+    def steepest(self, site: EffectSite, variable: str) -> float:
+        """Return the largest slope that data can tell from a hard stop, where a state stops itself.
+
+        A slope s of der(x) over x is a time constant 1 / s. Below the shortest that can be told,
+        and below the model's own, the state only stays where the stop is, and the solver pays for
+        it in steps. Infinite where the state does not act on its own derivative by the effect.
+        """
+        own = set(site.targets) & set(variable.split(" - "))
+        if site.kind not in ("derivative", "pair") or not own:
+            return np.inf
+        linears = [each.linear for each in self.trajectories if each.linear is not None]
+        rates = [
+            float(np.abs(linear.A.row(place)[:, place]).max())
+            for linear in linears
+            for place in map(linear.state_names.index, own)
+        ]
+        return max(1.0 / self.resolution, *rates, 0.0) / self.thresholds.shortest
+
     def _begins(self, name: str) -> bool:
         """Return whether a signal is not zero at the start of some experiment."""
         starts = [each.signal(name)[0] for each in self.trajectories if each.has(name)]

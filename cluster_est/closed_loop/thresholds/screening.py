@@ -20,8 +20,9 @@ class CandidateThresholds:
         Factors by which a refit may go beyond the grid of a positive coefficient. Benchmark.
     shortest
         Share of the interval between measurements, or of a longer communication step, that a time
-        constant has at least. Signal: what is shorter is a gain of a slope to the data, and costs a
-        solver steps in proportion (at a twentieth, 40 times the simulation of two tanks).
+        constant has at least, be it a lag's or that of a state which stops itself. Signal: what is
+        shorter is a gain of a slope to the data, or a hard stop, and costs a solver steps in
+        proportion (at a twentieth, 40 times the simulation of two tanks).
     kinematic
         Relative gap of der(x) and another state below which they are the same: a little above the
         error of a solver. Signal.

@@ -298,3 +298,22 @@ def test_a_time_constant_is_not_shorter_than_a_tenth_of_what_time_resolves():
     lags = [c for c in found if c.form.name == "lag"]
     assert [c.lowest[0] for c in lags] == pytest.approx([0.1 * 0.05] * len(lags))
     assert [c.grid[0][0] for c in lags] == pytest.approx([0.05] * len(lags))
+
+
+def test_a_state_that_stops_itself_does_so_no_faster_than_can_be_told():
+    """The tanks are sampled every 4 s, which is far slower than they are themselves."""
+    problem = missing_effect_problem("cascaded_tanks")
+    with opened(problem) as bench:
+        trajectories = bench.trajectories(unfitted(bench))
+    step = float(np.median(np.diff(problem.experiments[0].outputs[0].times)))
+    rates = [np.abs(t.linear.A.row(0)[:, 0]).max() for t in trajectories]
+    steepest = 10.0 * max(1.0 / step, *rates)
+    found = {(str(c.site), c.form.name, c.effect.variables): c for c in listed(problem)}
+    own = found["der(h1)", "hinge", ("h1",)]
+    assert (own.lowest[0], own.highest[0]) == pytest.approx((-steepest, steepest))
+    over = found["pair h1,h2", "overflow", ("h1",)]
+    assert (over.lowest[0], over.highest[:2]) == (0.0, (pytest.approx(steepest), np.inf))
+    other = found["der(h2)", "hinge", ("h1",)]
+    assert (other.lowest[0], other.highest[0]) == (-np.inf, np.inf)
+    drag = found["der(h1)", "linear", ("h2",)]
+    assert drag.highest[0] == np.inf
