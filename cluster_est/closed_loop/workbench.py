@@ -22,6 +22,7 @@ from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.whitening import deviance
 from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray, Want
 
@@ -84,12 +85,7 @@ class FittedModel:
 
     def likelihood(self, records: StackedRecords) -> float:
         """-2 log likelihood, with the variance of each output's noise estimated along."""
-        total = 0.0
-        for output in range(len(records.outputs)):
-            part = self.residuals[records.of_output(output)]
-            if len(part):
-                total += len(part) * np.log(max(float(np.mean(part**2)), 1e-300))
-        return float(total)
+        return deviance(self.residuals, records)
 
     def criterion(self, records: StackedRecords) -> float:
         """Bayesian information criterion (G. Schwarz, Ann. Stat. 6 (1978) 461-464)."""

@@ -42,6 +42,30 @@ def fit_autoregression(
     return coefficients
 
 
+def deviance(residuals: FloatArray, records: StackedRecords, order: int = 0) -> float:
+    """-2 log likelihood of residuals, but for a constant, with the noise of each output estimated.
+
+    The sum over outputs of n log s^2, s^2 being the mean square of the n residuals. With an order
+    above 0, that of the innovations of an autoregression which is fitted to them (`whiten`).
+
+    Parameters
+    ----------
+    residuals : (n,)
+        Stacked.
+    order
+        Of the autoregression; 0 for white noise.
+    """
+    white = residuals
+    if order:
+        white = whiten(residuals, records, fit_autoregression(residuals, records, order))
+    total = 0.0
+    for output in range(len(records.outputs)):
+        part = white[records.of_output(output)]
+        if len(part):
+            total += len(part) * np.log(max(float(np.mean(part**2)), 1e-300))
+    return float(total)
+
+
 def partial_autocorrelations(
     residuals: FloatArray, records: StackedRecords, output: int, order: int
 ) -> FloatArray:

@@ -17,6 +17,7 @@ from cluster_est.closed_loop.selection.rounds import (
 )
 from cluster_est.closed_loop.selection.waves import believable
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.statistics.whitening import deviance
 
 
 def reason_to_stop(workbench: LoopWorkbench, begun: RoundStart) -> RejectionReason | None:
@@ -80,19 +81,47 @@ def best_that_passes(
         return RoundEnd(SelectionRound(begun.screening, tuple(contenders), why))
     after = predict(workbench, chosen.fitted)
     gain, closed = _gain(workbench, begun, chosen), _closed(workbench, begun, after)
-    failed = _failed_gate(workbench, begun, chosen.fitted, after, gain, closed)
+    failed = _failed_gate(workbench, begun, chosen, after, gain, closed)
     seen = SelectionRound(begun.screening, tuple(left), failed, gain, closed)
     return RoundEnd(seen) if failed is not None else RoundEnd(seen, chosen, after)
 
 
 def _gain(workbench: LoopWorkbench, begun: RoundStart, chosen: RefittedCandidate) -> float:
     """Gain of the criterion, less what the choice among the candidates must pay."""
+    penalty = _choice_penalty(workbench, begun, chosen)
+    return float(begun.model.criterion(workbench.records) - chosen.criterion - penalty)
+
+
+def _choice_penalty(
+    workbench: LoopWorkbench, begun: RoundStart, chosen: RefittedCandidate
+) -> float:
     known = len(begun.model.added)
     added = len(chosen.fitted.added) - known
     price = workbench.thresholds.selection.choice_price
     # each further effect must earn more: what the ones before leave is partly their own error
-    penalty = price * added * (1 + known) * np.log(begun.screening.count)
-    return float(begun.model.criterion(workbench.records) - chosen.criterion - penalty)
+    return float(price * added * (1 + known) * np.log(begun.screening.count))
+
+
+def coloured_noise_explains(
+    workbench: LoopWorkbench, begun: RoundStart, chosen: RefittedCandidate
+) -> bool:
+    """Return whether autocorrelated noise would explain as much as an effect does.
+
+    That is asked where noise may be all that the effect leaves. The criterion takes noise for
+    white, and counts as many independent samples as there are: what a process adds to that of the
+    sensors is slow, and some slow function always follows it. So both models are compared once
+    more with an autoregression of their own for the noise of each output.
+    """
+    thresholds, records = workbench.thresholds, workbench.records
+    before, after = begun.model, chosen.fitted
+    if after.sse > thresholds.verdict.coloured**2 * begun.floor:
+        return False
+    longest = max((len(item.times) for item in records.items), default=0)
+    order = min(thresholds.selection.autoregression, longest // 10)
+    gain = deviance(before.residuals, records, order)
+    gain -= deviance(after.residuals, records, order)
+    unknowns = (after.space.size - before.space.size) * np.log(len(after.residuals))
+    return bool(gain <= unknowns + _choice_penalty(workbench, begun, chosen))
 
 
 def _closed(workbench: LoopWorkbench, begun: RoundStart, after: LeaveOneOutPrediction) -> float:
@@ -105,15 +134,17 @@ def _closed(workbench: LoopWorkbench, begun: RoundStart, after: LeaveOneOutPredi
 def _failed_gate(
     workbench: LoopWorkbench,
     begun: RoundStart,
-    grown: FittedModel,
+    chosen: RefittedCandidate,
     after: LeaveOneOutPrediction,
     gain: float,
     closed: float,
 ) -> RejectionReason | None:
     """The first gate that a grown model does not pass; None if it passes all."""
-    thresholds, current = workbench.thresholds.selection, begun.model
+    thresholds, current, grown = workbench.thresholds.selection, begun.model, chosen.fitted
     if gain <= 0.0:
         return RejectionReason.LITTLE_GAIN
+    if coloured_noise_explains(workbench, begun, chosen):
+        return RejectionReason.COLOURED_GAIN
     if current.sse - grown.sse <= begun.numerical:
         return RejectionReason.NUMERICAL_ERROR
     solo = False

@@ -30,6 +30,7 @@ class RejectionReason(enum.StrEnum):
         "resonance of the model, or with another phase in each experiment"
     )
     LITTLE_GAIN = "the gain is not significant among so many candidates"
+    COLOURED_GAIN = "noise that is autocorrelated would explain as much"
     NOT_PREDICTED = "what was left out to be predicted is not predicted better"
     NUMERICAL_ERROR = "it explains no more than the error of the solver and its steps may be"
     LITTLE_EXPLAINED = "it explains too little of what is missing"

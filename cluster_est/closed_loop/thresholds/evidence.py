@@ -38,6 +38,9 @@ class SelectionThresholds:
     local_minimum
         Ratio of squares below which the declared model, restarted from the new parameters, was in a
         local minimum before. Benchmark.
+    autoregression
+        Order of the noise that a gain is compared with. Signal: the noise of a sensor with that of
+        a process on it is no autoregression of low order.
     """
 
     choice_price: float = 2.0
@@ -51,6 +54,7 @@ class SelectionThresholds:
     mostly_better: float = 0.75
     least_fall: float = 0.02
     local_minimum: float = 0.97
+    autoregression: int = 12
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import toeplitz
 from support.truth.stacked_noise import autoregressive, stack
 
-from cluster_est.statistics.whitening import fit_autoregression, whiten
+from cluster_est.statistics.whitening import deviance, fit_autoregression, whiten
 
 TRUE = np.array([[1.2, -0.5], [0.8, 0.0]])
 
@@ -71,3 +71,14 @@ def test_a_perfectly_smooth_residual_gives_a_stationary_autoregression() -> None
 def test_an_unstable_autoregression_is_refused() -> None:
     with pytest.raises(ValueError, match="not stationary"):
         whiten(np.zeros(10), stack(10), np.array([[0.5, 1.1]]))
+
+
+def test_the_deviance_is_that_of_the_innovations() -> None:
+    records = stack(4000, 2000, outputs=2)
+    noise = autoregressive(records, TRUE, np.random.default_rng(8))
+    rows = [records.of_output(output) for output in range(2)]
+    plain = sum(len(noise[r]) * np.log(np.mean(noise[r] ** 2)) for r in rows)
+    assert deviance(noise, records) == pytest.approx(plain)
+    # innovations of variance 1, with a standard error of sqrt(2 / n) in the logarithm
+    assert deviance(noise, records, 2) / len(noise) == pytest.approx(0.0, abs=0.06)
+    assert deviance(noise, records, 12) == pytest.approx(deviance(noise, records, 2), abs=60.0)

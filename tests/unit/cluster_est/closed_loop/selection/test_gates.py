@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.loop_objects import fit_with_squares, made_bench, made_problem, made_screening
+from support.loop_objects import (
+    fit_with_squares,
+    made_bench,
+    made_candidate,
+    made_fit,
+    made_problem,
+    made_screening,
+)
 
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.gates import best_that_passes, useful_sse
+from cluster_est.closed_loop.selection.gates import (
+    best_that_passes,
+    coloured_noise_explains,
+    useful_sse,
+)
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundStart
 
 FLOOR = 40.0
@@ -49,3 +61,53 @@ def test_a_round_in_which_nothing_was_worth_a_refit_says_so():
     end = best_that_passes(made_bench(problem), begun(problem, 90.0, 80.0), [])
     assert end.won is None
     assert end.seen.why is RejectionReason.LITTLE_PROMISED
+
+
+def slow_noise(count: int, seed: int) -> np.ndarray:
+    """White noise of a sensor, and a process's of half its size that lasts 60 samples."""
+    generator = np.random.default_rng(seed)
+    slow = np.zeros(count)
+    for t in range(1, count):
+        slow[t] = (1.0 - 1.0 / 60.0) * slow[t - 1] + generator.normal()
+    return generator.normal(size=count) + 0.5 * slow / slow.std()
+
+
+WAVES = [np.sin(np.linspace(0.0, turns, 1200)) for turns in np.linspace(3.0, 60.0, 150)]
+
+
+def explained(noise, shape, size, floor=None):
+    """Whether such noise explains as much as this one of 150 effects, fitted to it."""
+    problem = made_problem(len(noise))
+    before = noise + size * shape
+    after = before - shape * (shape @ before) / (shape @ shape)
+    bench = made_bench(problem)
+    fits = [made_fit(problem, before), made_fit(problem, after, [made_candidate("friction")])]
+    columns = [wave[:, None] for wave in WAVES]
+    named = [made_candidate(f"wave {i}") for i in range(len(WAVES))]
+    screening = made_screening(fits[0].jacobian, before, columns, named)
+    assert screening.count == len(WAVES)
+    floor = float(len(noise)) if floor is None else floor
+    start = RoundStart(*fits[:1] * 2, LeaveOneOutPrediction(np.ones(1)), screening, floor)
+    grown = RefittedCandidate(fits[1], fits[1].criterion(bench.records), full=True)
+    assert grown.criterion < fits[0].criterion(bench.records)  # for white noise it is better
+    return coloured_noise_explains(bench, start, grown)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_slow_noise_explains_what_some_slow_function_follows_by_chance(seed):
+    noise = slow_noise(1200, seed)
+    best = max(WAVES, key=lambda wave: abs(wave @ noise) / np.sqrt(wave @ wave))
+    assert explained(noise, best, 0.0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_slow_noise_does_not_explain_an_effect_that_is_there(seed):
+    shape = np.sin(np.linspace(0.0, 20.0, 1200))
+    assert not explained(slow_noise(1200, seed), shape, 3.0)
+    assert not explained(np.random.default_rng(seed).normal(size=1200), shape, 0.5)
+
+
+def test_what_is_far_above_the_noise_is_none():
+    noise = 100.0 * slow_noise(1200, 0)
+    shape = np.sin(np.linspace(0.0, 20.0, 1200))
+    assert not explained(noise, shape, 0.0, floor=1200.0)
