@@ -25,6 +25,7 @@ from cluster_est.running.resources import Resources
 from workers.effects.forms import EffectForm, FormCoefficient
 from workers.effects.forms import form as find_form
 from workers.effects.site import EffectSite, check_site, parse_site
+from workers.effects.variables import own_variable
 from workers.messages.checks import as_tuple, check_kind, check_name, check_number, check_text
 
 
@@ -269,7 +270,7 @@ def _sized(
 
 def _own(site: EffectSite, chosen: EffectForm) -> tuple[str, ...]:
     """The variable of a form at a derivative where none is named."""
-    return (" - ".join(site.targets),) if chosen.variables == 1 and site.at_rates else ()
+    return (own_variable(site),) if chosen.variables == 1 and site.at_rates else ()
 
 
 def _p(p: float) -> str:

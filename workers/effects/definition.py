@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -13,6 +12,7 @@ import sympy as sp
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm, FormCoefficient, form, positive
 from workers.effects.site import EffectSite, check_site, parse_site
+from workers.effects.variables import own_variable, split_variable
 from workers.errors import EffectError
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect, FloatArray, Interface
@@ -267,7 +267,7 @@ def _placeholders(
         return dict(variables)
     given = effect.variables
     if not given and chosen.variables == 1 and site.at_rates:
-        given = (" - ".join(site.targets),)
+        given = (own_variable(site),)
     if len(given) != chosen.variables:
         raise EffectError(
             f"{where}: variables: {chosen.name} needs {chosen.variables} but has {len(given)}; "
@@ -285,18 +285,3 @@ def _variable(text: str, variables: Mapping[str, sp.Symbol], where: str) -> sp.E
         raise EffectError(f"{where}: must be a name or the difference of two but is {text!r}")
     first, *second = (variables[name] for name in names)
     return first - second[0] if second else first
-
-
-def split_variable(text: str, known: Container[str]) -> tuple[str, ...]:
-    """Return the name in a form's variable, the two of a difference "v - w", or none.
-
-    Names of FMUs may hold almost any character, so only `known` ones tell what a minus is.
-    """
-    name = text.strip()
-    if name in known:
-        return (name,)
-    for sign in re.finditer("-", name):
-        pair = name[: sign.start()].strip(), name[sign.end() :].strip()
-        if all(one in known for one in pair):
-            return pair
-    return ()

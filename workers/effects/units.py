@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from workers.effects.definition import EffectDefinition, split_variable
+from workers.effects.definition import EffectDefinition
+from workers.effects.variables import split_variable
 from workers.fmu.description import ModelDescription
 
 UNKNOWN = "?"

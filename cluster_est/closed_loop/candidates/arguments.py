@@ -14,6 +14,7 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import EffectForm, FormCondition
 from workers.effects.site import EffectSite
+from workers.effects.variables import difference, is_difference
 from workers.fmu.description import ModelDescription
 
 ACTS = 1e-9
@@ -73,13 +74,15 @@ class OpenArguments:
         """
         if site.kind == "pair":
             first, second = (self.states.index(name) for name in site.targets)
-            differences = [f"{a} - {b}" for a, b in self._of_one_unit()] if first < second else []
+            differences = (
+                [difference(*names) for names in self._of_one_unit()] if first < second else []
+            )
             others = [name for name in self.states if name not in site.targets]
             return [site.targets[0], *differences, *others]
         names = [*self.states, *self.driven, *(self.outputs if site.kind == "output" else ())]
         if site.kind == "derivative":
             around = self.surroundings.get(site.target, ())
-            return [*names, *(f"{site.target} - {name}" for name in around)]
+            return [*names, *(difference(site.target, name) for name in around)]
         if site.kind == "parameter":
             return [*names, *self._to_surroundings()]
         return [n for n in names if site.kind not in ("input", "output") or n != site.target]
@@ -95,10 +98,10 @@ class OpenArguments:
 
     def single(self, names: Collection[str]) -> list[str]:
         """Return the arguments that are no differences: products are made of these alone."""
-        return [name for name in names if " - " not in name or name in self.states]
+        return [name for name in names if name in self.states or not is_difference(name)]
 
     def _to_surroundings(self) -> list[str]:
-        return [f"{x} - {u}" for x, inputs in self.surroundings.items() for u in inputs]
+        return [difference(x, u) for x, inputs in self.surroundings.items() for u in inputs]
 
     @cached_property
     def differences(self) -> int:
@@ -218,7 +221,7 @@ def variables_of(
         return [] if left_out else [()]
     if FormCondition.AROUND in form.when:
         pairs = arguments.around(site)
-        return [p for p in pairs if leading is None or " - ".join(p) in leading]
+        return [p for p in pairs if leading is None or difference(*p) in leading]
     names = arguments.at(site) if leading is None else [n for n in leading if n != TIME]
     if form.variables == 1:
         return [(name,) for name in names if arguments.takes(form, site, name)]

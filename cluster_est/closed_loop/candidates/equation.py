@@ -6,6 +6,7 @@ import re
 
 from workers.effects.forms import EffectForm
 from workers.effects.site import EffectSite
+from workers.effects.variables import own_variable, parts_of
 from workers.messages import Effect
 
 
@@ -17,12 +18,12 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
     """
     names = dict(zip(("v", "w"), effect.variables, strict=False))
     if form.variables and not effect.variables:
-        names["v"] = " - ".join(site.targets)
+        names["v"] = own_variable(site)
     at_rates = site.kind in ("derivative", "pair")
     if not at_rates:
         names["s"] = site.target
     coefficients = [c.name for c in form.coefficients]
-    taken = {part for name in names.values() for part in name.split(" - ")}
+    taken = {part for name in names.values() for part in parts_of(name)}
     names |= {c: f"{effect.name}.{c}" for c in coefficients if c in taken}
 
     def named(text: str) -> str:

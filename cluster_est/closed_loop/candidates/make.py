@@ -32,6 +32,7 @@ from workers.effects.forms import (
     positive,
 )
 from workers.effects.site import EffectSite, parse_site
+from workers.effects.variables import own_variable
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect
 
@@ -154,7 +155,7 @@ def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:
     """Site, form and variables of an effect, the same however they were written."""
     site = parse_site(effect.site, f"effect {effect.name!r}: site")
     form = FORMS[site.kind, effect.form]
-    own = (" - ".join(site.targets),) if form.variables == 1 and site.at_rates else ()
+    own = (own_variable(site),) if form.variables == 1 and site.at_rates else ()
     variables = effect.variables or own
     return str(site), form.name, tuple(sorted(variables))  # those of two are products
 

@@ -10,6 +10,7 @@ from cluster_est.closed_loop.candidates.arguments import ACTS, TIME, CandidatePl
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from workers.effects.forms import EffectForm, FormCondition
 from workers.effects.site import EffectSite
+from workers.effects.variables import difference
 
 
 def open_places(
@@ -48,7 +49,7 @@ def _between(site: EffectSite, index: Mapping[str, int], acts: np.ndarray) -> li
     if not (acts[i, j] or acts[j, i]):
         return []
     both = [name for name, k in index.items() if k not in (i, j) and acts[i, k] and acts[j, k]]
-    return [first, *([f"{first} - {second}"] if i < j else []), *both]
+    return [first, *([difference(first, second)] if i < j else []), *both]
 
 
 def count_candidates(

@@ -13,6 +13,7 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, 
 from cluster_est.closed_loop.thresholds import CandidateThresholds
 from workers.effects.forms import EffectForm, FormCoefficient, FormCondition, GridScale
 from workers.effects.site import EffectSite
+from workers.effects.variables import split_variable
 from workers.messages import FloatArray
 
 
@@ -111,7 +112,8 @@ class SignalScales:
         and below the model's own, the state only stays where the stop is, and the solver pays for
         it in steps. Infinite where the state does not act on its own derivative by the effect.
         """
-        own = set(site.targets) & set(variable.split(" - "))
+        parts = split_variable(variable, self.trajectories[0].signals)
+        own = [name for name in site.targets if name in parts]
         if site.kind not in ("derivative", "pair") or not own:
             return np.inf
         linears = [each.linear for each in self.trajectories if each.linear is not None]

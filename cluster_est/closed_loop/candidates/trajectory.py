@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from workers.effects.variables import split_variable
 from workers.grid import build_grid
 from workers.messages import Experiment, FloatArray, Input, IntArray, Linearisation, Outcome
 
@@ -48,18 +49,13 @@ class LinearisedTrajectory:
 
     def has(self, name: str) -> bool:
         """Return whether there is such a signal, or both of a difference."""
-        return all(one in self.signals for one in self._parts(name))
+        return bool(split_variable(name, self.signals))
 
     def signal(self, name: str) -> FloatArray:
         """A signal, or the difference of two ("a - b")."""
-        first, *second = (self.signals[one] for one in self._parts(name))
+        parts = split_variable(name, self.signals) or (name,)
+        first, *second = (self.signals[one] for one in parts)
         return first - second[0] if second else first
-
-    def _parts(self, name: str) -> tuple[str, ...]:
-        if name in self.signals or " - " not in name:
-            return (name,)
-        first, _, second = name.partition(" - ")
-        return first, second
 
 
 def make_trajectory(

@@ -15,6 +15,7 @@ import numpy as np
 from cluster_est.closed_loop.findings.effects import AgreeingEquation
 from cluster_est.closed_loop.findings.words.laws import Law
 from cluster_est.results.row_types import EffectCurve
+from workers.effects.variables import bracketed
 from workers.messages import FloatArray
 
 Shape = Callable[[FloatArray], FloatArray]
@@ -43,8 +44,7 @@ class _Other:
 
     def equation(self, strength: float, variable: str) -> str:
         """Return what it adds to a variable's site: "-0.35 * v^2"."""
-        name = f"({variable})" if " - " in variable else variable
-        return f"{strength:.4g} * {self.text.format(v=name)}".removesuffix(" * 1")
+        return f"{strength:.4g} * {self.text.format(v=bracketed(variable))}".removesuffix(" * 1")
 
 
 @dataclass(frozen=True)

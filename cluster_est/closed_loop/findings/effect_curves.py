@@ -16,6 +16,7 @@ from cluster_est.results.result import Result
 from cluster_est.results.row_types import EffectCurve
 from cluster_est.results.shapes.effect_shapes import effect_shapes, with_evidence
 from workers.effects.site import EffectSite
+from workers.effects.variables import difference, split_variable
 from workers.messages import FloatArray
 
 
@@ -80,5 +81,5 @@ def _shown(
 def _integral_of(name: str, trajectories: Sequence[LinearisedTrajectory]) -> str:
     """The state whose integral a variable is; of a difference that of both."""
     speeds = {x: v for x, (v, _) in integrated_states(trajectories).items()}
-    parts = [name] if name in speeds else name.split(" - ")
-    return " - ".join(speeds[x] for x in parts) if all(x in speeds for x in parts) else ""
+    parts = [speeds[x] for x in split_variable(name, speeds)]
+    return difference(*parts) if len(parts) > 1 else "".join(parts)

@@ -81,7 +81,7 @@ def best_that_passes(
         return RoundEnd(SelectionRound(begun.screening, tuple(contenders), why))
     after = predict(workbench, chosen.fitted)
     gain, closed = _gain(workbench, begun, chosen), _closed(workbench, begun, after)
-    failed = _failed_gate(workbench, begun, chosen, after, gain, closed)
+    failed = failed_gate(workbench, begun, chosen, after, gain, closed)
     seen = SelectionRound(begun.screening, tuple(left), failed, gain, closed)
     return RoundEnd(seen) if failed is not None else RoundEnd(seen, chosen, after)
 
@@ -131,7 +131,7 @@ def _closed(workbench: LoopWorkbench, begun: RoundStart, after: LeaveOneOutPredi
     return (before.total - after.total) / max(before.total - floor, least)
 
 
-def _failed_gate(
+def failed_gate(
     workbench: LoopWorkbench,
     begun: RoundStart,
     chosen: RefittedCandidate,

@@ -15,10 +15,10 @@ from workers.effects.definition import (
     TIME,
     EffectDefinition,
     define,
-    split_variable,
     variable_symbol,
 )
 from workers.effects.site import EffectSite
+from workers.effects.variables import own_variable, parts_of, split_variable
 from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray
 
@@ -179,7 +179,7 @@ def _difference(
 ) -> tuple[str, sp.Symbol, sp.Expr] | None:
     """The same of a part that depends on the difference of two variables alone."""
     effect, site = definition.effect, definition.site
-    given = effect.variables[0] if effect.variables else " - ".join(site.targets)
+    given = effect.variables[0] if effect.variables else own_variable(site)
     names = split_variable(given, definition.uses)
     if len(names) != 2:
         return None
@@ -228,7 +228,7 @@ def _curve(
     spread = NORMAL95 * spread_of(part.shape, x, values, _covariance(result, own))
     units = {name: variable.unit for name, variable in description.variables.items()}
     unit, at_rates = units.get(part.target, ""), definition.site.at_rates
-    first = part.argument.partition(" - ")[0]
+    first = parts_of(part.argument)[0]
     return EffectCurve(
         effect=definition.effect.name,
         part=f"der({part.target})" if at_rates else str(definition.site),

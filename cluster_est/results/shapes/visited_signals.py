@@ -12,6 +12,7 @@ from cluster_est.results.row_types import EffectCurve
 from cluster_est.results.shapes.effect_shapes import NOTHING_KNOWN, effect_shapes
 from cluster_est.running.runner import Runner
 from workers.effects.site import EffectSite
+from workers.effects.variables import split_variable
 from workers.messages import Experiment, FloatArray, Input, Outcome
 
 Signals = Mapping[str, FloatArray]
@@ -60,16 +61,12 @@ def _shapes(
     def visited(site: EffectSite, name: str) -> FloatArray:
         if site.kind == "output" and any(PLAIN + name in each for each in known):
             name = PLAIN + name
-        whole = any(name in each for each in known)
-        first, _, second = (name, "", "") if whole else name.partition(" - ")
-        parts = [s[first] - (s[second] if second else 0.0) for s in known if _has(s, first, second)]
+        first, *second = split_variable(name, {n for each in known for n in each}) or (name,)
+        seen = [s for s in known if all(one in s for one in (first, *second))]
+        parts = [s[first] - (s[second[0]] if second else 0.0) for s in seen]
         return np.concatenate(parts or [np.zeros(0)])
 
     return effect_shapes(result, problem.describe(), visited)
-
-
-def _has(signals: Signals, first: str, second: str) -> bool:
-    return first in signals and (not second or second in signals)
 
 
 def _signals(experiment: Experiment, outcome: Outcome) -> Signals:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from cluster_est.closed_loop.findings.words.dimensions import Dimension
 from cluster_est.closed_loop.findings.words.unit_text import dimension_of_text
+from workers.effects.variables import is_difference, parts_of
 from workers.fmu.description import ModelDescription
 from workers.fmu.parsing.units import BASE_UNITS, UnitDefinition
 
@@ -26,7 +27,7 @@ class KnownUnits:
 
     def unit(self, name: str) -> str:
         """Return the unit of a variable, a signal or a difference "a - b"; "" if none is known."""
-        name = name if self._has(name) else name.partition(" - ")[0]
+        name = name if self._has(name) else parts_of(name)[0]
         if name in self._description.variables:
             return self._description.variables[name].unit
         return self._given.get(name, "")
@@ -36,8 +37,8 @@ class KnownUnits:
 
         A difference of two dimensions has none. One of two temperatures has its zero in itself.
         """
-        if not self._has(name) and " - " in name:
-            first, _, second = name.partition(" - ")
+        if not self._has(name) and is_difference(name):
+            first, second, *_ = parts_of(name)
             one, other = self.of(first), self.of(second)
             return one if one is not None and one == other else None
         unit = self.unit(name)

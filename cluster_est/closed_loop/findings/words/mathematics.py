@@ -5,6 +5,7 @@ from __future__ import annotations
 from cluster_est.closed_loop.findings.words.laws import Law
 from workers.effects.forms import EffectForm
 from workers.effects.site import EffectSite
+from workers.effects.variables import bracketed
 
 OF_SIGNALS = {
     "bias": "an offset",
@@ -81,7 +82,7 @@ def mathematics_of(law: Law, form: EffectForm, site: EffectSite, variables: tupl
     """
     if not form.variables and site.kind in ("input", "output"):
         return OF_SIGNALS.get(form.name, "another characteristic")
-    named = [f"({v})" if " - " in v else v for v in variables]
+    named = [bracketed(v) for v in variables]
     if law is Law.FOURTH_DIFFERENCE:
         return f"a term in the difference of the fourth powers of {' and '.join(named)}"
     if law is Law.PRODUCT:

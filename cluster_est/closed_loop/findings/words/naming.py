@@ -33,6 +33,7 @@ from cluster_est.closed_loop.findings.words.mathematics import mathematics_of
 from cluster_est.closed_loop.findings.words.physics import PlacedLaw, physics_of
 from cluster_est.results.row_types import EffectCurve
 from workers.effects.expression import parse
+from workers.effects.variables import difference, is_difference, own_variable
 from workers.fmu.description import ModelDescription
 
 MOVING = (SPEED, TURNING, SPEED / TIME, TURNING / TIME, FORCE, TORQUE)
@@ -113,7 +114,7 @@ class Namer:
     def may_be_negative(self, variable: str) -> bool:
         """Return whether a variable can be below zero: an amount, for one, cannot."""
         known = self.units.of(variable)
-        if known is None or " - " in variable:
+        if known is None or is_difference(variable):
             return True
         if known == TEMPERATURE:  # an absolute one
             return False
@@ -126,7 +127,7 @@ def variables_of_effect(candidate: EffectCandidate) -> tuple[str, ...]:
     site = candidate.site
     if candidate.effect.variables or not candidate.form.variables:
         return candidate.effect.variables
-    return (" - ".join(site.targets),) if site.at_rates else ()
+    return (own_variable(site),) if site.at_rates else ()
 
 
 def _holds_levels(description: ModelDescription, units: KnownUnits) -> bool:
@@ -162,8 +163,8 @@ def _own(candidate: EffectCandidate, law: Law, variables: tuple[str, ...], way: 
         return False
     if site.kind == "pair":
         spill = law is Law.ABOVE and variables[0] == site.target
-        return spill or variables[0] == " - ".join(site.targets)
-    over = f"{site.target} - "  # what is around it
+        return spill or variables[0] == own_variable(site)
+    over = difference(site.target, "")  # what is around it
     return site.kind == "derivative" and (
         variables[0] == site.target or variables[0].startswith(over)
     )
@@ -175,7 +176,7 @@ def _own_position(candidate: EffectCandidate, curve: EffectCurve | None) -> bool
         return False
     if candidate.site.kind == "input":  # the search tried only what the input pushes
         return law_of(candidate.form) is Law.PERIODIC
-    return candidate.site.at_rates and curve.integral_of == " - ".join(candidate.site.targets)
+    return candidate.site.at_rates and curve.integral_of == own_variable(candidate.site)
 
 
 def _direction(

@@ -8,10 +8,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from workers.effects.definition import coefficients, split_variable
+from workers.effects.definition import coefficients
 from workers.effects.expression import FUNCTIONS
 from workers.effects.forms import FORMS, FormCondition, GridScale, positive
 from workers.effects.memory import MEMORIES
+from workers.effects.variables import split_variable
 from workers.messages import Effect
 
 WORDS = {"site", "other", "v", "w", "s", "second", "rad", "travel"}

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
+from support.loop_objects import fit_with_squares, made_bench, made_problem, made_screening
 
 from cluster_est import Solver
 from cluster_est.closed_loop.numerical_error.error import (
@@ -13,9 +12,10 @@ from cluster_est.closed_loop.numerical_error.error import (
     extrapolated,
     observed_order,
 )
-from cluster_est.closed_loop.selection.gates import _failed_gate
-from cluster_est.closed_loop.selection.rounds import RejectionReason
-from cluster_est.closed_loop.thresholds import LoopThresholds
+from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.gates import failed_gate
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundStart
 from cluster_est.results.solver_error.finer_solver import SolverScale
 
 STEP = SolverScale(Solver("fmu", step=0.1), "the communication step of 0.1 s", step=0.1)
@@ -100,13 +100,12 @@ def test_what_could_not_be_measured_is_said():
 @pytest.mark.parametrize(("after", "refused"), [(700.0, True), (500.0, False)])
 def test_an_effect_must_explain_more_than_the_numerical_error_could(after, refused):
     """An error of squares 100, known up to a factor of 2, could account for a fall of 400."""
-    begun = SimpleNamespace(
-        model=SimpleNamespace(sse=1000.0),
-        prediction=SimpleNamespace(total=1000.0),
-        floor=1000.0,
-        numerical=error(1.0, 1.0).explainable,
-    )
-    bench = SimpleNamespace(thresholds=LoopThresholds())
-    grown, predicted = SimpleNamespace(sse=after), SimpleNamespace(total=after)
-    why = _failed_gate(bench, begun, grown, predicted, 10.0, 1.0)
+    problem = made_problem(40)
+    bench, base = made_bench(problem), fit_with_squares(problem, 1000.0)
+    screening = made_screening(base.jacobian, base.residuals, [], [])
+    predicted = LeaveOneOutPrediction(np.array([1000.0]))
+    most = error(1.0, 1.0).explainable
+    begun = RoundStart(base, base, predicted, screening, floor=1000.0, numerical=most)
+    grown = RefittedCandidate(fit_with_squares(problem, after), criterion=0.0, full=True)
+    why = failed_gate(bench, begun, grown, LeaveOneOutPrediction(np.array([after])), 10.0, 1.0)
     assert why is (RejectionReason.NUMERICAL_ERROR if refused else None)
