@@ -90,6 +90,23 @@ def test_a_fit_shows_the_shapes_of_the_effects_that_it_declares(closed, declared
     assert "der(v) over v (m/s), where the training data were" in page.text
 
 
+def test_a_difference_has_the_same_shape_with_and_without_blanks(closed):
+    shapes = []
+    for number, variable in enumerate(("x - v", "x-v")):
+        config = closed.parent / f"difference{number}.toml"
+        config.write_text(
+            f"{(closed.parent / 'config.toml').read_text()}\n[[effects]]\n"
+            f'name = "spring"\nsite = "der(v)"\nform = "linear"\nvariables = ["{variable}"]\n'
+            "parameters = { k = { start = -0.1 } }\n"
+        )
+        run = closed.parent / f"difference{number}"
+        assert main(["fit", str(config), "--out", str(run)]) == 0
+        shapes += pq.read_table(run / "shapes.parquet").to_pylist()
+    apart, together = shapes
+    assert sum(apart["counts"]) > 100
+    assert (together["x"], together["y"]) == (apart["x"], apart["y"])
+
+
 def test_the_path_of_the_search_has_every_set_of_effects(closed):
     rows = pq.read_table(closed / "structures.parquet").to_pylist()
     rows.sort(key=lambda row: (row["step"], -row["closed"]))
