@@ -10,14 +10,16 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.scales import SignalScales
 from cluster_est.closed_loop.first_pass import open_checked_workbench
-from cluster_est.closed_loop.measured_noise import noise_of
+from cluster_est.closed_loop.measured_noise import expected_noise, noise_of
+from cluster_est.closed_loop.numerical_error.error import NumericalError
+from cluster_est.closed_loop.numerical_error.measure import measure_numerical_error
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
-from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, screen
+from cluster_est.closed_loop.screening.screen import findings, screen
 from cluster_est.closed_loop.selection.declared_model import fit_declared
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.errors import EffectError
+from cluster_est.errors import EffectError, ProblemError
 from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.problem import Problem
 from cluster_est.running.arguments import check_problem
@@ -49,6 +51,8 @@ class DetectionResult:
         in the output's unit.
     significance
         Level that the p-values were compared with.
+    numerical_error
+        Why no effect can be told from the error of the solver or its step; empty where it is small.
     """
 
     p: float
@@ -58,14 +62,17 @@ class DetectionResult:
     noise: Mapping[str, float]
     rms: Mapping[str, float]
     significance: float
+    numerical_error: str = ""
 
     @property
     def missing(self) -> bool:
-        """Some candidate explains more than noise, white or coloured, would let it."""
-        return max(self.p, self.p_white) <= self.significance
+        """Some candidate explains more than noise, white or coloured, or the solver's error may."""
+        return max(self.p, self.p_white) <= self.significance and not self.numerical_error
 
     @property
     def sentence(self) -> str:
+        if self.numerical_error:
+            return self.numerical_error
         if self.missing:
             count = f"{self.candidates} candidate{'' if self.candidates == 1 else 's'}"
             return f"something is missing ({_p(self.p)} among {count})"
@@ -103,7 +110,9 @@ def detect(
     ClusterEstError
         As `close_loop`.
     """
-    with _screened(problem, resources, settings, seed) as (workbench, fitted, screening):
+    request = checked_request(problem, resources, settings, seed)
+    with _fitted(request) as (workbench, fitted, error):
+        screening = screen(workbench, fitted, 1)
         records = workbench.records
         parts = [fitted.residuals[records.of_output(o)] for o in range(len(records.outputs))]
         rms = np.array([np.sqrt(np.mean(part**2)) if len(part) else np.nan for part in parts])
@@ -115,6 +124,7 @@ def detect(
             noise=workbench.noise_in_units(noise_of(workbench, fitted.residuals)),
             rms=workbench.noise_in_units(rms),
             significance=workbench.settings.significance,
+            numerical_error=error.refusal if error.hides_effects else "",
         )
 
 
@@ -138,10 +148,13 @@ def locate(
     Raises
     ------
     ClusterEstError
-        As `close_loop`.
+        As `close_loop`; also where no effect can be told from the error of the solver or its step.
     """
-    with _screened(problem, resources, settings, seed) as (_, fitted, screening):
-        found = findings(screening.ranking, fitted, 1).values()
+    request = checked_request(problem, resources, settings, seed)
+    with _fitted(request) as (workbench, fitted, error):
+        if error.hides_effects:
+            raise ProblemError(error.refusal)
+        found = findings(screen(workbench, fitted, 1).ranking, fitted, 1).values()
         return tuple(sorted(found, key=lambda f: (f.stage is CandidateStage.SET_ASIDE, f.log_p)))
 
 
@@ -214,13 +227,15 @@ def add_effect(
 
 
 @contextmanager
-def _screened(
-    problem: Problem, resources: Resources | None, settings: LoopSettings | None, seed: int
-) -> Iterator[tuple[LoopWorkbench, FittedModel, ScreeningResult]]:
-    """The declared model fitted, and every candidate against its residual."""
-    with open_checked_workbench(checked_request(problem, resources, settings, seed)) as workbench:
+def _fitted(
+    request: LoopRequest,
+) -> Iterator[tuple[LoopWorkbench, FittedModel, NumericalError]]:
+    """The declared model fitted, and how exact its simulations are there."""
+    with open_checked_workbench(request) as workbench:
         fitted = fit_declared(workbench, FitStart(workbench.problem, {}))
-        yield workbench, fitted, screen(workbench, fitted, 1)
+        noise = expected_noise(workbench, fitted.residuals)
+        resources = request.environment.resources
+        yield workbench, fitted, measure_numerical_error(workbench, fitted, noise, resources)
 
 
 def _starts(given: Mapping[str, float] | None) -> dict[str, float]:

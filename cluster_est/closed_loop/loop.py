@@ -29,7 +29,7 @@ from cluster_est.closed_loop.findings.unused_columns import varying_columns
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.first_pass import open_checked_workbench
-from cluster_est.closed_loop.measured_noise import noise_of
+from cluster_est.closed_loop.measured_noise import expected_noise
 from cluster_est.closed_loop.numerical_error.measure import measure_numerical_error
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request
 from cluster_est.closed_loop.selection.beam_search import beam_search
@@ -47,7 +47,6 @@ from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import examine
-from workers.messages import FloatArray
 
 FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
 
@@ -106,7 +105,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
     with open_checked_workbench(request) as workbench:
         workbench.enter("the declared model")
         base = fit_declared(workbench, FitStart(workbench.problem, {}))
-        noise = _noise(workbench, base)
+        noise = expected_noise(workbench, base.residuals)
         workbench.enter("the error of the solver")
         error = measure_numerical_error(workbench, base, noise, request.environment.resources)
         if error.hides_effects:
@@ -119,13 +118,6 @@ def run_loop(request: LoopRequest) -> LoopResult:
     seconds = time.monotonic() - begin
     notes = (*error.notes, *report.notes, *dear_structures(found.path))
     return replace(report, notes=notes, seconds=seconds)
-
-
-def _noise(workbench: LoopWorkbench, base: FittedModel) -> FloatArray:
-    """The noise of each output in units of its residual: as declared, else as estimated."""
-    if workbench.sigma_declared:
-        return np.ones(len(workbench.records.outputs))
-    return noise_of(workbench, base.residuals)
 
 
 def _report(

@@ -36,6 +36,13 @@ def noise_of(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
     return found
 
 
+def expected_noise(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
+    """Return the noise of each output as it is declared, else as `noise_of` estimates it."""
+    if workbench.sigma_declared:
+        return np.ones(len(workbench.records.outputs))
+    return noise_of(workbench, residuals)
+
+
 def is_told(records: StackedRecords, output: int) -> bool:
     """Return whether some record of an output is long enough to tell noise from misfit."""
     lengths = [len(record.times) for record in records.items if record.output == output]

@@ -18,10 +18,12 @@ from support.truth.systems_with_missing_effects import (
     unfitted,
 )
 
+import cluster_est as ce
 from cluster_est import Solver
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.loop import close_loop
 from cluster_est.closed_loop.numerical_error.measure import measure_numerical_error
+from cluster_est.errors import ProblemError
 from cluster_est.running.resources import Resources
 
 NOISE = 0.004
@@ -118,3 +120,13 @@ def test_a_communication_step_that_is_too_long_is_no_missing_effect():
     assert "the communication step of 0.1 s has an error of" in found.summary
     assert "set model.step = 0.0" in found.summary
     assert any("no effect was looked for" in note for note in found.notes)
+
+
+def test_its_diagnostics_say_the_same():
+    problem = coarse(DATA, COMMUNICATION)
+    seen = ce.detect(problem)
+    assert max(seen.p, seen.p_white) <= seen.significance
+    assert not seen.missing
+    assert "the communication step of 0.1 s has an error of" in seen.sentence
+    with pytest.raises(ProblemError, match=r"no missing effect can be distinguished from it"):
+        ce.locate(problem)

@@ -22,3 +22,9 @@ from cluster_est.closed_loop.diagnostics import DetectionResult
 def test_sentences(p, p_white, p_structure, candidates, said):
     found = DetectionResult(p, p_white, p_structure, candidates, {}, {}, 0.01)
     assert said in found.sentence
+
+
+def test_what_the_solver_may_have_done_is_not_missing():
+    found = DetectionResult(1e-5, 1e-5, 0.0025, 40, {}, {}, 0.01, "the step is too long")
+    assert not found.missing
+    assert found.sentence == "the step is too long"
