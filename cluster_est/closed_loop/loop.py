@@ -16,16 +16,19 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.closed_loop.findings.confirmation import confirmed
-from cluster_est.closed_loop.findings.disturbance import (
+from cluster_est.closed_loop.findings.effect_curves import effect_curves
+from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.findings.residual.disturbance import (
     UnexplainedResidual,
     unexplained_residuals,
 )
-from cluster_est.closed_loop.findings.effect_curves import effect_curves
-from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.closed_loop.findings.residual_noise import believed_noise, residual_noise
+from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
+    believed_noise,
+    residual_noise,
+)
+from cluster_est.closed_loop.findings.residual.unused_columns import varying_columns
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
-from cluster_est.closed_loop.findings.unused_columns import varying_columns
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.first_pass import open_checked_workbench

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
-from cluster_est.closed_loop.findings.remaining_error import (
+from cluster_est.closed_loop.findings.residual.remaining_error import (
     comparable,
     largest_error,
     no_longer_simulated,

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import pyarrow as pa
 
 from cluster_est.closed_loop.findings import tables
-from cluster_est.closed_loop.findings.disturbance import UnexplainedResidual
 from cluster_est.closed_loop.findings.effects import (
     ErrorChange,
     NamedEffect,
     Verdict,
 )
-from cluster_est.closed_loop.findings.remaining_error import comparable, pooled_error
+from cluster_est.closed_loop.findings.residual.disturbance import UnexplainedResidual
+from cluster_est.closed_loop.findings.residual.remaining_error import comparable, pooled_error
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.closed_loop.findings.residual_noise import (
+from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
     OutputNoise,
     believed_noise,
     is_noise_of_sensors,

@@ -9,14 +9,14 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.agreement import agreements
-from cluster_est.closed_loop.findings.disturbance import readable_time
 from cluster_est.closed_loop.findings.effects import (
     AgreeingEquation,
     AlternativeEffect,
     ErrorChange,
     NamedEffect,
 )
-from cluster_est.closed_loop.findings.unused_columns import varying_columns
+from cluster_est.closed_loop.findings.residual.disturbance import readable_time
+from cluster_est.closed_loop.findings.residual.unused_columns import varying_columns
 from cluster_est.closed_loop.findings.words.naming import EffectName, Namer
 from cluster_est.closed_loop.findings.words.sentences import sentence_of
 from cluster_est.closed_loop.screening.evidence import CandidateStage

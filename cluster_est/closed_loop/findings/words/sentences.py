@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.findings.disturbance import readable_time
 from cluster_est.closed_loop.findings.effects import AgreeingEquation
+from cluster_est.closed_loop.findings.residual.disturbance import readable_time
 from cluster_est.results.row_types import EffectCurve, Estimate
 
 SAME = 1e-6

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 from support.loop_objects import made_bench, made_fit, made_problem
 
-from cluster_est.closed_loop.findings.residual_noise import (
+from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
     believed_noise,
     is_noise_of_sensors,
     residual_noise,

@@ -1,0 +1,1 @@
+"""What is left of the residual: noise, a disturbance, a column that varies with it."""
