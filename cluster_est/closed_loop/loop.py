@@ -29,6 +29,10 @@ from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
 from cluster_est.closed_loop.findings.residual.unused_columns import varying_columns
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
+from cluster_est.closed_loop.findings.structure_probabilities import (
+    noise_widening,
+    with_probabilities,
+)
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.first_pass import open_checked_workbench
@@ -37,7 +41,11 @@ from cluster_est.closed_loop.numerical_error.measure import measure_numerical_er
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request
 from cluster_est.closed_loop.selection.beam_search import beam_search
 from cluster_est.closed_loop.selection.declared_model import fit_declared
-from cluster_est.closed_loop.selection.rounds import SelectionResult, without_search
+from cluster_est.closed_loop.selection.rounds import (
+    ComparedStructure,
+    SelectionResult,
+    without_search,
+)
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
@@ -161,9 +169,18 @@ def _report(
         seconds=0.0,
         curves=curves,
         errors_over=over,
-        structures=found.path,
+        structures=_compared(workbench, judgement.verdict, kept, found),
         unexplained=unexplained,
     )
+
+
+def _compared(
+    workbench: LoopWorkbench, verdict: Verdict, fitted: FittedModel, found: SelectionResult
+) -> tuple[ComparedStructure, ...]:
+    """The structures that were compared; with probabilities, where noise is all that is left."""
+    if verdict is not Verdict.FOUND:
+        return found.path
+    return with_probabilities(found.path, noise_widening(fitted.residuals, workbench.records))
 
 
 def _unexplained(

@@ -408,6 +408,13 @@ TABLES = (
                 "",
                 "steps of the solver over those of the declared model, for one simulation of all",
             ),
+            ColumnDescription(
+                "probability",
+                NUMBER,
+                "",
+                "of the set among all that were compared, if the verdict is found; NaN in its "
+                "other rows",
+            ),
         ),
     ),
     TableMeaning(

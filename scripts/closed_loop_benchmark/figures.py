@@ -154,6 +154,12 @@ def median(values: Iterable[float], form: str = ".3f") -> str:
     return format(float(np.median(known)), form) if known else "-"
 
 
+def most_of(values: Iterable[float], part: float = 0.95) -> str:
+    """Write what this part of the values is at most; "-" without any."""
+    known = list(values)
+    return f"{np.quantile(known, part):.0f}" if known else "-"
+
+
 def upper_bound(hits: int, cases: int, confidence: float = 0.95) -> float:
     """Return the one-sided bound of a probability after Clopper and Pearson (1934)."""
     if cases == 0 or hits == cases:

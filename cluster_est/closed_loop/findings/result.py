@@ -20,6 +20,10 @@ from cluster_est.closed_loop.findings.effects import (
 )
 from cluster_est.closed_loop.findings.residual.disturbance import UnexplainedResidual
 from cluster_est.closed_loop.findings.residual.remaining_error import comparable, pooled_error
+from cluster_est.closed_loop.findings.structure_probabilities import (
+    likely_sentence,
+    likely_structures,
+)
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display
@@ -75,7 +79,8 @@ class LoopResult:
     errors_over
         The divisor of the normalised errors.
     structures
-        Every set of effects that was refitted: the path of the search.
+        Every set of effects that was refitted: the path of the search. If the verdict is "found",
+        with the probability of each; `likely` has those that hold 90 %.
     unexplained
         What is left of each output beyond its noise, where the verdict is "partial" or
         "unexplained": its size, and how fast it is. The largest over its noise comes first.
@@ -108,6 +113,14 @@ class LoopResult:
         Both are of the experiments that were simulated before and after.
         """
         return pooled_error(comparable(self.errors), role, after=when == "after")
+
+    @property
+    def likely(self) -> tuple[ComparedStructure, ...]:
+        """The fewest sets of effects that hold 90 % of the probability, the likeliest first.
+
+        Empty unless the verdict is "found": what else is missing would change their order.
+        """
+        return likely_structures(self.structures)
 
     @property
     def success(self) -> bool:
@@ -199,6 +212,7 @@ class LoopResult:
             "verdict": self.verdict.value,
             "summary": self.summary,
             "effects": [tables.effect_facts(effect) for effect in self.effects],
+            "likely": likely_sentence(self.structures),
             "unexplained": [dataclasses.asdict(each) for each in self.unexplained],
             "rejected": [tables.effect_facts(effect) for effect in self.rejected],
             "errors": {

@@ -49,6 +49,7 @@ STRUCTURES = pa.schema(
         *((name, pa.float64()) for name in ("criterion", "closed")),
         *((name, pa.bool_()) for name in ("converged", "accepted")),
         ("relative_steps", pa.float64()),
+        ("probability", pa.float64()),
     ]
 )
 RENAMED = {"imitated_by": "confounded_with"}

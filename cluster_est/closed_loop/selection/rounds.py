@@ -120,6 +120,8 @@ class ComparedStructure:
         It passed every gate, or is what revision made of one that did.
     relative_steps
         Steps of the solver over those of the declared model; NaN where they are not counted.
+    probability
+        Of the set among all that were compared; NaN where that is not known.
     """
 
     step: int
@@ -129,6 +131,7 @@ class ComparedStructure:
     converged: bool
     accepted: bool
     relative_steps: float = np.nan
+    probability: float = np.nan
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cluster_est.closed_loop.findings.structure_probabilities import percent
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.report.blocks import (
     Block,
@@ -136,8 +137,9 @@ def candidates(run: ReportedRun) -> ReportSection:
 
 def _compared(run: ReportedRun) -> list[Block]:
     """The structures that each step refitted, the best first."""
-    names = columns("structure", "#gap closed", "#criterion", "")
-    blocks: list[Block] = []
+    names = columns("structure", "#gap closed", "#criterion", "#probability", "")
+    said = run.facts.get("likely") or ""
+    blocks: list[Block] = [TextBlock(f"{said[:1].upper()}{said[1:]}.")] if said else []
     for step in sorted({row["step"] for row in run.tables["structures"]}):
         own = [row for row in run.tables["structures"] if row["step"] == step]
         lines = [
@@ -145,6 +147,7 @@ def _compared(run: ReportedRun) -> list[Block]:
                 TableCell(" + ".join(row["effects"]), code=True),
                 f"{100.0 * row['closed']:.1f}\u2009%",
                 digits(row["criterion"], 4),
+                _probability(row),
                 TableCell("accepted", "good") if row["accepted"]
                 else TableCell("" if row["converged"] else "fell behind", "faint"),
             )
@@ -153,6 +156,14 @@ def _compared(run: ReportedRun) -> list[Block]:
         caption = f"Step {step}: {len(own)} sets of effects refitted"
         blocks.append(TableBlock(names, tuple(lines), caption, folded=True))
     return blocks
+
+
+def _probability(row: Row) -> str:
+    """The probability of a set of effects; runs of earlier versions have none."""
+    probability = row.get("probability")
+    if probability is None or probability != probability:
+        return ""
+    return percent(probability).replace(" %", "\u2009%")
 
 
 STAGES = tuple(reversed(CandidateStage))

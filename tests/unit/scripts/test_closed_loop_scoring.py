@@ -13,6 +13,7 @@ from closed_loop_benchmark import figures
 from closed_loop_benchmark.data import Data, make
 from closed_loop_benchmark.effect import Name
 from closed_loop_benchmark.effects import SINGLE
+from closed_loop_benchmark.likely import has_probabilities, holds_truth
 from closed_loop_benchmark.naming import compare, normal
 from closed_loop_benchmark.oracle import ask, translate, true_values, with_effects
 from closed_loop_benchmark.problem import make_problem
@@ -255,3 +256,23 @@ def test_subset_has_effects_and_none() -> None:
     assert len(cases) == 8
     assert {case.split for case in cases} == {"tune"}
     assert np.unique([case.kind for case in cases]).tolist() == ["clean", "single"]
+
+
+@pytest.mark.parametrize(
+    ("structures", "holds"),
+    [
+        ([["constant at der(v)"]], True),
+        ([["bias at input F"]], True),  # an algebraic alias
+        ([["cubic at der(v)"]], False),
+        ([["constant at der(v)", "cubic at der(v)"]], False),
+    ],
+)
+def test_the_likely_sets_hold_the_truth_by_any_of_its_names(structures, holds):
+    seen = replace(
+        blank(data_of(LOAD)),
+        verdict="found",
+        has_oracle=True,
+        structures=[(names, -500.0, True) for names in structures] + [(["viscous"], -400.0, True)],
+    )
+    assert has_probabilities(seen)
+    assert holds_truth(seen) is holds

@@ -1,0 +1,55 @@
+"""Whether the sets of effects that hold 90 % of the probability hold the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from itertools import permutations
+
+from closed_loop_benchmark.naming import normal
+from closed_loop_benchmark.scenarios import all_scenarios
+from closed_loop_benchmark.scoring import Score, in_words
+from cluster_est.closed_loop.findings.structure_probabilities import (
+    likely_structures,
+    with_probabilities,
+)
+from cluster_est.closed_loop.selection.rounds import ComparedStructure
+
+
+def has_probabilities(score: Score) -> bool:
+    """Tell whether a case has probabilities, and a true structure among the library's."""
+    return score.verdict == "found" and bool(score.structures) and score.has_oracle
+
+
+def holds_truth(score: Score) -> bool:
+    """Tell whether the truth is among the likely sets, by a name or an algebraic alias.
+
+    The probabilities are those for white noise, which a record has the criteria for.
+    """
+    path = [
+        ComparedStructure(0, tuple(names), criterion, 0.0, converged, accepted=False)
+        for names, criterion, converged in score.structures or []
+    ]
+    likely = likely_structures(with_probabilities(path))
+    return any(_is_true(each.effects, _accepted()[score.name]) for each in likely)
+
+
+def _is_true(named: Sequence[str], accepted: Sequence[Sequence[str]]) -> bool:
+    if len(named) != len(accepted):
+        return False
+    return any(
+        all(name in names for name, names in zip(order, accepted, strict=True))
+        for order in permutations(named)
+    )
+
+
+@cache
+def _accepted() -> dict[str, list[list[str]]]:
+    """For each case, the names of each true effect, in words."""
+    return {
+        case.name: [
+            [in_words(normal(n.form, n.site, (n.variable,))) for n in names]
+            for names in case.accepted
+        ]
+        for case in all_scenarios()
+    }
