@@ -13,6 +13,7 @@ from support.reported import Page
 from support.truth.springs_with_friction import FRICTION, WIDTH, write_config
 
 from cluster_est.cli import main
+from cluster_est.closed_loop.findings.structure_probabilities import percent
 from cluster_est.report import write_report
 
 
@@ -105,6 +106,17 @@ def test_a_difference_has_the_same_shape_with_and_without_blanks(closed):
     apart, together = shapes
     assert sum(apart["counts"]) > 100
     assert (together["x"], together["y"]) == (apart["x"], apart["y"])
+
+
+def test_the_likely_sets_of_effects_are_named_with_their_probabilities(closed):
+    said = json.loads((closed / "run.json").read_text())["likely"]
+    rows = pq.read_table(closed / "structures.parquet").to_pylist()
+    known = sorted((row["probability"] for row in rows if row["probability"] >= 0.0), reverse=True)
+    assert sum(known) == pytest.approx(1.0)
+    assert f"the data give coulomb at der(v) {percent(known[0])} of the probability" in said
+    page = Page(write_report(closed)).text
+    assert f"O{said[1:]}." in page
+    assert page.count(percent(known[0])) >= 2  # there, and in the table of the step
 
 
 def test_the_path_of_the_search_has_every_set_of_effects(closed):
