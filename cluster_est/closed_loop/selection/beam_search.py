@@ -28,7 +28,8 @@ from cluster_est.closed_loop.selection.grow import best_distinct, grow
 from cluster_est.closed_loop.selection.path import compared_structure, compared_structures
 from cluster_est.closed_loop.selection.refinement.pairs import refit_pairs
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, Rivals, rivals_of
-from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit
+from cluster_est.closed_loop.selection.refinement.refits import FIRST
+from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit, may_become_useful
 from cluster_est.closed_loop.selection.restarts import refit_from_other_starts
 from cluster_est.closed_loop.selection.revise import revise
 from cluster_est.closed_loop.selection.rounds import (
@@ -206,12 +207,14 @@ def _better(
 
 
 def _was_local(workbench: LoopWorkbench, base: FittedModel, won: RefittedCandidate) -> bool:
-    """Return whether the declared model does as well from the new parameters."""
-    values = _declared_only(won)
-    (fit,) = workbench.fit(
-        LoopStage.DECLARED_AGAIN, [FitStart(base.problem, values, base.added)], AGAIN
-    )
-    return fit is not None and fit.sse < workbench.thresholds.selection.local_minimum * base.sse
+    """Return whether the declared model does better from the new parameters."""
+    start = FitStart(base.problem, _declared_only(won), base.added)
+    useful = UsefulFit(sse=workbench.thresholds.selection.local_minimum * base.sse)
+    (brief,) = workbench.fit(LoopStage.DECLARED_AGAIN, [start], FIRST)
+    if brief is None or not may_become_useful(workbench, brief, useful):
+        return False
+    (fit,) = workbench.fit(LoopStage.DECLARED_AGAIN, [brief.start], AGAIN)
+    return fit is not None and fit.sse < useful.sse
 
 
 def _declared_only(won: RefittedCandidate) -> dict[str, float]:
