@@ -119,16 +119,18 @@ def run_loop(request: LoopRequest) -> LoopResult:
         noise = expected_noise(workbench, base.residuals)
         workbench.enter("the error of the solver")
         error = measure_numerical_error(workbench, base, noise, request.environment.resources)
+        before = workbench.runner.failures
         if error.hides_effects:
             found = without_search(workbench, base)
             judged = ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal)
         else:
             found = beam_search(workbench, base, error.explainable)
             judged = judge(workbench, found)
+        failed = workbench.runner.failures - before
         report = _report(workbench, found, judged, begin)
     seconds = time.monotonic() - begin
     notes = (*error.notes, *report.notes, *dear_structures(found.path))
-    return replace(report, notes=notes, seconds=seconds)
+    return replace(report, notes=notes, seconds=seconds, failures_of_candidates=failed)
 
 
 def _report(

@@ -41,7 +41,7 @@ def print_loop(console: Console, run: StoredRun) -> None:
     say(console, f"verdict: {facts['verdict']}: {facts['summary']}")
     say(
         console,
-        f"run {run.path}: {facts['simulations']} simulations ({facts['failures']} failed), "
+        f"run {run.path}: {facts['simulations']} simulations ({_failed(facts)}), "
         f"{facts['seconds']:.1f} s",
     )
     narrow = facts["verdict"] == "unexplained"  # they do not allow for what is missing
@@ -61,6 +61,15 @@ def print_loop(console: Console, run: StoredRun) -> None:
         say(console, "")
         say(console, "\n".join(effect["config"] for effect in facts["effects"]))
     say(console, f"tables: {run.path}/*.parquet")
+
+
+def _failed(facts: Facts) -> str:
+    """How many simulations failed, and how many of these with effects that were only tried."""
+    failed, tried = facts["failures"], facts.get("failures_of_candidates", 0)
+    if not tried:
+        return f"{failed} failed"
+    which = "all" if tried == failed else str(tried)
+    return f"{failed} failed, {which} with effects that were tried and do not fit"
 
 
 def _print_effect(console: Console, effect: Facts, *, too_narrow: bool = False) -> None:

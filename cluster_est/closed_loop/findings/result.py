@@ -81,6 +81,9 @@ class LoopResult:
     structures
         Every set of effects that was refitted: the path of the search. If the verdict is "found",
         with the probability of each; `likely` has those that hold 90 %.
+    failures_of_candidates
+        How many of the failures were of effects that the search tried: one that does not fit makes
+        a model that cannot be simulated, and is put aside.
     unexplained
         What is left of each output beyond its noise, where the verdict is "partial" or
         "unexplained": its size, and how fast it is. The largest over its noise comes first.
@@ -106,6 +109,7 @@ class LoopResult:
     errors_over: ErrorScale = ErrorScale.SIGMA
     structures: tuple[ComparedStructure, ...] = field(default=(), repr=False)
     unexplained: tuple[UnexplainedResidual, ...] = ()
+    failures_of_candidates: int = 0
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
         """Root mean square of the normalised errors before or after; NaN without any.
@@ -207,6 +211,7 @@ class LoopResult:
             "evaluations": self.evaluations,
             "simulations": self.simulated,
             "failures": self.failures,
+            "failures_of_candidates": self.failures_of_candidates,
             "seconds": self.seconds,
             "errors_over": self.errors_over.value,
             "verdict": self.verdict.value,

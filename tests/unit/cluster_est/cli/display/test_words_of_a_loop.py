@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from cluster_est.cli.display.closed_loop import (
+    _failed,
     _print_effect,
     _print_errors,
     _print_rest,
@@ -124,3 +125,22 @@ def test_intervals_without_what_is_missing_are_said_to_be_too_narrow(tmp_path, v
     print_loop(Console(file=out, width=200), run)
     assert ("after  95 % interval (too narrow)" in out.getvalue()) is narrow
     assert ("95 % (too narrow): -0.4 .. -0.3" in out.getvalue()) is narrow
+
+
+@pytest.mark.parametrize(
+    ("facts", "said"),
+    [
+        ({"failures": 8}, "8 failed"),  # a run of an earlier version
+        ({"failures": 8, "failures_of_candidates": 0}, "8 failed"),
+        (
+            {"failures": 8, "failures_of_candidates": 8},
+            "8 failed, all with effects that were tried and do not fit",
+        ),
+        (
+            {"failures": 8, "failures_of_candidates": 6},
+            "8 failed, 6 with effects that were tried and do not fit",
+        ),
+    ],
+)
+def test_failures_of_effects_that_were_only_tried_are_called_so(facts, said):
+    assert _failed(facts) == said
