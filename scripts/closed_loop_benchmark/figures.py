@@ -154,6 +154,13 @@ def median(values: Iterable[float], form: str = ".3f") -> str:
     return format(float(np.median(known)), form) if known else "-"
 
 
+def covered(scores: Iterable[Score]) -> str:
+    """Write how many intervals hold the truth, where an effect was named and noise is left."""
+    known = [s for s in scores if s.verdict == "found"]
+    held, count = sum(s.covered for s in known), sum(s.intervals for s in known)
+    return f"{held}/{count} ({100.0 * held / count:.1f} %)" if count else "-"
+
+
 def most_of(values: Iterable[float], part: float = 0.95) -> str:
     """Write what this part of the values is at most; "-" without any."""
     known = list(values)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from closed_loop_benchmark.coverage import coverage
 from closed_loop_benchmark.data import Data
 from closed_loop_benchmark.effect import Name
 from closed_loop_benchmark.naming import Match, compare, normal
@@ -64,6 +65,9 @@ class Score:
         The same on the training runs, of the first two.
     parameters_before, parameters_after
         Root mean square of the logarithmic error of the declared parameters.
+    covered, intervals
+        How many 95 % intervals of coefficients hold the truth, of how many; see
+        `closed_loop_benchmark.coverage`.
     simulations, seconds, failures
         What it took.
     structures
@@ -107,6 +111,8 @@ class Score:
     train_after: float = np.nan
     parameters_before: float = np.nan
     parameters_after: float = np.nan
+    covered: int = 0
+    intervals: int = 0
     simulations: float = np.nan
     seconds: float = np.nan
     failures: int = 0
@@ -160,8 +166,11 @@ def score(data: Data, result: LoopResult, oracle: Oracle) -> Score:
         **_distances(data, result),
         **_errors(data, result, oracle),
     }
+    covered, intervals = coverage(data, result)
     return replace(
         blank(data),
+        covered=covered,
+        intervals=intervals,
         verdict=str(result.verdict),
         detected=bool(result.effects) or result.verdict in REMARKABLE,
         coefficients=sum(count_free(e.effect) for e in result.effects),

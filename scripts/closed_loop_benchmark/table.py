@@ -82,6 +82,7 @@ def bars(scores: Sequence[Score]) -> str:
         *_textbook(f.detectable(f.kinds(scores, "textbook"))),
         *_untidy(f.kinds(scores, "process noise", "outliers")),
         ["90 % of the probability holds the truth", "85 to 95 %", f.share(likely, holds_truth)],
+        ["95 % intervals of coefficients that hold the truth", ">= 90 %", f.covered(ended)],
         ["outside, disturbances: refused or better", ">= 90 %", f.share(foreign, f.honest)],
         ["held-out error made worse", "0", f.share(ended, f.worse)],
         ["by more than 2 %", "", f.share(ended, f.much_worse)],

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from bench_closed_loop import divide
 from closed_loop_benchmark import figures
+from closed_loop_benchmark.coverage import coverage
 from closed_loop_benchmark.data import Data, make
 from closed_loop_benchmark.effect import Name
 from closed_loop_benchmark.effects import SINGLE
@@ -276,3 +277,32 @@ def test_the_likely_sets_hold_the_truth_by_any_of_its_names(structures, holds):
     )
     assert has_probabilities(seen)
     assert holds_truth(seen) is holds
+
+
+@pytest.mark.parametrize(
+    ("effect", "wrong", "expected"),
+    [
+        (Effect("e", "der(v)", "constant"), 0.0, (1, 1)),
+        (Effect("e", "der(v)", "constant"), 5.0, (0, 1)),  # standard errors away
+        (Effect("e", "input F", "bias"), 0.0, (0, 0)),  # the same model under another name
+    ],
+)
+def test_intervals_of_effects_with_the_right_name_are_compared_with_the_truth(
+    effect, wrong, expected
+):
+    data, found = data_of(LOAD), said(LOAD, effect)
+    (estimate,) = [e for e in found.after.estimates if e.label == "e.k"]
+    true = data.scenario.effects[0].numbers[0]
+    moved = true + wrong * estimate.std_error
+    around = replace(
+        estimate,
+        value=moved,
+        lower95=moved - 1.96 * estimate.std_error,
+        upper95=moved + 1.96 * estimate.std_error,
+    )
+    (named,) = found.effects
+    found = replace(found, effects=(replace(named, coefficients=(around,)),))
+    assert coverage(data, found) == expected
+    held = replace(around, lower95=nan, upper95=nan)
+    found = replace(found, effects=(replace(named, coefficients=(held,)),))
+    assert coverage(data, found) == (0, 0)
