@@ -42,23 +42,35 @@ def fit_autoregression(
     return coefficients
 
 
-def deviance(residuals: FloatArray, records: StackedRecords, order: int = 0) -> float:
+def deviance(
+    residuals: FloatArray, records: StackedRecords, coefficients: FloatArray | None = None
+) -> float:
     """-2 log likelihood of residuals, but for a constant, with the noise of each output estimated.
 
-    The sum over outputs of n log s^2, s^2 being the mean square of the n residuals. With an order
-    above 0, that of the innovations of an autoregression which is fitted to them (`whiten`).
+    The sum over outputs of n log s^2, s^2 being the mean square of the n residuals. With an
+    autoregression, that of its innovations (`whiten`), and less 2 log of the determinant of what
+    makes the residuals white.
 
     Parameters
     ----------
     residuals : (n,)
         Stacked.
-    order
-        Of the autoregression; 0 for white noise.
+    coefficients : (outputs, order)
+        Of the autoregressions, such as `fit_autoregression` gives them; None for white noise.
+
+    Raises
+    ------
+    ValueError
+        If an autoregression is not stationary.
     """
-    white = residuals
-    if order:
-        white = whiten(residuals, records, fit_autoregression(residuals, records, order))
-    total = 0.0
+    white, determinant = residuals, 0.0
+    if coefficients is not None:
+        white = whiten(residuals, records, coefficients)
+        scales = [np.array([scale for _, scale in _lower_orders(row)]) for row in coefficients]
+        determinant = sum(
+            float(np.log(scales[item.output][: len(item.times)]).sum()) for item in records.items
+        )
+    total = -2.0 * determinant
     for output in range(len(records.outputs)):
         part = white[records.of_output(output)]
         if len(part):

@@ -34,7 +34,6 @@ from cluster_est.closed_loop.selection.restarts import refit_from_other_starts
 from cluster_est.closed_loop.selection.revise import revise
 from cluster_est.closed_loop.selection.rounds import (
     ComparedStructure,
-    RejectionReason,
     RoundEnd,
     RoundStart,
     SelectionResult,
@@ -142,8 +141,8 @@ def _round(workbench: LoopWorkbench, begun: RoundStart) -> RoundEnd:
         return RoundEnd(SelectionRound(begun.screening, (), stop))
     grown = grow(workbench, begun, _parents(workbench, begun))
     single = best_that_passes(workbench, begun, grown)
-    if begun.model.added and single.seen.why is RejectionReason.COLOURED_GAIN:
-        return replace(single, compared=tuple(grown))  # two would follow such noise the better
+    if single.won is None and single.seen.coloured:  # two would follow a disturbance the better
+        return replace(single, compared=tuple(grown))
     if not _looks_for_two(workbench, begun, single):
         return replace(single, compared=tuple(grown))
     more = _two_more(workbench, begun, grown if single.won is None else ())

@@ -17,7 +17,9 @@ from cluster_est.closed_loop.selection.rounds import (
 )
 from cluster_est.closed_loop.selection.waves import believable
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.statistics.whitening import deviance
+from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.whitening import deviance, fit_autoregression
+from workers.messages import FloatArray
 
 
 def reason_to_stop(workbench: LoopWorkbench, begun: RoundStart) -> RejectionReason | None:
@@ -82,7 +84,8 @@ def best_that_passes(
     after = predict(workbench, chosen.fitted)
     gain, closed = _gain(workbench, begun, chosen), _closed(workbench, begun, after)
     failed = failed_gate(workbench, begun, chosen, after, gain, closed)
-    seen = SelectionRound(begun.screening, tuple(left), failed, gain, closed)
+    coloured = coloured_noise_explains(workbench, begun, chosen)
+    seen = SelectionRound(begun.screening, tuple(left), failed, gain, closed, coloured)
     return RoundEnd(seen) if failed is not None else RoundEnd(seen, chosen, after)
 
 
@@ -107,21 +110,34 @@ def coloured_noise_explains(
 ) -> bool:
     """Return whether autocorrelated noise would explain as much as an effect does.
 
-    That is asked where noise may be all that the effect leaves. The criterion takes noise for
-    white, and counts as many independent samples as there are: what a process adds to that of the
-    sensors is slow, and some slow function always follows it. So both models are compared once
-    more with an autoregression of their own for the noise of each output.
+    The criterion takes noise for white, and counts as many independent samples as there are: what a
+    process adds to that of the sensors is slow, and some slow function always follows it. So both
+    models are compared once more with an autoregression for the noise of each output: the one of
+    what the effect leaves.
     """
     thresholds, records = workbench.thresholds, workbench.records
     before, after = begun.model, chosen.fitted
-    if after.sse > thresholds.verdict.coloured**2 * begun.floor:
-        return False
     longest = max((len(item.times) for item in records.items), default=0)
     order = min(thresholds.selection.autoregression, longest // 10)
-    gain = deviance(before.residuals, records, order)
-    gain -= deviance(after.residuals, records, order)
+    gain = _coloured_gain(before.residuals, after.residuals, records, order)
     unknowns = (after.space.size - before.space.size) * np.log(len(after.residuals))
     return bool(gain <= unknowns + _choice_penalty(workbench, begun, chosen))
+
+
+def _coloured_gain(
+    before: FloatArray, after: FloatArray, records: StackedRecords, order: int
+) -> float:
+    """Fall of the deviance, if noise is the autoregression that the second residual has.
+
+    A residual that is smooth to rounding has none of a high order; then it is one of a lower.
+    """
+    for lower in range(order, 0, -1):
+        try:
+            noise = fit_autoregression(after, records, lower)
+            return deviance(before, records, noise) - deviance(after, records, noise)
+        except (ValueError, np.linalg.LinAlgError):
+            continue
+    return deviance(before, records) - deviance(after, records)
 
 
 def _closed(workbench: LoopWorkbench, begun: RoundStart, after: LeaveOneOutPrediction) -> float:
@@ -143,7 +159,8 @@ def failed_gate(
     thresholds, current, grown = workbench.thresholds.selection, begun.model, chosen.fitted
     if gain <= 0.0:
         return RejectionReason.LITTLE_GAIN
-    if coloured_noise_explains(workbench, begun, chosen):
+    noise_may_remain = grown.sse <= workbench.thresholds.verdict.coloured**2 * begun.floor
+    if noise_may_remain and coloured_noise_explains(workbench, begun, chosen):
         return RejectionReason.COLOURED_GAIN
     if current.sse - grown.sse <= begun.numerical:
         return RejectionReason.NUMERICAL_ERROR

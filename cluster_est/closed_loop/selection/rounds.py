@@ -41,7 +41,8 @@ class SelectionRound:
     """One round: the screening at a model, and its outcome.
 
     `why` is the reason why nothing was added; None where something was. `gain` is that of the
-    criterion, `closed` the share of the gap to the noise that was closed.
+    criterion, `closed` the share of the gap to the noise that was closed, `coloured` whether
+    autocorrelated noise would explain as much as the best contender did.
     """
 
     screening: ScreeningResult = field(repr=False)
@@ -49,6 +50,7 @@ class SelectionRound:
     why: RejectionReason | None
     gain: float = np.nan
     closed: float = np.nan
+    coloured: bool = False
 
 
 @dataclass(frozen=True)

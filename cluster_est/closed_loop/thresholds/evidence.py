@@ -40,7 +40,7 @@ class SelectionThresholds:
         local minimum before. Benchmark.
     autoregression
         Order of the noise that a gain is compared with. Signal: the noise of a sensor with that of
-        a process on it is no autoregression of low order.
+        a process on it is no autoregression of low order; the order up to which intervals look.
     """
 
     choice_price: float = 2.0
@@ -54,7 +54,7 @@ class SelectionThresholds:
     mostly_better: float = 0.75
     least_fall: float = 0.02
     local_minimum: float = 0.97
-    autoregression: int = 12
+    autoregression: int = 20
 
 
 @dataclass(frozen=True)

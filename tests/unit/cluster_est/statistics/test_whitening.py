@@ -80,5 +80,23 @@ def test_the_deviance_is_that_of_the_innovations() -> None:
     plain = sum(len(noise[r]) * np.log(np.mean(noise[r] ** 2)) for r in rows)
     assert deviance(noise, records) == pytest.approx(plain)
     # innovations of variance 1, with a standard error of sqrt(2 / n) in the logarithm
-    assert deviance(noise, records, 2) / len(noise) == pytest.approx(0.0, abs=0.06)
-    assert deviance(noise, records, 12) == pytest.approx(deviance(noise, records, 2), abs=60.0)
+    fitted = {order: fit_autoregression(noise, records, order) for order in (2, 12)}
+    assert deviance(noise, records, fitted[2]) / len(noise) == pytest.approx(0.0, abs=0.06)
+    further = deviance(noise, records, fitted[12])
+    assert further == pytest.approx(deviance(noise, records, fitted[2]), abs=60.0)
+
+
+@pytest.mark.parametrize("length", [5, 40])
+def test_the_deviance_is_that_of_a_normal_distribution(length: int) -> None:
+    """With an autoregression of first order, whose covariances are a^k / (1 - a^2)."""
+    records = stack(length, length + 3)
+    slope = np.array([[0.8]])
+    noise = autoregressive(records, slope, np.random.default_rng(2))
+    total, squares = 0.0, 0.0
+    for item in records.items:
+        part = noise[item.rows]
+        covariance = toeplitz(0.8 ** np.arange(len(part)) / (1.0 - 0.8**2))
+        total += np.linalg.slogdet(covariance)[1]
+        squares += part @ np.linalg.solve(covariance, part)
+    expected = total + len(noise) * np.log(squares / len(noise))  # the variance is estimated along
+    assert deviance(noise, records, slope) == pytest.approx(expected)

@@ -17,6 +17,7 @@ from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.gates import (
     best_that_passes,
     coloured_noise_explains,
+    failed_gate,
     useful_sse,
 )
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
@@ -72,25 +73,33 @@ def slow_noise(count: int, seed: int) -> np.ndarray:
     return generator.normal(size=count) + 0.5 * slow / slow.std()
 
 
-WAVES = [np.sin(np.linspace(0.0, turns, 1200)) for turns in np.linspace(3.0, 60.0, 150)]
+def waves(count):
+    return [np.sin(np.linspace(0.0, turns, count)) for turns in np.linspace(3.0, 60.0, 150)]
 
 
-def explained(noise, shape, size, floor=None):
-    """Whether such noise explains as much as this one of 150 effects, fitted to it."""
+WAVES = waves(1200)
+
+
+def begun_and_grown(noise, shape, size, floor):
+    """Before and after this one of 150 effects, with such noise beside what it has made."""
     problem = made_problem(len(noise))
     before = noise + size * shape
     after = before - shape * (shape @ before) / (shape @ shape)
     bench = made_bench(problem)
     fits = [made_fit(problem, before), made_fit(problem, after, [made_candidate("friction")])]
-    columns = [wave[:, None] for wave in WAVES]
+    columns = [wave[:, None] for wave in waves(len(noise))]
     named = [made_candidate(f"wave {i}") for i in range(len(WAVES))]
     screening = made_screening(fits[0].jacobian, before, columns, named)
     assert screening.count == len(WAVES)
-    floor = float(len(noise)) if floor is None else floor
-    start = RoundStart(*fits[:1] * 2, LeaveOneOutPrediction(np.ones(1)), screening, floor)
+    start = RoundStart(*fits[:1] * 2, LeaveOneOutPrediction(np.full(1, 2.0)), screening, floor)
     grown = RefittedCandidate(fits[1], fits[1].criterion(bench.records), full=True)
     assert grown.criterion < fits[0].criterion(bench.records)  # for white noise it is better
-    return coloured_noise_explains(bench, start, grown)
+    return bench, start, grown
+
+
+def explained(noise, shape, size):
+    """Whether such noise explains as much as the effect does."""
+    return coloured_noise_explains(*begun_and_grown(noise, shape, size, float(len(noise))))
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -107,7 +116,29 @@ def test_slow_noise_does_not_explain_an_effect_that_is_there(seed):
     assert not explained(np.random.default_rng(seed).normal(size=1200), shape, 0.5)
 
 
-def test_what_is_far_above_the_noise_is_none():
-    noise = 100.0 * slow_noise(1200, 0)
-    shape = np.sin(np.linspace(0.0, 20.0, 1200))
-    assert not explained(noise, shape, 0.0, floor=1200.0)
+@pytest.mark.parametrize("count", [100, 1200])
+@pytest.mark.parametrize("seed", range(5))
+def test_white_noise_does_not_explain_an_offset(count, seed):
+    """The slowest of all effects, of the size of the noise."""
+    noise = np.random.default_rng(seed).normal(size=count)
+    assert not explained(noise, np.ones(count), 1.0)
+
+
+def test_a_residual_without_noise_is_no_noise():
+    """An autoregression of high order of what is so smooth is singular."""
+    times = np.linspace(-5.0, 5.0, 1000)
+    pulse = np.exp(-(times**2))
+    rest = 1e-13 * np.random.default_rng(0).normal(size=1000)
+    assert not explained(rest, pulse, 1.0)
+    assert not explained(1e-3 * pulse, np.exp(-((times - 1.0) ** 2)), 1.0)
+
+
+@pytest.mark.parametrize(("size", "why"), [(1.0, RejectionReason.COLOURED_GAIN), (100.0, None)])
+def test_only_what_may_be_noise_is_refused_for_it(size, why):
+    """What is far above the noise of a sensor is something else, of which an effect is a part."""
+    noise = size * slow_noise(1200, 1)
+    best = max(WAVES, key=lambda wave: abs(wave @ noise) / np.sqrt(wave @ wave))
+    bench, start, grown = begun_and_grown(noise, best, 0.0, 1200.0)
+    assert coloured_noise_explains(bench, start, grown)
+    after = LeaveOneOutPrediction(np.full(1, 1.0))
+    assert failed_gate(bench, start, grown, after, gain=10.0, closed=1.0) is why
