@@ -29,10 +29,7 @@ from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
 from cluster_est.closed_loop.findings.residual.unused_columns import varying_columns
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
-from cluster_est.closed_loop.findings.structure_probabilities import (
-    noise_widening,
-    with_probabilities,
-)
+from cluster_est.closed_loop.findings.structure_probabilities import with_probabilities
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, judge
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.first_pass import open_checked_workbench
@@ -130,7 +127,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
         report = _report(workbench, found, judged, begin)
     seconds = time.monotonic() - begin
     notes = (*error.notes, *report.notes, *dear_structures(found.path))
-    return replace(report, notes=notes, seconds=seconds, failures_of_candidates=failed)
+    return replace(report, notes=notes, seconds=seconds, failures_in_search=failed)
 
 
 def _report(
@@ -171,18 +168,19 @@ def _report(
         seconds=0.0,
         curves=curves,
         errors_over=over,
-        structures=_compared(workbench, judgement.verdict, kept, found),
+        structures=_compared(workbench, judgement.verdict, found),
         unexplained=unexplained,
     )
 
 
 def _compared(
-    workbench: LoopWorkbench, verdict: Verdict, fitted: FittedModel, found: SelectionResult
+    workbench: LoopWorkbench, verdict: Verdict, found: SelectionResult
 ) -> tuple[ComparedStructure, ...]:
     """The structures that were compared; with probabilities, where noise is all that is left."""
     if verdict is not Verdict.FOUND:
         return found.path
-    return with_probabilities(found.path, noise_widening(fitted.residuals, workbench.records))
+    price = workbench.thresholds.selection.choice_price
+    return with_probabilities(found.path, price * np.log(found.steps[0].screening.count))
 
 
 def _unexplained(

@@ -148,9 +148,9 @@ def _failed(run: ReportedRun) -> list[str]:
         return []
     total = max(total, 1)
     share = "less than 0.1\u2009%" if failures / total < 1e-3 else percent(failures / total)
-    tried = run.facts.get("failures_of_candidates", 0)  # runs of earlier versions do not say
+    tried = run.facts.get("failures_in_search", 0)  # runs of earlier versions do not say
     which = "all" if tried == failures else count(tried)
-    of = f", {which} of them with effects that were tried and do not fit" if tried else ""
+    of = f", {which} of them while effects were tried" if tried else ""
     return [f"{count(failures)} of {count(total)} simulations failed ({share}){of}."]
 
 

@@ -374,7 +374,8 @@ TABLES = (
     ),
     TableMeaning(
         "structures",
-        "set of effects that was refitted",
+        "set of effects that was refitted, and if the verdict is found for the declared model "
+        "(step 0, no effects)",
         IN_LOOPS,
         (
             ColumnDescription("step", WHOLE, "", "the round of the search that refitted it"),

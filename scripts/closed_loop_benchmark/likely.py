@@ -9,29 +9,16 @@ from itertools import permutations
 from closed_loop_benchmark.naming import normal
 from closed_loop_benchmark.scenarios import all_scenarios
 from closed_loop_benchmark.scoring import Score, in_words
-from cluster_est.closed_loop.findings.structure_probabilities import (
-    likely_structures,
-    with_probabilities,
-)
-from cluster_est.closed_loop.selection.rounds import ComparedStructure
 
 
 def has_probabilities(score: Score) -> bool:
     """Tell whether a case has probabilities, and a true structure among the library's."""
-    return score.verdict == "found" and bool(score.structures) and score.has_oracle
+    return bool(score.likely) and score.has_oracle
 
 
 def holds_truth(score: Score) -> bool:
-    """Tell whether the truth is among the likely sets, by a name or an algebraic alias.
-
-    The probabilities are those for white noise, which a record has the criteria for.
-    """
-    path = [
-        ComparedStructure(0, tuple(names), criterion, 0.0, converged, accepted=False)
-        for names, criterion, converged in score.structures or []
-    ]
-    likely = likely_structures(with_probabilities(path))
-    return any(_is_true(each.effects, _accepted()[score.name]) for each in likely)
+    """Tell whether the truth is among the likely sets, by a name or an algebraic alias."""
+    return any(_is_true(names, _accepted()[score.name]) for names in score.likely or [])
 
 
 def _is_true(named: Sequence[str], accepted: Sequence[Sequence[str]]) -> bool:

@@ -73,6 +73,8 @@ class Score:
     structures
         Of every set of effects that was refitted, in the order of the rounds: names, in words;
         criterion less that of the declared model; and whether it was refitted to convergence.
+    likely
+        The sets that hold 90 % of the probability, where that is known: names, in words.
     error
         The traceback of what went wrong, "" if nothing did.
     """
@@ -117,6 +119,7 @@ class Score:
     seconds: float = np.nan
     failures: int = 0
     structures: list[tuple[list[str], float, bool]] | None = None
+    likely: list[list[str]] | None = None
     error: str = ""
 
     def to_json(self) -> str:
@@ -182,7 +185,9 @@ def score(data: Data, result: LoopResult, oracle: Oracle) -> Score:
         structures=[
             ([label_in_words(label) for label in s.effects], s.criterion, s.converged)
             for s in result.structures
+            if s.effects
         ],
+        likely=[[label_in_words(label) for label in s.effects] for s in result.likely],
         **found,
     )
 

@@ -65,11 +65,11 @@ def print_loop(console: Console, run: StoredRun) -> None:
 
 def _failed(facts: Facts) -> str:
     """How many simulations failed, and how many of these with effects that were only tried."""
-    failed, tried = facts["failures"], facts.get("failures_of_candidates", 0)
+    failed, tried = facts["failures"], facts.get("failures_in_search", 0)
     if not tried:
         return f"{failed} failed"
     which = "all" if tried == failed else str(tried)
-    return f"{failed} failed, {which} with effects that were tried and do not fit"
+    return f"{failed} failed, {which} while effects were tried"
 
 
 def _print_effect(console: Console, effect: Facts, *, too_narrow: bool = False) -> None:

@@ -188,8 +188,9 @@ def _candidate(
         low, high = _bounds(
             coefficient, way, strengths, values, scales, variables, free=bool(form.memory)
         )
-        if _is_slope_of_a_stop(coefficient, form):
-            steepest = scales.steepest(site, variables[0])
+        stopped = _stopped_by(coefficient, form, site)
+        if stopped:
+            steepest = scales.steepest(stopped, variables[0])
             low, high = max(low, -steepest), min(high, steepest)
         axes.append(values)
         lows.append(low)
@@ -201,9 +202,11 @@ def _candidate(
     return EffectCandidate(effect, form, site, own, grid, tuple(lows), tuple(highs))
 
 
-def _is_slope_of_a_stop(coefficient: FormCoefficient, form: EffectForm) -> bool:
-    """Return whether a coefficient is the slope of a function that begins at some place."""
-    return coefficient.unit == "site / v" and any(c.name == "at" for c in form.coefficients)
+def _stopped_by(coefficient: FormCoefficient, form: EffectForm, site: EffectSite) -> str:
+    """Return the state whose derivative a slope acts on that has a place; "" for all else."""
+    if not site.at_rates or not any(c.name == "at" for c in form.coefficients):
+        return ""
+    return {"site / v": site.target, "other / v": site.other}.get(coefficient.unit, "")
 
 
 def _bounds(

@@ -105,23 +105,19 @@ class SignalScales:
             return rates * self._fastest(site.target)
         return np.asarray(rates * _SIZES[scale](signal))
 
-    def steepest(self, site: EffectSite, variable: str) -> float:
+    def steepest(self, state: str, variable: str) -> float:
         """Return the largest slope that data can tell from a hard stop, where a state stops itself.
 
         A slope s of der(x) over x is a time constant 1 / s. Below the shortest that can be told,
         and below the model's own, the state only stays where the stop is, and the solver pays for
-        it in steps. Infinite where the state does not act on its own derivative by the effect.
+        it in steps. Infinite where the variable has nothing of the state.
         """
-        parts = split_variable(variable, self.trajectories[0].signals)
-        own = [name for name in site.targets if name in parts]
-        if site.kind not in ("derivative", "pair") or not own:
+        if state not in split_variable(variable, self.trajectories[0].signals):
             return np.inf
         linears = [each.linear for each in self.trajectories if each.linear is not None]
-        rates = [
-            float(np.abs(linear.A.row(place)[:, place]).max())
-            for linear in linears
-            for place in map(linear.state_names.index, own)
-        ]
+        places = [linear.state_names.index(state) for linear in linears]
+        pairs = zip(linears, places, strict=True)
+        rates = [float(np.abs(linear.A.row(place)[:, place]).max()) for linear, place in pairs]
         return max(1.0 / self.resolution, *rates, 0.0) / self.thresholds.shortest
 
     def _begins(self, name: str) -> bool:

@@ -81,9 +81,9 @@ class LoopResult:
     structures
         Every set of effects that was refitted: the path of the search. If the verdict is "found",
         with the probability of each; `likely` has those that hold 90 %.
-    failures_of_candidates
-        How many of the failures were of effects that the search tried: one that does not fit makes
-        a model that cannot be simulated, and is put aside.
+    failures_in_search
+        How many of the failures came while effects were tried: one that does not fit makes a model
+        that cannot be simulated, and is put aside.
     unexplained
         What is left of each output beyond its noise, where the verdict is "partial" or
         "unexplained": its size, and how fast it is. The largest over its noise comes first.
@@ -109,7 +109,7 @@ class LoopResult:
     errors_over: ErrorScale = ErrorScale.SIGMA
     structures: tuple[ComparedStructure, ...] = field(default=(), repr=False)
     unexplained: tuple[UnexplainedResidual, ...] = ()
-    failures_of_candidates: int = 0
+    failures_in_search: int = 0
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
         """Root mean square of the normalised errors before or after; NaN without any.
@@ -120,9 +120,10 @@ class LoopResult:
 
     @property
     def likely(self) -> tuple[ComparedStructure, ...]:
-        """The fewest sets of effects that hold 90 % of the probability, the likeliest first.
+        """The fewest sets of effects that hold 90 % of the probability, and what was added.
 
-        Empty unless the verdict is "found": what else is missing would change their order.
+        The likeliest first; the declared model may be one of them. Empty unless the verdict is
+        "found": what else is missing would change their order.
         """
         return likely_structures(self.structures)
 
@@ -211,7 +212,7 @@ class LoopResult:
             "evaluations": self.evaluations,
             "simulations": self.simulated,
             "failures": self.failures,
-            "failures_of_candidates": self.failures_of_candidates,
+            "failures_in_search": self.failures_in_search,
             "seconds": self.seconds,
             "errors_over": self.errors_over.value,
             "verdict": self.verdict.value,

@@ -220,6 +220,11 @@ def _why_not(why: RejectionReason | None) -> str:
             "and nothing explains it: the residual is autocorrelated, too large for the noise of a "
             "sensor, and no effect explains it once that is allowed for"
         )
+    if why == RejectionReason.COLOURED_GAIN:
+        return (
+            "and nothing explains it: the residual is autocorrelated, and once that is allowed for "
+            "the best candidate does not explain more than chance would"
+        )
     return f"and nothing explains it: {why}"
 
 

@@ -7,8 +7,6 @@ with it: what it leaves is partly its own error, which named effects would only 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
@@ -29,7 +27,7 @@ from cluster_est.closed_loop.selection.rounds import RoundStart
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.records import StackedRecords
-from cluster_est.statistics.whitening import fit_autoregression, whiten
+from cluster_est.statistics.whitening import deviance, fit_autoregression
 
 
 def refit_curves(
@@ -100,8 +98,8 @@ def coloured_criterion(fitted: FittedModel, records: StackedRecords, order: int)
     evidence, and many coefficients look as if they paid for themselves.
     """
     coefficients = fit_autoregression(fitted.residuals, records, order)
-    white = whiten(fitted.residuals, records, coefficients)
-    return replace(fitted, residuals=white).criterion(records)
+    likelihood = deviance(fitted.residuals, records, coefficients)
+    return float(likelihood + fitted.space.size * np.log(len(fitted.residuals)))
 
 
 def _falls(

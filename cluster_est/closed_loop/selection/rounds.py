@@ -26,8 +26,8 @@ class RejectionReason(enum.StrEnum):
     LITTLE_PROMISED = "no candidate that can be simulated promises to explain enough"
     NO_IMPROVEMENT = "no candidate improves the fit and stays bounded"
     ONLY_WAVES = (
-        "the only candidates that help are sinusoids in time, each seen too briefly, at a "
-        "resonance of the model, or with another phase in each experiment"
+        "the only candidates that help are sinusoids or drifts in time, each seen too briefly, at "
+        "a resonance of the model, or different in each experiment"
     )
     LITTLE_GAIN = "the gain is not significant among so many candidates"
     COLOURED_GAIN = "noise that is autocorrelated would explain as much"

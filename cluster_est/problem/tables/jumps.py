@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from workers.messages import Experiment, FloatArray
 
@@ -19,6 +20,8 @@ ALONE = 0.8
 """Least share of the changes that stand alone, with samples that repeat before and after."""
 SIZE = 0.05
 """Least median change, over the range of the signal: smaller ones are the steps of a converter."""
+REGULAR = 0.1
+"""Largest range of the times between changes, over their median, of a staircase."""
 
 
 def count_jumps(times: FloatArray, values: FloatArray) -> int:
@@ -43,9 +46,28 @@ def count_jumps(times: FloatArray, values: FloatArray) -> int:
     alone = changes & wide & ~around[:-2] & ~around[2:]
     binary = len(np.unique(values)) == 2 and bool(np.all(wide[changes]))
     small = float(np.median(size[changes])) < SIZE * float(np.ptp(values))
-    if small or not (binary or np.sum(alone) >= ALONE * np.sum(changes)):
+    if (
+        small
+        or _is_rounded(values, changes)
+        or not (binary or np.sum(alone) >= ALONE * np.sum(changes))
+    ):
         return 0
     return int(np.sum(changes))
+
+
+def _is_rounded(values: FloatArray, changes: npt.NDArray[np.bool_]) -> bool:
+    """Return whether a signal goes from level to level like a slow one that was rounded.
+
+    Each change is to the next level, of three or more, and they come at no regular times, as those
+    of a staircase would.
+    """
+    levels = np.unique(values)
+    if len(levels) <= 2:
+        return False
+    kept = np.diff(np.flatnonzero(changes))
+    regular = not len(kept) or float(np.ptp(kept)) <= REGULAR * float(np.median(kept))
+    next_one = np.abs(np.diff(np.searchsorted(levels, values))).max() == 1
+    return bool(next_one) and not regular
 
 
 def jumping_inputs(experiments: Sequence[Experiment]) -> dict[str, int]:

@@ -140,8 +140,9 @@ def _compared(run: ReportedRun) -> list[Block]:
     names = columns("structure", "#gap closed", "#criterion", "#probability", "")
     said = run.facts.get("likely") or ""
     blocks: list[Block] = [TextBlock(f"{said[:1].upper()}{said[1:]}.")] if said else []
-    for step in sorted({row["step"] for row in run.tables["structures"]}):
-        own = [row for row in run.tables["structures"] if row["step"] == step]
+    rows = [row for row in run.tables["structures"] if row["effects"]]  # not the declared model
+    for step in sorted({row["step"] for row in rows}):
+        own = [row for row in rows if row["step"] == step]
         lines = [
             cells(
                 TableCell(" + ".join(row["effects"]), code=True),

@@ -49,7 +49,8 @@ def search(run: ReportedRun) -> ReportSection:
 
 def _steps(run: ReportedRun) -> list[Block]:
     """The path of a closed loop: what each set of effects closed of the gap, step by step."""
-    rows = [row for row in run.tables["structures"] if math.isfinite(row["closed"])]
+    known = [row for row in run.tables["structures"] if row["effects"]]
+    rows = [row for row in known if math.isfinite(row["closed"])]
     best = sorted(rows, key=lambda row: (not row["accepted"], -row["closed"]))[:MOST_SETS]
     best.sort(key=lambda row: (row["step"], -row["closed"]))
     closed = np.clip([100.0 * row["closed"] for row in best], LEAST_CLOSED, None)

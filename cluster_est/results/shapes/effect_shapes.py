@@ -18,7 +18,7 @@ from workers.effects.definition import (
     variable_symbol,
 )
 from workers.effects.site import EffectSite
-from workers.effects.variables import own_variable, parts_of, split_variable
+from workers.effects.variables import difference, own_variable, parts_of, split_variable
 from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray
 
@@ -190,7 +190,7 @@ def _difference(
         equation = sp.simplify(equation)
     if _arguments(definition, equation) != {between}:
         return None
-    return given, between, equation
+    return difference(*names), between, equation
 
 
 def _compiled(definition: EffectDefinition, equation: sp.Expr, argument: sp.Symbol) -> Shape:

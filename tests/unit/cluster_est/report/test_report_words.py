@@ -91,13 +91,13 @@ def test_failures_of_a_run_without_a_log_are_not_forgotten(logged, counted, said
     ("tried", "said"),
     [
         (0, "7 of 100 simulations failed (7.00 %)."),
-        (7, "(7.00 %), all of them with effects that were tried and do not fit."),
-        (5, "(7.00 %), 5 of them with effects that were tried and do not fit."),
+        (7, "(7.00 %), all of them while effects were tried."),
+        (5, "(7.00 %), 5 of them while effects were tried."),
     ],
 )
 def test_failures_of_effects_that_were_only_tried_are_called_so(tried, said):
     activity = SimpleNamespace(simulations=100, failures=(SimpleNamespace(count=7),))
-    facts = {"simulations": 100, "failures": 7, "failures_of_candidates": tried}
+    facts = {"simulations": 100, "failures": 7, "failures_in_search": tried}
     (sentence,) = _failed(SimpleNamespace(facts=facts, activity=activity, is_loop=True))
     assert sentence.replace("\u2009", " ").endswith(said)
 

@@ -131,14 +131,14 @@ def test_intervals_without_what_is_missing_are_said_to_be_too_narrow(tmp_path, v
     ("facts", "said"),
     [
         ({"failures": 8}, "8 failed"),  # a run of an earlier version
-        ({"failures": 8, "failures_of_candidates": 0}, "8 failed"),
+        ({"failures": 8, "failures_in_search": 0}, "8 failed"),
         (
-            {"failures": 8, "failures_of_candidates": 8},
-            "8 failed, all with effects that were tried and do not fit",
+            {"failures": 8, "failures_in_search": 8},
+            "8 failed, all while effects were tried",
         ),
         (
-            {"failures": 8, "failures_of_candidates": 6},
-            "8 failed, 6 with effects that were tried and do not fit",
+            {"failures": 8, "failures_in_search": 6},
+            "8 failed, 6 while effects were tried",
         ),
     ],
 )

@@ -313,6 +313,8 @@ def test_a_state_that_stops_itself_does_so_no_faster_than_can_be_told():
     assert (own.lowest[0], own.highest[0]) == pytest.approx((-steepest, steepest))
     over = found["pair h1,h2", "overflow", ("h1",)]
     assert (over.lowest[0], over.highest[:2]) == (0.0, (pytest.approx(steepest), np.inf))
+    between = found["pair h1,h2", "hinge", ("h1 - h2",)]  # the second stops itself too
+    assert max(between.highest[:2]) < np.inf
     other = found["der(h2)", "hinge", ("h1",)]
     assert (other.lowest[0], other.highest[0]) == (-np.inf, np.inf)
     drag = found["der(h1)", "linear", ("h2",)]

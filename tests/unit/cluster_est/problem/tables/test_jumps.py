@@ -46,6 +46,19 @@ def test_others_do_not(values):
     assert count_jumps(TIMES, values) == 0
 
 
+@pytest.mark.parametrize("step", [0.5, 0.3])
+def test_a_slow_signal_that_was_rounded_does_not_jump(step):
+    """A room's temperature over a day, as a display shows it."""
+    hours = np.linspace(0.0, 24.0, 300)
+    temperature = 21.0 + 1.2 * np.sin(2.0 * np.pi * hours / 24.0)
+    assert count_jumps(hours, np.round(temperature / step) * step) == 0
+
+
+def test_a_staircase_jumps():
+    stairs = np.repeat([0.0, 1.0, 2.0, 3.0, 2.0, 1.0], 50)
+    assert count_jumps(TIMES[:300], stairs) == 5
+
+
 def test_a_ramp_with_points_of_its_own_is_none():
     """Straight lines are meant: the two points of a ramp are closer than the others."""
     times = np.sort(np.concatenate([np.arange(12.0), [2.99, 6.99]]))
