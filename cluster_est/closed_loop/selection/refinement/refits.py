@@ -16,8 +16,9 @@ SHORT = LeastSquares(trials=2, max_iterations=2, ftol=BRIEFLY, xtol=1e-5, differ
 def full_refit(workbench: LoopWorkbench) -> LeastSquares:
     """Return the refit to convergence.
 
-    The criterion of n residuals falls by n times the relative fall of their squares, so it ends
-    where that is a part of the smallest difference that tells two candidates apart.
+    The criterion of n residuals of one output falls by n times the relative fall of their squares,
+    so it ends where that is a part of the smallest difference that tells two candidates apart. An
+    output with a small part of all squares may move the criterion by more.
     """
     settled = workbench.thresholds.refinement.settled / max(workbench.size, 1)
     ftol = min(BRIEFLY, settled)

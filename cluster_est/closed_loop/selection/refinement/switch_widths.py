@@ -83,23 +83,22 @@ def _may_pay(
     of the residuals with the widest switches, and with some halfway there, count as two more
     directions of the linear model.
     """
-    spaces = [workbench.space(_released(contender)) for contender in contenders]
+    found = [not contender.full for contender in contenders]
+    asked = [i for i, contender in enumerate(contenders) if contender.full]
+    spaces = [workbench.space(_released(contenders[i])) for i in asked]
     points = [
-        (space, _on_the_way(contender, space))
-        for contender, space in zip(contenders, spaces, strict=True)
+        (space, _on_the_way(contenders[i], space)) for i, space in zip(asked, spaces, strict=True)
     ]
     answers = workbench.evaluate(LoopStage.TRIALS, points)
-    found = []
-    for contender, space, seen in zip(contenders, spaces, answers, strict=True):
-        fitted = contender.fitted
+    for i, space, seen in zip(asked, spaces, answers, strict=True):
+        fitted = contenders[i].fitted
         changes = [(at.residuals - fitted.residuals)[:, None] for at in seen if at.ok]
         joined = np.hstack([fitted.jacobian, *changes])
         after = fitted.residuals + joined @ gauss_newton_step(joined, fitted.residuals)
         left = shares_left(workbench.records, fitted.residuals, after)
-        useful = UsefulFit(criterion=min(contender.criterion, most))
+        useful = UsefulFit(criterion=min(contenders[i].criterion, most))
         added = space.size - fitted.space.size
-        pays = may_start_useful(workbench, fitted, left, added, useful)
-        found.append(pays or not contender.full)
+        found[i] = may_start_useful(workbench, fitted, left, added, useful)
     return found
 
 
