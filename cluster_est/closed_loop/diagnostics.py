@@ -24,10 +24,10 @@ from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, mak
 from cluster_est.problem.problem import Problem
 from cluster_est.running.arguments import check_problem
 from cluster_est.running.resources import Resources
-from workers.effects.forms import EffectForm, FormCoefficient
+from workers.effects.forms import FormCoefficient
 from workers.effects.forms import form as find_form
-from workers.effects.site import EffectSite, check_site, parse_site
-from workers.effects.variables import own_variable
+from workers.effects.site import check_site, parse_site
+from workers.effects.variables import unnamed_variables
 from workers.messages.checks import as_tuple, check_kind, check_name, check_number, check_text
 
 
@@ -273,7 +273,7 @@ def _sized(
     """Starts from the middle of the grids that a search would look at, where there are any."""
     place = parse_site(site, "site")
     chosen = find_form(place.kind, name, "form")
-    about = variables or _own(place, chosen)
+    about = variables or unnamed_variables(chosen, place)
     with open_workbench(LoopRequest(problem)) as workbench:
         space = workbench.space(FitStart(workbench.problem, {}))
         nothing = np.zeros(0)
@@ -281,11 +281,6 @@ def _sized(
         scales = SignalScales(trajectories, ())
         grids = {c.name: scales.grid(c, place, about) for c in missing}
     return {name: grid[len(grid) // 2] for name, grid in grids.items() if grid}
-
-
-def _own(site: EffectSite, chosen: EffectForm) -> tuple[str, ...]:
-    """The variable of a form at a derivative where none is named."""
-    return (own_variable(site),) if chosen.variables == 1 and site.at_rates else ()
 
 
 def _p(p: float) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from cluster_est.config.reader import Config
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.tables.jumps import jumping_inputs
+from cluster_est.problem.tables.jumps import jump_findings
 from cluster_est.statistics.quantisation import quantisation_step
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
@@ -90,16 +90,8 @@ def _bridged(problem: Problem) -> list[CheckFinding]:
 def _jumping(problem: Problem) -> list[CheckFinding]:
     """Return a line for each input that jumps, and is interpolated by straight lines."""
     return [
-        CheckFinding(
-            CheckVerdict.NOTE,
-            "jumps",
-            f"input {name} keeps its value and jumps {count} time{'s' if count > 1 else ''}; "
-            "straight lines between its samples make ramps of the jumps, which a fit may take for "
-            "a delay",
-            f'inputs.{name} = {{ column = "COLUMN", interpolation = "hold" }}, if it keeps each '
-            "sample until the next",
-        )
-        for name, count in jumping_inputs(problem.experiments).items()
+        CheckFinding(CheckVerdict.NOTE, "jumps", said, remedy)
+        for said, remedy in jump_findings(problem.experiments)
     ]
 
 

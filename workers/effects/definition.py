@@ -12,7 +12,7 @@ import sympy as sp
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm, FormCoefficient, form, positive
 from workers.effects.site import EffectSite, check_site, parse_site
-from workers.effects.variables import own_variable, split_variable
+from workers.effects.variables import split_variable, unnamed_variables
 from workers.errors import EffectError
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect, FloatArray, Interface
@@ -265,9 +265,7 @@ def _placeholders(
     """Return `v` and `w` of a form, or every variable by its name for a user's equation."""
     if effect.equation:
         return dict(variables)
-    given = effect.variables
-    if not given and chosen.variables == 1 and site.at_rates:
-        given = (own_variable(site),)
+    given = effect.variables or unnamed_variables(chosen, site)
     if len(given) != chosen.variables:
         raise EffectError(
             f"{where}: variables: {chosen.name} needs {chosen.variables} but has {len(given)}; "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Container
 
+from workers.effects.kinds import EffectForm
 from workers.effects.site import EffectSite
 
 _MINUS = " - "
@@ -48,3 +49,8 @@ def bracketed(text: str) -> str:
 def own_variable(site: EffectSite) -> str:
     """Return the variable of a form at derivatives that names none: the state, or a difference."""
     return difference(*site.targets) if site.other else site.target
+
+
+def unnamed_variables(form: EffectForm, site: EffectSite) -> tuple[str, ...]:
+    """Return the variables that a form has where an effect names none."""
+    return (own_variable(site),) if form.variables == 1 and site.at_rates else ()

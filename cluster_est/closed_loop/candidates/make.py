@@ -32,7 +32,7 @@ from workers.effects.forms import (
     positive,
 )
 from workers.effects.site import EffectSite, parse_site
-from workers.effects.variables import own_variable
+from workers.effects.variables import unnamed_variables
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect
 
@@ -155,8 +155,7 @@ def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:
     """Site, form and variables of an effect, the same however they were written."""
     site = parse_site(effect.site, f"effect {effect.name!r}: site")
     form = FORMS[site.kind, effect.form]
-    own = (own_variable(site),) if form.variables == 1 and site.at_rates else ()
-    variables = effect.variables or own
+    variables = effect.variables or unnamed_variables(form, site)
     return str(site), form.name, tuple(sorted(variables))  # those of two are products
 
 

@@ -83,8 +83,8 @@ def best_that_passes(
         return RoundEnd(SelectionRound(begun.screening, tuple(contenders), why))
     after = predict(workbench, chosen.fitted)
     gain, closed = _gain(workbench, begun, chosen), _closed(workbench, begun, after)
-    failed = failed_gate(workbench, begun, chosen, after, gain, closed)
     coloured = coloured_noise_explains(workbench, begun, chosen)
+    failed = failed_gate(workbench, begun, chosen.fitted, after, gain, closed, coloured=coloured)
     seen = SelectionRound(begun.screening, tuple(left), failed, gain, closed, coloured)
     return RoundEnd(seen) if failed is not None else RoundEnd(seen, chosen, after)
 
@@ -150,17 +150,19 @@ def _closed(workbench: LoopWorkbench, begun: RoundStart, after: LeaveOneOutPredi
 def failed_gate(
     workbench: LoopWorkbench,
     begun: RoundStart,
-    chosen: RefittedCandidate,
+    grown: FittedModel,
     after: LeaveOneOutPrediction,
     gain: float,
     closed: float,
+    *,
+    coloured: bool,
 ) -> RejectionReason | None:
     """The first gate that a grown model does not pass; None if it passes all."""
-    thresholds, current, grown = workbench.thresholds.selection, begun.model, chosen.fitted
+    thresholds, current = workbench.thresholds.selection, begun.model
     if gain <= 0.0:
         return RejectionReason.LITTLE_GAIN
     noise_may_remain = grown.sse <= workbench.thresholds.verdict.coloured**2 * begun.floor
-    if noise_may_remain and coloured_noise_explains(workbench, begun, chosen):
+    if noise_may_remain and coloured:
         return RejectionReason.COLOURED_GAIN
     if current.sse - grown.sse <= begun.numerical:
         return RejectionReason.NUMERICAL_ERROR

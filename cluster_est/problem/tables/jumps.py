@@ -84,10 +84,18 @@ def jumping_inputs(experiments: Sequence[Experiment]) -> dict[str, int]:
 
 def jump_notes(experiments: Sequence[Experiment]) -> tuple[str, ...]:
     """Say which inputs jump and are interpolated by straight lines, and what to do."""
+    return tuple(": ".join(words) for words in jump_findings(experiments))
+
+
+def jump_findings(experiments: Sequence[Experiment]) -> tuple[tuple[str, str], ...]:
+    """Return what is wrong and what to do, for each input that jumps but is not held."""
     return tuple(
-        f"input {name} keeps its value and jumps {count} time{'s' if count > 1 else ''}; straight "
-        "lines between its samples make ramps of the jumps, which a fit may take for a delay: "
-        f'inputs.{name} = {{ column = "COLUMN", interpolation = "hold" }}, if it keeps each sample '
-        "until the next"
+        (
+            f"input {name} keeps its value and jumps {count} time{'s' if count > 1 else ''}; "
+            "straight lines between its samples make ramps of the jumps, which a fit may take for "
+            "a delay",
+            f'inputs.{name} = {{ column = "COLUMN", interpolation = "hold" }}, if it keeps each '
+            "sample until the next",
+        )
         for name, count in jumping_inputs(experiments).items()
     )

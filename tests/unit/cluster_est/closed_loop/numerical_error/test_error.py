@@ -13,7 +13,7 @@ from cluster_est.closed_loop.numerical_error.error import (
     observed_order,
 )
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.gates import failed_gate
+from cluster_est.closed_loop.selection.gates import coloured_noise_explains, failed_gate
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundStart
 from cluster_est.results.solver_error.finer_solver import SolverScale
@@ -107,5 +107,7 @@ def test_an_effect_must_explain_more_than_the_numerical_error_could(after, refus
     most = error(1.0, 1.0).explainable
     begun = RoundStart(base, base, predicted, screening, floor=1000.0, numerical=most)
     grown = RefittedCandidate(fit_with_squares(problem, after), criterion=0.0, full=True)
-    why = failed_gate(bench, begun, grown, LeaveOneOutPrediction(np.array([after])), 10.0, 1.0)
+    coloured = coloured_noise_explains(bench, begun, grown)
+    predicted = LeaveOneOutPrediction(np.array([after]))
+    why = failed_gate(bench, begun, grown.fitted, predicted, 10.0, 1.0, coloured=coloured)
     assert why is (RejectionReason.NUMERICAL_ERROR if refused else None)

@@ -139,6 +139,8 @@ def test_only_what_may_be_noise_is_refused_for_it(size, why):
     noise = size * slow_noise(1200, 1)
     best = max(WAVES, key=lambda wave: abs(wave @ noise) / np.sqrt(wave @ wave))
     bench, start, grown = begun_and_grown(noise, best, 0.0, 1200.0)
-    assert coloured_noise_explains(bench, start, grown)
+    coloured = coloured_noise_explains(bench, start, grown)
+    assert coloured
     after = LeaveOneOutPrediction(np.full(1, 1.0))
-    assert failed_gate(bench, start, grown, after, gain=10.0, closed=1.0) is why
+    failed = failed_gate(bench, start, grown.fitted, after, 10.0, 1.0, coloured=coloured)
+    assert failed is why
