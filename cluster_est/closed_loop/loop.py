@@ -38,6 +38,10 @@ from cluster_est.closed_loop.numerical_error.measure import measure_numerical_er
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request
 from cluster_est.closed_loop.selection.beam_search import beam_search
 from cluster_est.closed_loop.selection.declared_model import fit_declared
+from cluster_est.closed_loop.selection.functions_of_time import (
+    has_functions_of_time,
+    without_functions_of_time,
+)
 from cluster_est.closed_loop.selection.rounds import (
     ComparedStructure,
     SelectionResult,
@@ -121,13 +125,24 @@ def run_loop(request: LoopRequest) -> LoopResult:
             found = without_search(workbench, base)
             judged = ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal)
         else:
-            found = beam_search(workbench, base, error.explainable)
-            judged = judge(workbench, found)
+            found, judged = _searched(workbench, base, error.explainable)
         failed = workbench.runner.failures - before
         report = _report(workbench, found, judged, begin)
     seconds = time.monotonic() - begin
     notes = (*error.notes, *report.notes, *dear_structures(found.path))
     return replace(report, notes=notes, seconds=seconds, failures_in_search=failed)
+
+
+def _searched(
+    workbench: LoopWorkbench, base: FittedModel, numerical: float
+) -> tuple[SelectionResult, ReasonedVerdict]:
+    """Look for effects; a function of time is one only where it leaves noise."""
+    found = beam_search(workbench, base, numerical)
+    judged = judge(workbench, found)
+    if judged.verdict is not Verdict.PARTIAL or not has_functions_of_time(found):
+        return found, judged
+    found = without_functions_of_time(workbench, found)
+    return found, judge(workbench, found)
 
 
 def _report(

@@ -41,7 +41,7 @@ from workers.effects.site import EffectSite
 from workers.fmu.description import ModelDescription, describe_model
 from workers.messages import Effect, FloatArray
 
-FORM_OF_FAMILY = {"friction": "coulomb", "table": "table"}
+FORM_OF_FAMILY = {"friction": "coulomb", "table": "table", "load": "drift"}
 """A form of the library for a family, at a state derivative."""
 NO_STRUCTURE = OmnibusTest(0.5, 0.1)
 

@@ -11,6 +11,7 @@ from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import enlarged_kind
 from cluster_est.closed_loop.thresholds import AcceptanceThresholds
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.errors import ProblemError
 from workers.messages import FloatArray, IntArray, Output
 
 GUARD = 1.0001
@@ -74,6 +75,11 @@ def _parts(workbench: LoopWorkbench) -> list[IntArray]:
     return parts
 
 
+def is_usable(workbench: LoopWorkbench, fitted: FittedModel, trusted: FittedModel) -> bool:
+    """Return whether a grown model stays bounded, and can be linearised to go on from."""
+    return stays_bounded(workbench, fitted, trusted) and can_be_linearised(workbench, fitted)
+
+
 def stays_bounded(workbench: LoopWorkbench, fitted: FittedModel, trusted: FittedModel) -> bool:
     """Return whether no output runs away when the training inputs swing further.
 
@@ -106,6 +112,19 @@ def stays_bounded(workbench: LoopWorkbench, fitted: FittedModel, trusted: Fitted
                 reach = max(reach, _reach(output, known.residuals[part], mean))
             if _reach(output, outcome.residuals[part], mean) > most * reach + 1e-9 * abs(mean):
                 return False
+    return True
+
+
+def can_be_linearised(workbench: LoopWorkbench, fitted: FittedModel) -> bool:
+    """Return whether every training experiment has a linear model along its trajectory.
+
+    An effect may lead the model to the edge of where it has an answer: it can be simulated there,
+    and a step to the side cannot. Nothing can be screened at such a fit.
+    """
+    try:
+        workbench.trajectories(fitted)
+    except ProblemError:
+        return False
     return True
 
 

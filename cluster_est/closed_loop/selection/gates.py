@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, predict, stays_bounded
+from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, is_usable, predict
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, plainest
 from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
@@ -76,7 +76,7 @@ def best_that_passes(
     why = RejectionReason.ONLY_WAVES if better and not left else RejectionReason.NO_IMPROVEMENT
     while left:
         chosen = plainest(left, workbench.thresholds.refinement)
-        if stays_bounded(workbench, chosen.fitted, current):
+        if is_usable(workbench, chosen.fitted, current):
             break
         left = [c for c in left if c is not chosen]
     if not left:

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from cluster_est.closed_loop.screening.ranking import rank
+from cluster_est.closed_loop.selection.accept import can_be_linearised
 from cluster_est.closed_loop.selection.gates import useful_sse
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, refit
 from cluster_est.closed_loop.selection.refinement.refits import full_refit
@@ -35,6 +36,8 @@ def grow(
     large = _leaves_much(workbench, begun)
     for parent in parents:
         accepted = parent is begun.model
+        if not accepted and not can_be_linearised(workbench, parent):
+            continue
         ranking = begun.screening.ranking if accepted else rank(workbench, parent)
         best = min((c.criterion for c in found.values()), default=np.inf)
         useful = UsefulFit(

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.selection.accept import stays_bounded
+from cluster_est.closed_loop.selection.accept import is_usable
 from cluster_est.closed_loop.selection.refinement.linear_step import (
     gauss_newton_step,
     longest_step,
@@ -49,7 +49,7 @@ def refit_from_other_starts(
     (finished,) = workbench.fit(LoopStage.OTHER_STARTS, [best.start], full_refit(workbench))
     if finished is None or finished.sse >= grown.sse:
         return grown
-    return finished if stays_bounded(workbench, finished, declared) else grown
+    return finished if is_usable(workbench, finished, declared) else grown
 
 
 def _best_first(

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from cluster_est.closed_loop.screening.ranking import rank
-from cluster_est.closed_loop.selection.accept import stays_bounded
+from cluster_est.closed_loop.selection.accept import can_be_linearised, is_usable
 from cluster_est.closed_loop.selection.refinement.refine import (
     RefittedCandidate,
     Rivals,
@@ -106,13 +106,13 @@ def _instead(
     Other functions of the argument of the one that is replaced start from where that one stands:
     without it the model may be far from there.
 
-    None if the criterion would rise by more than what it may, or the outputs run away.
+    None if the criterion would rise by more than what it may, or it cannot be gone on from.
     """
     start = grown.start
     for position in reversed(positions):
         start = start.minus(position)
     (rest,) = workbench.fit(LoopStage.SWAP, [start], full_refit(workbench))
-    if rest is None:
+    if rest is None or not can_be_linearised(workbench, rest):
         return None
     thresholds = workbench.thresholds.refinement
     most = grown.criterion(workbench.records) + rise
@@ -129,6 +129,6 @@ def _instead(
         return None
     won = plainest(contenders, thresholds)
     name = won.candidate.effect.name
-    if not stays_bounded(workbench, won.fitted, rest):
+    if not is_usable(workbench, won.fitted, rest):
         return None
     return won, {name: rivals_of(won, contenders, thresholds)[name]}

@@ -29,6 +29,10 @@ class RejectionReason(enum.StrEnum):
         "the only candidates that help are sinusoids or drifts in time, each seen too briefly, at "
         "a resonance of the model, or different in each experiment"
     )
+    FUNCTIONS_OF_TIME = (
+        "drifts or waves in time would close a part of the gap, as they do with any slow "
+        "disturbance, and leave more than noise"
+    )
     LITTLE_GAIN = "the gain is not significant among so many candidates"
     COLOURED_GAIN = "noise that is autocorrelated would explain as much"
     NOT_PREDICTED = "what was left out to be predicted is not predicted better"
