@@ -19,7 +19,7 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.process import BaseProcess
 from multiprocessing.queues import SimpleQueue
 from pathlib import Path
@@ -28,15 +28,17 @@ from typing import Any, get_args
 from closed_loop_benchmark.comparison import compare_runs
 from closed_loop_benchmark.data import make
 from closed_loop_benchmark.oracle import ask
+from closed_loop_benchmark.page import page
 from closed_loop_benchmark.problem import make_problem
 from closed_loop_benchmark.scenarios import Kind, Scenario, all_scenarios
 from closed_loop_benchmark.scoring import Score, blank, score
 from closed_loop_benchmark.system import Split
 from closed_loop_benchmark.systems import SYSTEMS
-from closed_loop_benchmark.table import one_line, page
+from closed_loop_benchmark.table import one_line
 
 from cluster_est.closed_loop.loop import close_loop
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.thresholds import LoopThresholds
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -49,14 +51,17 @@ def main() -> int:
         print(text)
         return int(lost > 0)
     if options.page:
-        options.page.write_text(page(list(read(options.out).values())), encoding="utf-8")
+        own = read(options.out)
+        variants = {label: read(Path(file)) for label, file in options.variant}
+        text = page(list(own.values()), {"as it is": own, **variants} if variants else {})
+        options.page.write_text(text, encoding="utf-8")
         return 0
     done = read(options.out)
     if options.again:
         done = {name: known for name, known in done.items() if not known.error}
     cases = [case for case in choose(options) if case.name not in done]
     print(f"{len(cases)} cases to run, {len(done)} in {options.out} already", flush=True)
-    plan = Plan(time.time() + options.seconds, LoopSettings(beam=options.beam))
+    plan = Plan(time.time() + options.seconds, settings_of(options))
     with options.out.open("a", encoding="utf-8") as file:
         for one in run(cases, options.processes, plan):
             file.write(one.to_json() + "\n")
@@ -72,6 +77,14 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--compare", nargs=2, type=Path, metavar=("OLD", "NEW"), help="two files; run nothing"
     )
+    parser.add_argument(
+        "--variant",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("LABEL", "FILE"),
+        help="of the same cases with a part switched off, for the page; may be repeated",
+    )
     parser.add_argument("--kinds", type=names_of(get_args(Kind)), default=get_args(Kind))
     parser.add_argument("--systems", type=names_of(tuple(SYSTEMS)), default=tuple(SYSTEMS))
     parser.add_argument("--split", choices=get_args(Split))
@@ -79,8 +92,30 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then start no case")
     parser.add_argument("--beam", type=int, default=LoopSettings.beam, help="closed_loop.beam")
+    parser.add_argument("--no-curves", action="store_true", help="refit no free curve")
+    parser.add_argument(
+        "--places",
+        choices=("many", "always", "never"),
+        default="many",
+        help="look at leading places alone: where candidates are many, always, never",
+    )
     parser.add_argument("--again", action="store_true", help="repeat cases that failed")
     return parser.parse_args()
+
+
+def settings_of(options: argparse.Namespace) -> LoopSettings:
+    """Return the settings of every loop."""
+    thresholds = LoopThresholds()
+    most = {"many": thresholds.places.most_candidates, "always": 0, "never": 10**9}
+    curves = 0 if options.no_curves else thresholds.refinement.curves
+    return LoopSettings(
+        beam=options.beam,
+        thresholds=replace(
+            thresholds,
+            places=replace(thresholds.places, most_candidates=most[options.places]),
+            refinement=replace(thresholds.refinement, curves=curves),
+        ),
+    )
 
 
 def names_of(known: tuple[str, ...]) -> Any:

@@ -8,7 +8,7 @@ from math import comb, nan
 
 import numpy as np
 import pytest
-from bench_closed_loop import divide
+from bench_closed_loop import divide, parse, settings_of
 from closed_loop_benchmark import figures
 from closed_loop_benchmark.coverage import coverage
 from closed_loop_benchmark.data import Data, make
@@ -17,11 +17,12 @@ from closed_loop_benchmark.effects import SINGLE
 from closed_loop_benchmark.likely import has_probabilities, holds_truth
 from closed_loop_benchmark.naming import compare, normal
 from closed_loop_benchmark.oracle import ask, translate, true_values, with_effects
+from closed_loop_benchmark.page import page
 from closed_loop_benchmark.problem import make_problem
 from closed_loop_benchmark.scenarios import all_scenarios, subset
 from closed_loop_benchmark.scoring import Score, blank, label_in_words, score
 from closed_loop_benchmark.systems import SYSTEMS
-from closed_loop_benchmark.table import one_line, page
+from closed_loop_benchmark.table import one_line
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import ErrorChange, NamedEffect, Verdict
@@ -217,15 +218,42 @@ def test_page_counts() -> None:
     right = judged(LOAD, Effect("load", "der(v)", "constant"))
     wrong = replace(right, name="again", exact=[False], alias=[False], numerical=False)
     failed = blank(data_of(LOAD), "Traceback:\nValueError: why")
-    text = page([right, wrong, replace(failed, name="failed")])
+    text = page([right, wrong, replace(failed, name="failed")], {})
     assert "| one effect: detected | >= 98 % | 2/2 (100.0 %) |" in text
     assert "| right: any of these | >= 92 % | 1/2 (50.0 %) |" in text
     assert "| failed | ValueError: why |" in text
     assert all("constant at der(v)" in line for line in (text, one_line(right)))
 
 
+def test_variants_are_compared_on_what_all_of_them_ran() -> None:
+    right = judged(LOAD, Effect("load", "der(v)", "constant"))
+    wrong = replace(right, exact=[False], alias=[False], numerical=False, simulations=300.0)
+    failed = blank(data_of(LOAD), "why")
+    runs = {
+        "as it is": {"a": right, "b": right, "c": right},
+        "beam 1": {"a": wrong, "b": right, "c": failed},
+    }
+    text = page([right], runs)
+    first, second = (line for line in text.splitlines() if line.startswith(("| as it", "| beam")))
+    assert first.startswith("| as it is | 2 | 2/2 (100.0 %) | - |")
+    assert second.startswith("| beam 1 | 2 | 1/2 (50.0 %) | - |")
+    assert second.endswith("| 0/2 (0.0 %) | 200 | 290 |")
+
+
+def test_parts_of_the_search_are_switched_off(monkeypatch) -> None:
+    def settings(*arguments: str):
+        monkeypatch.setattr("sys.argv", ["bench", *arguments])
+        return settings_of(parse())
+
+    assert settings() == ce.LoopSettings()
+    assert settings("--no-curves").thresholds.refinement.curves == 0
+    assert settings("--places", "always").thresholds.places.most_candidates == 0
+    assert settings("--places", "never").thresholds.places.most_candidates > 10**6
+    assert settings("--beam", "8").beam == 8
+
+
 def test_page_of_nothing() -> None:
-    assert page([]).startswith("# ")
+    assert page([], {}).startswith("# ")
     assert one_line(blank(data_of(LOAD), "why")).endswith("why")
 
 
