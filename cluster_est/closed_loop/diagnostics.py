@@ -53,6 +53,8 @@ class DetectionResult:
         Level that the p-values were compared with.
     numerical_error
         Why no effect can be told from the error of the solver or its step; empty where it is small.
+    notes
+        Sentences on that error, where it is worth a word or could not be measured.
     """
 
     p: float
@@ -63,6 +65,7 @@ class DetectionResult:
     rms: Mapping[str, float]
     significance: float
     numerical_error: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def missing(self) -> bool:
@@ -125,6 +128,7 @@ def detect(
             rms=workbench.noise_in_units(rms),
             significance=workbench.settings.significance,
             numerical_error=error.refusal if error.hides_effects else "",
+            notes=error.notes,
         )
 
 

@@ -128,5 +128,6 @@ def test_its_diagnostics_say_the_same():
     assert max(seen.p, seen.p_white) <= seen.significance
     assert not seen.missing
     assert "the communication step of 0.1 s has an error of" in seen.sentence
+    assert any("no effect was looked for" in note for note in seen.notes)
     with pytest.raises(ProblemError, match=r"no missing effect can be distinguished from it"):
         ce.locate(problem)
