@@ -25,6 +25,9 @@ from cluster_est.statistics.projection import ProjectedResidual
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray
 
+SITES_AT_ONCE = 16
+"""In one product of matrices: all of some hundred states would be a product as large as its sum."""
+
 DEPENDENT = 1e-6
 """Smallest eigenvalue of D'D, over the largest, of a direction that counts: knots may coincide."""
 
@@ -78,7 +81,13 @@ def rank_places(
         columns = {name: curve.columns(trajectory) for name, curve in curves.items()}
         for group, product in zip(groups, products, strict=True):
             drawn = np.hstack([columns[name] for name in group.names])
-            product += drawn.T @ np.hstack([_acting(trajectory, signals, s) for s in group.sites])
+            first = 0
+            for k in range(0, len(group.sites), SITES_AT_ONCE):
+                sites = group.sites[k : k + SITES_AT_ONCE]
+                acting = np.hstack([_acting(trajectory, signals, site) for site in sites])
+                last = first + acting.shape[1]
+                product[:, first:last] += drawn.T @ acting
+                first = last
     ranks = {
         place: _rank(block, variance, thresholds.price)
         for group, product in zip(groups, products, strict=True)
