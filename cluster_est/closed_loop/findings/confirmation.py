@@ -68,7 +68,7 @@ def _veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], near: float) -
     closed = (old**2 - new**2) / (old**2 - floor**2) if old > near * floor else np.nan
     if closed < judged.least:
         return (
-            f"on held-out data they close only {closed:.0%} of the gap, from {old:.3g} to "
+            f"on held-out data only {closed:.0%} of the gap would be closed, from {old:.3g} to "
             f"{new:.3g} times {judged.over}"
         )
     return ""

@@ -125,7 +125,9 @@ def _judged(
     training, predicted = _closed(workbench, found, now)
     closed = min(training, predicted)
     thresholds = workbench.thresholds.verdict
-    share = f"the effects close {training:.0%} of the gap between error and noise"
+    several = len(found.current.added) > 1
+    closes = "the effects close" if several else "the effect closes"
+    share = f"{closes} {training:.0%} of the gap between error and noise"
     if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
         share += f", and {predicted:.0%} in records that were left out to be predicted"
     tables = any(c.form.free for c in found.current.added)
@@ -152,9 +154,9 @@ def _judged(
         reason = f"{_autocorrelated(base)}; the effects that were tried do not explain it"
         return ReasonedVerdict(Verdict.COLOURED, reason, closed)
     missing = f"something is missing ({base.level}), and {_nothing(found, workbench.settings)}"
-    return ReasonedVerdict(
-        Verdict.UNEXPLAINED, f"{missing}: the best effects {_little(training, predicted)}", closed
-    )
+    best = "the best effects" if several else "the best effect"
+    little = _little(training, predicted, several=several)
+    return ReasonedVerdict(Verdict.UNEXPLAINED, f"{missing}: {best} {little}", closed)
 
 
 def _nothing(found: SelectionResult, settings: LoopSettings) -> str:
@@ -168,10 +170,10 @@ def _nothing(found: SelectionResult, settings: LoopSettings) -> str:
     return f"{said} with {most} effect{'s' if most > 1 else ''} (closed_loop.max_effects)"
 
 
-def _little(training: float, predicted: float) -> str:
+def _little(training: float, predicted: float, *, several: bool) -> str:
     """Say how little of the gap the best effects would close, and where."""
     if predicted < 0.0:
-        return WORSE
+        return f"{'predict' if several else 'predicts'} {WORSE}"
     if predicted < training:
         said = f"would close only {predicted:.0%} of the gap in records that were left out"
         return f"{said}, and {training:.0%} in training"
@@ -202,7 +204,7 @@ def _nothing_added(
     return ReasonedVerdict(Verdict.NONE, f"the best candidate was not accepted: {why}")
 
 
-WORSE = "predict records that were left out worse than the declared model does"
+WORSE = "records that were left out worse than the declared model does"
 
 NOWHERE = (
     "closed_loop.effects and closed_loop.sites leave no measured output, no driven input, no "

@@ -20,12 +20,12 @@ def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark:
     said = []
     if np.isfinite(train) and np.isfinite(test):
         said.append(
-            f"what is left is {train:.3g} times {over} on training and {test:.3g} on held-out data"
-            f"{remark}"
+            f"what is left is {_times(train)} times {over} on training and {_times(test)} on "
+            f"held-out data{remark}"
         )
     elif np.isfinite(train) or np.isfinite(test):
         where = "" if np.isfinite(train) else " on held-out data"
-        size = f"{train if not where else test:.3g} times {over}{where}"
+        size = f"{_times(train if not where else test)} times {over}{where}"
         said.append(f"what is left is {size}{remark}")
     silent = without_noise(errors)
     if silent:
@@ -38,6 +38,11 @@ def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark:
         if failed:
             said.append(f"{kind} experiment {', '.join(failed)} could not be simulated")
     return "; ".join(said)
+
+
+def _times(size: float) -> str:
+    """A multiple, with two decimals as far as they matter."""
+    return f"{size:.2f}" if size < 10.0 else f"{size:.3g}"
 
 
 def not_simulated(errors: Sequence[ErrorChange]) -> tuple[str, ...]:

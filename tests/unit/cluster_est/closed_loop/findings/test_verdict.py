@@ -99,14 +99,18 @@ CASES = {
         Case(4.0, 4.0, NOWHERE, STRUCTURED, ()), Verdict.UNEXPLAINED, "no effect could be tried"),
     "there was nowhere to look, and nothing to see": (
         Case(1.0, 1.0, NOWHERE, families=()), Verdict.NONE, "no effect could be tried"),
-    "all is explained": (Case(9.0, 1.0, CLEAN), Verdict.FOUND, "close 100%"),
-    "nearly all is explained": (Case(101.0, 1.5, LITTLE, STRUCTURED), Verdict.FOUND, "close 100%"),
+    "all is explained": (Case(9.0, 1.0, CLEAN), Verdict.FOUND, "the effect closes 100%"),
+    "all is explained by two": (
+        Case(9.0, 1.0, CLEAN, families=("friction", "friction")), Verdict.FOUND,
+        "the effects close 100%"),
+    "nearly all is explained": (
+        Case(101.0, 1.5, LITTLE, STRUCTURED), Verdict.FOUND, "the effect closes 100%"),
     "just less than nearly all": (
-        Case(101.0, 4.0, LITTLE, STRUCTURED), Verdict.PARTIAL, "close 97%"),
+        Case(101.0, 4.0, LITTLE, STRUCTURED), Verdict.PARTIAL, "the effect closes 97%"),
     "most is explained": (
         Case(9.0, 2.8, LITTLE, STRUCTURED), Verdict.PARTIAL, "structure is left"),
     "just more than most": (
-        Case(11.0, 3.4, LITTLE, STRUCTURED), Verdict.PARTIAL, "close 76%"),
+        Case(11.0, 3.4, LITTLE, STRUCTURED), Verdict.PARTIAL, "the effect closes 76%"),
     "just less than most": (
         Case(11.0, 3.6, LITTLE, STRUCTURED), Verdict.UNEXPLAINED, "only 74%"),
     "most, but not in prediction": (
@@ -114,10 +118,10 @@ CASES = {
         "only 50% of the gap in records that were left out, and 75% in training"),
     "all, but what was left out is predicted worse": (
         Case(9.0, 1.0, CLEAN, left_out=13.0), Verdict.UNEXPLAINED,
-        "the best effects predict records that were left out worse than the declared model does"),
+        "the best effect predicts records that were left out worse than the declared model does"),
     "some, but what was left out is predicted worse": (
         Case(9.0, 3.0, LITTLE, STRUCTURED, left_out=13.0), Verdict.UNEXPLAINED,
-        "the best effects predict records that were left out worse than"),
+        "the best effect predicts records that were left out worse than"),
     "the search ended with as many effects as it may add": (
         Case(9.0, 6.0, RejectionReason.LIMIT_OF_EFFECTS, STRUCTURED), Verdict.UNEXPLAINED,
         "nothing in the library explains it with 3 effects (closed_loop.max_effects)"),
@@ -206,7 +210,7 @@ def test_the_gap_that_is_closed_is_the_same_in_any_unit(unit):
     scaled = SelectionResult(base, current, before, after, {}, search.steps, (), np.array([unit]))
     judgement = judge(made_bench(PROBLEM), scaled)
     assert judgement.verdict is Verdict.PARTIAL
-    assert "close 76% of the gap" in judgement.reason
+    assert "closes 76% of the gap" in judgement.reason
 
 
 @pytest.mark.parametrize("narrowed", [{"forms": ("coulomb",)}, {"sites": ("der(v)",)}])
@@ -231,13 +235,13 @@ FOUND = ReasonedVerdict(Verdict.FOUND, "the effects close 99%", 0.99, 0.75)
 @pytest.mark.parametrize(
     ("train", "test", "expected", "said"),
     [
-        ((9.0, 1.1), (9.0, 1.2), Verdict.FOUND, "1.1 times the noise on training and 1.2"),
-        ((9.0, 1.1), None, Verdict.FOUND, "what is left is 1.1 times the noise"),
-        ((90.0, 1.6), (90.0, 1.2), Verdict.PARTIAL, "1.6 times the noise on training"),
+        ((9.0, 1.1), (9.0, 1.2), Verdict.FOUND, "1.10 times the noise on training and 1.20"),
+        ((9.0, 1.1), None, Verdict.FOUND, "what is left is 1.10 times the noise"),
+        ((90.0, 1.6), (90.0, 1.2), Verdict.PARTIAL, "1.60 times the noise on training"),
         ((90.0, 1.1), (300.0, 111.0), Verdict.PARTIAL, "and 111 on held-out data"),
-        ((90.0, 1.1), (300.0, 250.0), Verdict.UNEXPLAINED, "close only 31% of the gap"),
+        ((90.0, 1.1), (300.0, 250.0), Verdict.UNEXPLAINED, "only 31% of the gap would be closed"),
         ((90.0, 1.1), (3.0, 3.1), Verdict.UNEXPLAINED, "would grow from 3 to 3.1"),
-        ((9.0, 1.1), (1.1, 1.0), Verdict.FOUND, "and 1 on held-out data"),
+        ((9.0, 1.1), (1.1, 1.0), Verdict.FOUND, "and 1.00 on held-out data"),
     ],
 )
 def test_held_out_data_can_only_take_away(train, test, expected, said):
@@ -266,7 +270,7 @@ def failing(when: str):
 @pytest.mark.parametrize(
     ("when", "expected", "said"),
     [
-        ("before", Verdict.FOUND, "1.1 times the noise on training"),
+        ("before", Verdict.FOUND, "1.10 times the noise on training"),
         ("after", Verdict.UNEXPLAINED, "experiment 'lost' cannot be simulated any more"),
         (
             "both",
@@ -284,7 +288,7 @@ def test_a_held_out_experiment_that_fails(when, expected, said):
 def test_how_much_is_too_much_is_said_of_the_size():
     lost = ErrorChange("lost", "test", "y", "m", 100, np.nan, np.nan, np.nan, np.nan)
     reason = confirmed(FOUND, [*changes((90.0, 1.6), (90.0, 1.2)), lost], LoopSettings()).reason
-    assert "1.2 on held-out data, which is more than the 1.5 times" in reason
+    assert "1.20 on held-out data, which is more than the 1.5 times" in reason
     assert reason.endswith("; held-out experiment 'lost' could not be simulated")
 
 
@@ -321,12 +325,12 @@ def test_a_sigma_that_is_too_large_does_not_make_an_error_small():
     assert confirmed(replace(judged, noise={}), small, LoopSettings()).verdict is Verdict.FOUND
     found = confirmed(judged, small, LoopSettings())
     assert found.verdict is Verdict.PARTIAL
-    assert "what is left is 4 times the noise" in found.reason
+    assert "what is left is 4.00 times the noise" in found.reason
 
 
 def test_errors_over_a_declared_sigma_are_said_to_be_that():
     judged = confirmed(replace(FOUND, declared=True), changes((9.0, 1.1), None), LoopSettings())
-    assert "1.1 times the declared sigma" in judged.reason
+    assert "1.10 times the declared sigma" in judged.reason
 
 
 def test_a_verdict_without_effects_stays_as_it_is():
