@@ -1,0 +1,241 @@
+"""The recipe of a sensitivity analysis: sample the bounds, simulate, compute indices, order.
+
+References: A. Saltelli et al., Global Sensitivity Analysis: The Primer (2008),
+doi:10.1002/9780470725184.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from cluster_est.errors import ProblemError
+from cluster_est.methods.given_points import GivenPoints
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.running.arguments import check_problem, check_resources
+from cluster_est.running.environment import Monitor, RunEnvironment
+from cluster_est.running.records import Note, Record, Show
+from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
+from cluster_est.sensitivity.designs import DESIGNS, SensitivityDesign, SensitivityIndex
+from cluster_est.sensitivity.identifiability import IdentifiableUnknown, identifiable_order
+from cluster_est.sensitivity.quantities import AnalysedQuantity, PointReader, reader_of
+from cluster_est.sensitivity.result import IndexRow, RankedUnknown, SensitivityResult
+from cluster_est.sensitivity.settings import SensitivitySettings
+from cluster_est.uncertainty import linearise
+from workers.messages import FloatArray
+from workers.messages.checks import check_kind, check_number
+
+AT_ONCE = 1000
+"""Points that are asked for together; only their quantities are kept."""
+
+
+def sensitivity(
+    problem: Problem,
+    resources: Resources | None = None,
+    settings: SensitivitySettings | None = None,
+    seed: int = 0,
+    *,
+    record: Record | None = None,
+    show: Show | None = None,
+    note: Note | None = None,
+) -> SensitivityResult:
+    """Rank unknowns by how much they move the cost and the outputs within their bounds.
+
+    Parameters
+    ----------
+    problem
+        Model, parameters and experiments; the training experiments are simulated. Every unknown
+        needs finite bounds: what is asked is how much it matters between them.
+    resources
+        Where simulations run, and the budget.
+    settings
+        Design, and what is computed from it.
+    seed
+        Starts the random generator; the result is the same for any number of workers.
+    record, show, note
+        Called for each simulation, whenever something came back, and for each iteration; see
+        `Runner`.
+
+    Raises
+    ------
+    ClusterEstError
+        If model, experiments and machine do not fit together, or too few points can be simulated.
+    """
+    settings = SensitivitySettings() if settings is None else settings
+    resources = Resources() if resources is None else resources
+    check_problem(problem)
+    check_resources(resources)
+    check_kind(settings, SensitivitySettings, "settings", ProblemError)
+    check_number(seed, "sensitivity.seed", ProblemError, least=0, whole=True)
+    environment = RunEnvironment(resources, Monitor(record, show, note))
+    return analyse_sensitivity(environment, problem, settings, seed)
+
+
+def analyse_sensitivity(
+    environment: RunEnvironment, problem: Problem, settings: SensitivitySettings, seed: int
+) -> SensitivityResult:
+    """Analyse with workers, listeners and a budget that somebody else has chosen.
+
+    Raises
+    ------
+    ClusterEstError
+        As `sensitivity`.
+    """
+    problem.describe()
+    space = check_bounds(problem)
+    with one_blas_thread(), environment.executor(problem) as executor:
+        return analyse_on(environment.runner(executor, whole=True), space, settings, seed)
+
+
+def analyse_on(
+    runner: Runner, space: SearchSpace, settings: SensitivitySettings, seed: int
+) -> SensitivityResult:
+    """Analyse on workers that are there already.
+
+    Parameters
+    ----------
+    runner
+        Its executor has the experiments of the space's problem.
+    space
+        As `check_bounds` gave it.
+    settings, seed
+        How.
+
+    Raises
+    ------
+    ProblemError
+        If too few points can be simulated.
+    """
+    begin = time.monotonic()
+    design, generator = DESIGNS[settings.method], np.random.default_rng(seed)
+    reader = reader_of(space, settings.times)
+    points = design.sample(space.size, settings.groups or design.usual, generator)
+    values = _simulated(runner, space, points, reader, seed)
+    kept = _whole_groups(values, design.group(space.size))
+    groups = len(points) // design.group(space.size)
+    lost = groups - int(kept.sum()) // design.group(space.size)
+    if groups - lost < design.fewest:
+        raise ProblemError(
+            f"sensitivity: at least {design.fewest} groups of points must be simulated between the "
+            f"bounds but {lost} of {groups} had a failure; tighten the bounds of the parameters, "
+            "or take more sensitivity.groups"
+        )
+    found = [design.indices(points[kept], column, generator) for column in values[kept].T]
+    order, why_not = _order(runner, space, settings, seed)
+    return SensitivityResult(
+        problem=space.problem,
+        settings=settings,
+        seed=seed,
+        ranks=design.ranks,
+        ranking=_ranking(space, design, found[0], order),
+        indices=_rows(space, reader.quantities, found),
+        groups=groups,
+        lost=lost,
+        evaluations=runner.evaluations,
+        simulated=runner.simulations,
+        failures=runner.failures,
+        seconds=time.monotonic() - begin,
+        why_no_order=why_not,
+    )
+
+
+def check_bounds(problem: Problem) -> SearchSpace:
+    """Return the space of the training experiments, if it can be sampled.
+
+    Raises
+    ------
+    ProblemError
+        If there is nothing to sample, or a bound is infinite.
+    """
+    space = make_space(problem, problem.indices("train"))
+    if space.size == 0:
+        raise ProblemError(
+            "parameters: at least one must be free to be analysed but all are fixed or known"
+        )
+    for unknown, low, high in zip(space.unknowns, space.lower, space.upper, strict=True):
+        if not np.isfinite([low, high]).all():
+            raise ProblemError(
+                f"parameters.{unknown.parameter.name}: must have finite bounds, between which a "
+                f"sensitivity analysis samples, but they are {unknown.parameter.lower:g} and "
+                f"{unknown.parameter.upper:g}; give lower and upper"
+            )
+    return space
+
+
+def _simulated(
+    runner: Runner, space: SearchSpace, points: FloatArray, reader: PointReader, seed: int
+) -> FloatArray:
+    """(points, quantities): NaN where a simulation failed."""
+    parts = []
+    for first in range(0, len(points), AT_ONCE):
+        unit = points[first : first + AT_ONCE]
+        x = space.lower + unit * (space.upper - space.lower)
+        request = SearchRequest(f"sample {first}", GivenPoints(x, "sample"), space, seed)
+        (solution,) = runner.run([request])
+        parts.append(reader.values(solution.evaluations))
+    return np.concatenate(parts)
+
+
+def _whole_groups(values: FloatArray, group: int) -> np.ndarray:
+    """(points,): whether no point of the same group has failed."""
+    finite = np.isfinite(values).all(axis=1).reshape(-1, group)
+    return np.repeat(finite.all(axis=1), group)
+
+
+def _order(
+    runner: Runner, space: SearchSpace, settings: SensitivitySettings, seed: int
+) -> tuple[list[IdentifiableUnknown], str]:
+    """The order of estimation at the start values; else why there is none."""
+    request = SearchRequest("start", GivenPoints(space.start[None], "start"), space, seed)
+    (solution,) = runner.run([request])
+    linear = linearise(runner, space, solution)
+    if linear.jacobian is None:
+        return [], (
+            "there is no order of estimation: the start values, or points close to them, could "
+            "not be simulated, or the derivatives are too large for one array"
+        )
+    changes = np.minimum(space.typical, space.upper - space.lower)
+    return identifiable_order(linear.jacobian, changes, settings.collinearity), ""
+
+
+def _ranking(
+    space: SearchSpace,
+    design: SensitivityDesign,
+    of_cost: Sequence[SensitivityIndex],
+    order: Sequence[IdentifiableUnknown],
+) -> tuple[RankedUnknown, ...]:
+    """All unknowns, the one that moves the cost the most first."""
+    (index,) = (each for each in of_cost if each.name == design.ranks)
+    places = {each.unknown: (position, each) for position, each in enumerate(order)}
+    found = []
+    for i, unknown in enumerate(space.unknowns):
+        one = RankedUnknown(unknown.label, float(index.values[i]), float(index.half_widths[i]))
+        if i in places:
+            position, each = places[i]
+            one = RankedUnknown(
+                one.label, one.value, one.half_width,
+                each.size, position, each.collinearity, each.together,
+            )  # fmt: skip
+        found.append(one)
+    return tuple(sorted(found, key=lambda u: -np.nan_to_num(u.value, nan=-np.inf)))
+
+
+def _rows(
+    space: SearchSpace,
+    quantities: Sequence[AnalysedQuantity],
+    found: Sequence[Sequence[SensitivityIndex]],
+) -> tuple[IndexRow, ...]:
+    return tuple(
+        IndexRow(
+            unknown.label, index.name, quantity.output, quantity.experiment, quantity.time,
+            float(index.values[i]), float(index.half_widths[i]),
+        )
+        for quantity, indices in zip(quantities, found, strict=True)
+        for index in indices
+        for i, unknown in enumerate(space.unknowns)
+    )  # fmt: skip

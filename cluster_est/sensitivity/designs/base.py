@@ -1,0 +1,112 @@
+"""The contract of a design: which points of a box are simulated, and what their values say.
+
+A design samples the unit cube in groups of points: a failed simulation takes its group away and no
+more. The indices that it computes are of one quantity, whatever that is.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from cluster_est.plug_in import check_class_attributes
+from workers.messages import FloatArray
+
+
+@dataclass(frozen=True)
+class SensitivityIndex:
+    """One measure of how much each unknown moves a quantity.
+
+    Attributes
+    ----------
+    name
+        Such as "total".
+    values : (unknowns,)
+        One for each unknown; NaN where the quantity does not move at all.
+    half_widths : (unknowns,)
+        Of their 95 % intervals; NaN where nothing is known of them.
+    """
+
+    name: str
+    values: FloatArray
+    half_widths: FloatArray
+
+
+class SensitivityDesign(ABC):
+    """A sampling of the unit cube, with the indices that belong to it."""
+
+    name: ClassVar[str]
+    """As in a config."""
+
+    ranks: ClassVar[str]
+    """The index by which unknowns are ranked."""
+
+    fewest: ClassVar[int]
+    """Groups without which the indices mean nothing."""
+
+    usual: ClassVar[int]
+    """Groups where nobody asks for another number."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        check_class_attributes(cls)
+
+    @abstractmethod
+    def group(self, size: int) -> int:
+        """Return the points of a group for `size` unknowns."""
+
+    @abstractmethod
+    def sample(self, size: int, groups: int, generator: np.random.Generator) -> FloatArray:
+        """Return points of the unit cube, group after group: (groups * group, size).
+
+        Parameters
+        ----------
+        size
+            Number of unknowns.
+        groups
+            As many, or the next number that the design can have.
+        generator
+            Of all that is random.
+        """
+
+    @abstractmethod
+    def indices(
+        self, points: FloatArray, values: FloatArray, generator: np.random.Generator
+    ) -> tuple[SensitivityIndex, ...]:
+        """Return the indices of a quantity.
+
+        Parameters
+        ----------
+        points : (n, size)
+            Whole groups of what `sample` gave.
+        values : (n,)
+            Of the quantity, all finite.
+        generator
+            Of the resampling that their intervals come from.
+        """
+
+
+def moves(values: FloatArray) -> bool:
+    """Return whether a quantity moves by more than rounding."""
+    spread = float(np.ptp(values))
+    return spread > 1e-12 * float(np.abs(values).max(initial=0.0))
+
+
+def unmoved(name: str, size: int) -> SensitivityIndex:
+    """Return the index of a quantity that does not move."""
+    nothing = np.full(size, np.nan)
+    return SensitivityIndex(name, nothing, nothing)
+
+
+def box(size: int) -> dict[str, object]:
+    """Return the unit cube as SALib describes it."""
+    names = [f"x{i}" for i in range(size)]
+    return {"num_vars": size, "names": names, "bounds": [[0.0, 1.0]] * size}
+
+
+def seed_of(generator: np.random.Generator) -> int:
+    """Draw a seed for what takes no generator."""
+    return int(generator.integers(2**31 - 1))
