@@ -1,6 +1,6 @@
 """The recipe of a run from a config: read and check it, open or resume its folder, run, finish.
 
-`cluster-est fit`, `cluster-est close-loop` and every run of a sweep go through `do_run`, so that
+`cluster-est fit`, `close-loop`, `sensitivity` and every run of a sweep go through `do_run`, so that
 the same config gives the same bits and the same run.json, whoever asks for it.
 """
 
@@ -20,6 +20,7 @@ from cluster_est.config.reader import Config, read_config
 from cluster_est.config.settings import (
     build_multistart,
     build_resources,
+    build_sensitivity,
     build_settings,
     build_uncertainty,
 )
@@ -34,6 +35,9 @@ from cluster_est.running.environment import RunEnvironment, WorkerSource
 from cluster_est.running.interrupts import stopped_by
 from cluster_est.running.records import Budget, Show
 from cluster_est.running.shared_pools import SharedPools
+from cluster_est.sensitivity.analysis import analyse_sensitivity, check_bounds
+from cluster_est.sensitivity.result import SensitivityResult
+from cluster_est.sensitivity.settings import SensitivitySettings
 
 if TYPE_CHECKING:
     from cluster_est.closed_loop.findings.result import LoopResult
@@ -58,7 +62,7 @@ class ConfiguredRun(ABC):
     config: Config
 
     @abstractmethod
-    def compute(self, environment: RunEnvironment) -> Result | LoopResult:
+    def compute(self, environment: RunEnvironment) -> Result | LoopResult | SensitivityResult:
         """Do what the config asks for.
 
         Raises
@@ -90,6 +94,18 @@ class ConfiguredLoop(ConfiguredRun):
 
         settings, identity = build_settings(self.config), self.identity
         return run_loop(LoopRequest(identity.problem, environment, settings, identity.seed))
+
+
+@dataclass(frozen=True)
+class ConfiguredSensitivity(ConfiguredRun):
+    """A sensitivity analysis."""
+
+    settings: SensitivitySettings
+
+    def compute(self, environment: RunEnvironment) -> SensitivityResult:
+        """Sample the bounds, and rank the unknowns."""
+        identity = self.identity
+        return analyse_sensitivity(environment, identity.problem, self.settings, identity.seed)
 
 
 @dataclass(frozen=True)
@@ -171,6 +187,9 @@ def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) ->
         build_settings(config)
         make_space(problem, problem.indices("test"))
         return ConfiguredLoop(identity, config)
+    if kind is RunKind.SENSITIVITY:
+        check_bounds(problem)
+        return ConfiguredSensitivity(identity, config, build_sensitivity(config))
     plan = FitPlan(
         build_method(config), identity.seed, build_multistart(config), build_uncertainty(config)
     )

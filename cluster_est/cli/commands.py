@@ -10,6 +10,7 @@ COMMANDS = {
     "check": "preparation",
     "fit": "estimate",
     "close-loop": "estimate",
+    "sensitivity": "estimate",
     "simulate": "simulation",
     "show": "inspection",
     "report": "inspection",

@@ -1,4 +1,4 @@
-"""The commands that run: fit, close-loop and sweep."""
+"""The commands that run: fit, close-loop, sensitivity and sweep."""
 
 from __future__ import annotations
 
@@ -33,6 +33,11 @@ def fit(options: Namespace) -> int:
 def close_loop(options: Namespace) -> int:
     """Find what the model lacks, write the run folder, print what was found."""
     return _run(options, RunKind.CLOSED_LOOP)
+
+
+def sensitivity(options: Namespace) -> int:
+    """Rank what is estimated by how much it matters, write the run folder, print the ranking."""
+    return _run(options, RunKind.SENSITIVITY)
 
 
 def _run(options: Namespace, kind: RunKind) -> int:

@@ -46,7 +46,10 @@ def make_parser() -> argparse.ArgumentParser:
 
     fit = _command(commands, "fit", "estimate the parameters")
     loop = _command(commands, "close-loop", "find what the model lacks, add it and fit again")
-    for command in (fit, loop):
+    ranked = _command(
+        commands, "sensitivity", "rank what is estimated by how much it moves cost and outputs"
+    )
+    for command in (fit, loop, ranked):
         command.add_argument("--out", type=Path, required=True, help="folder to write the run to")
         present = command.add_mutually_exclusive_group()
         present.add_argument(

@@ -20,7 +20,7 @@ from cluster_est.errors import RunFolderError
 from cluster_est.fit import simulate as run_simulate
 from cluster_est.problem.problem import Problem
 from cluster_est.results.curves import residual_table, trajectory_table
-from cluster_est.run_folder.reading import read_run_table
+from cluster_est.run_folder.reading import check_has_estimates, read_run_table
 
 
 def simulate(options: Namespace) -> int:
@@ -69,6 +69,8 @@ def read_estimates(run_folder: Path, problem: Problem) -> dict[str, float]:
     """
     path = run_folder / "parameters.parquet"
     if not path.is_file():
+        if (run_folder / "run.json").is_file():
+            check_has_estimates(run_folder)
         raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
     rows = [r for r in read_run_table(path) if r["estimated_on"] in ("train", "test")]
     known = {parameter.name for parameter in problem.parameters}

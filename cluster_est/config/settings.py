@@ -8,6 +8,7 @@ from cluster_est.errors import ConfigError, EffectError
 from cluster_est.running.multistart import Multistart
 from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
+from cluster_est.sensitivity.settings import SensitivitySettings
 from cluster_est.uncertainty import UncertaintySettings
 from workers.effects.site import parse_site
 from workers.messages import Limits
@@ -45,6 +46,11 @@ def build_uncertainty(config: Config) -> UncertaintySettings:
     return UncertaintySettings(
         profiles=tuple(section.profiles), **section.model_dump(exclude={"profiles"})
     )
+
+
+def build_sensitivity(config: Config) -> SensitivitySettings:
+    """Design of a sensitivity analysis."""
+    return SensitivitySettings(**config.sensitivity.model_dump(exclude={"seed"}))
 
 
 def build_resources(config: Config) -> Resources:

@@ -15,7 +15,7 @@ from cluster_est.export.parameter_reader import ParameterReader
 from cluster_est.export.repaired_model import RepairedModel, ReportedError
 from cluster_est.problem.problem import Problem
 from cluster_est.results.row_types import Estimate
-from cluster_est.run_folder.reading import read_facts, read_run_table
+from cluster_est.run_folder.reading import check_has_estimates, read_facts, read_run_table
 from cluster_est.run_folder.replay import config_base
 from workers.fmu.description import nearest
 from workers.messages import Experiment
@@ -49,6 +49,7 @@ def gather(
     facts = read_facts(run_folder)
     table = run_folder / "parameters.parquet"
     if not table.is_file():
+        check_has_estimates(run_folder)
         raise RunFolderError(
             f"{run_folder}: must be the folder of a finished run but is {facts.get('status')!r}; "
             "finish it with --resume"

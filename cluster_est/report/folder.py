@@ -21,7 +21,7 @@ RUNNING = "running"
 SMALL = (
     "parameters", "errors", "constraints", "starts", "minima", "front", "correlations",
     "directions", "profiles", "intervals", "searches", "workers", "findings", "structures",
-    "shapes",
+    "shapes", "ranking", "indices",
 )  # fmt: skip
 
 
@@ -65,8 +65,13 @@ class ReportedRun:
 
     @property
     def finished(self) -> bool:
-        """True if there are results."""
+        """True if there are results of a fit or a loop."""
         return bool(self.tables["parameters"])
+
+    @property
+    def is_sensitivity(self) -> bool:
+        """True for a sensitivity analysis that has ended."""
+        return bool(self.facts.get("sensitivity"))
 
     @property
     def is_loop(self) -> bool:

@@ -14,11 +14,14 @@ from cluster_est.report.sections.errors import errors
 from cluster_est.report.sections.parameters import parameters
 from cluster_est.report.sections.provenance import provenance
 from cluster_est.report.sections.search import search
+from cluster_est.report.sections.sensitivity import sensitivity
 from cluster_est.report.sections.workers import workers
 from cluster_est.report.summary import summarise
 
 REPORT = "report.html"
-SECTIONS = (errors, curves, effects, candidates, parameters, search, workers, provenance)
+SECTIONS = (
+    sensitivity, errors, curves, effects, candidates, parameters, search, workers, provenance,
+)  # fmt: skip
 """In the order of the page."""
 
 

@@ -50,10 +50,13 @@ def summarise(run: ReportedRun) -> ReportSummary:
     """Put the result of a run into words."""
     known = run.facts.get("verdict") or run.status
     verdict, tone = VERDICTS.get(str(known), (str(known), ""))
+    if run.is_sensitivity:
+        verdict, tone = "The parameters are ranked by what they move", ""
     if run.too_narrow and not run.is_loop:
         verdict, tone = f"{verdict}; its intervals are too narrow", "" if tone == "good" else tone
     sentences = [
-        *_fitted(run), *_opening(run), *_costs(run), *_errors(run), *_bounds(run), *_failed(run)
+        *_fitted(run), *_ranked(run), *_opening(run), *_costs(run), *_errors(run), *_bounds(run),
+        *_failed(run),
     ]  # fmt: skip
     notes = tuple(_sentence(note) for note in run.facts.get("notes") or ())
     return ReportSummary(verdict, tone, tuple(sentences), _figures(run), notes)
@@ -74,8 +77,28 @@ def _fitted(run: ReportedRun) -> list[str]:
     return [said, *filter(None, [error_sentence(run)])]
 
 
+def _ranked(run: ReportedRun) -> list[str]:
+    """Return sentences on what a sensitivity analysis ranks first, and what goes together."""
+    if not run.is_sensitivity:
+        return []
+    rows = [row for row in run.tables["ranking"] if row["value"] is not None]
+    known = [row["label"] for row in rows if math.isfinite(row["value"]) and row["value"] > 0.0]
+    if not known:
+        return ["Nothing moves the cost between the bounds of the parameters."]
+    first = ", ".join(known[:3])
+    are = "is" if len(known) == 1 else "are"
+    together = run.facts["sensitivity"]["together"]
+    of_all = len(run.tables["ranking"])
+    said = [f"Of {of_all} unknowns, {first} {are} what moves the cost the most."]
+    if together:
+        said.append(f"At the start values {len(together)} of them can be estimated together.")
+    return said
+
+
 def _opening(run: ReportedRun) -> list[str]:
     facts = run.facts
+    if run.is_sensitivity:
+        return []
     if run.is_loop:
         effects = facts.get("effects") or []
         named = ", ".join(_named(effect) for effect in effects)

@@ -31,6 +31,7 @@ class TableMeaning:
 TEXT, WHOLE, NUMBER, TRUTH = "string", "int64", "double", "bool"
 TEXTS, NUMBERS = "list<item: string>", "list<item: double>"
 ALWAYS, IN_LOOPS = "always", "in runs of close-loop"
+IN_ANALYSES = "in runs of sensitivity"
 OWN = "the parameter's"
 OF_OUTPUT = "the output's"
 
@@ -485,6 +486,52 @@ TABLES = (
             ColumnDescription(
                 "trajectory", NUMBERS, "the FMU's", "(times, variables), row after row"
             ),
+        ),
+    ),
+    TableMeaning(
+        "ranking",
+        "unknown, the one that moves the cost the most first",
+        IN_ANALYSES,
+        (
+            _LABEL,
+            ColumnDescription("value", NUMBER, "", "the index of the cost that ranks it"),
+            ColumnDescription("half_width", NUMBER, "", "of the 95 % interval of that"),
+            ColumnDescription(
+                "size",
+                NUMBER,
+                "sigma",
+                "rms of the sensitivities of the residuals at the start, for a noticeable change",
+            ),
+            ColumnDescription(
+                "position", WHOLE, "", "in the order of estimation, from 0; -1: not known"
+            ),
+            ColumnDescription(
+                "collinearity", NUMBER, "", "index of it with those before it in that order"
+            ),
+            ColumnDescription(
+                "together", TRUTH, "", "whether it may be estimated together with those before it"
+            ),
+        ),
+    ),
+    TableMeaning(
+        "indices",
+        "index of one unknown for one quantity",
+        IN_ANALYSES,
+        (
+            _LABEL,
+            ColumnDescription("index", TEXT, "", '"mu*" and "sigma", or "first order" and "total"'),
+            ColumnDescription(
+                "output",
+                TEXT,
+                "",
+                '"log(cost)", or "cost" where that is not always positive, or an output',
+            ),
+            ColumnDescription("experiment", TEXT, "", 'of an output; "" for the cost'),
+            ColumnDescription("time", NUMBER, "s", "of an output; NaN for the cost"),
+            ColumnDescription(
+                "value", NUMBER, "", "for mu* and sigma in the unit of the output or the cost"
+            ),
+            ColumnDescription("half_width", NUMBER, "", "of its 95 % interval"),
         ),
     ),
     TableMeaning(

@@ -74,6 +74,21 @@ def read_stored_run(run_folder: Path, tables: Sequence[str]) -> StoredRun:
     return StoredRun(run_folder, facts, rows)
 
 
+def check_has_estimates(run_folder: Path) -> None:
+    """Refuse a run that has ended and has no estimates.
+
+    Raises
+    ------
+    RunFolderError
+        If it is a sensitivity analysis.
+    """
+    if read_facts(run_folder).get("sensitivity"):
+        raise RunFolderError(
+            f"{run_folder}: must be the folder of a fit or a closed loop but is that of a "
+            "sensitivity analysis, which has no estimates"
+        )
+
+
 def read_facts(run_folder: Path) -> dict[str, Any]:
     """Return what run.json says.
 

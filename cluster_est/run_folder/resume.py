@@ -17,7 +17,7 @@ def is_finished(out: Path) -> bool:
     """Return whether a folder holds a run that reached its end."""
     return (
         (out / "run.json").is_file()
-        and (out / "parameters.parquet").is_file()
+        and any((out / f"{name}.parquet").is_file() for name in ("parameters", "ranking"))
         and read_facts(out)["status"] == RunStatus.DONE
     )
 
@@ -74,7 +74,7 @@ def _different_key(out: Path, identity: RunIdentity) -> str:
         before = {}
     now = tomllib.loads(identity.config_text)
     for tree in (before, now):
-        for section in (*UNHASHED, identity.kind.unused_section):
+        for section in (*UNHASHED, *identity.kind.unused_sections):
             tree.pop(section, None)
     key = _first_difference(before, now)
     if not key:

@@ -6,6 +6,7 @@ import enum
 import json
 import platform
 import sys
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -19,7 +20,7 @@ from workers.messages import content_hash
 
 DECISIVE = ("cluster-est", "cma", "numba", "numpy", "pymoo", "scipy", "sympy")
 """Libraries on whose versions bits depend."""
-LIBRARIES = (*DECISIVE, "fmpy", "pyarrow", "ray")
+LIBRARIES = (*DECISIVE, "fmpy", "pyarrow", "ray", "SALib")
 FORMAT = "2"
 UNHASHED = ("executor", "budget", "log")
 """Sections of a config that change no result."""
@@ -28,15 +29,20 @@ UNHASHED_MODEL = ("units",)
 
 
 class RunKind(enum.Enum):
-    """The two kinds of runs from a config, each of which leaves one section of it unused."""
+    """The kinds of runs from a config, each of which leaves some sections of it unused."""
 
     FIT = "fit"
     CLOSED_LOOP = "close-loop"
+    SENSITIVITY = "sensitivity"
 
     @property
-    def unused_section(self) -> str:
-        """The section of a config that does not concern it."""
-        return "closed_loop" if self is RunKind.FIT else "method"
+    def unused_sections(self) -> tuple[str, ...]:
+        """The sections of a config that do not concern it."""
+        if self is RunKind.FIT:
+            return ("closed_loop", "sensitivity")
+        if self is RunKind.CLOSED_LOOP:
+            return ("method", "sensitivity")
+        return ("closed_loop", "method", "multistart", "uncertainty")
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,7 @@ class RunIdentity:
     Attributes
     ----------
     kind
-        A fit or a closed loop.
+        Of the run.
     problem
         What is run.
     config_text, config_hash
@@ -75,8 +81,8 @@ class RunIdentity:
             kind,
             problem,
             to_toml(config.model_dump(mode="python")),
-            hash_config(tree, kind.unused_section),
-            config.method.seed if kind is RunKind.FIT else config.closed_loop.seed,
+            hash_config(tree, kind.unused_sections),
+            _seeds(config)[kind],
             base,
             LogSettings(config.log.residuals, config.log.keep_residuals, config.log.max_megabytes),
         )
@@ -93,9 +99,17 @@ def versions() -> dict[str, str]:
     return found
 
 
-def hash_config(parts: dict[str, Any], unused: str) -> str:
-    """Return the hash of a config without sections that change no result, and without one more."""
-    kept = {k: v for k, v in parts.items() if k not in (*UNHASHED, unused)}
+def _seeds(config: Config) -> dict[RunKind, int]:
+    return {
+        RunKind.FIT: config.method.seed,
+        RunKind.CLOSED_LOOP: config.closed_loop.seed,
+        RunKind.SENSITIVITY: config.sensitivity.seed,
+    }
+
+
+def hash_config(parts: dict[str, Any], unused: Collection[str]) -> str:
+    """Return the hash of a config without sections that change no result, and without some more."""
+    kept = {k: v for k, v in parts.items() if k not in (*UNHASHED, *unused)}
     if "model" in kept:
         kept["model"] = {k: v for k, v in kept["model"].items() if k not in UNHASHED_MODEL}
     return content_hash([json.dumps(kept, sort_keys=True, default=str)])

@@ -23,7 +23,12 @@ from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.sensitivity.designs import DESIGNS, SensitivityDesign, SensitivityIndex
 from cluster_est.sensitivity.identifiability import IdentifiableUnknown, identifiable_order
-from cluster_est.sensitivity.quantities import AnalysedQuantity, PointReader, reader_of
+from cluster_est.sensitivity.quantities import (
+    AnalysedQuantity,
+    PointReader,
+    reader_of,
+    with_log_cost,
+)
 from cluster_est.sensitivity.result import IndexRow, RankedUnknown, SensitivityResult
 from cluster_est.sensitivity.settings import SensitivitySettings
 from cluster_est.uncertainty import linearise
@@ -125,15 +130,16 @@ def analyse_on(
             f"bounds but {lost} of {groups} had a failure; tighten the bounds of the parameters, "
             "or take more sensitivity.groups"
         )
-    found = [design.indices(points[kept], column, generator) for column in values[kept].T]
+    quantities, values = with_log_cost(reader.quantities, values[kept])
+    found = [design.indices(points[kept], column, generator) for column in values.T]
     order, why_not = _order(runner, space, settings, seed)
     return SensitivityResult(
         problem=space.problem,
         settings=settings,
         seed=seed,
-        ranks=design.ranks,
+        ranks=f"{design.ranks} of {quantities[0].output}",
         ranking=_ranking(space, design, found[0], order),
-        indices=_rows(space, reader.quantities, found),
+        indices=_rows(space, quantities, found),
         groups=groups,
         lost=lost,
         evaluations=runner.evaluations,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from cluster_est.problem.space import SearchSpace
 from cluster_est.statistics.records import make_records
 from workers.messages import FloatArray, IntArray
 
-COST = "cost"
+COST, LOG_COST = "cost", "log(cost)"
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class AnalysedQuantity:
     Attributes
     ----------
     output
-        "cost", or the FMU's name of an output.
+        "cost" or "log(cost)", or the FMU's name of an output.
     experiment, time
         Of an output; "" and NaN for the cost.
     """
@@ -90,6 +90,28 @@ def reader_of(space: SearchSpace, times: int) -> PointReader:
                 rows.append(item.rows.start + place)
                 sigmas.append(float(np.broadcast_to(sigma, item.times.shape)[place]))
     return PointReader(tuple(quantities), np.array(rows, int), np.array(sigmas, float))
+
+
+def with_log_cost(
+    quantities: Sequence[AnalysedQuantity], values: FloatArray
+) -> tuple[tuple[AnalysedQuantity, ...], FloatArray]:
+    """Take the logarithm of the cost, where it is positive at all points.
+
+    Between wide bounds a cost varies by orders of magnitude, and its own variance is that of its
+    few largest values.
+
+    Parameters
+    ----------
+    quantities
+        The cost first.
+    values : (points, quantities)
+    """
+    costs = values[:, 0]
+    if not (costs > 0.0).all():
+        return tuple(quantities), values
+    changed = values.copy()
+    changed[:, 0] = np.log(costs)
+    return (replace(quantities[0], output=LOG_COST), *quantities[1:]), changed
 
 
 def _residuals_are_outputs(space: SearchSpace, samples: int) -> bool:

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
 from cluster_est.problem.problem import Problem
-from cluster_est.sensitivity.quantities import COST
+from cluster_est.sensitivity.quantities import COST, LOG_COST
 from cluster_est.sensitivity.settings import SensitivitySettings
 from workers.fmu.description import nearest
 from workers.messages.checks import check_text
@@ -28,8 +28,8 @@ UNSETTLED = 0.5
 class IndexRow:
     """One index of one unknown, a row of indices.parquet.
 
-    `output` is "cost" or an output's name, with the experiment and the time that the index is of;
-    `half_width` is that of its 95 % interval.
+    `output` is "cost", "log(cost)" or an output's name, with the experiment and the time that the
+    index is of; `half_width` is that of its 95 % interval.
     """
 
     label: str
@@ -81,7 +81,7 @@ class SensitivityResult:
     problem, settings, seed
         What was analysed, and how.
     ranks
-        The index by which unknowns are ranked.
+        What unknowns are ranked by, such as "mu* of log(cost)".
     ranking
         All unknowns, the one that moves the cost the most first.
     indices
@@ -171,7 +171,7 @@ class SensitivityResult:
                 f"the intervals of {_named(wide)} are wide beside the largest index: take more "
                 "sensitivity.groups before you rank by them"
             )
-        if self._largest and not any(row.output != COST for row in self.indices):
+        if self._largest and not any(row.output not in (COST, LOG_COST) for row in self.indices):
             found.append("only the cost was analysed, and no output over time")
         if self.why_no_order:
             found.append(self.why_no_order)

@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from cluster_est.cli.display.run import SHOWN, interval, number, print_run, print_table, say
+from cluster_est.cli.display.sensitivity import print_sensitivity
 from cluster_est.run_folder.reading import StoredRun, read_stored_run
 
 Facts = Mapping[str, Any]
@@ -21,7 +22,7 @@ SAME = 0.1
 
 
 def print_any_run(console: Console, run_folder: Path) -> None:
-    """Print a run of either kind.
+    """Print a run of any kind.
 
     Raises
     ------
@@ -29,7 +30,9 @@ def print_any_run(console: Console, run_folder: Path) -> None:
         If there is no run.
     """
     run = read_stored_run(run_folder, SHOWN)
-    if run.facts.get("verdict"):
+    if run.facts.get("sensitivity"):
+        print_sensitivity(console, run)
+    elif run.facts.get("verdict"):
         print_loop(console, run)
     else:
         print_run(console, run)

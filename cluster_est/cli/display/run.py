@@ -13,7 +13,7 @@ from rich.console import Console
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.reading import StoredRun, left_alone, read_stored_run
 
-SHOWN = ("parameters", "errors", "constraints", "intervals", "front", "starts", "minima")
+SHOWN = ("parameters", "errors", "constraints", "intervals", "front", "starts", "minima", "ranking")
 """Tables of a run that its summary is printed from."""
 
 

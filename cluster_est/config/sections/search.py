@@ -20,6 +20,7 @@ from cluster_est.config.sections.types import (
 )
 from cluster_est.costs import COSTS
 from cluster_est.running.multistart import Multistart, Sampler
+from cluster_est.sensitivity.settings import SensitivitySettings
 from cluster_est.uncertainty import UncertaintySettings
 
 
@@ -180,3 +181,32 @@ class UncertaintySection(ConfigSection):
         _REFITS.rise, ge=0.0, description="of the cost at a profile's ends; 0: from the residuals"
     )
     at_once: Positive = Field(_REFITS.at_once, description="refits under way at the same time")
+
+
+_DESIGN = SensitivitySettings()
+
+
+class SensitivitySection(ConfigSection):
+    """Keys of a sensitivity analysis."""
+
+    method: Literal["morris", "sobol"] = Field(
+        _DESIGN.method,
+        description="morris: which of many unknowns matter, for few simulations; sobol: the shares "
+        "of the variance that each makes",
+    )
+    groups: Count = Field(
+        _DESIGN.groups,
+        description="trajectories of morris, each of one point more than there are unknowns, or "
+        "base samples of sobol, each of two more; 0: 20 or 512",
+    )
+    times: Count = Field(
+        _DESIGN.times,
+        description="of each output in each experiment that indices are computed at; 0: only of "
+        "the cost",
+    )
+    collinearity: Finite = Field(
+        _DESIGN.collinearity,
+        ge=1.0,
+        description="index above which unknowns cannot be estimated together",
+    )
+    seed: Count = Field(0, description="starts the random generators")

@@ -13,6 +13,7 @@ from cluster_est.config.sections.search import (
     CostSection,
     MethodSection,
     MultistartSection,
+    SensitivitySection,
     UncertaintySection,
 )
 from cluster_est.config.sections.types import LARGEST, ConfigSection, Count, Finite, Known, one_of
@@ -270,6 +271,9 @@ class Config(ConfigSection):
     multistart: MultistartSection = Field(MultistartSection(), description="from how many starts")
     uncertainty: UncertaintySection = Field(
         UncertaintySection(), description="intervals that take refits"
+    )
+    sensitivity: SensitivitySection = Field(
+        SensitivitySection(), description="what cluster-est sensitivity samples and computes"
     )
     executor: ExecutorSection = Field(ExecutorSection(), description="where")
     budget: BudgetSection = Field(BudgetSection(), description="for how long")

@@ -125,6 +125,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
         ("fit", more, "fit"),
         ("front", front, "fit"),
         ("loop", loop, "close-loop"),
+        ("ranked", {"sensitivity": {"groups": 4}}, "sensitivity"),
     ):
         (folder / f"{name}.toml").write_text(to_toml(base | extra))
         code = main([command, str(folder / f"{name}.toml"), "--out", str(folder / name)])
@@ -157,7 +158,7 @@ def plain(type_: str) -> str:
 DESCRIBED = {table.name: {c.name: plain(c.type) for c in table.columns} for table in TABLES}
 
 
-@pytest.mark.parametrize("name", ["fit", "front", "loop"])
+@pytest.mark.parametrize("name", ["fit", "front", "loop", "ranked"])
 def test_every_column_that_a_run_writes_is_described(runs, name):
     for table, found in columns(runs[name]).items():
         described = dict(DESCRIBED[table])
