@@ -78,6 +78,10 @@ def cases() -> Iterator[tuple[str, list[list[str]]]]:
     for name in ("cascaded_tanks", "emps", "silverbox", "mass_spring_damper"):
         path = str(CONFIGS / f"{name}.toml")
         yield f"loop/{name}", [["close-loop", path, "--out", "OUT/run", "--no-report"]]
+    yield (
+        "sensitivity",
+        [["sensitivity", str(CONFIGS / "mass_spring_damper.toml"), "--out", "OUT/run"]],
+    )
     yield "sweep", [["sweep", str(CONFIGS / "sweep.toml"), "--out", "OUT/sweep"]]
     spring = str(CONFIGS / "mass_spring_damper.toml")
     for executor in ("processes", "ray"):

@@ -85,13 +85,13 @@ def _ranked(run: ReportedRun) -> list[str]:
     known = [row["label"] for row in rows if math.isfinite(row["value"]) and row["value"] > 0.0]
     if not known:
         return ["Nothing moves the cost between the bounds of the parameters."]
-    first = ", ".join(known[:3])
-    are = "is" if len(known) == 1 else "are"
-    together = run.facts["sensitivity"]["together"]
-    of_all = len(run.tables["ranking"])
-    said = [f"Of {of_all} unknowns, {first} {are} what moves the cost the most."]
+    *others, last = known[:3]
+    first = f"{', '.join(others)} and {last} move" if others else f"{last} moves"
+    of_all, together = len(run.tables["ranking"]), run.facts["sensitivity"]["together"]
+    said = [f"Of {of_all} unknowns, {first} the cost the most, in this order."]
     if together:
-        said.append(f"At the start values {len(together)} of them can be estimated together.")
+        how_many = "all" if len(together) == of_all else str(len(together))
+        said.append(f"At the start values {how_many} of them can be estimated together.")
     return said
 
 

@@ -182,7 +182,7 @@ def test_a_log_that_was_shrunk_is_enough(
     assert read_log(run / "evaluations").num_rows == log.num_rows
 
 
-@pytest.mark.parametrize("command", ["fit", "close-loop"])
+@pytest.mark.parametrize("command", ["fit", "close-loop", "sensitivity"])
 def test_a_run_whose_residuals_have_left_gives_the_same_bits_again(
     command: str,
     tmp_path: Path,

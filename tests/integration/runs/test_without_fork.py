@@ -51,7 +51,7 @@ def test_check_says_in_a_sentence_what_cannot_be_loaded(tmp_path: Path) -> None:
     assert "broken.fmu" in run.stdout + run.stderr
 
 
-@pytest.mark.parametrize("command", ["fit", "close-loop"])
+@pytest.mark.parametrize("command", ["fit", "close-loop", "sensitivity"])
 def test_processes_are_refused_in_a_sentence(command: str, tmp_path: Path) -> None:
     chosen = ("--out", str(tmp_path / "run"), "executor.name=processes")
     run = told(command, str(CONFIG), *chosen)
