@@ -69,7 +69,8 @@ class StaticModel:
         ]
         entries += ['derivative = { name = "der(z)", unit = "1" }']
         body = f"    M(y) = {self.equation};\n    M(der_z) = 0.0;\n"
-        text = '#include <math.h>\n#include "fmi2_model.h"\n\nfmi2Status model_equations(Model *m)\n{\n'
+        text = '#include <math.h>\n#include "fmi2_model.h"\n\n'
+        text += "fmi2Status model_equations(Model *m)\n{\n"
         (own / "model.c").write_text(f"{text}{body}    return fmi2OK;\n}}\n", "utf-8")
         (own / "model.toml").write_text("\n".join(entries) + "\n", "utf-8")
         archive = build(own, folder).read_bytes()

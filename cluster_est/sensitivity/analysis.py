@@ -35,8 +35,8 @@ from cluster_est.uncertainty import linearise
 from workers.messages import FloatArray
 from workers.messages.checks import check_kind, check_number
 
-AT_ONCE = 1000
-"""Points that are asked for together; only their quantities are kept."""
+AT_ONCE, VALUES_AT_ONCE = 1000, 20_000_000
+"""Points that are asked for together, and their residuals: only the quantities are kept."""
 
 
 def sensitivity(
@@ -178,8 +178,9 @@ def _simulated(
 ) -> FloatArray:
     """(points, quantities): NaN where a simulation failed."""
     parts = []
-    for first in range(0, len(points), AT_ONCE):
-        unit = points[first : first + AT_ONCE]
+    many = min(AT_ONCE, max(1, VALUES_AT_ONCE // max(space.rows[-1].stop, 1)))
+    for first in range(0, len(points), many):
+        unit = points[first : first + many]
         x = space.lower + unit * (space.upper - space.lower)
         request = SearchRequest(f"sample {first}", GivenPoints(x, "sample"), space, seed)
         (solution,) = runner.run([request])

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from cluster_est.errors import ProblemError
 from cluster_est.problem.options import check_options
+from cluster_est.sensitivity.designs import DESIGNS
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,13 @@ class SensitivitySettings:
         If one is of the wrong kind or out of its range.
     """
 
-    method: Literal["morris", "sobol"] = "morris"
+    method: str = "morris"
     groups: int = field(default=0, metadata={"least": 0})
     times: int = field(default=20, metadata={"least": 0})
     collinearity: float = field(default=15.0, metadata={"least": 1.0})
 
     def __post_init__(self) -> None:
         check_options(self, "sensitivity", ProblemError)
+        if self.method not in DESIGNS:
+            known = ", ".join(repr(name) for name in DESIGNS)
+            raise ProblemError(f"sensitivity.method: must be one of {known} but is {self.method!r}")

@@ -20,6 +20,7 @@ from cluster_est.config.sections.types import (
 )
 from cluster_est.costs import COSTS
 from cluster_est.running.multistart import Multistart, Sampler
+from cluster_est.sensitivity.designs import DESIGNS
 from cluster_est.sensitivity.settings import SensitivitySettings
 from cluster_est.uncertainty import UncertaintySettings
 
@@ -189,10 +190,10 @@ _DESIGN = SensitivitySettings()
 class SensitivitySection(ConfigSection):
     """Keys of a sensitivity analysis."""
 
-    method: Literal["morris", "sobol"] = Field(
+    method: str = Field(
         _DESIGN.method,
-        description="morris: which of many unknowns matter, for few simulations; sobol: the shares "
-        "of the variance that each makes",
+        description=f"{one_of(DESIGNS)}; morris: which of many unknowns matter, for few "
+        "simulations; sobol: the shares of the variance that each makes",
     )
     groups: Count = Field(
         _DESIGN.groups,
