@@ -19,7 +19,9 @@ import numpy as np
 from build_fmus import build
 
 import cluster_est as ce
-from cluster_est.sensitivity import SensitivityResult, SensitivitySettings, sensitivity
+from cluster_est.sensitivity.analysis import sensitivity
+from cluster_est.sensitivity.result import SensitivityResult
+from cluster_est.sensitivity.settings import SensitivitySettings
 from workers.messages import FloatArray
 
 A, B = 7.0, 0.1
