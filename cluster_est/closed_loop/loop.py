@@ -39,7 +39,7 @@ from cluster_est.closed_loop.prepare import LoopRequest, checked_request
 from cluster_est.closed_loop.selection.beam_search import beam_search
 from cluster_est.closed_loop.selection.declared_model import fit_declared
 from cluster_est.closed_loop.selection.functions_of_time import (
-    has_functions_of_time,
+    functions_of_time,
     without_functions_of_time,
 )
 from cluster_est.closed_loop.selection.rounds import (
@@ -139,10 +139,15 @@ def _searched(
     """Look for effects; a function of time is one only where it leaves noise."""
     found = beam_search(workbench, base, numerical)
     judged = judge(workbench, found)
-    if judged.verdict is not Verdict.PARTIAL or not has_functions_of_time(found):
+    gone = functions_of_time(found)
+    if judged.verdict is not Verdict.PARTIAL or not gone:
         return found, judged
     found = without_functions_of_time(workbench, found)
-    return found, judge(workbench, found)
+    judged = judge(workbench, found)
+    if not found.current.added:
+        return found, judged
+    said = f"{' and '.join(c.label for c in gone)} would leave more than noise and was not added"
+    return found, replace(judged, reason=f"{judged.reason}; {said}")
 
 
 def _report(

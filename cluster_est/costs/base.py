@@ -25,6 +25,9 @@ class Cost(ABC):
     """A number that may take the place of the residuals of an output in an experiment, because
     `value` of it is the same. None for a cost that needs each residual, as most costs do."""
 
+    is_logarithm: ClassVar[bool] = False
+    """Whether it is the logarithm of something that has units, as a log likelihood is."""
+
     def __init_subclass__(cls) -> None:
         check_class_attributes(cls)
 

@@ -26,6 +26,7 @@ class GaussianLikelihood(Cost):
     """
 
     name: ClassVar[str] = "likelihood"
+    is_logarithm: ClassVar[bool] = True
 
     @override
     def value(self, residuals: FloatArray, outputs: IntArray) -> float:

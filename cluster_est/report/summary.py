@@ -85,13 +85,15 @@ def _ranked(run: ReportedRun) -> list[str]:
     known = [row["label"] for row in rows if math.isfinite(row["value"]) and row["value"] > 0.0]
     if not known:
         return ["Nothing moves the cost between the bounds of the parameters."]
-    *others, last = known[:3]
-    first = f"{', '.join(others)} and {last} move" if others else f"{last} moves"
     of_all, together = len(run.tables["ranking"]), run.facts["sensitivity"]["together"]
-    said = [f"Of {of_all} unknowns, {first} the cost the most, in this order."]
+    said = [f"The cost depends on {known[0]}."]
+    if of_all > 1:
+        then = f", then {' and '.join(known[1:3])}" if known[1:] else ""
+        said = [f"Of {of_all} unknowns, {known[0]} matters most for the cost{then}."]
     if together:
         how_many = "all" if len(together) == of_all else str(len(together))
-        said.append(f"At the start values {how_many} of them can be estimated together.")
+        if of_all > 1:
+            said.append(f"At the start values {how_many} of them can be estimated together.")
     return said
 
 

@@ -19,7 +19,9 @@ FIT_TITLES = {
 
 
 def search_title(search: str) -> str:
-    """Return what a person reads of a search of a fit or a closed loop, by its name in the log."""
+    """Return what a person reads of a search, by its name in the log."""
+    if search.startswith("sample "):
+        return "simulating between the bounds"
     return FIT_TITLES.get(search) or stage_title(search)
 
 

@@ -120,6 +120,7 @@ def analyse_on(
     design, generator = DESIGNS[settings.method], np.random.default_rng(seed)
     reader = reader_of(space, settings.times)
     points = design.sample(space.size, settings.groups or design.usual, generator)
+    runner.display.phase = "simulating between the bounds"
     values = _simulated(runner, space, points, reader, seed)
     kept = _whole_groups(values, design.group(space.size))
     groups = len(points) // design.group(space.size)
@@ -127,11 +128,12 @@ def analyse_on(
     if groups - lost < design.fewest:
         raise ProblemError(
             f"sensitivity: at least {design.fewest} groups of points must be simulated between the "
-            f"bounds but {lost} of {groups} had a failure; tighten the bounds of the parameters, "
-            "or take more sensitivity.groups"
+            f"bounds but in {lost} of {groups} a simulation failed, or gave no finite cost or "
+            "output; tighten the bounds of the parameters, or take more sensitivity.groups"
         )
-    quantities, values = with_log_cost(reader.quantities, values[kept])
+    quantities, values = with_log_cost(reader.quantities, values[kept], space.problem.cost)
     found = [design.indices(points[kept], column, generator) for column in values.T]
+    runner.display.phase = "finding what goes together"
     order, why_not = _order(runner, space, settings, seed)
     return SensitivityResult(
         problem=space.problem,
@@ -165,12 +167,22 @@ def check_bounds(problem: Problem) -> SearchSpace:
         )
     for unknown, low, high in zip(space.unknowns, space.lower, space.upper, strict=True):
         if not np.isfinite([low, high]).all():
+            parameter = unknown.parameter
+            above = unknown.log and parameter.lower <= 0.0
+            must = "bounds above 0, for its scale is log," if above else "finite bounds"
             raise ProblemError(
-                f"parameters.{unknown.parameter.name}: must have finite bounds, between which a "
-                f"sensitivity analysis samples, but they are {unknown.parameter.lower:g} and "
-                f"{unknown.parameter.upper:g}; give lower and upper"
+                f"{_key_of(space, parameter.name)}: must be {must} between which a sensitivity "
+                f"analysis samples but is [{parameter.lower:g}, {parameter.upper:g}]"
             )
     return space
+
+
+def _key_of(space: SearchSpace, name: str) -> str:
+    """The key of a parameter's bounds in a config."""
+    effect, _, coefficient = name.rpartition(".")
+    if effect in {each.name for each in space.problem.effects}:
+        return f"effects.{effect}.parameters.{coefficient}.bounds"
+    return f"parameters.{name}.bounds"
 
 
 def _simulated(

@@ -34,9 +34,10 @@ class IdentifiableUnknown:
     size
         Root mean square of its scaled sensitivities, in sigmas.
     collinearity
-        Index of this unknown with all before it; infinite where it cannot be told from them.
+        Index of this unknown with those before it that are estimated; infinite where it cannot be
+        told from them.
     together
-        It may be estimated together with those before it.
+        It may be estimated together with them.
     """
 
     unknown: int
@@ -59,7 +60,10 @@ def identifiable_order(
     most
         Collinearity index from which on unknowns cannot be estimated together.
     """
-    scaled = jacobian * changes
+    tall = jacobian * changes
+    rows = max(len(tall), 1)
+    # R of a QR decomposition has the columns' lengths and angles, and few rows
+    scaled = np.linalg.qr(tall).R if len(tall) > tall.shape[1] else tall
     sizes = np.linalg.norm(scaled, axis=0)
     seen = sizes > INVISIBLE * sizes.max(initial=0.0)
     order = [] if not scaled.size else qr(scaled, mode="r", pivoting=True)[1].tolist()
@@ -70,7 +74,7 @@ def identifiable_order(
         index = _collinearity(unit[:, [*kept, unknown]]) if seen[unknown] else np.inf
         together = index < most
         kept += [unknown] * together
-        size = float(sizes[unknown] / np.sqrt(max(len(scaled), 1)))
+        size = float(sizes[unknown] / np.sqrt(rows))
         found.append(IdentifiableUnknown(unknown, size, index, bool(together)))
     return found
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cluster_est.costs.base import Cost
 from cluster_est.methods.base import Evaluation
 from cluster_est.problem.space import SearchSpace
 from cluster_est.statistics.records import make_records
@@ -93,9 +94,9 @@ def reader_of(space: SearchSpace, times: int) -> PointReader:
 
 
 def with_log_cost(
-    quantities: Sequence[AnalysedQuantity], values: FloatArray
+    quantities: Sequence[AnalysedQuantity], values: FloatArray, cost: Cost
 ) -> tuple[tuple[AnalysedQuantity, ...], FloatArray]:
-    """Take the logarithm of the cost, where it is positive at all points.
+    """Take the logarithm of the cost, where it is positive and no logarithm itself.
 
     Between wide bounds a cost varies by orders of magnitude, and its own variance is that of its
     few largest values.
@@ -105,9 +106,11 @@ def with_log_cost(
     quantities
         The cost first.
     values : (points, quantities)
+    cost
+        Of the problem.
     """
     costs = values[:, 0]
-    if not (costs > 0.0).all():
+    if cost.is_logarithm or not (costs > 0.0).all():
         return tuple(quantities), values
     changed = values.copy()
     changed[:, 0] = np.log(costs)

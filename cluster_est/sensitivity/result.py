@@ -161,10 +161,12 @@ class SensitivityResult:
         found = list(self.problem.notes())
         if self.lost:
             found.append(
-                f"{self.lost} of {self.groups} groups of points had a simulation that failed and "
-                "count for nothing: the indices are those of the part of the bounds that can be "
-                "simulated"
+                f"{self.lost} of {self.groups} groups of points had a simulation that failed, or "
+                "no finite cost, and count for nothing: the indices are those of the part of the "
+                "bounds that can be simulated"
             )
+        if not self._largest:
+            found.append("nothing moves the cost between the bounds")
         wide = [u.label for u in self.ranking if u.half_width > UNSETTLED * self._largest]
         if wide:
             found.append(
@@ -183,12 +185,13 @@ class SensitivityResult:
                 f"at the start values {labels} cannot be told from the unknowns before "
                 f"{'it' if len(apart) == 1 else 'them'} in the order of estimation (collinearity "
                 f"index of {min(u.collinearity for u in apart):.3g} or more): fix "
-                f"{'it' if len(apart) == 1 else 'them'}, or measure what tells them apart"
+                f"{'it' if len(apart) == 1 else 'them'} (fixed = true), where the value is known "
+                "well enough, or measure what tells them apart"
             )
         if unseen:
             found.append(
-                f"at the start values the residuals do not see {_named(unseen)}, or see no more of "
-                f"{'it' if len(unseen) == 1 else 'them'} than of the others"
+                f"at the start values the residuals do not depend on {_named(unseen)}, or no more "
+                "than others make up for"
             )
         return tuple(found)
 

@@ -43,3 +43,9 @@ class SensitivitySettings:
         if self.method not in DESIGNS:
             known = ", ".join(repr(name) for name in DESIGNS)
             raise ProblemError(f"sensitivity.method: must be one of {known} but is {self.method!r}")
+        fewest = DESIGNS[self.method].fewest
+        if 0 < self.groups < fewest:
+            raise ProblemError(
+                f"sensitivity.groups: must be 0 or at least {fewest} for {self.method!r} but is "
+                f"{self.groups}"
+            )

@@ -40,13 +40,6 @@ def print_sensitivity(console: Console, run: StoredRun) -> None:
             for row in rows
         ],
     )
-    apart = [row["label"] for row in rows if not row["together"]]
-    if apart:
-        say(console, "")
-        say(console, "to fix what cannot be told apart, in the config:")
-        for label in apart:
-            say(console, f"  [parameters.{label}]")
-            say(console, "  fixed = true")
     for note in facts.get("notes") or []:
         say(console, f"note: {note}")
     say(console, f"tables: {run.path}/*.parquet")

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.accept import predict
+from cluster_est.closed_loop.selection.accept import is_usable, predict
 from cluster_est.closed_loop.selection.path import compared_structure
 from cluster_est.closed_loop.selection.refinement.refits import full_refit
 from cluster_est.closed_loop.selection.rounds import (
@@ -22,25 +23,28 @@ from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import LoopWorkbench
 
 
-def has_functions_of_time(found: SelectionResult) -> bool:
-    """Return whether effects were added that are functions of time alone."""
-    return any(candidate.form.of_time_alone for candidate in found.current.added)
+def functions_of_time(found: SelectionResult) -> tuple[EffectCandidate, ...]:
+    """Return the effects that were added and are functions of time alone."""
+    return tuple(c for c in found.current.added if c.form.of_time_alone)
 
 
 def without_functions_of_time(workbench: LoopWorkbench, found: SelectionResult) -> SelectionResult:
     """Take the functions of time out of a result, and refit what stays.
 
-    Where the other effects cannot be simulated without them, nothing stays.
+    Where the other effects cannot be simulated without them, or run away, nothing stays.
     """
     start = found.current.start
     for position in reversed(range(len(found.current.added))):
         if found.current.added[position].form.of_time_alone:
             start = start.minus(position)
     kept, prediction, screening = found.base, found.base_prediction, found.steps[0].screening
-    path = found.path
+    gone = {c.label for c in functions_of_time(found)}
+    path = tuple(
+        replace(row, accepted=row.accepted and not gone & {*row.effects}) for row in found.path
+    )
     if start.added:
         (refitted,) = workbench.fit(LoopStage.DROP, [start], full_refit(workbench))
-        if refitted is not None:
+        if refitted is not None and is_usable(workbench, refitted, found.base):
             number, floor = len(found.steps) + 1, workbench.noise_floor(found.noise)
             kept, prediction = refitted, predict(workbench, refitted)
             screening = screen(workbench, refitted, number)

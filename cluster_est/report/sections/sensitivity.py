@@ -23,7 +23,7 @@ from cluster_est.report.numbers import digits
 MOST_RANKED, MOST_LINES, MOST_PANELS = 40, 6, 12
 """Unknowns in the picture of the ranking, unknowns over time, outputs over time."""
 
-RANKING_NOTE = "The bars are 95 % intervals; what stands at 0 may be fixed anywhere in its bounds."
+RANKING_NOTE = "The bars are 95 % intervals; what stands at 0 does not change the cost."
 TIME_NOTE = "Where a curve is high, that part of a record says something about the parameter."
 
 

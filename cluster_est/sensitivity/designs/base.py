@@ -108,5 +108,5 @@ def box(size: int) -> dict[str, object]:
 
 
 def seed_of(generator: np.random.Generator) -> int:
-    """Draw a seed for what takes no generator."""
-    return int(generator.integers(2**31 - 1))
+    """Draw a seed, never 0, for what takes no generator."""
+    return int(generator.integers(1, 2**31 - 1))

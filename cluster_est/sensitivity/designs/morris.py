@@ -58,7 +58,10 @@ class MorrisDesign(SensitivityDesign):
 
         seed = seed_of(generator)
         found = morris.analyze(box(size), points, values, num_levels=LEVELS, seed=seed)
+        half = np.array(found["mu_star_conf"])
+        if len(np.unique(points.reshape(-1, points[: size + 1].size), axis=0)) < self.fewest:
+            half = np.full(size, np.nan)  # the same few trajectories again and again tell nothing
         return (
-            SensitivityIndex("mu*", np.array(found["mu_star"]), np.array(found["mu_star_conf"])),
+            SensitivityIndex("mu*", np.array(found["mu_star"]), half),
             SensitivityIndex("sigma", np.array(found["sigma"]), np.full(size, np.nan)),
         )

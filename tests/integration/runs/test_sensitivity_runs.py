@@ -88,7 +88,8 @@ def test_it_has_no_estimates_to_go_on_with(run, command, capsys, tmp_path, monke
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ("parameters.k.bounds=[1.0, inf]", "parameters.k: must have finite bounds"),
+        ("parameters.k.bounds=[0.0, 90.0]", "parameters.k.bounds: must be bounds above 0"),
+        ("parameters.c.bounds=[0.0, inf]", "parameters.c.bounds: must be finite bounds"),
         ("sensitivity.method=fast", "sensitivity.method"),
         ("sensitivity.groups=-3", "sensitivity.groups"),
     ],

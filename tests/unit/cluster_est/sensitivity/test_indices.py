@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.problems.functions import FunctionExecutor, FunctionProblem
 
+from cluster_est.costs.likelihood import GaussianLikelihood
+from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.running.runner import Runner
 from cluster_est.sensitivity.analysis import analyse_on, check_bounds
+from cluster_est.sensitivity.quantities import AnalysedQuantity, with_log_cost
 from cluster_est.sensitivity.settings import SensitivitySettings
 
 A, B = 7.0, 0.1
@@ -124,11 +129,38 @@ def test_a_quantity_that_does_not_move_has_no_index():
 
 def test_infinite_bounds_are_refused():
     one = FunctionProblem("free", lambda x: x, (1.0,), 0.0)
-    with pytest.raises(ProblemError, match=r"parameters\.x0: must have finite bounds"):
+    with pytest.raises(ProblemError, match=r"parameters\.x0\.bounds: must be finite bounds"):
         check_bounds(one.problem())
 
 
-@pytest.mark.parametrize("changed", [{"method": "oat"}, {"groups": -1}, {"collinearity": 0.5}])
+def test_a_logarithmic_scale_needs_bounds_above_0():
+    one = FunctionProblem("log", lambda x: x, (1.0,), 0.0, (0.0,), (9.0,)).problem()
+    (parameter,) = one.parameters
+    logarithmic = replace(one, parameters=(replace(parameter, scale="log"),))
+    with pytest.raises(ProblemError, match=r"parameters\.x0\.bounds: must be bounds above 0"):
+        check_bounds(logarithmic)
+
+
+def test_one_unknown_alone_is_ranked():
+    found = analysed(lambda x: 2.0 + x[0], 1, 0.0, 1.0)
+    assert [u.label for u in found.ranking] == ["x0"]
+    assert found.ranking[0].together
+
+
+def test_the_logarithm_of_a_cost_is_taken_once():
+    """A log likelihood is one already, whatever its sign, which depends on units."""
+    quantities, values = (AnalysedQuantity("cost"),), np.array([[2.0], [8.0]])
+    named, logs = with_log_cost(quantities, values, SumSquared())
+    assert named[0].output == "log(cost)"
+    np.testing.assert_allclose(logs[:, 0], np.log([2.0, 8.0]))
+    assert with_log_cost(quantities, values, GaussianLikelihood())[0] == quantities
+    assert with_log_cost(quantities, values - 3.0, SumSquared())[0] == quantities
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"method": "oat"}, {"groups": -1}, {"groups": 3}, {"collinearity": 0.5}],
+)
 def test_bad_settings_are_refused(changed):
     with pytest.raises(ProblemError, match=r"sensitivity\."):
         SensitivitySettings(**changed)

@@ -16,10 +16,10 @@ from support.loop_objects import (
 
 from cluster_est.closed_loop.findings.result import Verdict
 from cluster_est.closed_loop.findings.verdict import judge
-from cluster_est.closed_loop.selection import functions_of_time
+from cluster_est.closed_loop.selection import functions_of_time as module
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.functions_of_time import (
-    has_functions_of_time,
+    functions_of_time,
     without_functions_of_time,
 )
 from cluster_est.closed_loop.selection.rounds import RejectionReason
@@ -60,15 +60,16 @@ def bench(monkeypatch):
         return LeaveOneOutPrediction(np.full(4, fitted.sse / 4))
 
     monkeypatch.setattr(LoopWorkbench, "fit", fit)
-    monkeypatch.setattr(functions_of_time, "screen", screened)
-    monkeypatch.setattr(functions_of_time, "predict", predicted)
+    monkeypatch.setattr(module, "screen", screened)
+    monkeypatch.setattr(module, "predict", predicted)
+    monkeypatch.setattr(module, "is_usable", lambda *_: True)
     return made_bench(PROBLEM)
 
 
 def test_what_remains_of_drifts_alone_is_the_declared_model(bench):
     """A drift that closes 95 % of the gap would be "partial" without it."""
     found = search(DRIFT)
-    assert has_functions_of_time(found)
+    assert functions_of_time(found) == (DRIFT,)
     assert judge(bench, found).verdict is Verdict.PARTIAL
     less = without_functions_of_time(bench, found)
     assert less.current is found.base
@@ -94,5 +95,11 @@ def test_what_cannot_be_simulated_without_them_does_not_stay(bench, monkeypatch)
     assert without_functions_of_time(bench, found).current is found.base
 
 
+def test_what_runs_away_or_cannot_be_linearised_does_not_stay(bench, monkeypatch):
+    monkeypatch.setattr(module, "is_usable", lambda *_: False)
+    found = search(DRIFT, FRICTION)
+    assert without_functions_of_time(bench, found).current is found.base
+
+
 def test_a_search_without_them_has_none():
-    assert not has_functions_of_time(search(FRICTION, OTHER))
+    assert functions_of_time(search(FRICTION, OTHER)) == ()
