@@ -48,10 +48,6 @@ class RefinementThresholds:
         Other functions of the best candidate's argument that are refitted. Benchmark.
     explains
         Share of what that candidate does that they must be able to do. Benchmark.
-    hopeless
-        Rise of the criterion that the linear model predicts with another function in the place of
-        the best candidate, from which on it is not refitted. Benchmark: after a refit a twelfth of
-        it is left at least, so none of them comes near `alternative`.
     settled
         Fall of the criterion that ends a refit to convergence. Theory: a tenth of `equal`.
     equal
@@ -79,7 +75,6 @@ class RefinementThresholds:
     curves: int = 2
     same_argument: int = 3
     explains: float = 0.8
-    hopeless: float = 150.0
     settled: float = 0.2
     equal: float = 2.0
     alternative: float = 10.0

@@ -24,8 +24,6 @@ from cluster_est.closed_loop.selection.refinement.refits import SHORT, full_refi
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.statistics.projection import OrthogonalProjection
-from cluster_est.statistics.records import StackedRecords
-from cluster_est.statistics.whitening import deviance
 from workers.messages import FloatArray
 
 
@@ -90,10 +88,7 @@ def _starts(
     best: RefittedCandidate,
     trials: Sequence[CandidatePoint],
 ) -> list[FitStart]:
-    """The best candidate's model with the likeliest rivals in its place.
-
-    Those that the linear model gives no hope to are left out.
-    """
+    """The best candidate's model with the likeliest rivals in its place."""
     thresholds = workbench.thresholds.refinement
     fitted = best.fitted
     name = best.candidate.effect.name
@@ -108,50 +103,19 @@ def _starts(
     labels = [unknown.label for unknown in fitted.space.unknowns]
     others = [i for i, label in enumerate(labels) if not label.startswith(f"{name}.")]
     projection = OrthogonalProjection(fitted.jacobian[:, others])
-    target, left = projection.remove(target), projection.remove(fitted.residuals)
+    target = projection.remove(target)
     without = fitted.start.minus(len(fitted.added) - 1)
-    found: dict[str, tuple[float, float, FitStart]] = {}
+    found: dict[str, tuple[float, FitStart]] = {}
     for trial, column in zip(trials, columns[1:], strict=True):
-        instead, free = projection.remove(column), is_proportional(trial)
-        share, sizes = explained_share(target, instead, free=free)
+        share, sizes = explained_share(
+            target, projection.remove(column), free=is_proportional(trial)
+        )
         rival = trial.candidate
         if share > found.get(rival.effect.name, (thresholds.explains,))[0]:
             start = without.plus(rival, values_at(trial, sizes, thresholds))
-            rise = rise_of_criterion(workbench.records, left, target, instead, free=free)
-            rise += (instead.shape[1] - len(strengths)) * np.log(len(left))
-            found[rival.effect.name] = share, rise, start
-    ranked = sorted(found.values(), key=lambda each: -each[0])[: thresholds.same_argument]
-    return [start for _, rise, start in ranked if rise < thresholds.hopeless]
-
-
-def rise_of_criterion(
-    records: StackedRecords,
-    left: FloatArray,
-    target: FloatArray,
-    columns: FloatArray,
-    *,
-    free: bool,
-) -> float:
-    """Return what the linear model says that the criterion rises by with another function.
-
-    The price of unknowns is not counted.
-
-    Parameters
-    ----------
-    records
-        Of the residuals.
-    left : (n,)
-        The residuals of the model with the effect.
-    target : (n,)
-        What the effect does to them.
-    columns : (n, width)
-        What the other function does.
-    free
-        They are scaled to fit; without, they count as they are.
-    """
-    _, sizes = explained_share(target - left, columns, free=free)
-    instead = left - target + columns @ (sizes if free else np.ones(columns.shape[1]))
-    return deviance(instead, records) - deviance(left, records)
+            found[rival.effect.name] = share, start
+    ranked = sorted(found.values(), key=lambda each: -each[0])
+    return [start for _, start in ranked[: thresholds.same_argument]]
 
 
 def explained_share(
