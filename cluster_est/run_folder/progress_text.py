@@ -8,6 +8,7 @@ from cluster_est.closed_loop.stages import stage_title
 
 FIT_TITLES = {
     "before": "simulating at the start values",
+    "sample": "simulating between the bounds",
     "train": "searching",
     "screen": "screening the starts",
     "derivatives": "finding the intervals",
@@ -15,13 +16,11 @@ FIT_TITLES = {
     "test": "fitting the test records",
     "after": "simulating at the estimates",
 }
-"""Texts for people, by the names of a fit's searches in the log."""
+"""Texts for people, by the names of the searches of a fit or a sensitivity analysis in the log."""
 
 
 def search_title(search: str) -> str:
     """Return what a person reads of a search, by its name in the log."""
-    if search.startswith("sample "):
-        return "simulating between the bounds"
     return FIT_TITLES.get(search) or stage_title(search)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -194,7 +195,7 @@ def _simulated(
     for first in range(0, len(points), many):
         unit = points[first : first + many]
         x = space.lower + unit * (space.upper - space.lower)
-        request = SearchRequest(f"sample {first}", GivenPoints(x, "sample"), space, seed)
+        request = SearchRequest("sample", GivenPoints(x, "sample"), space, seed)
         (solution,) = runner.run([request])
         parts.append(reader.values(solution.evaluations))
     return np.concatenate(parts)
@@ -210,7 +211,7 @@ def _order(
     runner: Runner, space: SearchSpace, settings: SensitivitySettings, seed: int
 ) -> tuple[list[IdentifiableUnknown], str]:
     """The order of estimation at the start values; else why there is none."""
-    request = SearchRequest("start", GivenPoints(space.start[None], "start"), space, seed)
+    request = SearchRequest("before", GivenPoints(space.start[None], "start"), space, seed)
     (solution,) = runner.run([request])
     linear = linearise(runner, space, solution)
     if linear.jacobian is None:
@@ -236,10 +237,13 @@ def _ranking(
         one = RankedUnknown(unknown.label, float(index.values[i]), float(index.half_widths[i]))
         if i in places:
             position, each = places[i]
-            one = RankedUnknown(
-                one.label, one.value, one.half_width,
-                each.size, position, each.collinearity, each.together,
-            )  # fmt: skip
+            one = replace(
+                one,
+                size=each.size,
+                position=position,
+                collinearity=each.collinearity,
+                together=each.together,
+            )
         found.append(one)
     return tuple(sorted(found, key=lambda u: -np.nan_to_num(u.value, nan=-np.inf)))
 

@@ -89,7 +89,7 @@ def reader_of(space: SearchSpace, times: int) -> PointReader:
                 time = float(item.times[place])
                 quantities.append(AnalysedQuantity(name, experiment.id, time))
                 rows.append(item.rows.start + place)
-                sigmas.append(float(np.broadcast_to(sigma, item.times.shape)[place]))
+                sigmas.append(sigma)
     return PointReader(tuple(quantities), np.array(rows, int), np.array(sigmas, float))
 
 

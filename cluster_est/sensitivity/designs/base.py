@@ -15,6 +15,9 @@ import numpy as np
 from cluster_est.plug_in import check_class_attributes
 from workers.messages import FloatArray
 
+ROUNDING = 1e-12
+"""Range of a quantity over its size that is none."""
+
 
 @dataclass(frozen=True)
 class SensitivityIndex:
@@ -40,6 +43,9 @@ class SensitivityDesign(ABC):
 
     name: ClassVar[str]
     """As in a config."""
+
+    measures: ClassVar[tuple[str, ...]]
+    """Names of its indices, in their order."""
 
     ranks: ClassVar[str]
     """The index by which unknowns are ranked."""
@@ -72,11 +78,10 @@ class SensitivityDesign(ABC):
             Of all that is random.
         """
 
-    @abstractmethod
     def indices(
         self, points: FloatArray, values: FloatArray, generator: np.random.Generator
     ) -> tuple[SensitivityIndex, ...]:
-        """Return the indices of a quantity.
+        """Return the indices of a quantity; NaN where it does not move.
 
         Parameters
         ----------
@@ -87,18 +92,16 @@ class SensitivityDesign(ABC):
         generator
             Of the resampling that their intervals come from.
         """
+        if float(np.ptp(values)) <= ROUNDING * float(np.abs(values).max(initial=0.0)):
+            nothing = np.full(points.shape[1], np.nan)
+            return tuple(SensitivityIndex(name, nothing, nothing) for name in self.measures)
+        return self.indices_of_moving(points, values, generator)
 
-
-def moves(values: FloatArray) -> bool:
-    """Return whether a quantity moves by more than rounding."""
-    spread = float(np.ptp(values))
-    return spread > 1e-12 * float(np.abs(values).max(initial=0.0))
-
-
-def unmoved(name: str, size: int) -> SensitivityIndex:
-    """Return the index of a quantity that does not move."""
-    nothing = np.full(size, np.nan)
-    return SensitivityIndex(name, nothing, nothing)
+    @abstractmethod
+    def indices_of_moving(
+        self, points: FloatArray, values: FloatArray, generator: np.random.Generator
+    ) -> tuple[SensitivityIndex, ...]:
+        """Return the same of a quantity that moves."""
 
 
 def box(size: int) -> dict[str, object]:

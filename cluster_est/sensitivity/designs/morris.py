@@ -11,9 +11,7 @@ from cluster_est.sensitivity.designs.base import (
     SensitivityDesign,
     SensitivityIndex,
     box,
-    moves,
     seed_of,
-    unmoved,
 )
 from workers.messages import FloatArray
 
@@ -35,6 +33,7 @@ class MorrisDesign(SensitivityDesign):
     """
 
     name: ClassVar[str] = "morris"
+    measures: ClassVar[tuple[str, ...]] = ("mu*", "sigma")
     ranks: ClassVar[str] = "mu*"
     fewest: ClassVar[int] = 4
     usual: ClassVar[int] = 20
@@ -48,12 +47,10 @@ class MorrisDesign(SensitivityDesign):
         found = morris.sample(box(size), groups, num_levels=LEVELS, seed=generator)
         return np.asarray(found, float)
 
-    def indices(
+    def indices_of_moving(
         self, points: FloatArray, values: FloatArray, generator: np.random.Generator
     ) -> tuple[SensitivityIndex, ...]:
         size = points.shape[1]
-        if not moves(values):
-            return unmoved("mu*", size), unmoved("sigma", size)
         from SALib.analyze import morris  # slow to import
 
         seed = seed_of(generator)

@@ -11,9 +11,7 @@ from cluster_est.sensitivity.designs.base import (
     SensitivityDesign,
     SensitivityIndex,
     box,
-    moves,
     seed_of,
-    unmoved,
 )
 from workers.messages import FloatArray
 
@@ -31,6 +29,7 @@ class SobolDesign(SensitivityDesign):
     """
 
     name: ClassVar[str] = "sobol"
+    measures: ClassVar[tuple[str, ...]] = ("first order", "total")
     ranks: ClassVar[str] = "total"
     fewest: ClassVar[int] = 32
     usual: ClassVar[int] = 512
@@ -45,12 +44,10 @@ class SobolDesign(SensitivityDesign):
         found = sobol.sample(box(size), power, calc_second_order=False, seed=generator)
         return np.asarray(found, float)
 
-    def indices(
+    def indices_of_moving(
         self, points: FloatArray, values: FloatArray, generator: np.random.Generator
     ) -> tuple[SensitivityIndex, ...]:
         size = points.shape[1]
-        if not moves(values):
-            return unmoved("first order", size), unmoved("total", size)
         from SALib.analyze import sobol  # slow to import
 
         seed = seed_of(generator)
