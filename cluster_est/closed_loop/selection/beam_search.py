@@ -43,7 +43,7 @@ from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.method import LeastSquares
 
-AGAIN = LeastSquares(trials=2, max_iterations=15, ftol=1e-6, xtol=1e-7, differences="forward")
+AGAIN = LeastSquares(trials=1, max_iterations=15, ftol=1e-6, xtol=1e-7, differences="forward")
 
 
 def beam_search(
@@ -130,7 +130,7 @@ def _revised(
     if _grows_several(workbench, grown, begun.floor):
         grown = refit_from_other_starts(workbench, begun.base, grown)
     if len(grown.added) > 1:
-        grown, rivals = revise(workbench, grown, begun.screening.count, begun.floor, rivals)
+        grown, rivals = revise(workbench, begun, grown, rivals)
     return grown, rivals
 
 

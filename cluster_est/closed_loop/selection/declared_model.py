@@ -20,8 +20,8 @@ from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
-THOROUGH = LeastSquares(trials=2, max_iterations=25, ftol=1e-7, xtol=1e-8, differences="forward")
-BRIEF = LeastSquares(trials=2, max_iterations=8, ftol=1e-4, xtol=1e-5, differences="forward")
+THOROUGH = LeastSquares(trials=1, max_iterations=25, ftol=1e-7, xtol=1e-8, differences="forward")
+BRIEF = LeastSquares(trials=1, max_iterations=8, ftol=1e-4, xtol=1e-5, differences="forward")
 
 
 def fit_declared(workbench: LoopWorkbench, start: FitStart) -> FittedModel:

@@ -55,13 +55,30 @@ def useful_sse(workbench: LoopWorkbench, begun: RoundStart, added: int) -> float
     added
         Number of effects of the structures.
     """
-    thresholds, settings, floor = workbench.thresholds, workbench.settings, begun.floor
+    settings, floor = workbench.settings, begun.floor
     if added < settings.max_effects:
         return np.inf
     gate = begun.model.sse - settings.least_gain * (begun.model.sse - floor)
-    claim = begun.base.sse - thresholds.verdict.most * (begun.base.sse - floor)
-    near = settings.near_noise if workbench.sigma_declared else thresholds.verdict.coloured
-    return float(max(min(gate, claim), near**2 * floor))
+    claim = _claim_sse(workbench, begun.base, floor)
+    return max(min(gate, claim), _near_noise_sse(workbench, floor))
+
+
+def claimable_sse(workbench: LoopWorkbench, base: FittedModel, floor: float) -> float:
+    """Return the sum of squares above which a structure that nothing can be added to is no claim.
+
+    It must close as much of the gap as a claim needs, or be the noise of sensors for its size.
+    """
+    return max(_claim_sse(workbench, base, floor), _near_noise_sse(workbench, floor))
+
+
+def _claim_sse(workbench: LoopWorkbench, base: FittedModel, floor: float) -> float:
+    return base.sse - workbench.thresholds.verdict.most * (base.sse - floor)
+
+
+def _near_noise_sse(workbench: LoopWorkbench, floor: float) -> float:
+    settings, thresholds = workbench.settings, workbench.thresholds.verdict
+    near = settings.near_noise if workbench.sigma_declared else thresholds.coloured
+    return float(near**2 * floor)
 
 
 def best_that_passes(

@@ -8,6 +8,7 @@ import numpy as np
 
 from cluster_est.closed_loop.screening.ranking import rank
 from cluster_est.closed_loop.selection.accept import can_be_linearised, is_usable
+from cluster_est.closed_loop.selection.gates import claimable_sse
 from cluster_est.closed_loop.selection.refinement.refine import (
     RefittedCandidate,
     Rivals,
@@ -20,6 +21,7 @@ from cluster_est.closed_loop.selection.refinement.refits import full_refit
 from cluster_est.closed_loop.selection.refinement.same_argument import refit_same_argument
 from cluster_est.closed_loop.selection.refinement.switch_widths import refit_switch_widths
 from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit
+from cluster_est.closed_loop.selection.rounds import RoundStart
 from cluster_est.closed_loop.selection.waves import believable
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
@@ -27,21 +29,18 @@ from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 
 def revise(
     workbench: LoopWorkbench,
+    begun: RoundStart,
     grown: FittedModel,
-    count: int,
-    floor: float,
     rivals: Rivals,
 ) -> tuple[FittedModel, Rivals]:
     """Replace earlier effects that others are better than now, and drop those not needed.
 
     Parameters
     ----------
+    begun
+        The round that it was chosen in.
     grown
         The structure, fitted.
-    count
-        Candidates that it was chosen among.
-    floor
-        Sum of squares that the noise alone would leave.
     rivals
         Of its effects.
 
@@ -53,29 +52,29 @@ def revise(
         Of its effects; those of others may be among them.
     """
     thresholds = workbench.thresholds.revision
-    saved = thresholds.drop_price * float(np.log(count))  # by an effect less
+    saved = thresholds.drop_price * float(np.log(begun.screening.count))  # by an effect less
     for sweep in range(thresholds.sweeps):
         before = grown
         for position in range(len(grown.added) - (sweep == 0)):
-            found = _instead(workbench, grown, (position,), floor, -thresholds.swap)
+            found = _instead(workbench, begun, grown, (position,), -thresholds.swap)
             if found is not None:
                 # in its old place, so that the other positions still mean the same effects
                 grown, rivals = found[0].fitted.moved(position), {**rivals, **found[1]}
         if grown is before:
             break
     if workbench.settings.beam > 1:
-        grown, rivals = _merged(workbench, grown, saved, floor, rivals)
+        grown, rivals = _merged(workbench, begun, grown, saved, rivals)
     return _without_needless(workbench, grown, saved), rivals
 
 
 def _merged(
-    workbench: LoopWorkbench, grown: FittedModel, saved: float, floor: float, rivals: Rivals
+    workbench: LoopWorkbench, begun: RoundStart, grown: FittedModel, saved: float, rivals: Rivals
 ) -> tuple[FittedModel, Rivals]:
     """The structure with one effect in the place of two, as long as that pays."""
     for pair in combinations(range(len(grown.added)), 2):
-        found = _instead(workbench, grown, pair, floor, saved)
+        found = _instead(workbench, begun, grown, pair, saved)
         if found is not None:
-            return _merged(workbench, found[0].fitted, saved, floor, {**rivals, **found[1]})
+            return _merged(workbench, begun, found[0].fitted, saved, {**rivals, **found[1]})
     return grown, rivals
 
 
@@ -96,9 +95,9 @@ def _without_needless(workbench: LoopWorkbench, grown: FittedModel, saved: float
 
 def _instead(
     workbench: LoopWorkbench,
+    begun: RoundStart,
     grown: FittedModel,
     positions: tuple[int, ...],
-    floor: float,
     rise: float,
 ) -> tuple[RefittedCandidate, Rivals] | None:
     """The best effect in the place of some, with its rivals.
@@ -106,7 +105,8 @@ def _instead(
     Other functions of the argument of the one that is replaced start from where that one stands:
     without it the model may be far from there.
 
-    None if the criterion would rise by more than what it may, or it cannot be gone on from.
+    None if the criterion would rise by more than what it may, or it cannot be gone on from, or
+    nothing can be added to it and too little is closed for a claim.
     """
     start = grown.start
     for position in reversed(positions):
@@ -116,9 +116,13 @@ def _instead(
         return None
     thresholds = workbench.thresholds.refinement
     most = grown.criterion(workbench.records) + rise
-    useful = UsefulFit(most + thresholds.alternative)
+    full = len(rest.added) + 1 >= workbench.settings.max_effects
+    claimable = claimable_sse(workbench, begun.base, begun.floor) if full else np.inf
+    useful = UsefulFit(most + thresholds.alternative, claimable)
     ranking = rank(workbench, rest)
-    refitted = refit(workbench, rest, ranking, floor, wide=False, further=False, useful=useful)
+    refitted = refit(
+        workbench, rest, ranking, begun.floor, wide=False, further=False, useful=useful
+    )
     if len(positions) == 1:
         own = RefittedCandidate(grown, grown.criterion(workbench.records), True)
         there = ending_with(own, grown.added[positions[0]].effect.name)

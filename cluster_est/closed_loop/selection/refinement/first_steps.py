@@ -28,6 +28,45 @@ from workers.messages import FloatArray
 
 
 @dataclass(frozen=True)
+class AskedStep:
+    """A candidate at a point of its grid with the step that the linear model asks for.
+
+    `left` is the share of each output's squares that the linear model leaves, `predicted` their
+    sum.
+    """
+
+    owner: int
+    trial: CandidatePoint
+    step: FloatArray = field(repr=False)
+    predicted: float
+    left: FloatArray = field(repr=False)
+    start: FitStart = field(repr=False)
+    space: SearchSpace = field(repr=False)
+
+    def may_be_useful(
+        self, workbench: LoopWorkbench, current: FittedModel, useful: UsefulFit
+    ) -> bool:
+        """Return whether it may; of what is no small change, the linear model knows nothing."""
+        if not is_proportional(self.trial):
+            return True
+        added = len(self.space.unknowns) - len(current.x)
+        return may_start_useful(workbench, current, self.left, added, useful)
+
+    def point(
+        self, current: FittedModel, length: float, thresholds: RefinementThresholds
+    ) -> FloatArray:
+        """The point that a part of the step leads to, in the extended space."""
+        known, space = len(current.x), self.space
+        most = longest_step(current.space, current.x, thresholds.largest_step)
+        moved = current.x + np.clip(length * self.step, -most, most)
+        point = np.concatenate([moved, space.start[known:]])
+        for i, unknown in enumerate(space.unknowns[known:], known):
+            if unknown.label.rpartition(".")[2] in self.trial.candidate.strengths:
+                point[i] = length * space.start[i]
+        return np.asarray(np.clip(point, space.lower, space.upper))
+
+
+@dataclass(frozen=True)
 class FirstStep:
     """A candidate, switched on by the step that the linear model asks for.
 
@@ -35,14 +74,14 @@ class FirstStep:
     ----------
     sse
         Sum of squares at the best point that was simulated.
-    predicted
-        That of the linear model after the whole step.
+    asked
+        The whole step of the linear model.
     start
         From that point.
     """
 
     sse: float
-    predicted: float
+    asked: AskedStep = field(repr=False)
     start: FitStart
 
 
@@ -79,10 +118,10 @@ def first_steps(
             if each.owner not in best or sse < best[each.owner].sse:
                 values = each.space.estimates(point)
                 start = FitStart(each.start.problem, values, each.start.added)
-                best[each.owner] = FirstStep(sse, each.predicted, start)
+                best[each.owner] = FirstStep(sse, each, start)
     for owner, step in best.items():
         if step.sse > current.sse and (off := _from_nothing(current, ranking, leaders[owner])):
-            best[owner] = FirstStep(current.sse, step.predicted, off)
+            best[owner] = FirstStep(current.sse, step.asked, off)
     return [best[owner] for owner in range(len(leaders)) if owner in best]
 
 
@@ -97,51 +136,13 @@ def _from_nothing(current: FittedModel, ranking: CandidateRanking, leader: int) 
     return current.start.plus(trial.candidate, off)
 
 
-@dataclass(frozen=True)
-class _AskedStep:
-    """A candidate at a point of its grid with the step that the linear model asks for.
-
-    `left` is the share of each output's squares that the linear model leaves.
-    """
-
-    owner: int
-    trial: CandidatePoint
-    step: FloatArray = field(repr=False)
-    predicted: float
-    left: FloatArray = field(repr=False)
-    start: FitStart = field(repr=False)
-    space: SearchSpace = field(repr=False)
-
-    def may_be_useful(
-        self, workbench: LoopWorkbench, current: FittedModel, useful: UsefulFit
-    ) -> bool:
-        """Return whether it may; of what is no small change, the linear model knows nothing."""
-        if not is_proportional(self.trial):
-            return True
-        added = len(self.space.unknowns) - len(current.x)
-        return may_start_useful(workbench, current, self.left, added, useful)
-
-    def point(
-        self, current: FittedModel, length: float, thresholds: RefinementThresholds
-    ) -> FloatArray:
-        """The point that a part of the step leads to, in the extended space."""
-        known, space = len(current.x), self.space
-        most = longest_step(current.space, current.x, thresholds.largest_step)
-        moved = current.x + np.clip(length * self.step, -most, most)
-        point = np.concatenate([moved, space.start[known:]])
-        for i, unknown in enumerate(space.unknowns[known:], known):
-            if unknown.label.rpartition(".")[2] in self.trial.candidate.strengths:
-                point[i] = length * space.start[i]
-        return np.asarray(np.clip(point, space.lower, space.upper))
-
-
 def _asked_step(
     workbench: LoopWorkbench,
     current: FittedModel,
     ranking: CandidateRanking,
     owner: int,
     index: int,
-) -> _AskedStep:
+) -> AskedStep:
     trial = ranking.trials[index]
     step, (strengths,), after = joint_step(current, ranking, [index])
     values = values_at(trial, strengths, workbench.thresholds.refinement)
@@ -151,11 +152,11 @@ def _asked_step(
     predicted = float(
         sum(share * np.add.reduce(r**2) for share, r in zip(left, sizes, strict=True))
     )
-    return _AskedStep(owner, trial, step, predicted, left, start, workbench.space(start))
+    return AskedStep(owner, trial, step, predicted, left, start, workbench.space(start))
 
 
 def _does_enough(
-    asked: _AskedStep,
+    asked: AskedStep,
     best: Mapping[int, FirstStep],
     current: FittedModel,
     thresholds: RefinementThresholds,

@@ -17,6 +17,7 @@ from cluster_est.closed_loop.selection.refinement.first_steps import (
 )
 from cluster_est.closed_loop.selection.refinement.refine import (
     RefittedCandidate,
+    refit_briefly,
     successive_halving,
 )
 from cluster_est.closed_loop.selection.refinement.useful_fit import (
@@ -41,8 +42,8 @@ def refit_pairs(
     """
     found = best_pairs(ranking, workbench.thresholds.pairs)
     asked = [_start(workbench, current, ranking, pair, useful) for pair in found]
-    starts = [start for start in asked if start is not None]
-    return successive_halving(workbench, current, floor, starts, useful) if starts else []
+    fits = refit_briefly(workbench, [start for start in asked if start is not None])
+    return successive_halving(workbench, current, floor, fits, useful)
 
 
 def best_pairs(

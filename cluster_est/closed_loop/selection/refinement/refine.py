@@ -92,42 +92,64 @@ def refit(
     first = list(dict.fromkeys([*leaders[:trials], *white]))
     chosen, left = _mixed(first_steps(workbench, current, ranking, first, useful), count)
     reached = [step.sse for step in chosen]
-    possible = [min(step.sse, step.predicted) for step in chosen]
+    possible = [min(step.sse, step.asked.predicted) for step in chosen]
     near = _near_the_best(reached, possible, current, floor, thresholds)
-    starts = [chosen[i].start for i in near]
-    contenders = successive_halving(workbench, current, floor, starts, useful)
-    if not further or _closes(current, contenders, floor, thresholds.closes):
+    contenders = _refit_steps(workbench, current, floor, [chosen[i] for i in near], useful)
+    best = min((c.fitted.sse for c in contenders), default=current.sse)
+    if not further or _closes(current, best, floor, thresholds.closes):
         return contenders
     later = [i for i in leaders[trials:] if i not in first]
     left += first_steps(workbench, current, ranking, later, useful)
     left.sort(key=lambda step: step.sse)
-    later_starts = [step.start for step in left[:count]]
-    contenders += successive_halving(workbench, current, floor, later_starts, useful)
+    contenders += _refit_steps(workbench, current, floor, left[:count], useful)
     return sorted(contenders, key=lambda c: c.criterion)
+
+
+def _refit_steps(
+    workbench: LoopWorkbench,
+    current: FittedModel,
+    floor: float,
+    steps: Sequence[FirstStep],
+    useful: UsefulFit,
+) -> list[RefittedCandidate]:
+    """Refit from first steps; the latter half only what may come near the best of the first."""
+    ordered = sorted(steps, key=lambda step: step.sse)
+    half = (len(ordered) + 1) // 2
+    fits = refit_briefly(workbench, [step.start for step in ordered[:half]])
+    rival = _rival_of_the_best(workbench, current, floor, fits, useful)
+    near = [s.start for s in ordered[half:] if s.asked.may_be_useful(workbench, current, rival)]
+    fits += refit_briefly(workbench, near)
+    return successive_halving(workbench, current, floor, fits, useful)
+
+
+def refit_briefly(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list[FittedModel]:
+    """Refit by one iteration; without those that cannot be simulated."""
+    return [f for f in workbench.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
 
 
 def successive_halving(
     workbench: LoopWorkbench,
     current: FittedModel,
     floor: float,
-    starts: Sequence[FitStart],
+    fits: Sequence[FittedModel],
     useful: UsefulFit = ANY_FIT,
 ) -> list[RefittedCandidate]:
-    """Refit all a little, the better half more, and the best to convergence; the best first.
+    """Refit the better half of brief refits more, and the best to convergence; the best first.
 
     What has converged waits for the last round. What is far behind where one candidate does it all
-    is refitted no further, nor what cannot come down to what it must reach.
+    is refitted no further, nor what can neither come near the best so far nor down to what it must
+    reach.
     Some candidates have further to go than others, as where a parameter must make room for them:
     those that the linear model promises to become the best go on too.
     """
     thresholds = workbench.thresholds.refinement
-    fits = [f for f in workbench.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
     lost: list[FittedModel] = []
     for last in (False, True):
-        fits.sort(key=lambda f: f.criterion(workbench.records))
+        fits = sorted(fits, key=lambda f: f.criterion(workbench.records))
         sums = [f.sse for f in fits]
         near = _near_the_best(sums, sums, current, floor, thresholds)
-        near = [i for i in near if may_become_useful(workbench, fits[i], useful)]
+        rival = _rival_of_the_best(workbench, current, floor, fits, useful)
+        near = [i for i in near if may_become_useful(workbench, fits[i], rival)]
         kept = near[: max(thresholds.finalists, len(fits) // 2)]
         kept += _promising(workbench, fits, near, kept)
         lost += [f for i, f in enumerate(fits) if i not in kept]
@@ -136,10 +158,11 @@ def successive_halving(
             going = [f for f in fits if not f.converged]
             further = iter(workbench.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
             fits = [f if f.converged else next(further) or f for f in fits]
-    order = list(range(len(fits)))
+    rival = _rival_of_the_best(workbench, current, floor, fits, useful)
+    order = [i for i, f in enumerate(fits) if may_become_useful(workbench, f, rival)]
     first = order[: thresholds.finalists]
     first += _promising(workbench, fits, order, first)
-    best, rest = [fits[i] for i in first], [fits[i] for i in order if i not in first]
+    best, rest = [fits[i] for i in first], [f for i, f in enumerate(fits) if i not in first]
     finished = workbench.fit(LoopStage.REFITS, [f.start for f in best], full_refit(workbench))
     found = [(f, False) for f in (*lost, *rest)]
     found += [(new or old, True) for new, old in zip(finished, best, strict=True)]
@@ -161,10 +184,29 @@ def _near_the_best(
     reached, possible
         Sums of squares of each, as simulated, and at best.
     """
-    gain = current.sse - min(reached, default=current.sse)
-    enough = gain >= thresholds.closes * (current.sse - floor)
-    least = thresholds.behind * gain if enough else -np.inf
+    best = min(reached, default=current.sse)
+    enough = _closes(current, best, floor, thresholds.closes)
+    least = thresholds.behind * (current.sse - best) if enough else -np.inf
     return [i for i, sse in enumerate(possible) if current.sse - sse >= least]
+
+
+def _rival_of_the_best(
+    workbench: LoopWorkbench,
+    current: FittedModel,
+    floor: float,
+    fits: Sequence[FittedModel],
+    useful: UsefulFit,
+) -> UsefulFit:
+    """What a fit must come down to, to be the best or its rival, where that closes the gap.
+
+    Else none is far behind: what is a part of the truth may do less than what imitates all of it.
+    """
+    thresholds = workbench.thresholds.refinement
+    best = min(fits, key=lambda f: f.criterion(workbench.records), default=current)
+    if not _closes(current, best.sse, floor, thresholds.closes):
+        return useful
+    rival = best.criterion(workbench.records) + thresholds.alternative
+    return replace(useful, criterion=min(useful.criterion, rival))
 
 
 def _promising(
@@ -182,13 +224,8 @@ def _promising(
     return [i for _, i in better[: workbench.thresholds.refinement.promising]]
 
 
-def _closes(
-    current: FittedModel, contenders: Sequence[RefittedCandidate], floor: float, share: float
-) -> bool:
-    """Return whether the best contender closes this share of the gap to the noise."""
-    if not contenders:
-        return False
-    best = min(c.fitted.sse for c in contenders)
+def _closes(current: FittedModel, best: float, floor: float, share: float) -> bool:
+    """Return whether a sum of squares closes this share of the gap to the noise."""
     return current.sse - best >= share * (current.sse - floor)
 
 

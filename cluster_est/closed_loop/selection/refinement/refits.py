@@ -9,8 +9,8 @@ BRIEFLY = 1e-4
 """Relative fall of the sum of squares that ends a refit at most: of two decimals one is enough to
 see who is ahead."""
 
-FIRST = LeastSquares(trials=2, max_iterations=1, ftol=BRIEFLY, xtol=1e-5, differences="forward")
-SHORT = LeastSquares(trials=2, max_iterations=2, ftol=BRIEFLY, xtol=1e-5, differences="forward")
+FIRST = LeastSquares(trials=1, max_iterations=1, ftol=BRIEFLY, xtol=1e-5, differences="forward")
+SHORT = LeastSquares(trials=1, max_iterations=2, ftol=BRIEFLY, xtol=1e-5, differences="forward")
 
 
 def full_refit(workbench: LoopWorkbench) -> LeastSquares:
@@ -22,4 +22,4 @@ def full_refit(workbench: LoopWorkbench) -> LeastSquares:
     """
     settled = workbench.thresholds.refinement.settled / max(workbench.size, 1)
     ftol = min(BRIEFLY, settled)
-    return LeastSquares(trials=2, max_iterations=10, ftol=ftol, xtol=1e-5, differences="forward")
+    return LeastSquares(trials=1, max_iterations=15, ftol=ftol, xtol=1e-5, differences="forward")

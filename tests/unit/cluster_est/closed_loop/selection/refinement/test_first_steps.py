@@ -48,7 +48,7 @@ def test_a_step_that_does_what_was_predicted_is_not_shortened():
     step, simulated, current = stepped(0.5)
     assert simulated == 1
     assert step.sse < 0.01 * current.sse
-    assert step.sse == pytest.approx(step.predicted, rel=0.3)
+    assert step.sse == pytest.approx(step.asked.predicted, rel=0.3)
     (shift,) = [v for k, v in step.start.values.items() if k.startswith("bias")]
     assert shift == pytest.approx(SHIFT, rel=0.05)
 
@@ -92,4 +92,4 @@ def test_the_linear_model_leaves_what_a_regression_on_all_columns_leaves():
     step, _, current = stepped(0.5)
     columns = np.column_stack([current.jacobian, np.ones(len(current.residuals))])
     left = np.linalg.lstsq(columns, current.residuals)[1]
-    assert step.predicted == pytest.approx(float(left[0]), rel=1e-6)
+    assert step.asked.predicted == pytest.approx(float(left[0]), rel=1e-6)
