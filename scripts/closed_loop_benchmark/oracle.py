@@ -31,6 +31,7 @@ LIBRARY_NAMES = {
     ("der", "leak"): "signed_root",
     ("der", "cogging"): "periodic_travel",
     ("parameter", "periodic_time"): "sine",
+    ("parameter", "saturating_square"): "hill",
     ("output", "saturation"): "clip_above",
 }
 """Where the library calls a form otherwise than the benchmark."""
@@ -110,6 +111,7 @@ OUTPUT: dict[str, Translation] = {
 PARAMETER: dict[str, Translation] = {
     **dict.fromkeys(("drift", "linear", "magnitude", "square"), lambda a: {"k": a[0], "at": a[1]}),
     "saturating": lambda a: {"k": -a[0], "half": a[1]},
+    "saturating_square": lambda a: {"k": -a[0], "half": a[1]},
     "periodic_time": _wave,
     "heating": lambda a: {"k": a[0], "at": a[2], "tau": a[1]},
 }

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from workers.effects.between_samples import PIECES, refine
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
 from workers.effects.memory import MEMORIES, SampledSignal
 from workers.effects.source import CAssignment, EffectArray, SymbolLocations, compile_function
@@ -68,10 +69,27 @@ def apply_output_effect(
     column = recorded.index(definition.site.target)
     if definition.form.memory:
         change = MEMORIES[definition.form.memory]
-        shown = SampledSignal(grid.times, outputs[:, column])
-        changed = change(shown, float(coefficients[0]))
+        fine, seen = refine(grid, outputs[:, [column]])
+        changed = change(SampledSignal(fine.times, seen[:, 0]), float(coefficients[0]))
         outputs[:, column] = np.interp(grid.times, changed.times, changed.values)
         return
+    if definition.states:
+        fine, seen = refine(grid, outputs)
+        _apply(definition, coefficients, fine, seen, recorded, inputs)
+        outputs[:, column] = seen[::PIECES, column]
+        return
+    _apply(definition, coefficients, grid, outputs, recorded, inputs)
+
+
+def _apply(
+    definition: EffectDefinition,
+    coefficients: FloatArray,
+    grid: SignalGrid,
+    outputs: FloatArray,
+    recorded: tuple[str, ...],
+    inputs: tuple[str, ...],
+) -> None:
+    column = recorded.index(definition.site.target)
     compiled = _compile(definition, recorded, inputs)
     work = OutputWorkspace(
         states=np.zeros(compiled.states),

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import lsim, lti
 from support.problems.springs import FMU
 from support.truth.form_terms import (
     DERIVATIVE,
@@ -184,18 +182,14 @@ def test_actuators_that_begin_at_rest():
 
 @pytest.mark.parametrize(("f", "d"), [(30.0, 0.1), (5.0, 0.7)])
 def test_a_sensor_that_swings(f, d):
-    """Of what was recorded, as a system of second order that SciPy follows exactly."""
-    y = BASE[:, 0]
-    system = lti([f**2], [1.0, 2.0 * d * f, f**2])
-    _, truth, _ = lsim(system, y, TIMES, X0=_at_rest(system, y[0]), interp=True)
+    """The second-order equation z'' = f^2 (y - z) - 2 d f z'."""
+
+    def slope(t, x, force):
+        return [*plain(t, x, force), x[3], f**2 * (x[0] - x[2]) - 2.0 * d * f * x[3]]
+
+    truth = solve(slope, (*START, START[0], 0.0))[:, 2]
     result = simulated([Effect("e", "output y", "mode")], (f, d))
     np.testing.assert_allclose(result, truth, atol=2e-5)
-
-
-def _at_rest(system, value):
-    """The state of a system of gain 1 that has shown a value for ever."""
-    state_space = system.to_ss()
-    return np.linalg.solve(state_space.A, -state_space.B[:, 0] * value)
 
 
 @pytest.mark.parametrize(("solver", "bar"), [(EXACT, 1e-9), (CO_SIMULATION, 2e-8)])
@@ -218,16 +212,26 @@ def test_functions_of_an_output(form, case, solver):
     np.testing.assert_allclose(result, change(*BASE.T), atol=1e-8, err_msg=OTHERWISE)
 
 
+@pytest.mark.parametrize("solver", [EXACT, CO_SIMULATION])
+def test_a_delay_of_an_output(solver):
+    """It shows what was between the measured times."""
+    seen = np.union1d(TIMES, TIMES[2:] - 0.033)
+    truth = solve(plain, times=seen, force=np.interp(seen, TIMES, FORCE))[:, 0]
+    truth = np.where(TIMES > 0.033, truth[np.searchsorted(seen, TIMES - 0.033)], START[0])
+    result = simulated([Effect("e", "output y", "delay")], (0.033,), solver)
+    np.testing.assert_allclose(result, truth, atol=6e-5)
+
+
 @pytest.mark.parametrize("tau", [0.0005, 0.05, 1.0])
 def test_a_lag_of_an_output(tau):
-    """Exact where what was recorded is linear between measured times; stable however short."""
-    y, decay = BASE[:, 0], np.exp(-0.02 / tau)
-    truth = [y[0]]
-    for old, new in pairwise(y):
-        slope = (new - old) / 0.02
-        truth.append(new - slope * tau + (truth[-1] - old + slope * tau) * decay)
+    """It sees the output between the measured times too."""
+
+    def slope(t, x, force):
+        return [*plain(t, x, force), (x[0] - x[2]) / tau]
+
+    truth = solve(slope, (*START, START[0]))[:, 2]
     result = simulated([Effect("e", "output y", "lag")], (tau,))
-    np.testing.assert_allclose(result, truth, atol=1e-6)
+    np.testing.assert_allclose(result, truth, atol=2e-5)
 
 
 def test_a_parameter_that_varies_in_co_simulation():

@@ -175,7 +175,6 @@ OUTPUT = {
         (),
         lambda y, v: y + 0.03 * np.sin(7.0 * TIMES) + 0.02 * np.cos(7.0 * TIMES),
     ),
-    "delay": ((0.03,), (), lambda y, v: np.interp(TIMES - 0.03, TIMES, y)),
 }
 """At the output y: coefficients, variables, and what is shown of y and v."""
 
@@ -202,6 +201,7 @@ PARAMETER = {
     "power": ((0.5, 0.1), ("v",), lambda t, v: (abs(v) / 0.1) ** 0.5 - 1.0),
     "exponential": ((1.5, 0.1), ("v",), lambda t, v: np.exp(1.5 * (v - 0.1)) - 1.0),
     "saturating": ((0.8, 0.1), ("v",), lambda t, v: -0.8 * abs(v) / (0.1 + abs(v))),
+    "hill": ((0.8, 0.1), ("v",), lambda t, v: -0.8 * (v / 0.1) ** 2 / (1.0 + (v / 0.1) ** 2)),
     "table": (
         (*TABLE[:3], *TABLE[4:], -0.2, 0.3),
         ("v",),
@@ -247,6 +247,7 @@ OWN_TESTS = {
     ("input", "mode_from_rest"): "test_actuators_that_begin_at_rest",
     ("output", "mode"): "test_a_sensor_that_swings",
     ("input", "delay"): "test_a_delay_of_an_input",
+    ("output", "delay"): "test_a_delay_of_an_output",
     ("input", "backlash"): "test_backlash_at_an_input",
     ("input", "rate_limit"): "test_a_limited_rate_of_an_input",
     ("input", "rate_limit_from_rest"): "test_a_limited_rate_of_an_input",

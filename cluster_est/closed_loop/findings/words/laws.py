@@ -47,6 +47,7 @@ class Law(enum.Enum):
     GAP = "linear beyond a gap"
     CLIPPED = "linear up to a limit"
     SATURATING = "saturating"
+    HILL = "saturating in the square"
     INHIBITED = "falling at high values"
     PERIODIC = "periodic"
     PERIODIC_TRAVEL = "periodic in the integral"
@@ -199,8 +200,12 @@ def _rational(value: Function) -> Law | None:
     large = np.array([value(x) for x in (1e2, 1e4, 1e6)])
     if not np.isfinite([*small, *large]).all() or not large.any():
         return None
-    starts = small[0] == 0.0 and np.isclose(small[2], 2.0 * small[1], rtol=1e-3)
-    if starts and np.isclose(large[1], large[2], rtol=1e-3):
-        return Law.SATURATING
+    grows = small[2] / small[1] if small[0] == 0.0 != small[1] else np.nan
+    starts = bool(np.isclose(grows, 2.0, rtol=1e-3))
+    if np.isclose(large[1], large[2], rtol=1e-3):
+        if starts:
+            return Law.SATURATING
+        if np.isclose(grows, 4.0, rtol=1e-3):
+            return Law.HILL
     falls = abs(large[0]) > 10.0 * abs(large[1]) > 10.0 * abs(large[2])
     return Law.INHIBITED if falls and (starts or small[0] != 0.0) else None

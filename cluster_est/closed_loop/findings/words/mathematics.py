@@ -57,6 +57,7 @@ IN_ONE = {
     Law.GAP: "a term linear in {v} beyond a gap",
     Law.CLIPPED: "a term linear in {v} up to a limit",
     Law.SATURATING: "a term that saturates in {v}",
+    Law.HILL: "a term that saturates in the square of {v}",
     Law.INHIBITED: "a term that falls at high {v}",
     Law.PERIODIC: "a term periodic in {v}",
     Law.PERIODIC_TRAVEL: "a term periodic in the integral of {v}",

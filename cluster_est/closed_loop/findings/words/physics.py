@@ -222,7 +222,7 @@ def _kinetics(placed: PlacedLaw) -> str:
         return "an exponential rise with temperature (as of Arrhenius)" if placed.gain else ""
     if not known.same_as(AMOUNT, CONCENTRATION, DENSITY, MASS):
         return ""
-    if placed.law in (Law.SATURATING, Law.INVERSE) and placed.kind == "parameter":
+    if placed.law in (Law.SATURATING, Law.HILL, Law.INVERSE) and placed.kind == "parameter":
         return "inhibition" if placed.loss else ""
     if placed.law is Law.SATURATING:
         return "saturation (as of Michaelis and Menten)"

@@ -1,8 +1,8 @@
 """Own states of effects at outputs follow what was recorded, however fast they are.
 
-The truth is SciPy's integration from one recorded time to the next, between which everything is a
-line, or the quasi-steady solution by hand: far behind its start, a lag tau of a ramp with slope c
-is late by c tau.
+The truth is SciPy's integration from one time to the next, between which everything is a line, or
+the quasi-steady solution by hand: far behind its start, a lag tau of a ramp with slope c is late by
+c tau. Where records are dense the output between them is known, and not taken for a line.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from workers.messages import Effect, FloatArray, Model, Solver
 MODEL = Model("spring", FMU.read_bytes(), "model_exchange", Solver("rk4"), ())
 UNEVEN = np.concatenate([np.linspace(0.0, 1.0, 41), 1.0 + np.cumsum([0.02, 10.0, 0.1, 0.1, 7.0])])
 """Dense, and with gaps of hundreds of time constants."""
+TRUE_TIMES = np.concatenate([np.linspace(0.0, 1.0, 4001), UNEVEN[41:]])
+"""The dense part as finely as it is known."""
 
 
 def defined(form: str, variables: tuple[str, ...] = ()) -> EffectDefinition:
@@ -68,9 +70,14 @@ def followed(times: FloatArray, signal: FloatArray, start: float, tau: float) ->
 
 
 @pytest.mark.parametrize("tau", [3.0, 0.3, 0.02])
-def test_a_lag_is_exact_between_recorded_times(tau: float) -> None:
-    expected = followed(UNEVEN, np.sin(UNEVEN), 0.0, tau)
-    np.testing.assert_allclose(shown(defined("lag"), [tau], UNEVEN), expected, atol=1e-8)
+def test_a_lag_follows_what_was_between_recorded_times(tau: float) -> None:
+    expected = followed(TRUE_TIMES, np.sin(TRUE_TIMES), 0.0, tau)
+    expected = expected[np.searchsorted(TRUE_TIMES, UNEVEN - 1e-9)]
+    found = shown(defined("lag"), [tau], UNEVEN)
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+    straight = followed(UNEVEN, np.sin(UNEVEN), 0.0, tau)
+    wrong, before = (np.abs(z - expected)[1:41].max() for z in (found, straight))
+    assert wrong < 0.1 * before
 
 
 @pytest.mark.parametrize("tau", [0.3, 0.02])
@@ -83,19 +90,18 @@ def test_a_lag_of_an_input_too(tau: float) -> None:
 @pytest.mark.parametrize("tau", [1e-3, 1e-6, 1e-12])
 def test_a_very_fast_one_is_late_by_its_time_constant(tau: float) -> None:
     slopes = np.diff(np.sin(UNEVEN)) / np.diff(UNEVEN)
+    slopes[:40] = np.cos(UNEVEN[1:41])
     expected = np.sin(UNEVEN)[1:] - tau * slopes
     found = shown(defined("lag"), [tau], UNEVEN)
-    np.testing.assert_allclose(found[1:], expected, atol=1e-9)
+    np.testing.assert_allclose(found[1:], expected, atol=3e-3 * tau + 1e-15)
 
 
 def test_a_slow_one_keeps_its_digits() -> None:
     """Where the exponent is small, differences of exponentials would lose them."""
     tau = 1e7
     times = np.linspace(0.0, 1.0, 11)
-    signal = np.sin(times)
-    mean = 0.5 * (signal[1:] + signal[:-1]) * np.diff(times)
-    expected = np.concatenate([[0.0], np.cumsum(mean)]) / tau
-    np.testing.assert_allclose(shown(defined("lag"), [tau], times), expected, rtol=1e-6)
+    expected = (1.0 - np.cos(times)) / tau
+    np.testing.assert_allclose(shown(defined("lag"), [tau], times), expected, rtol=1e-4)
 
 
 def test_one_that_follows_in_another_way_takes_substeps() -> None:

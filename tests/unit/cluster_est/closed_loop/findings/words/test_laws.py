@@ -49,6 +49,7 @@ LAWS = {
     ("input", "viscous"): Law.LINEAR,
     ("parameter", "linear"): Law.LINEAR,
     ("parameter", "saturating"): Law.SATURATING,
+    ("parameter", "hill"): Law.HILL,
     ("parameter", "heating"): Law.LAGGED_SQUARE,
     ("output", "hum"): Law.WAVE,
 }
