@@ -23,6 +23,7 @@ from cluster_est.closed_loop.selection.refinement.useful_fit import (
 )
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
+from cluster_est.methods.base import Evaluation
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.space import SearchSpace
 from workers.effects.kinds import GridScale
@@ -30,6 +31,10 @@ from workers.messages import FloatArray
 
 WIDTH = GridScale.RMS_V
 """Of a width that is held: a small part of how much its variable moves."""
+
+
+TRIED = (0.3, 2.5, 8.0, 25.0)
+"""Widths that are tried, over the one that is held: a switch may be wider than a search holds it."""
 
 
 def refit_switch_widths(
@@ -61,9 +66,9 @@ def refit_switch_widths(
     ranked = list(best.values())
     asked = [i for i, c in enumerate(ranked) if _held(c)][: thresholds.finalists]
     near = min([most, *(c.criterion + thresholds.alternative for c in ranked[:1])])
-    paying = _may_pay(workbench, [ranked[i] for i in asked], near)
-    asked = [i for i, pays in zip(asked, paying, strict=True) if pays]
-    starts = [_released(ranked[i]) for i in asked]
+    hopeful = _starts_that_may_pay(workbench, [ranked[i] for i in asked], near)
+    asked = [i for i, start in zip(asked, hopeful, strict=True) if start is not None]
+    starts = [start for start in hopeful if start is not None]
     fits = workbench.fit(LoopStage.REFITS, starts, full_refit(workbench))
     for i, fitted in zip(asked, fits, strict=True):
         if fitted is None:
@@ -74,42 +79,64 @@ def refit_switch_widths(
     return sorted(ranked, key=lambda c: c.criterion)
 
 
-def _may_pay(
+def _starts_that_may_pay(
     workbench: LoopWorkbench, contenders: Sequence[RefittedCandidate], most: float
-) -> list[bool]:
-    """Return for each whether other widths could lower its criterion enough to be of any use.
+) -> list[FitStart | None]:
+    """Where to refit each from, with its widths unknown; None where no width would be of use.
 
-    Where the refit was broken off the linear model says too little, and they may. Else the changes
-    of the residuals with the widest switches, and with some halfway there, count as two more
-    directions of the linear model.
+    Each is simulated with other widths, and the linear model says how the other unknowns follow.
+    Where a refit was broken off the linear model says too little: it is refitted in any case.
     """
-    found = [not contender.full for contender in contenders]
-    asked = [i for i, contender in enumerate(contenders) if contender.full]
-    spaces = [workbench.space(_released(contenders[i])) for i in asked]
+    asked = [contender for contender in contenders if contender.full]
+    spaces = [workbench.space(_released(contender)) for contender in asked]
     points = [
-        (space, _on_the_way(contenders[i], space)) for i, space in zip(asked, spaces, strict=True)
+        (space, _other_widths(contender, space))
+        for contender, space in zip(asked, spaces, strict=True)
     ]
-    answers = workbench.evaluate(LoopStage.TRIALS, points)
-    for i, space, seen in zip(asked, spaces, answers, strict=True):
-        fitted = contenders[i].fitted
-        changes = [(at.residuals - fitted.residuals)[:, None] for at in seen if at.ok]
-        joined = np.hstack([fitted.jacobian, *changes])
-        after = fitted.residuals + joined @ gauss_newton_step(joined, fitted.residuals)
-        left = shares_left(workbench.records, fitted.residuals, after)
-        useful = UsefulFit(criterion=min(contenders[i].criterion, most))
-        added = space.size - fitted.space.size
-        found[i] = may_start_useful(workbench, fitted, left, added, useful)
-    return found
+    answers = iter(workbench.evaluate(LoopStage.TRIALS, points))
+    widths = iter(points)
+    return [
+        _best_width(workbench, contender, *next(widths), next(answers), most)
+        if contender.full
+        else _released(contender)
+        for contender in contenders
+    ]
 
 
-def _on_the_way(contender: RefittedCandidate, space: SearchSpace) -> FloatArray:
-    """Points (2, unknowns): the widest switches, and halfway there from those that are held."""
+def _best_width(
+    workbench: LoopWorkbench,
+    contender: RefittedCandidate,
+    space: SearchSpace,
+    points: FloatArray,
+    answers: Sequence[Evaluation],
+    most: float,
+) -> FitStart | None:
+    """The best of some widths, if it may lower the criterion enough to be of any use."""
+    fitted, found = contender.fitted, []
+    for point, at in zip(points, answers, strict=True):
+        if at.ok:
+            step = gauss_newton_step(fitted.jacobian, at.residuals)
+            after = at.residuals + fitted.jacobian @ step
+            found.append((float(np.add.reduce(after**2)), after, point))
+    if not found:
+        return None
+    _, after, point = min(found, key=lambda each: each[0])
+    left = shares_left(workbench.records, fitted.residuals, after)
+    useful = UsefulFit(criterion=min(contender.criterion, most))
+    if not may_start_useful(workbench, fitted, left, space.size - fitted.space.size, useful):
+        return None
+    start = _released(contender)
+    return FitStart(start.problem, {**start.values, **space.estimates(point)}, start.added)
+
+
+def _other_widths(contender: RefittedCandidate, space: SearchSpace) -> FloatArray:
+    """Points (widths, unknowns) with other widths than those that are held."""
     held = {p.name: p.start for p in contender.fitted.problem.parameters if p.fixed}
-    halfway = space.start.copy()
+    points = np.tile(space.start, (len(TRIED), 1))
     for i, unknown in enumerate(space.unknowns):
         if unknown.label in held:  # in logarithms
-            halfway[i] = 0.5 * (space.start[i] + np.log(held[unknown.label]))
-    return np.array([space.start, halfway])
+            points[:, i] = np.log(held[unknown.label]) + np.log(TRIED)
+    return np.asarray(np.clip(points, space.lower, space.upper))
 
 
 def _held(contender: RefittedCandidate) -> dict[str, tuple[float, float]]:
@@ -132,7 +159,8 @@ def _widths(candidate: EffectCandidate) -> dict[str, tuple[float, float]]:
 def _released(contender: RefittedCandidate) -> FitStart:
     """A start from the contender's estimates, with its widths among the unknowns.
 
-    They start from the widest: what is too narrow to be seen gives a fit no direction.
+    They start from the widest, unless a better one is known: what is too narrow to be seen gives a
+    fit no direction.
     """
     start, ranges = contender.fitted.start, _held(contender)
 
