@@ -34,7 +34,7 @@ WIDTH = GridScale.RMS_V
 
 
 TRIED = (0.3, 2.5, 8.0, 25.0)
-"""Widths that are tried, over the one that is held: a switch may be wider than a search holds it."""
+"""Widths that are tried, over the held one: a switch may be wider than a search holds it."""
 
 
 def refit_switch_widths(
