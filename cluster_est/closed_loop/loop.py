@@ -10,8 +10,9 @@ points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -34,7 +35,10 @@ from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, ju
 from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
 from cluster_est.closed_loop.first_pass import open_checked_workbench
 from cluster_est.closed_loop.measured_noise import expected_noise
-from cluster_est.closed_loop.numerical_error.measure import measure_numerical_error
+from cluster_est.closed_loop.numerical_error.measure import (
+    error_with_effects,
+    measure_numerical_error,
+)
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request
 from cluster_est.closed_loop.selection.beam_search import beam_search
 from cluster_est.closed_loop.selection.declared_model import fit_declared
@@ -119,22 +123,28 @@ def run_loop(request: LoopRequest) -> LoopResult:
         base = fit_declared(workbench, FitStart(workbench.problem, {}))
         noise = expected_noise(workbench, base.residuals)
         workbench.enter("the error of the solver")
-        error = measure_numerical_error(workbench, base, noise, request.environment.resources)
+        resources = request.environment.resources
+        error = measure_numerical_error(workbench, base, noise, resources)
+        with_effects = partial(
+            error_with_effects, workbench, declared=error, noise=noise, resources=resources
+        )
         before = workbench.runner.failures
         if error.hides_effects:
             found = without_search(workbench, base)
             judged = ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal)
         else:
-            found, judged = _searched(workbench, base, error.explainable)
+            found, judged = _searched(workbench, base, lambda fit: with_effects(fit).explainable)
         failed = workbench.runner.failures - before
         report = _report(workbench, found, judged, begin)
+        last = with_effects(found.current) if report.effects else error
     seconds = time.monotonic() - begin
-    notes = (*error.notes, *report.notes, *dear_structures(found.path))
+    said = (*error.notes, *(last.notes_with_effects if last is not error else ()))
+    notes = (*said, *report.notes, *dear_structures(found.path))
     return replace(report, notes=notes, seconds=seconds, failures_in_search=failed)
 
 
 def _searched(
-    workbench: LoopWorkbench, base: FittedModel, numerical: float
+    workbench: LoopWorkbench, base: FittedModel, numerical: Callable[[FittedModel], float]
 ) -> tuple[SelectionResult, ReasonedVerdict]:
     """Look for effects; a function of time is one only where it leaves noise."""
     found = beam_search(workbench, base, numerical)

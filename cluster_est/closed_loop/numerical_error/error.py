@@ -105,6 +105,14 @@ class NumericalError:
         return self.beside
 
     @property
+    def notes_with_effects(self) -> tuple[str, ...]:
+        """Sentences on the error of a model with effects; none where it is small."""
+        if not self.ratio > self.thresholds.small:
+            return ()
+        refused = "a further effect that explains no more than it could is refused"
+        return (f"with the effects, {self._said}; {refused}; {self._advice} makes it negligible",)
+
+    @property
     def _said(self) -> str:
         largest = int(np.nanargmax(self.ratios))
         output = self.outputs[largest]

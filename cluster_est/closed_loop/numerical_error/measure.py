@@ -80,6 +80,39 @@ def measure_numerical_error(
     )
 
 
+def error_with_effects(
+    workbench: LoopWorkbench,
+    fitted: FittedModel,
+    declared: NumericalError,
+    noise: FloatArray,
+    resources: Resources,
+) -> NumericalError:
+    """Measure the numerical error of a model with effects, where a step decides it.
+
+    A step that is short enough for the declared model may miss the kinks of an effect: between two
+    communication points an input that has been changed counts as a straight line.
+
+    Parameters
+    ----------
+    fitted
+        The model with the effects.
+    declared
+        The error of the declared model.
+    noise, resources
+        See `measure_numerical_error`.
+
+    Returns
+    -------
+    NumericalError
+        That of the declared model where nothing was added, where a tolerance keeps the error small,
+        or where no larger one can be measured.
+    """
+    if not fitted.added or not declared.scale.step:
+        return declared
+    found = measure_numerical_error(workbench, fitted, noise, resources)
+    return declared if found.why_not or found.squares <= declared.squares else found
+
+
 def _error(
     workbench: LoopWorkbench,
     fitted: FittedModel,

@@ -7,7 +7,7 @@ size (B. T. Lowerre, The HARPY Speech Recognition System, Carnegie Mellon Univer
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -47,7 +47,11 @@ AGAIN = LeastSquares(trials=1, max_iterations=15, ftol=1e-6, xtol=1e-7, differen
 
 
 def beam_search(
-    workbench: LoopWorkbench, base: FittedModel, numerical: float = 0.0, *, again: bool = True
+    workbench: LoopWorkbench,
+    base: FittedModel,
+    numerical: Callable[[FittedModel], float] = lambda _: 0.0,
+    *,
+    again: bool = True,
 ) -> SelectionResult:
     """Add effects to the declared model while they earn it.
 
@@ -56,7 +60,8 @@ def beam_search(
     base
         The declared model, fitted.
     numerical
-        Fall of the sum of squares that an effect could owe to the error of the solver.
+        Fall of the sum of squares that one effect more could owe to the error of the solver at a
+        fitted model.
     again
         Begin once more where the declared model turns out to have been in a local minimum.
     """
@@ -76,7 +81,7 @@ def beam_search(
         number = len(steps) + 1
         _say_phase(workbench, current)
         screened = screen(workbench, current, number)
-        begun = RoundStart(base, current, prediction, screened, floor, beside, numerical)
+        begun = RoundStart(base, current, prediction, screened, floor, beside, numerical(current))
         first = first or begun
         end = _round(workbench, begun)
         steps.append(end.seen)

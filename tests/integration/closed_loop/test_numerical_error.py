@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.loop_objects import made_candidate
 from support.truth.systems_with_missing_effects import (
     measured,
     missing_effect_problem,
@@ -22,7 +23,10 @@ import cluster_est as ce
 from cluster_est import Solver
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.loop import close_loop
-from cluster_est.closed_loop.numerical_error.measure import measure_numerical_error
+from cluster_est.closed_loop.numerical_error.measure import (
+    error_with_effects,
+    measure_numerical_error,
+)
 from cluster_est.errors import ProblemError
 from cluster_est.running.resources import Resources
 
@@ -36,6 +40,7 @@ DATA = replace(
         for e in WITHOUT_SIGMA.experiments
     ),
 )
+ADDED = made_candidate("clip")
 COMMUNICATION = 0.1
 INTERVAL = 0.05
 
@@ -131,3 +136,45 @@ def test_its_diagnostics_say_the_same():
     assert any("no effect was looked for" in note for note in seen.notes)
     with pytest.raises(ProblemError, match=r"no missing effect can be distinguished from it"):
         ce.locate(problem)
+
+
+def clipped(problem, limit):
+    """The problem with a declared effect: its input never exceeds a limit."""
+    effect = ce.Effect("clip", "input F", "saturation")
+    known = ce.Parameter("clip.limit", limit, fixed=True)
+    return replace(problem, effects=(effect,), parameters=(*problem.parameters, known))
+
+
+def limit_of(problem):
+    return 0.4 * max(float(np.abs(e.inputs[0].values).max()) for e in problem.experiments)
+
+
+def with_error_of_effects(problem):
+    """The errors of the declared model, and with an effect."""
+    with opened(problem) as bench:
+        declared = unfitted(bench)
+        small = measure_numerical_error(bench, declared, np.ones(1), Resources())
+        assert error_with_effects(bench, declared, small, np.ones(1), Resources()) is small
+    with opened(clipped(problem, limit_of(problem))) as bench:
+        grown = replace(unfitted(bench), added=(ADDED,))
+        return small, error_with_effects(bench, grown, small, np.ones(1), Resources())
+
+
+def test_a_limit_that_is_reached_between_two_communication_points_has_an_error():
+    slow = thinned(DATA, 10)
+    driven = replace(slow.model, interface="co_simulation", solver=Solver("fmu"))
+    small, found = with_error_of_effects(replace(slow, model=driven))
+    assert found.rms[0] > 3.0 * small.rms[0]
+    residuals = []
+    for model in (driven, slow.model):
+        with opened(clipped(replace(slow, model=model), limit_of(slow))) as bench:
+            residuals.append(unfitted(bench).residuals)
+    truth = float(np.sqrt(np.mean((residuals[0] - residuals[1]) ** 2)))
+    assert found.rms[0] == pytest.approx(truth, rel=0.5)
+    (sentence,) = replace(found, noise=found.rms).notes_with_effects
+    assert sentence.startswith("with the effects, the communication step of")
+
+
+def test_a_tolerance_keeps_the_error_of_an_effect_small():
+    small, found = with_error_of_effects(thinned(DATA, 10))
+    assert found is small
