@@ -200,7 +200,8 @@ def _rational(value: Function) -> Law | None:
     large = np.array([value(x) for x in (1e2, 1e4, 1e6)])
     if not np.isfinite([*small, *large]).all() or not large.any():
         return None
-    grows = small[2] / small[1] if small[0] == 0.0 != small[1] else np.nan
+    begins = small[0] == 0.0 and small[1] != 0.0
+    grows = small[2] / small[1] if begins else np.nan
     starts = bool(np.isclose(grows, 2.0, rtol=1e-3))
     if np.isclose(large[1], large[2], rtol=1e-3):
         if starts:

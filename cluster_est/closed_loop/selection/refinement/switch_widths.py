@@ -87,20 +87,16 @@ def _starts_that_may_pay(
     Each is simulated with other widths, and the linear model says how the other unknowns follow.
     Where a refit was broken off the linear model says too little: it is refitted in any case.
     """
-    asked = [contender for contender in contenders if contender.full]
-    spaces = [workbench.space(_released(contender)) for contender in asked]
+    starts: list[FitStart | None] = [_released(contender) for contender in contenders]
+    asked = [i for i, contender in enumerate(contenders) if contender.full]
+    spaces = [workbench.space(_released(contenders[i])) for i in asked]
     points = [
-        (space, _other_widths(contender, space))
-        for contender, space in zip(asked, spaces, strict=True)
+        (space, _other_widths(contenders[i], space)) for i, space in zip(asked, spaces, strict=True)
     ]
-    answers = iter(workbench.evaluate(LoopStage.TRIALS, points))
-    widths = iter(points)
-    return [
-        _best_width(workbench, contender, *next(widths), next(answers), most)
-        if contender.full
-        else _released(contender)
-        for contender in contenders
-    ]
+    answers = workbench.evaluate(LoopStage.TRIALS, points)
+    for i, (space, widths), seen in zip(asked, points, answers, strict=True):
+        starts[i] = _best_width(workbench, contenders[i], space, widths, seen, most)
+    return starts
 
 
 def _best_width(
