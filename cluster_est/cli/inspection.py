@@ -72,7 +72,9 @@ def export(options: Namespace) -> int:
         wait = "compiling for other platforms; the first time, zig compiles their libraries too, "
         say(Console(stderr=True), f"cluster-est: {wait}which takes a minute or more")
     of_fmu = FmuOptions(tuple(options.platforms), measure=not options.no_step)
-    wanted = ExportRequest(options.fmu, options.ssv, options.modelica, options.text, of_fmu)
+    wanted = ExportRequest(
+        options.fmu, options.ssv, options.csv, options.modelica, options.text, of_fmu
+    )
     written = run_export(
         options.run_folder,
         options.config,

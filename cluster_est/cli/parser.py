@@ -185,6 +185,9 @@ def _add_export(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     export.add_argument("--ssv", type=Path, help="write the values as an SSP parameter set (.ssv)")
     export.add_argument(
+        "--csv", type=Path, help="write the values as a table: name, value, unit, interval (.csv)"
+    )
+    export.add_argument(
         "--modelica", action="store_true", help="print the effects as equations of Modelica"
     )
     export.add_argument("--text", action="store_true", help="print values and effects as text")

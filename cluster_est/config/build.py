@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cluster_est.config.constraints import check_signals, parameter_constraints
@@ -17,7 +17,7 @@ from cluster_est.problem.fmu_file import choose_interface
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.variables import check_value
-from workers.fmu.description import describe
+from workers.fmu.description import ModelDescription, describe, describe_model
 from workers.messages import (
     Interface,
     Model,
@@ -72,8 +72,12 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     check_kind(config, Config, "config", ConfigError, advice)
     base = as_path(base, "base", ConfigError)
     check_flag(allow_code, "allow_code", ConfigError)
-    parameters = tuple(_parameter(name, each) for name, each in config.parameters.items())
-    targets = [p.target for p in parameters if not p.auxiliary]
+    sections = config.parameters.items()
+    targets = [each.variable or name for name, each in sections if not each.auxiliary]
+    model = _model(config, base, tuple(targets))
+    if config.units_of_files:
+        _check_units(config.units_of_files, describe_model(model))
+    parameters = tuple(_parameter(name, each) for name, each in sections)
     for name in config.values:
         if name in targets:
             raise ConfigError(
@@ -81,7 +85,6 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
                 f"parameters.{name}.fixed = true"
             )
     effects, coefficients = build_effects(tuple(config.effects))
-    model = _model(config, base, tuple(targets))
     code = UserCode(base, allowed=allow_code)
     experiments = build_experiments(config, base, code)
     every = (*parameters, *coefficients)
@@ -98,6 +101,17 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     )
     problem.describe()
     return problem
+
+
+def _check_units(units: Mapping[str, str], description: ModelDescription) -> None:
+    """Refuse values of files that are in another unit than the FMU's."""
+    for name, unit in units.items():
+        variable = description.variables.get(name)
+        if variable is not None and variable.unit not in ("", unit):
+            raise ConfigError(
+                f"value_files: {name} must be in {variable.unit!r}, as in the FMU, but is in "
+                f"{unit!r}; give it in that unit, as the FMU spells it: no number is converted"
+            )
 
 
 def _parameter(name: str, section: ParameterSection) -> Parameter:

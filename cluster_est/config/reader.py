@@ -44,6 +44,7 @@ from cluster_est.config.sections.sections import (
     ModelSection,
     ParameterSection,
 )
+from cluster_est.config.sections.value_files import KEY, with_values_of_files
 from cluster_est.costs import ALIASES as COST_ALIASES
 from cluster_est.costs import COSTS
 from cluster_est.errors import ConfigError
@@ -120,7 +121,8 @@ def read_config(path: str | Path, overrides: Sequence[str] | None = None) -> Con
         raise ConfigError(f"{path}: must be TOML but is not: {error}; mend that line") from None
     for text in changes:
         override(raw, text)
-    return parse_config(raw, str(path))
+    tree, units = with_values_of_files(raw, path.parent)
+    return parse_config(tree, str(path)).with_units_of_files(units)
 
 
 def parse_config(raw: dict[str, Any], where: str) -> Config:
@@ -131,6 +133,8 @@ def parse_config(raw: dict[str, Any], where: str) -> Config:
     ConfigError
         With one line for each problem.
     """
+    if raw.get(KEY):
+        raise ConfigError(f"{where}.{KEY}: is only for a config file; give the values themselves")
     defaults = raw.get(DEFAULTS, {})
     if DEFAULTS in raw:
         with _in_words(raw, where):

@@ -14,6 +14,7 @@ from cluster_est.export.repaired_fmu.fmu import FmuOptions, write_fmu
 from cluster_est.export.repaired_model import RepairedModel
 from cluster_est.export.ssv import parameter_set
 from cluster_est.export.text import describe_repair
+from cluster_est.export.value_table import value_table
 from workers.fmu.description import nearest
 
 
@@ -26,6 +27,7 @@ class ExportRequest:
 
     fmu: Path | None = None
     ssv: Path | None = None
+    csv: Path | None = None
     modelica: bool = False
     text: bool = False
     options: FmuOptions = field(default_factory=FmuOptions)
@@ -74,9 +76,9 @@ def check_request(wanted: ExportRequest) -> None:
     ConfigError
         Saying what can be asked for.
     """
-    if not (wanted.fmu or wanted.ssv or wanted.modelica or wanted.text):
+    if not (wanted.fmu or wanted.ssv or wanted.csv or wanted.modelica or wanted.text):
         raise ConfigError(
-            "export: must be told what to write; add --fmu, --ssv, --modelica or --text"
+            "export: must be told what to write; add --fmu, --ssv, --csv, --modelica or --text"
         )
     for platform in wanted.options.platforms:
         if platform not in PLATFORMS:
@@ -86,6 +88,7 @@ def check_request(wanted: ExportRequest) -> None:
             )
     _check_name(wanted.fmu, "--fmu", ".fmu")
     _check_name(wanted.ssv, "--ssv", ".ssv")
+    _check_name(wanted.csv, "--csv", ".csv")
 
 
 def write_forms(repair: RepairedModel, wanted: ExportRequest) -> ExportResult:
@@ -101,9 +104,13 @@ def write_forms(repair: RepairedModel, wanted: ExportRequest) -> ExportResult:
     if wanted.fmu is not None:
         notes += write_fmu(repair, wanted.fmu, wanted.options)
         files.append(wanted.fmu)
-    if wanted.ssv is not None:
-        _write_ssv(repair, wanted.ssv)
-        files.append(wanted.ssv)
+    for path, option, document in (
+        (wanted.ssv, "--ssv", parameter_set),
+        (wanted.csv, "--csv", value_table),
+    ):
+        if path is not None:
+            _write(path, option, document(repair))
+            files.append(path)
     if wanted.modelica:
         printed.append(modelica(repair))
     if wanted.text:
@@ -111,13 +118,12 @@ def write_forms(repair: RepairedModel, wanted: ExportRequest) -> ExportResult:
     return ExportResult(tuple(files), tuple(printed), tuple(notes))
 
 
-def _write_ssv(repair: RepairedModel, path: Path) -> None:
+def _write(path: Path, option: str, document: bytes) -> None:
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(parameter_set(repair))
+        path.write_bytes(document)
     except OSError as error:
         raise RunFolderError(
-            f"--ssv: {path} cannot be written ({error}); choose another"
+            f"{option}: {path} cannot be written ({error}); choose another"
         ) from error
 
 

@@ -63,6 +63,7 @@ def export(
     fmu: str | Path | None,
     ssv: str | Path | None,
     *,
+    csv: str | Path | None,
     modelica: bool,
     text: bool,
     experiment: str | None,
@@ -84,6 +85,7 @@ def export(
     wanted = ExportRequest(
         None if fmu is None else as_path(fmu, "fmu", ProblemError),
         None if ssv is None else as_path(ssv, "ssv", ProblemError),
+        None if csv is None else as_path(csv, "csv", ProblemError),
         modelica,
         text,
         FmuOptions(as_tuple(platforms, str, "platforms", ProblemError), measure),

@@ -237,6 +237,7 @@ class Result:
         fmu: str | Path | None = None,
         ssv: str | Path | None = None,
         *,
+        csv: str | Path | None = None,
         modelica: bool = False,
         text: bool = False,
         experiment: str | None = None,
@@ -247,8 +248,9 @@ class Result:
 
         Parameters
         ----------
-        fmu, ssv
-            Files to write: an FMU that holds the original and the effects, a set of parameters.
+        fmu, ssv, csv
+            Files to write: an FMU that holds the original and the effects, a set of parameters as
+            SSP has them, and as a table.
         modelica, text
             Whether a Modelica class and a description are wanted, in `printed` of what comes back.
         experiment
@@ -268,6 +270,7 @@ class Result:
             self,
             fmu,
             ssv,
+            csv=csv,
             modelica=modelica,
             text=text,
             experiment=experiment,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, Strict
+from pydantic import Field, PrivateAttr, Strict
 
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.config.sections.experiment import ExperimentDefaultsSection, ExperimentSection
@@ -251,6 +252,12 @@ class Config(ConfigSection):
     values: dict[str, Known] = Field(
         default_factory=dict, description="known values of all experiments, by FMU name"
     )
+    value_files: list[str] = Field(
+        default_factory=list,
+        exclude=True,  # the reader puts what is in them where it belongs
+        description="files of values, .ssv (SSP) or .csv with columns name, value and unit: of "
+        "parameters and coefficients (EFFECT.COEFFICIENT) they are starts, of others known values",
+    )
     experiment_defaults: ExperimentDefaultsSection = Field(
         ExperimentDefaultsSection(),
         exclude=True,  # the reader puts them into the experiments
@@ -278,3 +285,15 @@ class Config(ConfigSection):
     executor: ExecutorSection = Field(ExecutorSection(), description="where")
     budget: BudgetSection = Field(BudgetSection(), description="for how long")
     log: LogSection = Field(LogSection(), description="how much of each simulation is kept")
+    _units_of_files: Mapping[str, str] = PrivateAttr(default_factory=dict)
+
+    @property
+    def units_of_files(self) -> Mapping[str, str]:
+        """The units that `value_files` name, by the FMU's names."""
+        return self._units_of_files
+
+    def with_units_of_files(self, units: Mapping[str, str]) -> Self:
+        """The same config, whose values of files are in these units."""
+        changed = self.model_copy()
+        changed._units_of_files = dict(units)
+        return changed

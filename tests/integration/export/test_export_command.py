@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import shutil
@@ -18,6 +19,7 @@ from fmpy.validation import validate_fmu
 from lxml import etree
 from support.exported import Exported, co_simulated, needs_compiler
 
+from cluster_est import build_problem, read_config
 from cluster_est.cli import main
 from cluster_est.cli.exit_codes import ExitCode
 
@@ -184,6 +186,30 @@ def test_the_parameter_set_satisfies_the_schema_of_the_standard(run, tmp_path):
     assert values["m"] == (found["m"], "kg")
     assert values["x"] == (found["x0[exp5]"], "m")
     assert values["harder.k"][0] == found["harder.k"]
+
+
+@pytest.mark.parametrize("form", ["ssv", "csv"])
+def test_the_values_of_a_run_are_the_starts_of_the_next(run, form):
+    base = run.parent
+    path = base / f"found.{form}"
+    assert main(["export", str(run), f"--{form}", str(path), "--experiment", "exp5"]) == 0
+    text = (base / "config.toml").read_text(encoding="utf-8")
+    (base / f"next_{form}.toml").write_text(f'value_files = ["{path.name}"]\n{text}')
+    config = read_config(base / f"next_{form}.toml")
+    starts = {p.name: p.start for p in build_problem(config, base).parameters}
+    found = {row["label"]: row["value"] for row in rows_of(run, "parameters")}
+    for name, label in [("m", "m"), ("x0", "x0[exp5]"), ("harder.k", "harder.k")]:
+        assert starts[name] == found[label]
+
+
+def test_a_table_of_values_has_their_intervals(run, tmp_path):
+    path = tmp_path / "values.csv"
+    assert main(["export", str(run), "--csv", str(path), "--experiment", "exp5"]) == ExitCode.DONE
+    with path.open(newline="") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    found = {row["label"]: row for row in rows_of(run, "parameters")}
+    assert float(rows["m"]["low"]) == found["m"]["lower95"]
+    assert rows["m"]["unit"] == "kg"
 
 
 def test_equations_for_a_modeller(run, capsys):

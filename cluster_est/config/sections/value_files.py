@@ -1,0 +1,175 @@
+"""`value_files`: values of parameters from SSP parameter sets, or from tables.
+
+They are put into the raw tree of a config before it is checked as a whole, so that a run's own
+config has every number itself. SSP 1.0, System Structure and Parameterization (Modelica
+Association, 2019), section 5.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cluster_est.errors import ConfigError
+from workers.messages import Value
+from workers.messages.checks import shown
+
+KEY = "value_files"
+
+
+@dataclass(frozen=True)
+class GivenValue:
+    """A value of a file; `unit` is "" where none is given."""
+
+    name: str
+    value: Value
+    unit: str
+    file: str
+
+
+def with_values_of_files(
+    raw: Mapping[str, Any], base: Path
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return a config's tree with the values of the files that it names, and their units.
+
+    A value of a parameter of the config, or of an effect's coefficient ("EFFECT.COEFFICIENT"),
+    becomes its start. Any other becomes a known value of all experiments, unless the config has one
+    itself. Of two files the later one counts.
+
+    Parameters
+    ----------
+    raw
+        As read from TOML; it is not changed.
+    base
+        The folder that paths of files start from.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing, or is no list of values.
+    """
+    kept = {key: value for key, value in raw.items() if key != KEY}
+    given = {each.name: each for path in _paths(raw, base) for each in _read(path)}
+    listed = raw.get("effects", [])
+    if not given or not isinstance(listed, list):  # what is no list is refused later
+        return kept, {}
+    parameters = {name: _copy(each) for name, each in _table(raw, "parameters").items()}
+    effects = [_copy(each) for each in listed]
+    known = dict(_table(raw, "values"))
+    by_target = {each.get("variable") or name: each for name, each in parameters.items()}
+    by_effect = {each.get("name") or each.get("form", ""): each for each in effects}
+    for name, each in given.items():
+        effect, _, coefficient = name.rpartition(".")
+        if name in by_target:
+            by_target[name]["start"] = _start(each)
+        elif effect in by_effect:
+            own = {n: _copy(c) for n, c in _table(by_effect[effect], "parameters").items()}
+            by_effect[effect]["parameters"] = own | {
+                coefficient: own.get(coefficient, {}) | {"start": _start(each)}
+            }
+        else:
+            known.setdefault(name, each.value)
+    units = {name: each.unit for name, each in given.items() if each.unit}
+    changed = {"parameters": parameters, "effects": effects, "values": known}
+    return kept | {key: value for key, value in changed.items() if value}, units
+
+
+def _copy(section: Any) -> dict[str, Any]:
+    """A copy of a section; a number alone is short for one with that start."""
+    return dict(section) if isinstance(section, dict) else {"start": section}
+
+
+def _table(section: Mapping[str, Any], key: str) -> dict[str, Any]:
+    found = section.get(key)
+    return found if isinstance(found, dict) else {}
+
+
+def _start(given: GivenValue) -> float:
+    if isinstance(given.value, bool | str):
+        raise ConfigError(
+            f"{KEY}: {given.file}: {given.name} must be a number, because it is estimated, but is "
+            f"{shown(given.value)}; correct it (decimals stand behind a point)"
+        )
+    return float(given.value)
+
+
+def _paths(raw: Mapping[str, Any], base: Path) -> list[Path]:
+    names = raw.get(KEY, [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ConfigError(
+            f'{KEY}: must be a list of files, like ["values.ssv"], but is {shown(names)}'
+        )
+    paths = [base / name for name in names]
+    for path in paths:
+        if not path.is_file():
+            raise ConfigError(f"{KEY}: there is no file {path}; check the name")
+    return paths
+
+
+def _read(path: Path) -> list[GivenValue]:
+    """The values of a file.
+
+    Raises
+    ------
+    ConfigError
+        If it is neither a parameter set nor a table of values.
+    """
+    readers = {".ssv": _parameter_set, ".csv": _csv}
+    if path.suffix.lower() not in readers:
+        raise ConfigError(f"{KEY}: {path.name} must end in .ssv or .csv; rename or convert it")
+    try:
+        return list(readers[path.suffix.lower()](path))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{KEY}: {path.name} cannot be read ({error}); check it") from error
+
+
+def _parameter_set(path: Path) -> Iterator[GivenValue]:
+    from fmpy.ssp.ssd import read_ssv  # lxml is slow to import
+
+    try:
+        found = read_ssv(str(path)).parameters
+    except Exception as error:  # of whatever kind fmpy and lxml raise
+        why = " ".join(str(error).split())
+        raise ConfigError(
+            f"{KEY}: {path.name} must be a parameter set of SSP 1.0 but is not ({why})"
+        ) from error
+    for each in found:
+        value = str(each.value) if each.type == "String" else _value(str(each.value))
+        if each.type == "Boolean":
+            value = each.value in ("true", "1")
+        yield GivenValue(str(each.name), value, each.unit or "", path.name)
+
+
+def _csv(path: Path) -> Iterator[GivenValue]:
+    """Columns name and value, and unit where there is one; others are left alone."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        head = file.readline()
+        file.seek(0)
+        rows = csv.DictReader(file, delimiter=";" if ";" in head else ",", skipinitialspace=True)
+        missing = [name for name in ("name", "value") if name not in (rows.fieldnames or ())]
+        if missing:
+            raise ConfigError(
+                f"{KEY}: {path.name} must have the columns name and value but has "
+                f"{', '.join(map(str, rows.fieldnames or ())) or 'none'}; name them in row 1"
+            )
+        for row in rows:
+            name, value = (row["name"] or "").strip(), (row["value"] or "").strip()
+            if not name:
+                continue
+            unit = (row.get("unit") or "").strip()
+            yield GivenValue(name, _value(value), unit, path.name)
+
+
+def _value(text: str) -> Value:
+    """A number, true or false, or else a text."""
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

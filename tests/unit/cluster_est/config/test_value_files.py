@@ -1,0 +1,122 @@
+"""`value_files`: starts and known values from SSP parameter sets and tables."""
+
+from __future__ import annotations
+
+import pytest
+from support.spoiled import REMOVED, write_input
+
+from cluster_est import build_problem, read_config
+from cluster_est.config.reader import parse_config
+from cluster_est.errors import ConfigError
+
+SSV = """<?xml version="1.0" encoding="UTF-8"?>
+<ssv:ParameterSet xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+  version="1.0" name="found"><ssv:Parameters>{}</ssv:Parameters></ssv:ParameterSet>
+"""
+MASS = '<ssv:Parameter name="m"><ssv:Real value="1.75" unit="kg"/></ssv:Parameter>'
+FRICTION = """
+[[effects]]
+site = "der(v)"
+form = "coulomb"
+variables = ["v"]
+"""
+
+
+def read(folder, files, more="", **changes):
+    """A problem from a config beside files of values."""
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    path = write_input(folder, changes)
+    listed = ", ".join(f'"{name}"' for name in files)
+    config = f"value_files = [{listed}]\n{path.read_text(encoding='utf-8')}{more}"
+    path.write_text(config, encoding="utf-8")
+    config = read_config(path)
+    return config, build_problem(config, folder)
+
+
+def starts(problem):
+    return {p.name: p.start for p in problem.parameters}
+
+
+def test_a_parameter_set_gives_starts_and_known_values(tmp_path):
+    known = '<ssv:Parameter name="c"><ssv:Real value="0.4"/></ssv:Parameter>'
+    config, problem = read(tmp_path, {"found.ssv": SSV.format(MASS + known)}, values=REMOVED)
+    assert starts(problem)["m"] == 1.75
+    assert config.values["c"] == 0.4
+    assert dict(problem.experiments[0].values)["c"] == 0.4
+
+
+def test_a_table_does_the_same_and_the_later_file_counts(tmp_path):
+    table = "name;value;unit;who\nm;1.5;kg;me\nk;20;;\n"
+    _, problem = read(tmp_path, {"a.ssv": SSV.format(MASS), "b.csv": table})
+    assert starts(problem)["m"] == 1.5
+    assert starts(problem)["k"] == 20.0
+
+
+def test_a_coefficient_is_named_by_its_effect(tmp_path):
+    files = {"set.csv": "name,value\ncoulomb.k,0.7\ncoulomb.width,0.01\n"}
+    _, problem = read(tmp_path, files, FRICTION)
+    assert starts(problem)["coulomb.k"] == 0.7
+    assert starts(problem)["coulomb.width"] == 0.01
+
+
+def test_a_known_value_of_the_config_wins(tmp_path):
+    files = {"set.csv": "name,value\nc,0.4\n"}
+    config, _ = read(tmp_path, files, values={"c": 0.9})
+    assert config.values == {"c": 0.9}
+
+
+def test_a_run_has_the_numbers_themselves(tmp_path):
+    config, _ = read(tmp_path, {"a.ssv": SSV.format(MASS)})
+    resolved = config.model_dump()
+    assert "value_files" not in resolved
+    assert resolved["parameters"]["m"]["start"] == 1.75
+
+
+@pytest.mark.parametrize(
+    ("files", "sentence"),
+    [
+        (
+            {"set.csv": "name,value,unit\nm,1750,g\n"},
+            r"m must be in 'kg', as in the FMU, but is in 'g'",
+        ),
+        (
+            {"set.csv": "nam,value\nm,1\n"},
+            "must have the columns name and value but has nam, value",
+        ),
+        (
+            {"set.csv": "name;value\nm;1,5\n"},
+            "set.csv: m must be a number, because it is estimated",
+        ),
+        ({"a.ssv": "<a/>"}, "a.ssv must be a parameter set of SSP 1.0 but is not"),
+        ({"a.ssv": SSV.format("<b/>")}, "a.ssv must be a parameter set of SSP 1.0 but is not"),
+        ({"a.txt": "m 1"}, "a.txt must end in .ssv or .csv"),
+        ({"set.csv": "name,value\nzz,1\n"}, "zz"),
+        ({"set.csv": "name,value\nm,-5\n"}, r"parameters.m.start: must lie in its bounds"),
+    ],
+)
+def test_mistakes(tmp_path, files, sentence):
+    with pytest.raises(Exception, match=sentence) as caught:
+        read(tmp_path, files)
+    assert type(caught.value).__module__.startswith(("cluster_est", "workers"))
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    path = write_input(tmp_path, {})
+    path.write_text(f'value_files = ["no.ssv"]\n{path.read_text()}')
+    with pytest.raises(
+        ConfigError, match=r"value_files: there is no file .*no\.ssv; check the name"
+    ):
+        read_config(path)
+
+
+def test_what_is_no_list_of_files(tmp_path):
+    path = write_input(tmp_path, {})
+    path.write_text(f'value_files = "a.ssv"\n{path.read_text()}')
+    with pytest.raises(ConfigError, match=r'must be a list of files, like \["values\.ssv"\]'):
+        read_config(path)
+
+
+def test_a_config_in_memory_has_no_folder():
+    with pytest.raises(ConfigError, match="is only for a config file"):
+        parse_config({"value_files": ["a.ssv"]}, "here")
