@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from cluster_est.closed_loop.measured_noise import measured_values, noise_of
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
@@ -16,13 +17,19 @@ from cluster_est.closed_loop.thresholds import PreparationThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
+from cluster_est.problem.tables.jumps import jump_times
 from cluster_est.results.output_errors import output_residuals
 from cluster_est.statistics.growing_noise import noise_growth
 from cluster_est.statistics.outliers import PROVEN, IsolatedOutliers, isolated_outliers
-from workers.messages import FloatArray
+from workers.messages import Experiment, FloatArray
 
 Place = tuple[int, str]
 """An experiment's index and the name of an output."""
+
+Mask = npt.NDArray[np.bool_]
+
+AFTER_A_JUMP = 3
+"""Samples from the jump of an input on that are no outliers."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +134,9 @@ def _outliers(workbench: LoopWorkbench, fitted: FittedModel) -> list[OutliersOfO
     for held_out, signals in ((False, training), (True, _held_out(workbench, fitted))):
         for name in dict.fromkeys(output for _, output in signals):
             own = {e: signal for (e, output), signal in signals.items() if output == name}
-            found.append(OutliersOfOutput(name, held_out, _in_records(own, noise.get(name, 0.0))))
+            jumps = {e: _after_jumps(workbench.problem.experiments[e], name) for e in own}
+            outliers = _in_records(own, jumps, noise.get(name, 0.0))
+            found.append(OutliersOfOutput(name, held_out, outliers))
     return [each for each in found if each.count]
 
 
@@ -142,12 +151,34 @@ def _noise(workbench: LoopWorkbench, fitted: FittedModel) -> dict[str, float]:
     return dict(zip(records.outputs, noise.tolist(), strict=True))
 
 
-def _in_records(signals: Mapping[int, FloatArray], noise: float) -> dict[int, IsolatedOutliers]:
+def _in_records(
+    signals: Mapping[int, FloatArray], jumps: Mapping[int, Mask], noise: float
+) -> dict[int, IsolatedOutliers]:
     """The outliers of one sensor; once it is known to have some, what is common needs less."""
-    found = {e: isolated_outliers(signal, noise) for e, signal in signals.items()}
-    if sum(int(each.mask.sum()) for each in found.values()) < PROVEN:
-        return found
-    return {e: isolated_outliers(signal, noise, proven=True) for e, signal in signals.items()}
+
+    def outliers(*, proven: bool) -> dict[int, IsolatedOutliers]:
+        return {
+            e: isolated_outliers(signal, noise, proven=proven, excepted=jumps[e])
+            for e, signal in signals.items()
+        }
+
+    found = outliers(proven=False)
+    few = sum(int(each.mask.sum()) for each in found.values()) < PROVEN
+    return found if few else outliers(proven=True)
+
+
+def _after_jumps(experiment: Experiment, output: str) -> Mask:
+    """Samples of an output just after a jump of an input.
+
+    What answers at once and is gone within a sample or two looks like a fault of the sensor.
+    """
+    times = next(each.times for each in experiment.outputs if each.variable == output)
+    after = np.zeros(len(times), bool)
+    for given in experiment.inputs:
+        first = np.searchsorted(times, jump_times(given))
+        for late in range(AFTER_A_JUMP):
+            after[np.minimum(first + late, len(times) - 1)] = True
+    return after
 
 
 def _held_out(workbench: LoopWorkbench, fitted: FittedModel) -> dict[Place, FloatArray]:

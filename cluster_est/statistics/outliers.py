@@ -52,7 +52,11 @@ class IsolatedOutliers:
 
 
 def isolated_outliers(
-    signal: FloatArray, noise: float, *, proven: bool = False
+    signal: FloatArray,
+    noise: float,
+    *,
+    proven: bool = False,
+    excepted: npt.NDArray[np.bool_] | None = None,
 ) -> IsolatedOutliers:
     """Find single samples far from what their neighbours say, whatever the smooth course is.
 
@@ -78,6 +82,8 @@ def isolated_outliers(
         Standard deviation of its noise; where it is 0 or unknown there are no outliers.
     proven
         Other records of the same sensor have outliers; `PROVEN` in this one say the same.
+    excepted : (n,)
+        Samples that are never outliers, because something is known to happen there.
     """
     cleaned = np.array(signal, np.float64)
     mask = np.zeros(len(cleaned), bool)
@@ -87,7 +93,7 @@ def isolated_outliers(
     far = FAR
     for _ in range(PASSES):
         score, cubic, away = _scores(signal, cleaned, noise, agreeing=far == FAR)
-        score[mask] = 0.0
+        score[mask if excepted is None else mask | excepted] = 0.0
         chosen = _peaks(score, away, far)
         if not len(chosen):
             if far == FAR_AGAIN or not (proven or int(mask.sum()) >= PROVEN):

@@ -32,6 +32,9 @@ class LinearisedTrajectory:
         Place of each residual in `outputs`.
     sigmas : (k,)
         Divisor of each residual.
+    driven
+        The inputs as they were measured, at the same times; in `signals` they are as effects have
+        changed them.
     """
 
     times: FloatArray = field(repr=False)
@@ -42,6 +45,7 @@ class LinearisedTrajectory:
     rows: IntArray = field(repr=False)
     columns: IntArray = field(repr=False)
     sigmas: FloatArray = field(repr=False)
+    driven: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)
 
     def residual_change(self, change: FloatArray) -> FloatArray:
         """(n, y, m) changes of the outputs to (k, m) changes of the residuals."""
@@ -93,6 +97,7 @@ def make_trajectory(
         rows=np.minimum(at, len(times) - 1),
         columns=grid.gather % width,
         sigmas=grid.sigmas,
+        driven={given.variable: _sampled(given, times) for given in experiment.inputs},
     )
 
 

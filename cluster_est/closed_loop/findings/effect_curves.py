@@ -51,12 +51,14 @@ def effect_curves(
 
 
 def arguments(trajectory: LinearisedTrajectory, site: EffectSite, name: str) -> FloatArray | None:
-    """Values of an effect's argument along an experiment; of an output, before effects act on it.
+    """Values of an effect's argument along an experiment; of its own signal, before effects act.
 
     None where the experiment does not have it.
     """
     if name == "time":
         return trajectory.times
+    if site.kind == "input" and name == site.target and name in trajectory.driven:
+        return trajectory.driven[name]
     if site.kind == "output" and name == site.target:
         known = name in trajectory.names
         return trajectory.outputs[:, trajectory.names.index(name)] if known else None

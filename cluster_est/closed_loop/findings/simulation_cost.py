@@ -28,9 +28,10 @@ def dear_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:
     worst = max(dear, key=lambda each: each.relative_steps)
     tried = "1 structure" if len(dear) == 1 else f"{len(dear)} structures"
     said = (
-        f"{tried} of the {len(path)} that were tried made a simulation more than {DEAR:g} times as "
-        f"dear, in steps of the solver: {' + '.join(worst.effects)} {worst.relative_steps:.3g} "
-        "times; structures.parquet has the figure of each (relative_steps)"
+        f"{tried} of the {len(path)} that were tried needed more than {DEAR:g} times as many steps "
+        f"of the solver as the declared model, most of all {' + '.join(worst.effects)} "
+        f"({worst.relative_steps:.3g} times); structures.parquet has the figure of each "
+        "(relative_steps)"
     )
     kept = [each for each in dear if each.accepted]
     if kept:

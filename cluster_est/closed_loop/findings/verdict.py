@@ -224,9 +224,11 @@ def _why_not(why: RejectionReason | None) -> str:
         )
     if why == RejectionReason.COLOURED_GAIN:
         return (
-            "and nothing explains it: the residual is autocorrelated, and once that is allowed for "
-            "the best candidate does not explain more than chance would"
+            "and nothing explains it: the residual is autocorrelated, and once that is allowed "
+            "for, the best candidate does not explain more than chance would"
         )
+    if why in (RejectionReason.LITTLE_EXPLAINED, RejectionReason.NUMERICAL_ERROR):
+        return f"and nothing explains it: the best candidate {why.removeprefix('it ')}"
     return f"and nothing explains it: {why}"
 
 

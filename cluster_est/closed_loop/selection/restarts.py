@@ -24,8 +24,10 @@ def refit_from_other_starts(
 ) -> FittedModel:
     """Refit from the declared parameters, and with shapes at the best points of their grids.
 
-    Every point of a grid is simulated; the best are refitted a little, and the best of those to
-    convergence.
+    The declared parameters are those of the fitted model, and the user's own starts: what has to
+    make room for a missing effect may have led the fit to where there is no way back. Every point
+    of a grid is simulated; the best are refitted a little, and the best of those to convergence,
+    the user's starts in any case.
 
     Returns
     -------
@@ -35,7 +37,8 @@ def refit_from_other_starts(
     values = grown.estimates
     space = workbench.space(grown.start)
     shapes = _best_first(workbench, grown, space, list(_other_shapes(workbench, grown)))
-    starts = [values | declared.estimates]
+    given = workbench.space(FitStart(declared.problem, {}))
+    starts = [values | given.estimates(given.start), values | declared.estimates]
     starts += [space.estimates(x) for x in shapes[: workbench.thresholds.refinement.finalists]]
     fits = workbench.fit(
         LoopStage.OTHER_STARTS,
@@ -46,10 +49,15 @@ def refit_from_other_starts(
     if not brief:
         return grown
     best = min(brief, key=lambda fitted: fitted.sse)
-    (finished,) = workbench.fit(LoopStage.OTHER_STARTS, [best.start], full_refit(workbench))
-    if finished is None or finished.sse >= grown.sse:
-        return grown
-    return finished if is_usable(workbench, finished, declared) else grown
+    going = [best] if fits[0] is None or fits[0] is best else [best, fits[0]]
+    finished = workbench.fit(
+        LoopStage.OTHER_STARTS, [fitted.start for fitted in going], full_refit(workbench)
+    )
+    better = [each for each in finished if each is not None and each.sse < grown.sse]
+    for each in sorted(better, key=lambda fitted: fitted.sse):
+        if is_usable(workbench, each, declared):
+            return each
+    return grown
 
 
 def _best_first(

@@ -35,6 +35,8 @@ def revise(
 ) -> tuple[FittedModel, Rivals]:
     """Replace earlier effects that others are better than now, and drop those not needed.
 
+    With as many effects as are allowed, what is too far for a claim after a sweep is left as it is.
+
     Parameters
     ----------
     begun
@@ -52,6 +54,7 @@ def revise(
         Of its effects; those of others may be among them.
     """
     thresholds = workbench.thresholds.revision
+    most = _most(workbench, begun, len(grown.added))
     saved = thresholds.drop_price * float(np.log(begun.screening.count))  # by an effect less
     for sweep in range(thresholds.sweeps):
         before = grown
@@ -60,6 +63,8 @@ def revise(
             if found is not None:
                 # in its old place, so that the other positions still mean the same effects
                 grown, rivals = found[0].fitted.moved(position), {**rivals, **found[1]}
+        if grown.sse > most:
+            return grown, rivals
         if grown is before:
             break
     if workbench.settings.beam > 1:
@@ -93,6 +98,13 @@ def _without_needless(workbench: LoopWorkbench, grown: FittedModel, saved: float
     return grown
 
 
+def _most(workbench: LoopWorkbench, begun: RoundStart, added: int) -> float:
+    """The sum of squares above which a structure of so many effects comes to nothing."""
+    if added < workbench.settings.max_effects:
+        return np.inf
+    return claimable_sse(workbench, begun.base, begun.floor)
+
+
 def _instead(
     workbench: LoopWorkbench,
     begun: RoundStart,
@@ -116,9 +128,7 @@ def _instead(
         return None
     thresholds = workbench.thresholds.refinement
     most = grown.criterion(workbench.records) + rise
-    full = len(rest.added) + 1 >= workbench.settings.max_effects
-    claimable = claimable_sse(workbench, begun.base, begun.floor) if full else np.inf
-    useful = UsefulFit(most + thresholds.alternative, claimable)
+    useful = UsefulFit(most + thresholds.alternative, _most(workbench, begun, len(rest.added) + 1))
     ranking = rank(workbench, rest)
     refitted = refit(
         workbench, rest, ranking, begun.floor, wide=False, further=False, useful=useful

@@ -89,20 +89,27 @@ def _is_resonance(workbench: LoopWorkbench, current: FittedModel, frequency: flo
 
     Whatever disturbs a model with little damping leaves a residual there. A mode with eigenvalue
     s is one where its damping ratio -Re(s) / |s| is below 1/2; its width is |Re(s)|, half of that
-    of its power, but never counted below a tenth of its frequency.
+    of its power, but never counted below a tenth of its frequency. Where a model is not linear its
+    modes change along a record: one that is there for less than half of it does not ring for long.
     """
     for trajectory in workbench.trajectories(current):
         if trajectory.linear is None:
             return False
         steps = np.linspace(0, len(trajectory.linear.times) - 1, MODES).astype(int)
-        for step in np.unique(steps).tolist():
-            modes = np.linalg.eigvals(trajectory.linear.A.at(step))
-            size = np.abs(modes)
-            rings = (modes.imag > 0.0) & (-modes.real < 0.5 * size)
-            width = np.maximum(np.abs(modes.real), 0.1 * size)
-            if np.any(rings & (np.abs(modes.imag - frequency) <= width)):
-                return True
+        places = np.unique(steps).tolist()
+        near = [_rings_at(trajectory.linear.A.at(step), frequency) for step in places]
+        if 2 * sum(near) >= len(places):
+            return True
     return False
+
+
+def _rings_at(matrix: FloatArray, frequency: float) -> bool:
+    """Return whether a mode of a linear system has this frequency within its width."""
+    modes = np.linalg.eigvals(matrix)
+    size = np.abs(modes)
+    rings = (modes.imag > 0.0) & (-modes.real < 0.5 * size)
+    width = np.maximum(np.abs(modes.real), 0.1 * size)
+    return bool(np.any(rings & (np.abs(modes.imag - frequency) <= width)))
 
 
 def _agrees(workbench: LoopWorkbench, fitted: FittedModel, candidate: EffectCandidate) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from workers.messages import Experiment, FloatArray
+from workers.messages import Experiment, FloatArray, Input
 
 LEAST_SAMPLES = 10
 KEPT = 0.5
@@ -53,6 +53,14 @@ def count_jumps(times: FloatArray, values: FloatArray) -> int:
     ):
         return 0
     return int(np.sum(changes))
+
+
+def jump_times(given: Input) -> FloatArray:
+    """Return when an input that keeps its value between jumps begins to change; none for others."""
+    if not count_jumps(given.times, given.values):
+        return np.zeros(0)
+    changes = np.flatnonzero(np.abs(np.diff(given.values)) > 1e-9 * float(np.ptp(given.values)))
+    return given.times[changes if given.interpolation == "linear" else changes + 1]
 
 
 def _is_rounded(values: FloatArray, changes: npt.NDArray[np.bool_]) -> bool:

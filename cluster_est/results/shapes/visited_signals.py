@@ -59,7 +59,8 @@ def _shapes(
     known = [_signals(problem.experiments[e], outcome) for e, outcome in pairs]
 
     def visited(site: EffectSite, name: str) -> FloatArray:
-        if site.kind == "output" and any(PLAIN + name in each for each in known):
+        own = site.kind == "output" or (site.kind == "input" and name == site.target)
+        if own and any(PLAIN + name in each for each in known):
             name = PLAIN + name
         first, *second = split_variable(name, {n for each in known for n in each}) or (name,)
         seen = [s for s in known if all(one in s for one in (first, *second))]
@@ -88,6 +89,7 @@ def _signals(experiment: Experiment, outcome: Outcome) -> Signals:
         return {}
     for given in (*experiment.inputs, *experiment.signals):
         found.setdefault(given.variable, _sampled(given, times))
+    found |= {PLAIN + given.variable: _sampled(given, times) for given in experiment.inputs}
     return found | {"time": times}
 
 

@@ -45,7 +45,8 @@ def sentence_of(
         said += f", a period of {readable_time(period)}"
     seen = curve if curve is not None and len(curve.x) and curve.variable != "time" else None
     if seen is not None:
-        said += f"; in the data {_range(seen)}"
+        own = candidate.site.kind == "output" and seen.variable == candidate.site.target
+        said += f"; {'before the effect' if own else 'in the data'} {_range(seen)}"
     return " ".join([f"{said}.", *(_agreement(each, seen) for each in also if seen is not None)])
 
 

@@ -11,9 +11,10 @@ import pytest
 from support.truth.systems_with_missing_effects import measured, missing_effect_problem
 
 from cluster_est import Problem
-from cluster_est.closed_loop.first_pass import open_checked_workbench
+from cluster_est.closed_loop.first_pass import _after_jumps, open_checked_workbench
 from cluster_est.closed_loop.prepare import LoopRequest
 from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.statistics.outliers import isolated_outliers
 from workers.messages import FloatArray
 
 NOISE = 0.01
@@ -102,3 +103,26 @@ def test_noise_that_grows_is_said(clean: Problem) -> None:
     with checked(changed(clean, *louder)) as bench:
         (note,) = (each for each in bench.notes if "grows" in each)
     assert note.startswith("the noise of y grows with the signal: in the third of its samples")
+
+
+def test_samples_after_a_jump_of_an_input_are_no_outliers(clean: Problem) -> None:
+    """The jumps are just before some samples that stand alone."""
+    run = clean.experiments[0]
+    times = run.outputs[0].times
+    at = np.array([40, 200, 420])
+    steps = np.searchsorted(at, np.arange(len(times)), side="right") % 2
+    driven = replace(run, inputs=(replace(run.inputs[0], times=times, values=1.0 * steps),))
+    after = np.flatnonzero(_after_jumps(driven, "y"))
+    assert set(at) <= set(after)
+    assert set(after) <= {i + late for i in at for late in range(-1, 3)}
+    assert not _after_jumps(run, "y").any()
+
+
+def test_what_is_excepted_stays() -> None:
+    jumps = 60 * np.arange(1, 10)
+    signal = np.random.default_rng(5).normal(0.0, NOISE, 601)
+    signal[jumps] += 15.0 * NOISE
+    excepted = np.zeros(601, bool)
+    excepted[jumps] = True
+    assert isolated_outliers(signal, NOISE).mask[jumps].all()
+    assert not isolated_outliers(signal, NOISE, excepted=excepted).mask.any()

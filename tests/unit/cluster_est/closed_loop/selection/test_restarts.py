@@ -13,7 +13,7 @@ from cluster_est.closed_loop.selection.declared_model import THOROUGH
 from cluster_est.closed_loop.selection.restarts import refit_from_other_starts
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.workbench import FitStart
+from cluster_est.closed_loop.workbench import FitStart, FittedModel
 
 TRUE = 0.8
 
@@ -80,3 +80,21 @@ def test_a_structure_that_fits_best_is_kept(problem):
         found = refit_from_other_starts(bench, base, grown)
     assert found.sse <= grown.sse
     assert found.estimates == pytest.approx(grown.estimates, rel=1e-3)
+
+
+def test_the_users_own_starts_are_tried_too(problem):
+    """From the fit of the declared model, which stands at its bounds, there is no way back."""
+    with opened(problem) as bench:
+        (base,) = bench.fit(LoopStage.DECLARED_MODEL, [FitStart(problem, {})], THOROUGH)
+        candidate = dead_zone(bench, base)
+        bounds = {u.label: u.parameter.upper for u in base.space.unknowns if not u.scope}
+        lost = FitStart(base.problem, base.estimates | bounds)
+        far = replace(base, x=bench.space(lost).start)
+        grown = far.start.plus(candidate, (TRUE,))
+        space = bench.space(grown)
+        (at,) = bench.evaluate(LoopStage.TRIALS, [(space, space.start[None])])[0]
+        stuck = FittedModel(
+            space, space.start, at.residuals, np.zeros((len(at.residuals), space.size)), grown.added
+        )
+        found = refit_from_other_starts(bench, far, stuck)
+    assert found.sse < 1e-3 * stuck.sse

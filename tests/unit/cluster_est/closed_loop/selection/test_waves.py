@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from cluster_est.closed_loop.selection.gates import best_that_passes
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundStart
 from cluster_est.closed_loop.selection.waves import believable, period_of, residuals_without
-from cluster_est.closed_loop.workbench import FitStart, FittedModel
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite
 from workers.messages import Effect
@@ -131,3 +132,21 @@ def test_what_a_wave_leaves_when_it_is_taken_away(bench):
     a, b = (made.jacobian[:, labels.index(f"sine.{part}")] for part in "ab")
     without = residuals_without(made, made.added[0])
     assert without == pytest.approx(made.residuals - 3.0 * a + 2.0 * b)
+
+
+@pytest.mark.parametrize(("places", "kept"), [(5, False), (3, False), (2, True), (0, True)])
+def test_a_mode_that_soon_goes_is_no_resonance(bench, monkeypatch, places, kept):
+    """Of a model that is not linear: at so many of the five places the mode is there."""
+    ringing, still = np.array([[0.0, 81.0], [-1.0, 0.0]]), -np.eye(2)
+    base = unfitted(bench)
+    found = []
+    for trajectory in bench.trajectories(base):
+        steps = np.linspace(0, len(trajectory.linear.times) - 1, 5).astype(int).tolist()
+        matrices = dict(zip(steps, [ringing] * places + [still] * (5 - places), strict=True))
+        linear = SimpleNamespace(
+            times=trajectory.linear.times, A=SimpleNamespace(at=matrices.__getitem__)
+        )
+        found.append(replace(trajectory, linear=linear))
+    monkeypatch.setattr(LoopWorkbench, "trajectories", lambda self, fitted: found)
+    wave = grown(bench, "sine", (1.0, 0.5, 9.0), 1.0)
+    assert bool(believable(bench, base, [wave])) is kept

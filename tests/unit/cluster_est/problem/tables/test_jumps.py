@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cluster_est as ce
-from cluster_est.problem.tables.jumps import count_jumps, jump_notes
+from cluster_est.problem.tables.jumps import count_jumps, jump_notes, jump_times
 
 TIMES = 0.01 * np.arange(400)
 LEVELS = np.random.default_rng(3).uniform(-1.0, 1.0, 8)
@@ -78,3 +78,14 @@ def test_what_is_held_already_needs_no_note():
     (note,) = notes("linear")
     assert note.startswith("input u keeps its value and jumps 14 times; straight lines")
     assert 'inputs.u = { column = "COLUMN", interpolation = "hold" }' in note
+
+
+@pytest.mark.parametrize(("interpolation", "early"), [("linear", 0.01), ("hold", 0.0)])
+def test_a_jump_begins_where_the_signal_begins_to_change(interpolation, early):
+    """Between two samples it is a ramp, unless it is held."""
+    at = jump_times(ce.Input("u", TIMES, STEPS, interpolation))
+    np.testing.assert_allclose(at, 0.5 * np.arange(1, 8) - early)
+
+
+def test_what_keeps_no_value_has_no_jumps():
+    assert not len(jump_times(ce.Input("u", TIMES, np.sin(TIMES))))

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from support.loop_objects import made_candidate, made_fit, made_problem
 
-from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, rivals_of
+import cluster_est as ce
+from cluster_est.closed_loop.selection.refinement.refine import (
+    RefittedCandidate,
+    plainest,
+    rivals_of,
+)
 from cluster_est.closed_loop.thresholds import RefinementThresholds
 
 PROBLEM = made_problem(20)
@@ -53,3 +60,14 @@ def test_where_the_best_was_refused_its_rivals_are_those_of_the_best():
     won = structure(-50.0, "a")
     best, rest = structure(-70.0, "b"), structure(-55.0, "c")
     assert possible(won, best, rest) == {"a": ["b"]}
+
+
+def test_among_equals_the_one_with_fewest_unknowns_is_the_plainest():
+    small = structure(-48.5, "a")
+    wider = replace(PROBLEM, parameters=(*PROBLEM.parameters, ce.Parameter("q", 1.0)))
+    grown = made_fit(wider, np.ones(20), [made_candidate("b")])
+    large = RefittedCandidate(grown, -50.0, True)
+    assert large.fitted.space.size > small.fitted.space.size
+    assert plainest([large, small], THRESHOLDS) is small
+    far = structure(-50.0 + 1.1 * THRESHOLDS.equal, "a")
+    assert plainest([large, far], THRESHOLDS) is large
