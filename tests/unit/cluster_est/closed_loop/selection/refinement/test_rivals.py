@@ -64,7 +64,9 @@ def test_where_the_best_was_refused_its_rivals_are_those_of_the_best():
 
 def test_among_equals_the_one_with_fewest_unknowns_is_the_plainest():
     small = structure(-48.5, "a")
-    wider = replace(PROBLEM, parameters=(*PROBLEM.parameters, ce.Parameter("q", 1.0)))
+    model = replace(PROBLEM.model, parameters=(*PROBLEM.model.parameters, "q"))
+    parameters = (*PROBLEM.parameters, ce.Parameter("q", 1.0))
+    wider = replace(PROBLEM, model=model, parameters=parameters)
     grown = made_fit(wider, np.ones(20), [made_candidate("b")])
     large = RefittedCandidate(grown, -50.0, True)
     assert large.fitted.space.size > small.fitted.space.size
