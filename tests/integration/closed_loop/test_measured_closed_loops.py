@@ -38,7 +38,12 @@ def test_silverbox_has_a_cubic_stiffness(monkeypatch):
     assert result.verdict is Verdict.FOUND  # 1.05 times the noise is left on the training record
     first = result.effects[0]
     names = {("der(v)", "cubic", ("y",)), ("parameter k", "square", ("y",))}  # the same equation
-    assert (first.site, first.form, first.variables) in names
+    named = (first.site, first.form, first.variables)
+    if named == ("der(v)", "power", ("y",)):
+        (exponent,) = [c.value for c in first.coefficients if c.parameter.endswith(".n")]
+        assert exponent == pytest.approx(3.0, abs=0.05)
+    else:
+        assert named in names
     (arrow,) = [e for e in result.errors if e.role == "test"]
     assert arrow.rmse_before == pytest.approx(13.95e-3, rel=0.01)
     assert arrow.rmse_after == pytest.approx(0.40e-3, rel=0.1)
@@ -51,7 +56,7 @@ def test_the_tanks_spill_over_and_are_full_at_ten_volts(monkeypatch):
     assert {"overflow", "hinge"} & {e.form for e in result.effects}
     (val,) = [e for e in result.errors if e.role == "test"]
     assert val.rmse_before == pytest.approx(0.664, rel=0.01)
-    assert val.rmse_after == pytest.approx(0.252, rel=0.1)
+    assert val.rmse_after == pytest.approx(0.230, rel=0.1)
 
 
 def test_emps_has_coulomb_friction(monkeypatch):
