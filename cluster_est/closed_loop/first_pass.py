@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import bdtrc
 
 from cluster_est.closed_loop.measured_noise import measured_values, noise_of
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
@@ -29,7 +30,9 @@ Place = tuple[int, str]
 Mask = npt.NDArray[np.bool_]
 
 AFTER_A_JUMP = 3
-"""Samples from the jump of an input on that are no outliers."""
+"""Samples from the jump of an input on, in which what is fast answers."""
+CHANCE = 0.01
+"""Probability above which outliers stand just after jumps by chance."""
 
 
 @dataclass(frozen=True)
@@ -154,11 +157,28 @@ def _noise(workbench: LoopWorkbench, fitted: FittedModel) -> dict[str, float]:
 def _in_records(
     signals: Mapping[int, FloatArray], jumps: Mapping[int, Mask], noise: float
 ) -> dict[int, IsolatedOutliers]:
-    """The outliers of one sensor; once it is known to have some, what is common needs less."""
+    """The outliers of one sensor; once it is known to have some, what is common needs less.
+
+    Where more of them stand just after jumps of inputs than chance puts there, those are answers to
+    the jumps.
+    """
+    found = _of_sensor(signals, {}, noise)
+    count = sum(int(each.mask.sum()) for each in found.values())
+    after = sum(int((each.mask & jumps[e]).sum()) for e, each in found.items())
+    places = np.concatenate([np.zeros(0, bool), *(jumps[e] for e in signals)])
+    share = float(places.mean()) if len(places) else 0.0
+    by_chance = after == 0 or bdtrc(after - 1, count, share) >= CHANCE
+    return found if by_chance else _of_sensor(signals, jumps, noise)
+
+
+def _of_sensor(
+    signals: Mapping[int, FloatArray], excepted: Mapping[int, Mask], noise: float
+) -> dict[int, IsolatedOutliers]:
+    """The outliers of one sensor, without some samples that are never any."""
 
     def outliers(*, proven: bool) -> dict[int, IsolatedOutliers]:
         return {
-            e: isolated_outliers(signal, noise, proven=proven, excepted=jumps[e])
+            e: isolated_outliers(signal, noise, proven=proven, excepted=excepted.get(e))
             for e, signal in signals.items()
         }
 

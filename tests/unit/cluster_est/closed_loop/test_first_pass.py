@@ -11,7 +11,11 @@ import pytest
 from support.truth.systems_with_missing_effects import measured, missing_effect_problem
 
 from cluster_est import Problem
-from cluster_est.closed_loop.first_pass import _after_jumps, open_checked_workbench
+from cluster_est.closed_loop.first_pass import (
+    _after_jumps,
+    _in_records,
+    open_checked_workbench,
+)
 from cluster_est.closed_loop.prepare import LoopRequest
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.statistics.outliers import isolated_outliers
@@ -126,3 +130,15 @@ def test_what_is_excepted_stays() -> None:
     excepted[jumps] = True
     assert isolated_outliers(signal, NOISE).mask[jumps].all()
     assert not isolated_outliers(signal, NOISE, excepted=excepted).mask.any()
+
+
+@pytest.mark.parametrize(("answers", "found"), [(True, 0), (False, 9)])
+def test_outliers_that_follow_jumps_are_answers_to_them(answers: bool, found: int) -> None:
+    """Nine samples stand alone: all of them just after a jump, or one as it happens."""
+    jumps = np.zeros(601, bool)
+    jumps[(60 * np.arange(1, 10))[:, None] + np.arange(3)] = True
+    signal = np.random.default_rng(5).normal(0.0, NOISE, 601)
+    at = 60 * np.arange(1, 10) + (0 if answers else np.array([0, *range(10, 26, 2)]))
+    signal[at] += 15.0 * NOISE
+    outliers = _in_records({0: signal}, {0: jumps}, NOISE)[0]
+    assert outliers.mask.sum() == found
