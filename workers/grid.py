@@ -94,15 +94,21 @@ def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
     )
 
 
+def values_at(signal: Input, times: FloatArray) -> FloatArray:
+    """Return a signal at any times, between its samples as it is declared."""
+    if signal.interpolation == "linear":
+        return np.asarray(np.interp(times, signal.times, signal.values))
+    latest = np.searchsorted(signal.times, times, side="right") - 1
+    return np.asarray(signal.values[np.maximum(latest, 0)])
+
+
 def _sample(signal: Input, times: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the input at each time of the grid, and its slope in the interval that follows."""
-    if signal.interpolation == "linear":
-        values = np.interp(times, signal.times, signal.values)
-        with np.errstate(over="ignore", invalid="ignore"):  # absurd slopes fail as simulations
-            return values, np.append(np.diff(values) / np.diff(times), 0.0)
-    latest = np.searchsorted(signal.times, times, side="right") - 1
-    values = signal.values[np.maximum(latest, 0)]
-    return values, np.zeros_like(values)
+    values = values_at(signal, times)
+    if signal.interpolation != "linear":
+        return values, np.zeros_like(values)
+    with np.errstate(over="ignore", invalid="ignore"):  # absurd slopes fail as simulations
+        return values, np.append(np.diff(values) / np.diff(times), 0.0)
 
 
 def _columns(columns: list[FloatArray], rows: int) -> FloatArray:

@@ -44,7 +44,7 @@ from cluster_est.config.sections.sections import (
     ModelSection,
     ParameterSection,
 )
-from cluster_est.config.sections.value_files import KEY, with_values_of_files
+from cluster_est.config.sections.value_files import VALUE_FILES, with_values_of_files
 from cluster_est.costs import ALIASES as COST_ALIASES
 from cluster_est.costs import COSTS
 from cluster_est.errors import ConfigError
@@ -133,8 +133,10 @@ def parse_config(raw: dict[str, Any], where: str) -> Config:
     ConfigError
         With one line for each problem.
     """
-    if raw.get(KEY):
-        raise ConfigError(f"{where}.{KEY}: is only for a config file; give the values themselves")
+    if raw.get(VALUE_FILES):
+        raise ConfigError(
+            f"{where}.{VALUE_FILES}: is only for a config file; give the values themselves"
+        )
     defaults = raw.get(DEFAULTS, {})
     if DEFAULTS in raw:
         with _in_words(raw, where):

@@ -16,6 +16,7 @@ from workers.messages import FloatArray, IntArray
 
 PIECES = 8
 """Of each interval; within one a straight line will do."""
+SHARES = np.arange(PIECES) / PIECES
 STENCIL = 4
 """Records that a cubic goes through."""
 UNEVEN = 5.0
@@ -39,18 +40,20 @@ def refine(grid: SignalGrid, outputs: FloatArray) -> tuple[SignalGrid, FloatArra
     grid, outputs : ((n - 1) PIECES + 1, y)
         With the times of the simulation at every `PIECES`-th row, and its outputs there.
     """
-    shares = np.arange(PIECES) / PIECES
-    between = _with_end(grid.times[:-1, None] + shares * grid.intervals[:-1, None], grid.times)
-    passed = (shares * grid.intervals[:-1, None])[:, :, None]
-    inputs = _with_end(grid.inputs[:-1, None] + passed * grid.slopes[:-1, None], grid.inputs)
+    passed = SHARES * grid.intervals[:-1, None]
+    at = grid.times[:-1, None] + passed
+    times = _with_end(at, grid.times)
+    inputs = _with_end(
+        grid.inputs[:-1, None] + passed[:, :, None] * grid.slopes[:-1, None], grid.inputs
+    )
     slopes = _with_end(np.repeat(grid.slopes[:-1, None], PIECES, axis=1), grid.slopes)
     refined = grid._replace(
-        times=between,
-        intervals=np.diff(between, append=between[-1:]),
+        times=times,
+        intervals=np.diff(times, append=times[-1:]),
         inputs=np.ascontiguousarray(inputs),
         slopes=np.ascontiguousarray(slopes),
     )
-    return refined, np.ascontiguousarray(_with_end(_interpolated(grid, outputs), outputs))
+    return refined, np.ascontiguousarray(_with_end(_interpolated(grid, outputs, at), outputs))
 
 
 def _with_end(pieces: FloatArray, whole: FloatArray) -> FloatArray:
@@ -59,17 +62,15 @@ def _with_end(pieces: FloatArray, whole: FloatArray) -> FloatArray:
     return np.concatenate([pieces.reshape(rows, *whole.shape[1:]), whole[-1:]])
 
 
-def _interpolated(grid: SignalGrid, outputs: FloatArray) -> FloatArray:
-    """Return the outputs (n - 1, PIECES, y) at the start of each piece."""
-    shares = np.arange(PIECES) / PIECES
-    straight = outputs[:-1, None] + shares[:, None] * np.diff(outputs, axis=0)[:, None]
+def _interpolated(grid: SignalGrid, outputs: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the outputs (n - 1, PIECES, y) at the start `at` of each piece."""
+    straight = outputs[:-1, None] + SHARES[:, None] * np.diff(outputs, axis=0)[:, None]
     first, smooth = _stencils(grid)
     if not smooth.any():
         return np.asarray(straight)
     rows = first[smooth, None] + np.arange(STENCIL)
     knots = grid.times[rows]
-    starts, lengths = grid.times[:-1][smooth], grid.intervals[:-1][smooth]
-    at = starts[:, None] + shares * lengths[:, None]
+    at = at[smooth]
     weights = np.ones((*at.shape, STENCIL))
     for j in range(STENCIL):
         for m in range(STENCIL):

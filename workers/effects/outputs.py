@@ -73,23 +73,7 @@ def apply_output_effect(
         changed = change(SampledSignal(fine.times, seen[:, 0]), float(coefficients[0]))
         outputs[:, column] = np.interp(grid.times, changed.times, changed.values)
         return
-    if definition.states:
-        fine, seen = refine(grid, outputs)
-        _apply(definition, coefficients, fine, seen, recorded, inputs)
-        outputs[:, column] = seen[::PIECES, column]
-        return
-    _apply(definition, coefficients, grid, outputs, recorded, inputs)
-
-
-def _apply(
-    definition: EffectDefinition,
-    coefficients: FloatArray,
-    grid: SignalGrid,
-    outputs: FloatArray,
-    recorded: tuple[str, ...],
-    inputs: tuple[str, ...],
-) -> None:
-    column = recorded.index(definition.site.target)
+    fine, seen = refine(grid, outputs) if definition.states else (grid, outputs)
     compiled = _compile(definition, recorded, inputs)
     work = OutputWorkspace(
         states=np.zeros(compiled.states),
@@ -99,12 +83,14 @@ def _apply(
         inputs=np.zeros(len(inputs)),
         result=np.zeros(1),
     )
-    signals = dict(zip((*recorded, *inputs), (*outputs.T, *grid.inputs.T), strict=True))
+    signals = dict(zip((*recorded, *inputs), (*seen.T, *fine.inputs.T), strict=True))
     motion = OwnStateMotion(
         definition.fastest_rate(coefficients, signals), definition.decay_rate(coefficients)
     )
     own_coefficients = np.ascontiguousarray(coefficients)
-    apply_to_outputs(compiled.hooks(), grid, outputs, column, own_coefficients, motion, work)
+    apply_to_outputs(compiled.hooks(), fine, seen, column, own_coefficients, motion, work)
+    if seen is not outputs:
+        outputs[:, column] = seen[::PIECES, column]
 
 
 @lru_cache(maxsize=512)

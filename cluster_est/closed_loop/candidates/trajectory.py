@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from workers.effects.variables import split_variable
-from workers.grid import build_grid
-from workers.messages import Experiment, FloatArray, Input, IntArray, Linearisation, Outcome
+from workers.grid import build_grid, values_at
+from workers.messages import Experiment, FloatArray, IntArray, Linearisation, Outcome
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,10 @@ def make_trajectory(
         signals = {}
     else:
         raise ValueError("the outcome must carry a linearisation or a trajectory")
-    for given in (*experiment.inputs, *experiment.signals):
-        signals.setdefault(given.variable, _sampled(given, times))
+    driven = {given.variable: values_at(given, times) for given in experiment.inputs}
+    measured = {given.variable: values_at(given, times) for given in experiment.signals}
+    for name, values in (*driven.items(), *measured.items()):
+        signals.setdefault(name, values)
     own = {n: shown[:, i] for i, n in enumerate(names) if n not in signals}
     grid = build_grid(experiment)
     width = len(experiment.outputs)
@@ -97,7 +99,7 @@ def make_trajectory(
         rows=np.minimum(at, len(times) - 1),
         columns=grid.gather % width,
         sigmas=grid.sigmas,
-        driven={given.variable: _sampled(given, times) for given in experiment.inputs},
+        driven=driven,
     )
 
 
@@ -106,10 +108,3 @@ def pooled(trajectories: Sequence[LinearisedTrajectory], name: str) -> FloatArra
     return np.concatenate(
         [trajectory.signal(name) for trajectory in trajectories if trajectory.has(name)]
     )
-
-
-def _sampled(given: Input, at: FloatArray) -> FloatArray:
-    if given.interpolation == "linear":
-        return np.asarray(np.interp(at, given.times, given.values))
-    latest = np.searchsorted(given.times, at, side="right") - 1
-    return np.asarray(given.values[np.maximum(latest, 0)])

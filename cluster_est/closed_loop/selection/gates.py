@@ -63,12 +63,16 @@ def useful_sse(workbench: LoopWorkbench, begun: RoundStart, added: int) -> float
     return max(min(gate, claim), _near_noise_sse(workbench, floor))
 
 
-def claimable_sse(workbench: LoopWorkbench, base: FittedModel, floor: float) -> float:
-    """Return the sum of squares above which a structure that nothing can be added to is no claim.
+def claimable_sse(workbench: LoopWorkbench, begun: RoundStart, added: int) -> float:
+    """Return the sum of squares above which a structure of so many effects comes to nothing.
 
-    It must close as much of the gap as a claim needs, or be the noise of sensors for its size.
+    Where nothing can be added to it, it must close as much of the gap as a claim needs, or be the
+    noise of sensors for its size.
     """
-    return max(_claim_sse(workbench, base, floor), _near_noise_sse(workbench, floor))
+    if added < workbench.settings.max_effects:
+        return np.inf
+    claim = _claim_sse(workbench, begun.base, begun.floor)
+    return max(claim, _near_noise_sse(workbench, begun.floor))
 
 
 def _claim_sse(workbench: LoopWorkbench, base: FittedModel, floor: float) -> float:

@@ -54,7 +54,7 @@ def revise(
         Of its effects; those of others may be among them.
     """
     thresholds = workbench.thresholds.revision
-    most = _most(workbench, begun, len(grown.added))
+    most = claimable_sse(workbench, begun, len(grown.added))
     saved = thresholds.drop_price * float(np.log(begun.screening.count))  # by an effect less
     for sweep in range(thresholds.sweeps):
         before = grown
@@ -98,13 +98,6 @@ def _without_needless(workbench: LoopWorkbench, grown: FittedModel, saved: float
     return grown
 
 
-def _most(workbench: LoopWorkbench, begun: RoundStart, added: int) -> float:
-    """The sum of squares above which a structure of so many effects comes to nothing."""
-    if added < workbench.settings.max_effects:
-        return np.inf
-    return claimable_sse(workbench, begun.base, begun.floor)
-
-
 def _instead(
     workbench: LoopWorkbench,
     begun: RoundStart,
@@ -128,7 +121,8 @@ def _instead(
         return None
     thresholds = workbench.thresholds.refinement
     most = grown.criterion(workbench.records) + rise
-    useful = UsefulFit(most + thresholds.alternative, _most(workbench, begun, len(rest.added) + 1))
+    claimable = claimable_sse(workbench, begun, len(rest.added) + 1)
+    useful = UsefulFit(most + thresholds.alternative, claimable)
     ranking = rank(workbench, rest)
     refitted = refit(
         workbench, rest, ranking, begun.floor, wide=False, further=False, useful=useful

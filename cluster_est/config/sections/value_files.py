@@ -7,8 +7,9 @@ Association, 2019), section 5.
 
 from __future__ import annotations
 
+import copy
 import csv
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from cluster_est.errors import ConfigError
 from workers.messages import Value
 from workers.messages.checks import shown
 
-KEY = "value_files"
+VALUE_FILES = "value_files"
 
 
 @dataclass(frozen=True)
@@ -51,61 +52,55 @@ def with_values_of_files(
     ConfigError
         If a file is missing, or is no list of values.
     """
-    kept = {key: value for key, value in raw.items() if key != KEY}
+    tree = {key: copy.deepcopy(value) for key, value in raw.items() if key != VALUE_FILES}
     given = {each.name: each for path in _paths(raw, base) for each in _read(path)}
-    listed = raw.get("effects", [])
-    if not given or not isinstance(listed, list):  # what is no list is refused later
-        return kept, {}
-    parameters = {name: _copy(each) for name, each in _table(raw, "parameters").items()}
-    effects = [_copy(each) for each in listed]
-    known = dict(_table(raw, "values"))
-    by_target = {each.get("variable") or name: each for name, each in parameters.items()}
-    by_effect = {each.get("name") or each.get("form", ""): each for each in effects}
+    if not given:
+        return tree, {}
+    parameters, listed = _inner(tree, "parameters"), tree.get("effects")
+    effects = listed if isinstance(listed, list) else []
+    by_target = {own.get("variable") or name: own for name, own in _tables(parameters.items())}
+    by_effect = {own.get("name") or own.get("form"): own for _, own in _tables(enumerate(effects))}
     for name, each in given.items():
         effect, _, coefficient = name.rpartition(".")
         if name in by_target:
             by_target[name]["start"] = _start(each)
         elif effect in by_effect:
-            own = {n: _copy(c) for n, c in _table(by_effect[effect], "parameters").items()}
-            by_effect[effect]["parameters"] = own | {
-                coefficient: own.get(coefficient, {}) | {"start": _start(each)}
-            }
+            _inner(_inner(by_effect[effect], "parameters"), coefficient)["start"] = _start(each)
         else:
-            known.setdefault(name, each.value)
-    units = {name: each.unit for name, each in given.items() if each.unit}
-    changed = {"parameters": parameters, "effects": effects, "values": known}
-    return kept | {key: value for key, value in changed.items() if value}, units
+            _inner(tree, "values").setdefault(name, each.value)
+    return tree, {name: each.unit for name, each in given.items() if each.unit}
 
 
-def _copy(section: Any) -> dict[str, Any]:
-    """A copy of a section; a number alone is short for one with that start."""
-    return dict(section) if isinstance(section, dict) else {"start": section}
+def _tables(sections: Iterable[tuple[Any, Any]]) -> list[tuple[Any, dict[str, Any]]]:
+    """Those that are tables; what is none is refused when the config is checked."""
+    return [(name, each) for name, each in sections if isinstance(each, dict)]
 
 
-def _table(section: Mapping[str, Any], key: str) -> dict[str, Any]:
-    found = section.get(key)
+def _inner(section: dict[str, Any], key: str) -> dict[str, Any]:
+    """The table under a key, which is made; one of no use where something else stands there."""
+    found = section.setdefault(key, {})
     return found if isinstance(found, dict) else {}
 
 
 def _start(given: GivenValue) -> float:
     if isinstance(given.value, bool | str):
         raise ConfigError(
-            f"{KEY}: {given.file}: {given.name} must be a number, because it is estimated, but is "
-            f"{shown(given.value)}; correct it (decimals stand behind a point)"
+            f"{VALUE_FILES}: {given.file}: {given.name} must be a number, because it is estimated, "
+            f"but is {shown(given.value)}; correct it (decimals stand behind a point)"
         )
     return float(given.value)
 
 
 def _paths(raw: Mapping[str, Any], base: Path) -> list[Path]:
-    names = raw.get(KEY, [])
+    names = raw.get(VALUE_FILES, [])
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ConfigError(
-            f'{KEY}: must be a list of files, like ["values.ssv"], but is {shown(names)}'
+            f'{VALUE_FILES}: must be a list of files, like ["values.ssv"], but is {shown(names)}'
         )
     paths = [base / name for name in names]
     for path in paths:
         if not path.is_file():
-            raise ConfigError(f"{KEY}: there is no file {path}; check the name")
+            raise ConfigError(f"{VALUE_FILES}: there is no file {path}; check the name")
     return paths
 
 
@@ -119,11 +114,15 @@ def _read(path: Path) -> list[GivenValue]:
     """
     readers = {".ssv": _parameter_set, ".csv": _csv}
     if path.suffix.lower() not in readers:
-        raise ConfigError(f"{KEY}: {path.name} must end in .ssv or .csv; rename or convert it")
+        raise ConfigError(
+            f"{VALUE_FILES}: {path.name} must end in .ssv or .csv; rename or convert it"
+        )
     try:
         return list(readers[path.suffix.lower()](path))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{KEY}: {path.name} cannot be read ({error}); check it") from error
+        raise ConfigError(
+            f"{VALUE_FILES}: {path.name} cannot be read ({error}); check it"
+        ) from error
 
 
 def _parameter_set(path: Path) -> Iterator[GivenValue]:
@@ -134,7 +133,7 @@ def _parameter_set(path: Path) -> Iterator[GivenValue]:
     except Exception as error:  # of whatever kind fmpy and lxml raise
         why = " ".join(str(error).split())
         raise ConfigError(
-            f"{KEY}: {path.name} must be a parameter set of SSP 1.0 but is not ({why})"
+            f"{VALUE_FILES}: {path.name} must be a parameter set of SSP 1.0 but is not ({why})"
         ) from error
     for each in found:
         value = str(each.value) if each.type == "String" else _value(str(each.value))
@@ -152,7 +151,7 @@ def _csv(path: Path) -> Iterator[GivenValue]:
         missing = [name for name in ("name", "value") if name not in (rows.fieldnames or ())]
         if missing:
             raise ConfigError(
-                f"{KEY}: {path.name} must have the columns name and value but has "
+                f"{VALUE_FILES}: {path.name} must have the columns name and value but has "
                 f"{', '.join(map(str, rows.fieldnames or ())) or 'none'}; name them in row 1"
             )
         for row in rows:

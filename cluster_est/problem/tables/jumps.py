@@ -38,7 +38,7 @@ def count_jumps(times: FloatArray, values: FloatArray) -> int:
         return 0
     size = np.abs(np.diff(values))
     intervals = np.diff(times)
-    changes = size > 1e-9 * float(np.ptp(values))
+    changes = _changes(values)
     wide = intervals >= 0.5 * float(np.median(intervals))
     if not changes.any() or np.mean(~changes) < KEPT:
         return 0
@@ -59,8 +59,13 @@ def jump_times(given: Input) -> FloatArray:
     """Return when an input that keeps its value between jumps begins to change; none for others."""
     if not count_jumps(given.times, given.values):
         return np.zeros(0)
-    changes = np.flatnonzero(np.abs(np.diff(given.values)) > 1e-9 * float(np.ptp(given.values)))
+    changes = np.flatnonzero(_changes(given.values))
     return given.times[changes if given.interpolation == "linear" else changes + 1]
+
+
+def _changes(values: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return for each interval between two samples whether the signal changes in it."""
+    return np.asarray(np.abs(np.diff(values)) > 1e-9 * float(np.ptp(values)))
 
 
 def _is_rounded(values: FloatArray, changes: npt.NDArray[np.bool_]) -> bool:

@@ -13,7 +13,8 @@ from cluster_est.results.shapes.effect_shapes import NOTHING_KNOWN, effect_shape
 from cluster_est.running.runner import Runner
 from workers.effects.site import EffectSite
 from workers.effects.variables import split_variable
-from workers.messages import Experiment, FloatArray, Input, Outcome
+from workers.grid import values_at
+from workers.messages import Experiment, FloatArray, Outcome
 
 Signals = Mapping[str, FloatArray]
 
@@ -21,7 +22,7 @@ MOST_ENTRIES = 20_000_000
 """Of the matrices of all linearisations: 160 MB."""
 
 PLAIN = "before effects: "
-"""Stands before the name of an output as it is before effects act on it."""
+"""Stands before the name of an input or output as it is before effects act on it."""
 
 
 def declared_shapes(runner: Runner, train: SearchSpace, result: Result) -> tuple[EffectCurve, ...]:
@@ -87,15 +88,7 @@ def _signals(experiment: Experiment, outcome: Outcome) -> Signals:
         times = trajectory.times
     else:
         return {}
-    for given in (*experiment.inputs, *experiment.signals):
-        found.setdefault(given.variable, _sampled(given, times))
-    found |= {PLAIN + given.variable: _sampled(given, times) for given in experiment.inputs}
-    return found | {"time": times}
-
-
-def _sampled(given: Input, at: FloatArray) -> FloatArray:
-    """A measured signal at other times, between its samples as it is declared."""
-    if given.interpolation == "linear":
-        return np.asarray(np.interp(at, given.times, given.values))
-    latest = np.searchsorted(given.times, at, side="right") - 1
-    return np.asarray(given.values[np.maximum(latest, 0)])
+    driven = {given.variable: values_at(given, times) for given in experiment.inputs}
+    measured = {given.variable: values_at(given, times) for given in experiment.signals}
+    before = {PLAIN + name: values for name, values in driven.items()}
+    return driven | measured | found | before | {"time": times}

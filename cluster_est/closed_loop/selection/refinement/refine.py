@@ -158,11 +158,10 @@ def successive_halving(
             going = [f for f in fits if not f.converged]
             further = iter(workbench.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
             fits = [f if f.converged else next(further) or f for f in fits]
-    rival = _rival_of_the_best(workbench, current, floor, fits, useful)
-    order = [i for i, f in enumerate(fits) if may_become_useful(workbench, f, rival)]
+    order = list(range(len(fits)))
     first = order[: thresholds.finalists]
     first += _promising(workbench, fits, order, first)
-    best, rest = [fits[i] for i in first], [f for i, f in enumerate(fits) if i not in first]
+    best, rest = [fits[i] for i in first], [fits[i] for i in order if i not in first]
     finished = workbench.fit(LoopStage.REFITS, [f.start for f in best], full_refit(workbench))
     found = [(f, False) for f in (*lost, *rest)]
     found += [(new or old, True) for new, old in zip(finished, best, strict=True)]

@@ -120,3 +120,19 @@ def test_what_is_no_list_of_files(tmp_path):
 def test_a_config_in_memory_has_no_folder():
     with pytest.raises(ConfigError, match="is only for a config file"):
         parse_config({"value_files": ["a.ssv"]}, "here")
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"parameters.m": 3.0}, r"parameters\.m: must be a table but is 3\.0"),
+        ({"parameters": 3.0}, "parameters: must be a table but is 3.0"),
+        ({"values": 3.0}, "values: must be a table but is 3.0"),
+        ({"effects": 3.0}, "effects: must be a list"),
+        ({"effects": [3.0]}, "must be a table but is 3.0"),
+    ],
+)
+def test_what_is_no_table_is_refused_as_without_a_file(tmp_path, changes, sentence):
+    files = {"set.csv": "name,value\nm,1.5\nzz,2\n"}
+    with pytest.raises(ConfigError, match=sentence):
+        read(tmp_path, files, **changes)
