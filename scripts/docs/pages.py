@@ -95,8 +95,8 @@ def _form(form: EffectForm) -> tuple[str, str, str]:
         before = {"parameter": "`s` times 1 plus ", "derivative": "", "pair": ""}
         equation = (
             f"{before.get(form.kinds[0], '`s` plus ')}a curve of `{'v' if form.variables else 's'}`"
-            ": straight lines between values at 7 equally spaced points from `low` to `high`, 0 at "
-            "those without a coefficient"
+            f": straight lines between values at {form.values} equally spaced points from `low` to "
+            "`high`, 0 at those without a coefficient"
         )
     elif form.memory:
         equation = f"`{form.memory}(s, {form.coefficients[0].name})`"

@@ -134,12 +134,14 @@ _RESTING = OwnState("z", "(v - z) / tau", "0")
 _TRAVEL = OwnState("z", "v", "0")
 _BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
 
-_HATS = 7
+_VALUES = 7
+"""Of a free curve; there are finer ones with twice and four times as many steps between them."""
+_FINER = (13, 25)
 
 
-def _curve(argument: str, values: Iterable[int]) -> str:
+def _curve(argument: str, values: Iterable[int], of: int = _VALUES) -> str:
     """Piecewise linear from low to high, constant outside, with values at equal steps, else 0."""
-    inside = f"{_HATS - 1} * (max(min({argument}, high), low) - low) / (high - low)"
+    inside = f"{of - 1} * (max(min({argument}, high), low) - low) / (high - low)"
     return " + ".join(f"k{i} * max(1 - abs({inside} - {i - 1}), 0)" for i in values)
 
 
@@ -149,13 +151,29 @@ def _curve_coefficients(
     return (*(FormCoefficient(f"k{i}", unit=unit) for i in values), *ends)
 
 
-_ALL = range(1, _HATS + 1)
-_INSIDE = range(2, _HATS)
-"""Without a value at the ends a curve of a signal has neither offset nor gain, which parameters
-often imitate, and which are forms of their own."""
-_AROUND = (1, 2, 3, 5, 6, 7)
-"""Without a value in the middle: there a parameter has its own, or it would hide behind the
-curve."""
+def _resolutions(name: str) -> list[tuple[str, int, str]]:
+    """Names of a free curve and of the finer ones, the number of values, and the next coarser."""
+    names = [name, *(f"{name}_{of}" for of in _FINER)]
+    return list(zip(names, (_VALUES, *_FINER), ("", *names), strict=False))
+
+
+def _all(of: int) -> list[int]:
+    return list(range(1, of + 1))
+
+
+def _inside(of: int) -> list[int]:
+    """Without a value at the ends a curve of a signal has neither offset nor gain.
+
+    Parameters often imitate these, and they are forms of their own.
+    """
+    return _all(of)[1:-1]
+
+
+def _around(of: int) -> list[int]:
+    """Without a value in the middle, where a parameter has its own: else it would hide there."""
+    return [i for i in _all(of) if i != of // 2 + 1]
+
+
 _MOSTLY = (
     FormCoefficient("low", None, scale=GridScale.LOW_V, grid=(1.0,), held=True, unit="v"),
     FormCoefficient("high", None, scale=GridScale.HIGH_V, grid=(1.0,), held=True, unit="v"),
@@ -255,8 +273,11 @@ _RATES = (
          when=(FormCondition.POSITIVE,)),
     EffectForm("signed_root", "leak", _DER, "-k * sign(v) * sqrt(abs(v))",
          (_drag("site / v^0.5", if_own=True),), 1, when=_OSCILLATES),
-    EffectForm("table", FREE_FAMILY, _DER, _curve("v", _ALL),
-         _curve_coefficients(_ALL, *_MOSTLY), 1, order=2.0),
+    *(
+        EffectForm(name, FREE_FAMILY, _DER, _curve("v", _all(of), of),
+             _curve_coefficients(_all(of), *_MOSTLY), 1, order=2.0, values=of, finer_than=coarse)
+        for name, of, coarse in _resolutions("table")
+    ),
     # between two states
     _between("joint", "end stop", "max(min(v, at), -at)", " / v", _BEYOND),
     _between("gap", "end stop", "(max(v - at, 0) - max(-v - at, 0))", " / v", _BEYOND),
@@ -273,14 +294,19 @@ _RATES = (
              when=(FormCondition.FIRST,), order=0.2),
     _between("leak", "leak", "sign(v) * sqrt(abs(v))", " / v^0.5"),
     # one curve for both, but for the ratio of their inertias
-    EffectForm("table", FREE_FAMILY, _PAIR, _curve("v", _ALL),
-         _curve_coefficients(_ALL, _RATIO, *_MOSTLY), 1,
-         reaction=f"-back * ({_curve('v', _ALL)})", order=2.0),
+    *(
+        EffectForm(name, FREE_FAMILY, _PAIR, _curve("v", _all(of), of),
+             _curve_coefficients(_all(of), _RATIO, *_MOSTLY), 1,
+             reaction=f"-back * ({_curve('v', _all(of), of)})", order=2.0, values=of,
+             finer_than=coarse)
+        for name, of, coarse in _resolutions("table")
+    ),
 )  # fmt: skip
 
 _AS_FORCES = (
     "periodic", "viscous", "quadratic", "power", "coulomb", "stribeck", "asymmetric_coulomb",
-    "dahl", "linear", "hinge", "hinge_below", "contact", "gap", "signed_root", "table",
+    "dahl", "linear", "hinge", "hinge_below", "contact", "gap", "signed_root",
+    *(name for name, _, _ in _resolutions("table")),
 )  # fmt: skip
 
 
@@ -350,8 +376,17 @@ _SIGNALS = (
     EffectForm("hysteresis", "memory", _OUT, "s + k * z",
          (_k("site"), _shape("x0", "travel", GridScale.TRAVEL_V, 0.1, 0.4, 1.5)), 1, (_BRISTLE,),
          when=_DRIVEN_OSCILLATES),
-    EffectForm("characteristic", FREE_FAMILY, _SIGNAL, f"s + {_curve('s', _INSIDE)}",
-         _curve_coefficients(_INSIDE, *_WHOLLY), order=2.0),
+    *(
+        EffectForm(name, FREE_FAMILY, _SIGNAL, f"s + {_curve('s', _inside(of), of)}",
+             _curve_coefficients(_inside(of), *_WHOLLY), order=2.0, values=of, finer_than=coarse)
+        for name, of, coarse in _resolutions("characteristic")
+    ),
+    # of what is not the output itself: a voltage by the charge, a reading by a temperature
+    *(
+        EffectForm(name, FREE_FAMILY, _OUT, f"s + {_curve('v', _all(of), of)}",
+             _curve_coefficients(_all(of), *_MOSTLY), 1, order=2.0, values=of, finer_than=coarse)
+        for name, of, coarse in _resolutions("table")
+    ),
     EffectForm("hum", "disturbance", _OUT, "s + a * sin(f * t) + b * cos(f * t)", _WAVE),
 )  # fmt: skip
 
@@ -384,8 +419,12 @@ _VARIATIONS = (
     EffectForm("heating", "variation", _PAR, "s * (1 + k * (z - at))",
          (_k("1 / v^2"), _centre("v^2", GridScale.MEAN_SQUARE_V), _tau(20.0, 80.0)), 1,
          (OwnState("z", "(v^2 - z) / tau", "0"),), order=1.0),
-    EffectForm("table", FREE_FAMILY, _PAR, f"s * (1 + {_curve('v', _AROUND)})",
-         _curve_coefficients(_AROUND, *_MOSTLY, unit="1"), 1, order=2.0),
+    *(
+        EffectForm(name, FREE_FAMILY, _PAR, f"s * (1 + {_curve('v', _around(of), of)})",
+             _curve_coefficients(_around(of), *_MOSTLY, unit="1"), 1, order=2.0, values=of,
+             finer_than=coarse)
+        for name, of, coarse in _resolutions("table")
+    ),
 )  # fmt: skip
 
 FORMS: dict[tuple[SiteKind, str], EffectForm] = {

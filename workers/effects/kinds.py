@@ -165,6 +165,10 @@ class EffectForm:
         Conditions under which a search should try it; all must hold.
     order
         The form of lower order is taken where the data do not tell two apart.
+    values
+        Of a free curve: the number of points that it is made of.
+    finer_than
+        Name of the curve with half as many steps: a search looks at this one only where that leads.
     """
 
     name: str
@@ -178,6 +182,8 @@ class EffectForm:
     memory: str = ""
     when: tuple[FormCondition, ...] = ()
     order: float = 0.0
+    values: int = 0
+    finer_than: str = ""
 
     def divides_by(self, coefficient: str) -> bool:
         """Return whether an equation of it has a coefficient alone as a divisor: 0 is no value."""

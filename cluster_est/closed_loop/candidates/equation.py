@@ -33,7 +33,8 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
         return f"{site.target} -> {form.memory}({site.target}, {coefficients[0]})"
     if form.free:
         table = f"table of {names.get('v', site.target)} from low to high: "
-        table += ", ".join(c.name for c in form.coefficients if c.neutral is not None)
+        values = [c.name for c in form.coefficients if c.neutral is not None]
+        table += ", ".join(values if len(values) < 9 else [*values[:2], "...", values[-1]])
         if site.kind == "pair":
             first, second = site.targets
             return f"der({first}) += {table}; der({second}) -= {names.get('back', 'back')} times it"

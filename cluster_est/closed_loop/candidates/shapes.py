@@ -6,7 +6,7 @@ simulated: their equations are evaluated along signals that are already there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -96,12 +96,10 @@ def shape_of(form: EffectForm) -> ArrayForm:
     order = [symbols[name] for name in names]
     mirrored = any(reaction.has(k) and equation.has(k) for k in neutral)
     added = equation if mirrored else equation + reaction  # then no strength is in both
-    smooth = bool(neutral) and all(_smooth_in(added, k, neutral) for k in neutral)
-    off = dict.fromkeys(neutral, 0)
-    changes = [equation - symbols["s"]]
-    if smooth:
-        changes = [sp.diff(added, k).subs(off) for k in neutral]
-    backs = [sp.diff(reaction, k).subs(off) for k in neutral] if mirrored else []
+    slopes = [_slope(added, k, neutral) for k in neutral]
+    smooth = bool(slopes) and not _has_kinks(added, neutral) and all(s != 0 for s in slopes)
+    changes = slopes if smooth else [equation - symbols["s"]]
+    backs = [_slope(reaction, k, neutral) for k in neutral] if mirrored else []
     return ArrayForm(
         form=form,
         strengths=tuple(str(k) for k in neutral) if smooth else (),
@@ -112,9 +110,13 @@ def shape_of(form: EffectForm) -> ArrayForm:
     )
 
 
-def _smooth_in(equation: sp.Expr, strength: sp.Symbol, strengths: list[sp.Symbol]) -> bool:
-    """Return whether the equation changes with a strength from 0 on, and has no kink in any."""
+def _slope(equation: sp.Expr, strength: sp.Symbol, strengths: Collection[sp.Symbol]) -> sp.Expr:
+    """Return by how much an equation changes with a strength, with all of them at 0."""
+    slope = sp.diff(equation, strength)
+    return slope.subs(dict.fromkeys(strengths, 0)) if slope.has(*strengths) else slope
+
+
+def _has_kinks(equation: sp.Expr, strengths: Collection[sp.Symbol]) -> bool:
+    """Return whether an equation has a kink in a strength."""
     kinks = equation.atoms(sp.Piecewise, sp.Min, sp.Max, sp.Abs)
-    if any(kink.free_symbols & set(strengths) for kink in kinks):
-        return False
-    return bool(sp.diff(equation, strength).subs(dict.fromkeys(strengths, 0)) != 0)
+    return any(kink.free_symbols & set(strengths) for kink in kinks)

@@ -73,7 +73,7 @@ def forms_at(
         form
         for (kind, name), form in FORMS.items()
         if kind == site.kind
-        and (not settings.forms or name in settings.forms)
+        and (name in settings.forms if settings.forms else not form.finer_than)
         and (stops or not form.memory)  # it has kinks between the samples
     ]
 

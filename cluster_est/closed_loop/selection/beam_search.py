@@ -154,7 +154,7 @@ def _round(workbench: LoopWorkbench, begun: RoundStart) -> RoundEnd:
     best = _better(workbench, begun, single, best_that_passes(workbench, begun, more))
     curves: list[RefittedCandidate] = []
     if best.won is None:
-        curves = refit_curves(workbench, begun.model, begun.screening.ranking)
+        curves = refit_curves(workbench, begun)
         curved = best_that_passes(workbench, begun, curves)
         best = curved if curved.won is not None else best
     return replace(best, compared=(*grown, *more, *curves))

@@ -7,12 +7,16 @@ with it: what it leaves is partly its own error, which named effects would only 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from cluster_est.closed_loop.screening.ranking import CandidateRanking
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
+from cluster_est.closed_loop.candidates.finer_curves import finer_form, refined
+from cluster_est.closed_loop.screening.curves import leading_places, rank_curves
+from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, can_be_linearised
 from cluster_est.closed_loop.selection.gates import (
     best_that_passes,
+    claimable_sse,
     leaves_more_than_noise,
     reason_to_stop,
 )
@@ -23,28 +27,80 @@ from cluster_est.closed_loop.selection.refinement.refine import (
     rivals_of,
 )
 from cluster_est.closed_loop.selection.refinement.refits import SHORT, full_refit
+from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit, may_become_useful
 from cluster_est.closed_loop.selection.rounds import RoundStart
 from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import deviance, fit_autoregression
 
 
-def refit_curves(
-    workbench: LoopWorkbench, current: FittedModel, ranking: CandidateRanking
-) -> list[RefittedCandidate]:
-    """Refit the leading free curves, the best of them to convergence; it comes first."""
-    thresholds = workbench.thresholds.refinement
-    leaders = ranking.leaders(ranking.plain, thresholds.curves, free=True)
-    starts = [step.start for step in first_steps(workbench, current, ranking, leaders)]
+def refit_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedCandidate]:
+    """Refit free curves at the leading places, from coarse to fine; the best comes first.
+
+    A fine curve has many values, and its first step leads astray where the effect is large. So each
+    place begins with few, and where that leaves more than noise, goes on with twice as many from
+    what it has come to, as long as the criterion falls and a claim is in reach. Places that fall
+    behind are left.
+    """
+    curves = rank_curves(workbench, begun.model, begun.screening.ranking)
+    leaders = leading_places(curves)[: workbench.thresholds.refinement.curves]
+    starts = [step.start for step in first_steps(workbench, begun.model, curves, leaders)]
     brief = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
-    brief.sort(key=lambda fitted: fitted.criterion(workbench.records))
-    finished = workbench.fit(LoopStage.REFITS, [f.start for f in brief[:1]], full_refit(workbench))
-    full = [new or old for new, old in zip(finished, brief, strict=False)]
-    return [
-        RefittedCandidate(f, f.criterion(workbench.records), i == 0)
-        for i, f in enumerate([*full, *brief[1:]])
+    going = _finished(workbench, brief)
+    seen = list(going)
+    while going:
+        going = _finer_fits(workbench, begun, going)
+        seen += going
+        best = min((f.criterion(workbench.records) for f in seen), default=np.inf)
+        near = best + workbench.thresholds.refinement.alternative
+        going = [f for f in going if f.criterion(workbench.records) <= near]
+    made = [RefittedCandidate(f, f.criterion(workbench.records), True) for f in seen]
+    return sorted(made, key=lambda c: c.criterion)
+
+
+def _finished(workbench: LoopWorkbench, fits: Sequence[FittedModel]) -> list[FittedModel]:
+    """Refit to convergence; what cannot be stays as it is."""
+    finished = workbench.fit(LoopStage.REFITS, [f.start for f in fits], full_refit(workbench))
+    return [new or old for new, old in zip(finished, fits, strict=True)]
+
+
+def _finer_fits(
+    workbench: LoopWorkbench, begun: RoundStart, fits: Sequence[FittedModel]
+) -> list[FittedModel]:
+    """Refit each curve with twice as many steps, where it leaves more than noise.
+
+    Those whose criterion does not fall, or that do not lead to a claim, are left out.
+    """
+    rough = [f for f in fits if leaves_more_than_noise(workbench, f, begun.floor)]
+    asked = [(f, start) for f in rough if (start := _finer_start(workbench, f)) is not None]
+    brief = workbench.fit(LoopStage.REFITS, [start for _, start in asked], SHORT)
+    useful = UsefulFit(sse=claimable_sse(workbench, begun, workbench.settings.max_effects))
+    hopeful = [
+        (old, new)
+        for (old, _), new in zip(asked, brief, strict=True)
+        if new is not None and may_become_useful(workbench, new, useful)
     ]
+    finished = _finished(workbench, [new for _, new in hopeful])
+    records = workbench.records
+    return [
+        new
+        for (old, _), new in zip(hopeful, finished, strict=True)
+        if new.criterion(records) < old.criterion(records)
+    ]
+
+
+def _finer_start(workbench: LoopWorkbench, fitted: FittedModel) -> FitStart | None:
+    """The model with a finer curve that says the same; None where there is none."""
+    curve = fitted.added[-1]
+    form = finer_form(curve)
+    if form is None or not can_be_linearised(workbench, fitted):
+        return None
+    held = {p.name: p.start for p in fitted.problem.parameters if p.fixed}
+    known = {**fitted.estimates, **held}
+    values = [known[f"{curve.effect.name}.{c.name}"] for c in curve.form.coefficients]
+    finer, heights = refined(curve, values, workbench.trajectories(fitted), form)
+    return fitted.start.minus(len(fitted.added) - 1).plus(finer, heights)
 
 
 def curve_instead(
@@ -77,9 +133,7 @@ def curve_instead(
     patched = len(current.added) > 1 or leaves_more_than_noise(workbench, current, first.floor)
     if not patched or any(c.form.free for c in current.added):
         return None
-    end = best_that_passes(
-        workbench, first, refit_curves(workbench, first.model, first.screening.ranking)
-    )
+    end = best_that_passes(workbench, first, refit_curves(workbench, first))
     if end.won is None or end.prediction is None:
         return None
     price = workbench.thresholds.selection.pair_price * float(np.log(first.screening.count))

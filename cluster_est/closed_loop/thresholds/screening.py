@@ -55,6 +55,8 @@ class ScreeningThresholds:
     column_penalty
         Rise of the statistic that each further column of a candidate must bring to be ranked as
         high. Benchmark; its mean is 1 where the column means nothing (theory: chi-squared).
+    curves
+        Places of leading free curves at which finer ones are looked at. Benchmark.
     confounded
         Share of a direction outside the declared parameters below which it cannot be told from
         them. Signal: the linearisations of a simulation are not more exact.
@@ -75,6 +77,7 @@ class ScreeningThresholds:
     peak_samples: int = 16
     peak_distance: float = 0.1
     column_penalty: float = 8.0
+    curves: int = 12
     confounded: float = CONFOUNDED
     autoregression: int = 2
     omnibus_lengths: tuple[float, ...] = LENGTHS
