@@ -14,7 +14,11 @@ from workers.messages import FloatArray
 
 
 def fit_autoregression(
-    residuals: FloatArray, records: StackedRecords, order: int = 2
+    residuals: FloatArray,
+    records: StackedRecords,
+    order: int = 2,
+    *,
+    about_mean: bool = False,
 ) -> FloatArray:
     """Coefficients of r_t = a_1 r_{t-1} + ... + a_p r_{t-p} + e_t for each output.
 
@@ -28,6 +32,9 @@ def fit_autoregression(
     ----------
     residuals : (n,)
         Stacked.
+    about_mean
+        Autocovariances about the mean of each output over all its records: else an offset that they
+        share would look like noise that never forgets.
 
     Returns
     -------
@@ -35,11 +42,22 @@ def fit_autoregression(
         Zeros for an output whose residual is zero.
     """
     coefficients = np.zeros((len(records.outputs), order))
+    if about_mean:
+        residuals = _centred(residuals, records)
     for output, row in enumerate(coefficients):
         covariances = _pooled_autocovariances(residuals, records, output, order)
         if order and covariances[0] > 0.0:
             row[:] = solve_toeplitz(covariances[:order], covariances[1:])
     return coefficients
+
+
+def _centred(residuals: FloatArray, records: StackedRecords) -> FloatArray:
+    centred = residuals.copy()
+    for output in range(len(records.outputs)):
+        rows = records.of_output(output)
+        if len(rows):
+            centred[rows] -= residuals[rows].mean()
+    return centred
 
 
 def deviance(

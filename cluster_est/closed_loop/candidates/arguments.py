@@ -55,6 +55,10 @@ class OpenArguments:
     surroundings
         For each state the inputs of its unit that act on its derivative: an ambient temperature, a
         road, a pressure outside. What goes over to them is a function of the difference.
+    relative
+        For each state the differences of a state and an input of one unit that both act on its
+        derivative: what a spring between a wheel and the road does to the wheel's speed is a
+        function of its deflection.
     """
 
     states: tuple[str, ...]
@@ -64,6 +68,7 @@ class OpenArguments:
     pushed: Mapping[str, Mapping[str, int]]
     speeds: Mapping[str, str]
     surroundings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    relative: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def at(self, site: EffectSite) -> list[str]:
         """Return the arguments of functions of one variable at a site.
@@ -81,10 +86,9 @@ class OpenArguments:
             return [site.targets[0], *differences, *others]
         names = [*self.states, *self.driven, *(self.outputs if site.kind == "output" else ())]
         if site.kind == "derivative":
-            around = self.surroundings.get(site.target, ())
-            return [*names, *(difference(site.target, name) for name in around)]
+            return [*names, *self.relative.get(site.target, ())]
         if site.kind == "parameter":
-            return [*names, *self._to_surroundings()]
+            return [*names, *dict.fromkeys(itertools.chain(*self.relative.values()))]
         return [n for n in names if site.kind not in ("input", "output") or n != site.target]
 
     def around(self, site: EffectSite) -> list[tuple[str, str]]:
@@ -99,9 +103,6 @@ class OpenArguments:
     def single(self, names: Collection[str]) -> list[str]:
         """Return the arguments that are no differences: products are made of these alone."""
         return [name for name in names if name in self.states or not is_difference(name)]
-
-    def _to_surroundings(self) -> list[str]:
-        return [difference(x, u) for x, inputs in self.surroundings.items() for u in inputs]
 
     @cached_property
     def differences(self) -> int:
@@ -149,6 +150,7 @@ def open_arguments(
     names = trajectories[0].names
     units = {name: description.variables[name].unit for name in states}
     pushed = _pushed(trajectories, states)
+    around = _inputs_of_one_unit(description, units, pushed, common)
     return OpenArguments(
         states=states,
         driven=tuple(n for n in common if n not in (*states, *names, *lacking)),
@@ -156,28 +158,57 @@ def open_arguments(
         units=units,
         pushed=pushed,
         speeds={x: v for x, (v, _) in integrated_states(trajectories).items()},
-        surroundings=_surroundings(description, units, pushed, common),
+        surroundings=_surroundings(around, pushed),
+        relative=_relative(around, pushed, states, acting_states(trajectories) if states else None),
     )
 
 
-def _surroundings(
+def _inputs_of_one_unit(
     description: ModelDescription,
     units: Mapping[str, str],
-    pushed: Mapping[str, Mapping[str, int]],
+    inputs: Collection[str],
     known: Collection[str],
+) -> dict[str, list[str]]:
+    """For each state the inputs of its unit, if it has one, that all experiments have."""
+    driven = [name for name in inputs if name in known]
+    return {
+        state: [u for u in driven if unit and u != state and description.variables[u].unit == unit]
+        for state, unit in units.items()
+    }
+
+
+def _surroundings(
+    around: Mapping[str, Sequence[str]], pushed: Mapping[str, Mapping[str, int]]
 ) -> dict[str, tuple[str, ...]]:
-    """For each state the inputs of its unit that act on it; none where it has no unit."""
+    found = {x: tuple(u for u in inputs if x in pushed[u]) for x, inputs in around.items()}
+    return {x: inputs for x, inputs in found.items() if inputs}
+
+
+def _relative(
+    around: Mapping[str, Sequence[str]],
+    pushed: Mapping[str, Mapping[str, int]],
+    states: Sequence[str],
+    acts: np.ndarray | None,
+) -> dict[str, tuple[str, ...]]:
+    """For each state the differences of a state and an input that both act on its derivative."""
     found: dict[str, tuple[str, ...]] = {}
-    for state, unit in units.items():
+    for i, state in enumerate(states):
         own = [
-            name
-            for name, states in pushed.items()
-            if unit and name in known and state in states and state != name
-            if description.variables[name].unit == unit
+            difference(other, u)
+            for j, other in enumerate(states)
+            for u in around[other]
+            if state in pushed[u] and (i == j or (acts is not None and acts[i, j]))
         ]
         if own:
             found[state] = tuple(own)
     return found
+
+
+def acting_states(trajectories: Sequence[LinearisedTrajectory]) -> np.ndarray:
+    """(x, x) booleans: whether the second state acts on the first, anywhere along the data."""
+    linear = [each.linear for each in trajectories if each.linear is not None]
+    sizes = np.max([each.A.largest() for each in linear], axis=0)
+    return np.asarray(sizes > ACTS * sizes.max(axis=1, keepdims=True))
 
 
 def _pushed(

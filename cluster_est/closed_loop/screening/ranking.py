@@ -103,7 +103,8 @@ def rank(workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
     matrix, residuals = fitted.jacobian[rows], fitted.residuals[rows]
     plain = ProjectedResidual(OrthogonalProjection(matrix), residuals)
     cleaned = plain.projection.remove(residuals)
-    coefficients = fit_autoregression(cleaned, records, thresholds.autoregression)
+    order = thresholds.autoregression
+    coefficients = fit_autoregression(cleaned, records, order, about_mean=True)
 
     def whitened(values: FloatArray) -> FloatArray:
         return whiten(values, records, coefficients)
