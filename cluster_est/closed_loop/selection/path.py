@@ -41,11 +41,12 @@ def compared_structure(
 ) -> ComparedStructure:
     """A structure that was accepted, as a row; see `compared_structures`."""
     records = workbench.records
+    gap = base.sse - floor
     return ComparedStructure(
         step=step,
         effects=tuple(candidate.label for candidate in fitted.added),
         criterion=fitted.criterion(records) - base.criterion(records),
-        closed=(base.sse - fitted.sse) / max(base.sse - floor, 1e-300),
+        closed=(base.sse - fitted.sse) / gap if gap > 0.0 else np.nan,
         converged=True,
         accepted=True,
         relative_steps=fitted.steps / base.steps if base.steps and fitted.steps else np.nan,

@@ -119,7 +119,8 @@ class ComparedStructure:
     criterion
         Bayesian information criterion, less that of the declared model.
     closed
-        Share of the gap between error and noise that it closes on the training experiments.
+        Share of the gap between error and noise that it closes on the training experiments; NaN
+        where the declared model leaves none.
     converged
         It was refitted to convergence; the others fell behind before.
     accepted

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -146,7 +147,7 @@ def _compared(run: ReportedRun) -> list[Block]:
         lines = [
             cells(
                 TableCell(" + ".join(row["effects"]), code=True),
-                f"{100.0 * row['closed']:.1f}\u2009%",
+                _closed(row),
                 digits(row["criterion"], 4),
                 _probability(row),
                 TableCell("accepted", "good") if row["accepted"]
@@ -157,6 +158,12 @@ def _compared(run: ReportedRun) -> list[Block]:
         caption = f"Step {step}: {len(own)} sets of effects refitted"
         blocks.append(TableBlock(names, tuple(lines), caption, folded=True))
     return blocks
+
+
+def _closed(row: Row) -> str:
+    """The share of the gap that a set of effects closes; nothing where there is no gap."""
+    closed = row["closed"]
+    return f"{100.0 * closed:.1f}\u2009%" if math.isfinite(closed) else ""
 
 
 def _probability(row: Row) -> str:
