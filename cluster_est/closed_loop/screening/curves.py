@@ -53,13 +53,14 @@ def leading_places(curves: CandidateRanking) -> list[int]:
     """Return the coarsest curve of each place, in the order of what the best one there explains."""
     coarsest: dict[tuple[EffectSite, tuple[str, ...]], int] = {}
     for i, trial in enumerate(curves.trials):
-        coarsest.setdefault(_place(trial.candidate), i)
+        coarsest.setdefault(place_of(trial.candidate), i)
     leaders = curves.leaders(curves.plain, len(curves.trials), free=True)
-    places = dict.fromkeys(_place(curves.trials[i].candidate) for i in leaders)
+    places = dict.fromkeys(place_of(curves.trials[i].candidate) for i in leaders)
     return [coarsest[place] for place in places]
 
 
-def _place(candidate: EffectCandidate) -> tuple[EffectSite, tuple[str, ...]]:
+def place_of(candidate: EffectCandidate) -> tuple[EffectSite, tuple[str, ...]]:
+    """Return where a candidate acts, and what it is a function of."""
     return candidate.site, candidate.effect.variables
 
 

@@ -8,16 +8,19 @@ size (B. T. Lowerre, The HARPY Speech Recognition System, Carnegie Mellon Univer
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cluster_est.closed_loop.measured_noise import noise_of
-from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
-from cluster_est.closed_loop.screening.screen import findings, refreshed, screen
-from cluster_est.closed_loop.selection.accept import predict
+from cluster_est.closed_loop.screening.evidence import CandidateEvidence
+from cluster_est.closed_loop.screening.screen import ScreeningResult, screen
+from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, predict
 from cluster_est.closed_loop.selection.declared_model import fit_declared
-from cluster_est.closed_loop.selection.free_curves import curve_instead, refit_curves
+from cluster_est.closed_loop.selection.free_curves import (
+    refit_curves,
+    refit_named,
+)
 from cluster_est.closed_loop.selection.gates import (
     best_that_passes,
     leaves_more_than_noise,
@@ -25,6 +28,7 @@ from cluster_est.closed_loop.selection.gates import (
     useful_sse,
 )
 from cluster_est.closed_loop.selection.grow import best_distinct, grow
+from cluster_est.closed_loop.selection.noted import noted, with_single
 from cluster_est.closed_loop.selection.path import compared_structure, compared_structures
 from cluster_est.closed_loop.selection.refinement.pairs import refit_pairs
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, Rivals, rivals_of
@@ -38,6 +42,12 @@ from cluster_est.closed_loop.selection.rounds import (
     RoundStart,
     SelectionResult,
     SelectionRound,
+)
+from cluster_est.closed_loop.selection.single_effect import (
+    SingleEffects,
+    may_be_single,
+    single_effects,
+    single_instead,
 )
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
@@ -67,52 +77,127 @@ def beam_search(
     """
     noise = noise_of(workbench, base.residuals)
     floor = workbench.noise_floor(noise)
-    current, prediction = base, predict(workbench, base)
-    base_prediction = prediction
-    steps: list[SelectionRound] = []
-    seen: list[CandidateEvidence] = []
-    path: list[ComparedStructure] = []
-    rivals: Rivals = {}
-    beside: tuple[RefittedCandidate, ...] = ()
-    first: RoundStart | None = None
-    replaced = False
-    passed = {base.structure}
+    predicted = predict(workbench, base)
+    search = _Search(workbench, base, floor, base, predicted)
     while True:
-        number = len(steps) + 1
-        _say_phase(workbench, current)
-        screened = screen(workbench, current, number)
-        begun = RoundStart(base, current, prediction, screened, floor, beside, numerical(current))
-        first = first or begun
+        _say_phase(workbench, search.current)
+        screened = screen(workbench, search.current, len(search.steps) + 1)
+        begun = search.begin(screened, numerical(search.current))
         end = _round(workbench, begun)
-        steps.append(end.seen)
-        seen += _noted(workbench, current, end, number)
-        path += compared_structures(workbench, base, end, floor, number)
-        won = end.won
-        if won is None or end.prediction is None:
-            curve = None if replaced else curve_instead(workbench, first, current, prediction)
-            if curve is None:
-                break
-            replaced = True
-            won, prediction, rivals = curve
-            current, beside = won.fitted, ()
-            seen = _with_curve(seen, won, won.criterion - base.criterion(workbench.records))
-            path.append(compared_structure(workbench, base, current, floor, number))
-            continue
-        if again and not current.added and _was_local(workbench, base, won):
-            restart = FitStart(base.problem, _declared_only(won), base.added)
-            return beam_search(workbench, fit_declared(workbench, restart), numerical, again=False)
-        grown, rivals = _revised(workbench, begun, end, won, rivals)
-        predicted = predict(workbench, grown) if grown is not won.fitted else end.prediction
-        if grown.structure != won.fitted.structure:
-            path.append(compared_structure(workbench, base, grown, floor, number))
-        if grown.structure in passed:
+        search.note(end)
+        if end.won is None or end.prediction is None:
+            if search.replace_by_single():
+                continue
             break
-        passed.add(grown.structure)
-        current, prediction, beside = grown, predicted, end.compared
+        if again and not begun.model.added and _was_local(workbench, base, end.won):
+            restart = FitStart(base.problem, _declared_only(end.won), base.added)
+            return beam_search(workbench, fit_declared(workbench, restart), numerical, again=False)
+        if not search.grow(begun, end, end.won, end.prediction):
+            break
+        if len(search.current.added) == 1:
+            search.replace_by_single(whole=True)
     return SelectionResult(
-        base, current, base_prediction, prediction, rivals, tuple(steps), tuple(seen), noise,
-        tuple(path),
+        base, search.current, predicted, search.prediction, search.rivals, tuple(search.steps),
+        tuple(search.seen), noise, tuple(search.path),
     )  # fmt: skip
+
+
+@dataclass
+class _Search:
+    """A beam search under way.
+
+    Attributes
+    ----------
+    base, floor
+        The declared model, fitted, and the sum of squares that the noise alone would leave.
+    current, prediction, rivals, beside
+        The accepted structure, its leave-one-out prediction, the rivals of its effects, and the
+        structures that it was compared with.
+    steps, seen, path
+        Of all rounds: what they looked at, the candidates, and the structures that they compared.
+    passed
+        The structures that were accepted, by the names of their effects.
+    first
+        The start of the first round.
+    singles
+        What may take the place of several effects; None where it has not been looked for.
+    replaced
+        A single effect has taken the place of all that were added before it.
+    """
+
+    workbench: LoopWorkbench
+    base: FittedModel
+    floor: float
+    current: FittedModel
+    prediction: LeaveOneOutPrediction
+    rivals: Rivals = field(default_factory=dict)
+    beside: tuple[RefittedCandidate, ...] = ()
+    steps: list[SelectionRound] = field(default_factory=list)
+    seen: list[CandidateEvidence] = field(default_factory=list)
+    path: list[ComparedStructure] = field(default_factory=list)
+    passed: set[frozenset[str]] = field(default_factory=set)
+    first: RoundStart | None = None
+    singles: SingleEffects | None = None
+    replaced: bool = False
+
+    def begin(self, screened: ScreeningResult, numerical: float) -> RoundStart:
+        """Begin a round at the accepted structure."""
+        begun = RoundStart(
+            self.base, self.current, self.prediction, screened, self.floor, self.beside, numerical
+        )
+        self.first = self.first or begun
+        self.passed.add(self.current.structure)
+        return begun
+
+    def note(self, end: RoundEnd) -> None:
+        """Note what a round has looked at."""
+        self.steps.append(end.seen)
+        number = len(self.steps)
+        self.seen += noted(self.workbench, self.current, end, number)
+        self.path += compared_structures(self.workbench, self.base, end, self.floor, number)
+        if not self.current.added and any(c.candidate.form.free for c in end.compared):
+            self.singles = SingleEffects((), ())  # they have been tried, and did not pass
+
+    def grow(
+        self,
+        begun: RoundStart,
+        end: RoundEnd,
+        won: RefittedCandidate,
+        prediction: LeaveOneOutPrediction,
+    ) -> bool:
+        """Accept what has won a round, revised; False where that leads back to where it was."""
+        grown, self.rivals = _revised(self.workbench, begun, end, won, self.rivals)
+        if grown is not won.fitted:
+            prediction = predict(self.workbench, grown)
+        if grown.structure != won.fitted.structure:
+            self._add_to_path(grown)
+        if grown.structure in self.passed:
+            return False
+        self.current, self.prediction, self.beside = grown, prediction, end.compared
+        return True
+
+    def replace_by_single(self, *, whole: bool = False) -> bool:
+        """Put a single effect in the place of all, if there is a better one; return whether."""
+        first = self.first
+        if self.replaced or first is None or not may_be_single(self.workbench, first, self.current):
+            return False
+        self.singles = self.singles or single_effects(self.workbench, first, self.current)
+        single = single_instead(
+            self.workbench, first, self.current, self.prediction, self.singles, whole=whole
+        )
+        if single is None:
+            return False
+        self.replaced = True
+        fall = single.won.criterion - self.base.criterion(self.workbench.records)
+        self.seen = with_single(self.seen, single.won, fall)
+        self.current, self.prediction = single.won.fitted, single.prediction
+        self.rivals, self.beside = single.rivals, ()
+        self._add_to_path(self.current)
+        return True
+
+    def _add_to_path(self, fitted: FittedModel) -> None:
+        row = compared_structure(self.workbench, self.base, fitted, self.floor, len(self.steps))
+        self.path.append(row)
 
 
 def _say_phase(workbench: LoopWorkbench, current: FittedModel) -> None:
@@ -155,7 +240,8 @@ def _round(workbench: LoopWorkbench, begun: RoundStart) -> RoundEnd:
     curves: list[RefittedCandidate] = []
     if best.won is None:
         curves = refit_curves(workbench, begun)
-        curved = best_that_passes(workbench, begun, curves)
+        curves += refit_named(workbench, begun, curves)
+        curved = best_that_passes(workbench, begun, sorted(curves, key=lambda c: c.criterion))
         best = curved if curved.won is not None else best
     return replace(best, compared=(*grown, *more, *curves))
 
@@ -225,38 +311,3 @@ def _declared_only(won: RefittedCandidate) -> dict[str, float]:
     names = [c.effect.name for c in won.fitted.added]
     estimates = won.fitted.estimates.items()
     return {k: v for k, v in estimates if not any(k.startswith(f"{n}.") for n in names)}
-
-
-def _noted(
-    workbench: LoopWorkbench, current: FittedModel, end: RoundEnd, number: int
-) -> list[CandidateEvidence]:
-    """The candidates of a round, with how far each came."""
-    found = findings(end.seen.screening.ranking, current, number)
-    base = current.criterion(workbench.records)
-    reached = [
-        (c, CandidateStage.REFITTED)
-        for c in end.compared
-        if c.fitted.structure - {c.candidate.effect.name} == current.structure
-    ]
-    if end.won is not None:
-        reached.append((end.won, CandidateStage.ACCEPTED))
-    for contender, stage in reached:
-        for candidate in contender.fitted.added:
-            name = candidate.effect.name
-            if name in found:
-                found[name] = refreshed(found[name], stage, contender.criterion - base)
-    return list(found.values())
-
-
-def _with_curve(
-    seen: Sequence[CandidateEvidence], curve: RefittedCandidate, criterion: float
-) -> list[CandidateEvidence]:
-    """The candidates, with the one of the first round that took the place of all effects."""
-    own, effect = curve.candidate, curve.candidate.effect
-    place = (1, str(own.site), own.form.name, effect.variables)
-    return [
-        refreshed(each, CandidateStage.ACCEPTED, criterion)
-        if (each.step, each.site, each.form, each.variables) == place
-        else each
-        for each in seen
-    ]

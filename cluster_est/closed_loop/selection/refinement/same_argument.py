@@ -14,6 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.denser_grid import denser_grid
+from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.ranking import CandidateRanking, candidate_columns
@@ -55,10 +57,18 @@ def refit_same_argument(
         return []
     best = contenders[0]
     done = {c.candidate.effect.name for c in contenders if c.full}
-    trials = [trial for trial in ranking.trials if _is_rival(trial, best, done)]
-    if not trials or not can_be_linearised(workbench, best.fitted):
+    named = {t.candidate.effect.name: t.candidate for t in ranking.trials}
+    rivals = [candidate for candidate in named.values() if _is_rival(candidate, best, done)]
+    if not rivals or not can_be_linearised(workbench, best.fitted):
         return []
-    starts = _starts(workbench, current, best, trials)
+    trajectories = workbench.trajectories(best.fitted)
+    trials = [
+        CandidatePoint(candidate, values)
+        for candidate in rivals
+        for values in denser_grid(candidate, trajectories)
+    ]
+    count = workbench.thresholds.refinement.same_argument
+    starts = starts_in_its_place(workbench, current, best, trials, count)
     brief = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
     most = best.criterion + workbench.thresholds.refinement.alternative
     criteria = [fitted.criterion(workbench.records) for fitted in brief]
@@ -73,22 +83,37 @@ def refit_same_argument(
     return [RefittedCandidate(f, f.criterion(workbench.records), True) for f in full] + far
 
 
-def _is_rival(trial: CandidatePoint, best: RefittedCandidate, done: Collection[str]) -> bool:
+def _is_rival(candidate: EffectCandidate, best: RefittedCandidate, done: Collection[str]) -> bool:
     """Return whether it is a function of the same argument; without one, at the same site."""
-    candidate, own = trial.candidate, best.candidate
+    own = best.candidate
     if candidate.form.free or candidate.effect.name in done:
         return False
     same = candidate.effect.variables == own.effect.variables
     return same and bool(own.effect.variables or candidate.site == own.site)
 
 
-def _starts(
+def starts_in_its_place(
     workbench: LoopWorkbench,
     current: FittedModel,
     best: RefittedCandidate,
     trials: Sequence[CandidatePoint],
+    most: int,
 ) -> list[FitStart]:
-    """The best candidate's model with the likeliest rivals in its place."""
+    """Return the best candidate's model with the likeliest others in its place.
+
+    Along its trajectory, what they should do is what it does and what it leaves.
+
+    Parameters
+    ----------
+    current
+        The model that it was added to.
+    best
+        The candidate, refitted.
+    trials
+        The others, at points of their grids.
+    most
+        Number of different ones that are wanted; those that could not do as much are left out.
+    """
     thresholds = workbench.thresholds.refinement
     fitted = best.fitted
     name = best.candidate.effect.name
@@ -99,7 +124,7 @@ def _starts(
     )
     strengths = [v for c, v in zip(own.candidate.form.coefficients, values, strict=True)
                  if c.name in own.candidate.strengths]  # fmt: skip
-    target = columns[0] @ np.array(strengths or [1.0])
+    target = columns[0] @ np.array(strengths or [1.0]) - fitted.residuals
     labels = [unknown.label for unknown in fitted.space.unknowns]
     others = [i for i, label in enumerate(labels) if not label.startswith(f"{name}.")]
     projection = OrthogonalProjection(fitted.jacobian[:, others])
@@ -115,7 +140,7 @@ def _starts(
             start = without.plus(rival, values_at(trial, sizes, thresholds))
             found[rival.effect.name] = share, start
     ranked = sorted(found.values(), key=lambda each: -each[0])
-    return [start for _, start in ranked[: thresholds.same_argument]]
+    return [start for _, start in ranked[:most]]
 
 
 def explained_share(

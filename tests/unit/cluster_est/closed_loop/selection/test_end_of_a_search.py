@@ -51,7 +51,7 @@ def rounds(monkeypatch):
     monkeypatch.setattr(search, "screen", lambda *_: screening())
     monkeypatch.setattr(search, "noise_of", lambda *_: np.ones(1))
     monkeypatch.setattr(search, "_round", one)
-    monkeypatch.setattr(search, "_noted", lambda *_: [])
+    monkeypatch.setattr(search, "noted", lambda *_: [])
     monkeypatch.setattr(search, "_revised", lambda *_: (next(revised), {}))
 
 
@@ -75,12 +75,13 @@ def test_a_curve_in_the_place_of_all_effects_has_the_rivals_that_it_was_compared
     )  # fmt: skip
     monkeypatch.setattr(free_curves, "reason_to_stop", lambda *_: None)
     monkeypatch.setattr(free_curves, "refit_curves", lambda *_: list(contenders))
+    monkeypatch.setattr(free_curves, "refit_named", lambda *_: [])
     monkeypatch.setattr(free_curves, "best_that_passes", lambda *_: end)
     monkeypatch.setattr(free_curves, "_falls", lambda *_: (1e6, 1e6))
     named = fit_with_squares(PROBLEM, 300.0, [A, B])
     ranking = SimpleNamespace(ranking=None, count=3)
     first = SimpleNamespace(model=BASE, screening=ranking, floor=100.0)
-    found = free_curves.curve_instead(made_bench(PROBLEM), first, named, predicted(None, named))
+    found = free_curves.single_instead(made_bench(PROBLEM), first, named, predicted(None, named))
     assert found is not None
     won, rivals = found[2]["first"]
     assert won is contenders[0]
