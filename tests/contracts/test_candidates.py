@@ -20,6 +20,7 @@ from support.truth.systems_with_missing_effects import (
     unfitted,
 )
 
+from cluster_est.closed_loop.candidates.finer_curves import finer_form, in_finer_form
 from cluster_est.closed_loop.candidates.make import EffectCandidate, make_candidates
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
@@ -92,10 +93,20 @@ def systems():
             candidates = make_candidates(
                 fitted.problem, bench.description, courses, [rate], LoopSettings()
             )
+            candidates += [fine for c in candidates for fine in _finer(c)]
             trials = [CandidatePoint(c, c.grid[len(c.grid) // 2]) for c in candidates]
             moves = directions(courses, trials, [_known(fitted, course) for course in courses])
             found[name] = Seen(bench, fitted, trials, moves)
         yield found
+
+
+def _finer(candidate: EffectCandidate) -> list[EffectCandidate]:
+    """A curve with more values, which a search tries only where it leads."""
+    form = finer_form(candidate) if candidate.form.free else None
+    if form is None:
+        return []
+    finer = in_finer_form(candidate, form)
+    return [finer, *_finer(finer)]
 
 
 def _known(fitted: FittedModel, course: LinearisedTrajectory) -> np.ndarray:
@@ -123,9 +134,8 @@ def test_its_direction_is_what_simulations_say(systems, kind, name):
     kinked = form.memory or KINK.search(" ".join(texts))
     cosines = np.sum(direction * truth, axis=0) / lengths / np.linalg.norm(truth, axis=0)
     assert cosines.min() > (0.98 if kinked else 0.999)
-    np.testing.assert_allclose(
-        lengths, np.linalg.norm(truth, axis=0), rtol=0.03 if kinked else 0.01
-    )
+    near = 0.2 if form.finer_than else 0.03 if kinked else 0.01  # few samples see a narrow hat
+    np.testing.assert_allclose(lengths, np.linalg.norm(truth, axis=0), rtol=near)
 
 
 @pytest.mark.parametrize("system", NAMES)

@@ -34,17 +34,19 @@ SITES = {
 }
 LAGGARDS = ("lag", "delay")
 LIMITED = ("rate_limit", "rate_limit_from_rest")
+FINE = tuple(name for (kind, name), form in FORMS.items() if kind == "input" and form.finer_than)
+"""Fine curves at an input, each alone: one of another would be an equation of pages."""
+GROUPS = ("function", "late", "limited", "curve", "force")
 CASES = [
     (kind, group, solver)
     for kind in SITES
-    for group in (
-        ("function", "late", "limited", "curve", "force") if kind == "input" else ("function",)
-    )
+    for group in (GROUPS if kind == "input" else ("function",))
     for solver in SOLVERS
     if (solver == "dormand_prince")
     or (solver == "rk4" and kind in ("derivative", "input"))
     or (solver == "fmu" and kind not in ("derivative", "pair"))
 ]
+CASES += [("input", name, "dormand_prince") for name in FINE]
 
 
 def model(solver):
@@ -63,7 +65,7 @@ def group_of(form):
     if form.name in LAGGARDS:
         return "late"
     if form.free:
-        return "curve"
+        return form.name if form.finer_than else "curve"
     if form.name in LIMITED:
         return "limited"
     return "force" if FormCondition.FORCE in form.when else "function"

@@ -94,8 +94,7 @@ def beam_search(
             return beam_search(workbench, fit_declared(workbench, restart), numerical, again=False)
         if not search.grow(begun, end, end.won, end.prediction):
             break
-        if len(search.current.added) == 1:
-            search.replace_by_single(whole=True)
+        search.replace_by_single(whole=True)
     return SelectionResult(
         base, search.current, predicted, search.prediction, search.rivals, tuple(search.steps),
         tuple(search.seen), noise, tuple(search.path),
@@ -156,7 +155,7 @@ class _Search:
         self.seen += noted(self.workbench, self.current, end, number)
         self.path += compared_structures(self.workbench, self.base, end, self.floor, number)
         if not self.current.added and any(c.candidate.form.free for c in end.compared):
-            self.singles = SingleEffects((), ())  # they have been tried, and did not pass
+            self.singles = SingleEffects(fine=True)  # they have been tried, and did not pass
 
     def grow(
         self,
@@ -181,7 +180,9 @@ class _Search:
         first = self.first
         if self.replaced or first is None or not may_be_single(self.workbench, first, self.current):
             return False
-        self.singles = self.singles or single_effects(self.workbench, first, self.current)
+        self.singles = single_effects(
+            self.workbench, first, self.current, self.singles, whole=whole
+        )
         single = single_instead(
             self.workbench, first, self.current, self.prediction, self.singles, whole=whole
         )

@@ -42,49 +42,70 @@ from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 
 
-def refit_curves(
-    workbench: LoopWorkbench, begun: RoundStart, useful: UsefulFit = ANY_FIT
-) -> list[RefittedCandidate]:
-    """Refit free curves at the leading places, from coarse to fine; the best comes first.
+def refit_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedCandidate]:
+    """Refit free curves at the leading places, from coarse to fine; the best comes first."""
+    coarse = coarse_curves(workbench, begun)
+    found = [*coarse, *finer_curves(workbench, begun, coarse)]
+    return sorted(found, key=lambda c: c.criterion)
 
-    A fine curve has many values, and its first step leads astray where the effect is large. So each
-    place begins with few, and where that leaves more than noise, goes on with twice as many from
-    what it has come to, as long as the criterion falls and a claim is in reach. Places that fall
-    behind are left.
+
+def coarse_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedCandidate]:
+    """Refit curves of few values to convergence; the best comes first.
+
+    Those at the leading places, and where the best of them is nearly right, those at other places
+    that could do the same.
 
     Parameters
     ----------
     begun
         The start of the round that they are tried in.
-    useful
-        What a curve must come down to beside a claim, to be made finer.
     """
     curves = rank_curves(workbench, begun.model, begun.screening.ranking)
     leaders = leading_places(curves)[: workbench.thresholds.refinement.curves]
     starts = [step.start for step in first_steps(workbench, begun.model, curves, leaders)]
     brief = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    seen = _finished(workbench, brief)
+    seen += _finished(workbench, _in_other_places(workbench, begun, curves, seen))
+    return _ordered(workbench, seen)
+
+
+def finer_curves(
+    workbench: LoopWorkbench,
+    begun: RoundStart,
+    coarse: Sequence[RefittedCandidate],
+    useful: UsefulFit = ANY_FIT,
+) -> list[RefittedCandidate]:
+    """Refit finer curves from those that have been refitted; the best comes first.
+
+    A fine curve has many values, and its first step leads astray where the effect is large. So each
+    place that leaves more than noise goes on with twice as many from what it has come to, as long
+    as the criterion falls and a claim is in reach. Places that fall behind are left.
+
+    Parameters
+    ----------
+    begun
+        The start of the round that they are tried in.
+    coarse
+        The curves to begin with.
+    useful
+        What a curve must come down to beside a claim.
+    """
+    records, equal = workbench.records, workbench.thresholds.refinement.alternative
     claim = claimable_sse(workbench, begun, workbench.settings.max_effects)
     useful = replace(useful, sse=min(useful.sse, claim))
-    seen = _from_coarse_to_fine(workbench, begun, brief, useful)
-    elsewhere = _in_other_places(workbench, begun, curves, seen)
-    seen += _from_coarse_to_fine(workbench, begun, elsewhere, useful)
-    made = [RefittedCandidate(f, f.criterion(workbench.records), True) for f in seen]
-    return sorted(made, key=lambda c: c.criterion)
-
-
-def _from_coarse_to_fine(
-    workbench: LoopWorkbench, begun: RoundStart, brief: Sequence[FittedModel], useful: UsefulFit
-) -> list[FittedModel]:
-    """Refit curves to convergence, and the finer ones that each of them leads to."""
-    going = _finished(workbench, brief)
-    seen = list(going)
+    going = [curve.fitted for curve in coarse]
+    seen: list[FittedModel] = []
     while going:
         going = _finer_fits(workbench, begun, going, useful)
         seen += going
-        best = min((f.criterion(workbench.records) for f in seen), default=np.inf)
-        near = best + workbench.thresholds.refinement.alternative
-        going = [f for f in going if f.criterion(workbench.records) <= near]
-    return seen
+        best = min((f.criterion(records) for f in seen), default=np.inf)
+        going = [f for f in going if f.criterion(records) <= best + equal]
+    return _ordered(workbench, seen)
+
+
+def _ordered(workbench: LoopWorkbench, fits: Sequence[FittedModel]) -> list[RefittedCandidate]:
+    made = [RefittedCandidate(f, f.criterion(workbench.records), True) for f in fits]
+    return sorted(made, key=lambda c: c.criterion)
 
 
 def _in_other_places(
@@ -129,17 +150,22 @@ def _finished(workbench: LoopWorkbench, fits: Sequence[FittedModel]) -> list[Fit
 def _finer_fits(
     workbench: LoopWorkbench, begun: RoundStart, fits: Sequence[FittedModel], useful: UsefulFit
 ) -> list[FittedModel]:
-    """Refit each curve with twice as many steps, where it leaves more than noise.
+    """Refit each curve with twice as many steps, where it leaves more than noise or is behind.
 
     Those whose criterion does not fall, or that cannot come to be of use, are left out.
     """
-    rough = [f for f in fits if leaves_more_than_noise(workbench, f, begun.floor)]
+    rough = [
+        f
+        for f in fits
+        if leaves_more_than_noise(workbench, f, begun.floor)
+        or f.criterion(workbench.records) > useful.criterion
+    ]
     asked = [(f, start) for f in rough if (start := _finer_start(workbench, f)) is not None]
     brief = workbench.fit(LoopStage.REFITS, [start for _, start in asked], SHORT)
     hopeful = [
         (old, new)
         for (old, _), new in zip(asked, brief, strict=True)
-        if new is not None and may_become_useful(workbench, new, useful)
+        if new is not None and may_become_useful(workbench, new, _reachable(new, useful))
     ]
     finished = _finished(workbench, [new for _, new in hopeful])
     records = workbench.records
@@ -148,6 +174,12 @@ def _finer_fits(
         for (old, _), new in zip(hopeful, finished, strict=True)
         if new.criterion(records) < old.criterion(records)
     ]
+
+
+def _reachable(fitted: FittedModel, useful: UsefulFit) -> UsefulFit:
+    """What a curve must come down to itself; what its criterion must, the finest may still do."""
+    finest = finer_form(fitted.added[-1]) is None
+    return useful if finest else UsefulFit(sse=useful.sse)
 
 
 def _finer_start(workbench: LoopWorkbench, fitted: FittedModel) -> FitStart | None:

@@ -6,12 +6,16 @@ one does. A curve that is refitted from coarse to fine finds its way to it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.free_curves import refit_curves, refit_named
+from cluster_est.closed_loop.selection.free_curves import (
+    coarse_curves,
+    finer_curves,
+    refit_named,
+)
 from cluster_est.closed_loop.selection.gates import (
     best_that_passes,
     leaves_more_than_noise,
@@ -37,10 +41,13 @@ class SingleEffects:
     ----------
     curves, named
         Free curves, and forms of the library of the argument of the best of them.
+    fine
+        Finer curves have been refitted too, where those led on.
     """
 
-    curves: tuple[RefittedCandidate, ...] = field(repr=False)
-    named: tuple[RefittedCandidate, ...] = field(repr=False)
+    curves: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+    named: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+    fine: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,9 +78,17 @@ def may_be_single(workbench: LoopWorkbench, first: RoundStart, current: FittedMo
 
 
 def single_effects(
-    workbench: LoopWorkbench, first: RoundStart, current: FittedModel
+    workbench: LoopWorkbench,
+    first: RoundStart,
+    current: FittedModel,
+    known: SingleEffects | None = None,
+    *,
+    whole: bool = False,
 ) -> SingleEffects:
     """Refit the single effects that could fit better than a structure does.
+
+    Curves are made finer only where they may be taken, see `single_instead`, and where there is
+    something to be gained: one or two effects leave more than noise, or three look like patches.
 
     Parameters
     ----------
@@ -81,10 +96,22 @@ def single_effects(
         The start of the search's first round.
     current
         The model with the effects that were added.
+    known
+        Those that have been refitted already.
+    whole
+        As in `single_instead`.
     """
+    if known is None:
+        curves = coarse_curves(workbench, first)
+        known = SingleEffects(tuple(curves), tuple(refit_named(workbench, first, curves)))
+    early = whole and len(current.added) < 2
+    gains = len(current.added) > 2 or leaves_more_than_noise(workbench, current, first.floor)
+    if known.fine or early or not gains:
+        return known
     useful = UsefulFit(criterion=current.criterion(workbench.records))
-    curves = refit_curves(workbench, first, useful)
-    return SingleEffects(tuple(curves), tuple(refit_named(workbench, first, curves)))
+    finer = finer_curves(workbench, first, known.curves, useful)
+    curves = sorted((*known.curves, *finer), key=lambda c: c.criterion)
+    return replace(known, curves=tuple(curves), fine=True)
 
 
 def single_instead(
@@ -99,7 +126,8 @@ def single_instead(
     """Return the single effect that takes the place of all that were added; None if they stay.
 
     It must fit better, also if what is left is noise as coloured as it looks, and predict better. A
-    curve must fit better by the price of a choice among all pairs.
+    curve must fit better by the price of a choice among all pairs, and waits for two effects: as a
+    function of one argument, it imitates every sum of two that have this one.
 
     Parameters
     ----------
@@ -116,6 +144,8 @@ def single_instead(
     for contenders, least in ((singles.named, 0.0), (singles.curves, price)):
         end = best_that_passes(workbench, first, contenders)
         if end.won is None or end.prediction is None:
+            continue
+        if end.won.candidate.form.free and whole and len(current.added) < 2:
             continue
         if whole and leaves_more_than_noise(workbench, end.won.fitted, first.floor):
             continue

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 from support.loop_objects import made_fit, made_problem
 
-from cluster_est.closed_loop.selection.free_curves import coloured_criterion
+from cluster_est.closed_loop.selection.single_effect import coloured_criterion
 from cluster_est.statistics.records import make_records
 
 

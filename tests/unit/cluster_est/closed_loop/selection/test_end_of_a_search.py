@@ -15,10 +15,11 @@ from support.loop_objects import (
 )
 
 from cluster_est.closed_loop.selection import beam_search as search
-from cluster_est.closed_loop.selection import free_curves
+from cluster_est.closed_loop.selection import single_effect
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, _parts
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundEnd, SelectionRound
+from cluster_est.closed_loop.selection.single_effect import SingleEffects
 
 PROBLEM = made_problem(50, 50)
 BASE = fit_with_squares(PROBLEM, 900.0)
@@ -73,17 +74,15 @@ def test_a_curve_in_the_place_of_all_effects_has_the_rivals_that_it_was_compared
         SelectionRound(screening(), contenders, None), contenders[0],
         LeaveOneOutPrediction(np.array([100.0])),
     )  # fmt: skip
-    monkeypatch.setattr(free_curves, "reason_to_stop", lambda *_: None)
-    monkeypatch.setattr(free_curves, "refit_curves", lambda *_: list(contenders))
-    monkeypatch.setattr(free_curves, "refit_named", lambda *_: [])
-    monkeypatch.setattr(free_curves, "best_that_passes", lambda *_: end)
-    monkeypatch.setattr(free_curves, "_falls", lambda *_: (1e6, 1e6))
+    monkeypatch.setattr(single_effect, "best_that_passes", lambda *_: end)
+    monkeypatch.setattr(single_effect, "_falls", lambda *_: (1e6, 1e6))
     named = fit_with_squares(PROBLEM, 300.0, [A, B])
-    ranking = SimpleNamespace(ranking=None, count=3)
-    first = SimpleNamespace(model=BASE, screening=ranking, floor=100.0)
-    found = free_curves.single_instead(made_bench(PROBLEM), first, named, predicted(None, named))
+    first = SimpleNamespace(model=BASE, screening=SimpleNamespace(count=3), floor=100.0)
+    found = single_effect.single_instead(
+        made_bench(PROBLEM), first, named, predicted(None, named), SingleEffects(contenders, ())
+    )
     assert found is not None
-    won, rivals = found[2]["first"]
+    won, rivals = found.rivals["first"]
     assert won is contenders[0]
     assert [each.candidate.effect.name for each in rivals] == ["second"]
 
