@@ -21,7 +21,6 @@ from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.selection.accept import can_be_linearised
 from cluster_est.closed_loop.selection.gates import (
     claimable_sse,
-    leaves_more_than_noise,
 )
 from cluster_est.closed_loop.selection.refinement.first_steps import first_steps
 from cluster_est.closed_loop.selection.refinement.refine import (
@@ -157,7 +156,7 @@ def _finer_fits(
     rough = [
         f
         for f in fits
-        if leaves_more_than_noise(workbench, f, begun.floor)
+        if f.sse > _largest_noise(workbench, begun.floor)
         or f.criterion(workbench.records) > useful.criterion
     ]
     asked = [(f, start) for f in rough if (start := _finer_start(workbench, f)) is not None]
@@ -174,6 +173,11 @@ def _finer_fits(
         for (old, _), new in zip(hopeful, finished, strict=True)
         if new.criterion(records) < old.criterion(records)
     ]
+
+
+def _largest_noise(workbench: LoopWorkbench, floor: float) -> float:
+    """The sum of squares that noise alone hardly ever exceeds: two standard deviations above it."""
+    return float(floor * (1.0 + 2.0 * np.sqrt(2.0 / max(workbench.size, 1))))
 
 
 def _reachable(fitted: FittedModel, useful: UsefulFit) -> UsefulFit:

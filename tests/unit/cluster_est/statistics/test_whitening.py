@@ -30,6 +30,15 @@ def test_whitened_noise_is_white() -> None:
             assert abs(np.corrcoef(e[lag:], e[:-lag])[0, 1]) < 4.0 / np.sqrt(len(e))
 
 
+def test_an_offset_that_all_records_share_is_no_noise_that_never_forgets() -> None:
+    records = stack(2000, 1000, outputs=2)
+    noise = autoregressive(records, TRUE, np.random.default_rng(7))
+    shifted = noise + 30.0
+    assert fit_autoregression(shifted, records)[1].sum() > 0.95
+    found = fit_autoregression(shifted, records, about_mean=True)
+    assert found == pytest.approx(fit_autoregression(noise, records), abs=0.01)
+
+
 @pytest.mark.parametrize("length", [1, 2, 3, 30])
 def test_the_filter_is_an_exact_root_of_the_inverse_covariance(length: int) -> None:
     # autocovariances of an AR(2) of innovation variance 1, from Yule-Walker

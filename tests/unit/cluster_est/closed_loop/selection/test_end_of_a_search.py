@@ -87,6 +87,46 @@ def test_a_curve_in_the_place_of_all_effects_has_the_rivals_that_it_was_compared
     assert [each.candidate.effect.name for each in rivals] == ["second"]
 
 
+@pytest.mark.parametrize(
+    ("family", "added", "whole", "taken"),
+    [
+        ("table", 1, True, False),  # as a function of one argument it imitates sums of two
+        ("table", 2, True, True),
+        ("table", 1, False, True),
+        ("friction", 1, True, True),
+    ],
+)
+def test_a_name_is_taken_at_once_and_a_curve_waits_for_two_effects(
+    monkeypatch, family, added, whole, taken
+):
+    own = fit_with_squares(PROBLEM, 100.0, [made_candidate("only", family)])
+    contender = RefittedCandidate(own, -90.0, True)
+    end = RoundEnd(SelectionRound(screening(), (contender,), None), contender, predicted(None, own))
+    monkeypatch.setattr(single_effect, "best_that_passes", lambda *_: end)
+    monkeypatch.setattr(single_effect, "_falls", lambda *_: (1e6, 1e6))
+    grown = fit_with_squares(PROBLEM, 300.0, [A, B][:added])
+    first = SimpleNamespace(model=BASE, screening=SimpleNamespace(count=3), floor=100.0)
+    singles = SingleEffects((contender,), (contender,))
+    found = single_effect.single_instead(
+        made_bench(PROBLEM), first, grown, predicted(None, grown), singles, whole=whole
+    )
+    assert (found is not None) is taken
+
+
+def test_what_leaves_more_than_noise_is_not_taken_while_a_search_goes_on(monkeypatch):
+    own = fit_with_squares(PROBLEM, 200.0, [made_candidate("only")])
+    contender = RefittedCandidate(own, -90.0, True)
+    end = RoundEnd(SelectionRound(screening(), (contender,), None), contender, predicted(None, own))
+    monkeypatch.setattr(single_effect, "best_that_passes", lambda *_: end)
+    monkeypatch.setattr(single_effect, "_falls", lambda *_: (1e6, 1e6))
+    grown = fit_with_squares(PROBLEM, 300.0, [A, B])
+    first = SimpleNamespace(model=BASE, screening=SimpleNamespace(count=3), floor=100.0)
+    given = (made_bench(PROBLEM), first, grown, predicted(None, grown))
+    singles = SingleEffects((), (contender,))
+    assert single_effect.single_instead(*given, singles, whole=True) is None
+    assert single_effect.single_instead(*given, singles) is not None
+
+
 def test_what_is_left_out_are_no_experiments_where_there_are_few():
     """Of one or two experiments quarters of the records are."""
     assert len(_parts(made_bench(PROBLEM))) == 8
