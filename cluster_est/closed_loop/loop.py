@@ -32,7 +32,12 @@ from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.findings.structure_probabilities import with_probabilities
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, judge
-from cluster_est.closed_loop.findings.wording import describe_effects, error_changes, where_left
+from cluster_est.closed_loop.findings.wording import (
+    describe_effects,
+    error_changes,
+    shared_arguments,
+    where_left,
+)
 from cluster_est.closed_loop.first_pass import open_checked_workbench
 from cluster_est.closed_loop.measured_noise import expected_noise
 from cluster_est.closed_loop.numerical_error.measure import (
@@ -259,7 +264,7 @@ def _notes(
     after: Result,
 ) -> tuple[str, ...]:
     """Sentences for the reader."""
-    notes = (*workbench.notes, *_not_converged(before, after))
+    notes = (*workbench.notes, *_not_converged(before, after), *shared_arguments(fitted.added))
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         notes = (*notes, where_left(workbench, fitted), NOT_ALLOWED_FOR)
     if after.uncertainty is not None:

@@ -42,6 +42,25 @@ UNEVEN = 4.0
 white noise in parts of ten samples the largest among some hundred has three times."""
 
 
+def shared_arguments(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
+    """Say which effects are functions of one argument at one site: the data show their sum."""
+    places: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for candidate in added:
+        if candidate.effect.variables and candidate.form.variables == 1:
+            place = str(candidate.site), candidate.effect.variables
+            places.setdefault(place, []).append(candidate.form.name)
+    return tuple(
+        f"{_listed(names)} are functions of {argument} at {site}: the data show their sum, and how "
+        "it splits between them, and so their names, is less certain than that"
+        for (site, (argument,)), names in places.items()
+        if len(names) > 1
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
 def describe_effects(
     workbench: LoopWorkbench,
     found: SelectionResult,

@@ -9,6 +9,7 @@ import pytest
 from support.loop_objects import (
     fit_with_squares,
     made_bench,
+    made_candidate,
     made_fit,
     made_problem,
     made_result,
@@ -17,7 +18,12 @@ from support.loop_objects import (
     made_selection,
 )
 
-from cluster_est.closed_loop.findings.wording import _largest_difference, error_changes, where_left
+from cluster_est.closed_loop.findings.wording import (
+    _largest_difference,
+    error_changes,
+    shared_arguments,
+    where_left,
+)
 from cluster_est.closed_loop.selection.rounds import RejectionReason
 from cluster_est.results.output_errors import OutputError
 
@@ -118,3 +124,12 @@ def test_where_and_when_most_of_a_residual_lives():
     times = problem.experiments[1].outputs[0].times
     assert start <= times[41] < times[43] <= stop
     assert stop - start == pytest.approx(1.0 / 20.0)
+
+
+def test_functions_of_one_argument_at_one_site_are_said_to_be_seen_as_their_sum_alone():
+    dry, curve = made_candidate("a"), made_candidate("b", "table")
+    (note,) = shared_arguments([dry, curve])
+    assert note.startswith("coulomb and table are functions of v at der(v): the data show their sum")
+    assert shared_arguments([dry]) == ()
+    elsewhere = replace(curve, effect=replace(curve.effect, variables=("x",)))
+    assert shared_arguments([dry, elsewhere]) == ()
