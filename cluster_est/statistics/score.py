@@ -230,8 +230,16 @@ def _tested(
     )
 
 
+LARGEST = 1e150
+"""Of an entry of a direction: the squares of larger ones overflow."""
+
+
 def _normalise(rows: FloatArray) -> FloatArray:
-    """Scale rows to length 1 in place, rows of zeros excepted; their lengths before."""
+    """Scale rows to length 1 in place, rows of zeros excepted; their lengths before.
+
+    Rows whose squares would overflow, as along a trajectory that runs away, become rows of zeros.
+    """
+    rows[~(np.abs(rows).max(axis=1, initial=0.0) < LARGEST)] = 0.0
     lengths: FloatArray = np.linalg.norm(rows, axis=1)
     rows /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
     return lengths

@@ -220,3 +220,15 @@ def test_nothing_to_test() -> None:
         scores = score(projection, vanished, columns)
         assert scores.statistics.tolist() == [0.0] * 3
         assert family_wise(scores, generator).p == 1.0
+
+
+@pytest.mark.parametrize("far", [1e200, np.inf, np.nan])
+def test_a_direction_that_runs_away_counts_for_nothing(far: float) -> None:
+    generator = np.random.default_rng(12)
+    matrix, residuals = sensitivities(generator), generator.standard_normal(N)
+    column = generator.standard_normal((N, 1))
+    wild = column.copy()
+    wild[-1] = far
+    scores = score(OrthogonalProjection(matrix), residuals, [column, wild])
+    assert scores.df.tolist() == [1, 0]
+    assert scores.ratio[1] == 0.0
