@@ -89,7 +89,7 @@ def finer_curves(
     useful
         What a curve must come down to beside a claim.
     """
-    records, equal = workbench.records, workbench.thresholds.refinement.alternative
+    records, alternative = workbench.records, workbench.thresholds.refinement.alternative
     claim = claimable_sse(workbench, begun, workbench.settings.max_effects)
     useful = replace(useful, sse=min(useful.sse, claim))
     going = [curve.fitted for curve in coarse]
@@ -98,7 +98,7 @@ def finer_curves(
         going = _finer_fits(workbench, begun, going, useful)
         seen += going
         best = min((f.criterion(records) for f in seen), default=np.inf)
-        going = [f for f in going if f.criterion(records) <= best + equal]
+        going = [f for f in going if f.criterion(records) <= best + alternative]
     return _ordered(workbench, seen)
 
 
