@@ -34,8 +34,12 @@ SITES = {
 }
 LAGGARDS = ("lag", "delay")
 LIMITED = ("rate_limit", "rate_limit_from_rest")
-FINE = tuple(name for (kind, name), form in FORMS.items() if kind == "input" and form.finer_than)
-"""Fine curves at an input, each alone: one of another would be an equation of pages."""
+FINE = tuple(
+    (kind, name, "dormand_prince")
+    for (kind, name), form in FORMS.items()
+    if kind in ("input", "output") and form.finer_than
+)
+"""Fine curves of a signal, each alone: one of another would be an equation of pages."""
 GROUPS = ("function", "late", "limited", "curve", "force")
 CASES = [
     (kind, group, solver)
@@ -46,7 +50,7 @@ CASES = [
     or (solver == "rk4" and kind in ("derivative", "input"))
     or (solver == "fmu" and kind not in ("derivative", "pair"))
 ]
-CASES += [("input", name, "dormand_prince") for name in FINE]
+CASES += FINE
 
 
 def model(solver):
@@ -71,11 +75,18 @@ def group_of(form):
     return "force" if FormCondition.FORCE in form.when else "function"
 
 
+def is_in(form, kind, group):
+    """Whether a form of a kind of site is one of those that are exported together."""
+    if kind == "input":
+        return group_of(form) == group
+    return (form.name if kind == "output" and form.finer_than else "function") == group
+
+
 def effects_of(kind, group="function"):
     """An effect of each form of a kind, and the values of their coefficients."""
     limit = 2.0 if kind == "input" else 0.05
     known = {"low": -0.5, "limit": limit, "tau": 0.03, "width": 0.05, "high": 0.5, "rate": 20.0}
-    forms = [f for k, f in FORMS if k == kind and (k != "input" or group_of(FORMS[k, f]) == group)]
+    forms = [f for k, f in FORMS if k == kind and is_in(FORMS[k, f], kind, group)]
     effects, values = [], []
     for number, name in enumerate(forms):
         form = FORMS[kind, name]

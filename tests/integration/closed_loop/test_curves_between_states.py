@@ -86,7 +86,8 @@ def test_the_curve_is_found_between_the_masses(closed):
     found = closed()
     assert found.verdict == Verdict.FOUND
     (effect,) = found.effects
-    assert (effect.site, effect.form) == ("pair v_body,v_wheel", "table")
+    assert effect.site == "pair v_body,v_wheel"
+    assert effect.form.startswith("table")
     (ratio,) = [each.value for each in effect.coefficients if each.label.endswith("back")]
     assert ratio == pytest.approx(M_BODY / M_WHEEL, rel=0.05)
 

@@ -93,8 +93,12 @@ def test_a_force_between_two_states(form):
     np.testing.assert_allclose(simulated(effect, coefficients), truth, atol=1e-6)
 
 
-def test_a_curve_between_two_states_acts_on_both_in_proportion():
-    places, heights = np.linspace(-0.03, 0.04, 7), (2.0, 1.5, 1.2, 0.1, -0.8, -1.0, -2.5)
+@pytest.mark.parametrize("values", [7, 13, 25])
+def test_a_curve_between_two_states_acts_on_both_in_proportion(values):
+    coarse = (2.0, 1.5, 1.2, 0.1, -0.8, -1.0, -2.5)
+    places = np.linspace(-0.03, 0.04, values)
+    heights = np.interp(places, np.linspace(-0.03, 0.04, 7), coarse)
+    heights[1::2] += 0.3
 
     def force(x):
         here = np.interp(x[0] - x[2], places, heights)
@@ -102,7 +106,8 @@ def test_a_curve_between_two_states_acts_on_both_in_proportion():
 
     truth = solved(force)
     assert np.abs(truth - solved(lambda x: (0.0, 0.0))).max() > 3e-3
-    effect = Effect("e", "pair v_body,v_wheel", "table", TRAVEL)
+    form = "table" if values == 7 else f"table_{values}"
+    effect = Effect("e", "pair v_body,v_wheel", form, TRAVEL)
     found = simulated(effect, (*heights, 7.5, places[0], places[-1]))
     np.testing.assert_allclose(found, truth, atol=2e-5)
 

@@ -14,6 +14,32 @@ from support.truth.springs_with_effects import FORCE, TIMES
 TABLE = (1.0, 0.8, 0.9, -0.1, -0.6, -0.5, -1.2)
 """Seven values of a curve."""
 
+
+def heights(values: int) -> tuple[float, ...]:
+    """Return the values of a curve of so many."""
+    return TABLE if values == 7 else tuple(np.cos(0.4 * np.arange(values)).tolist())
+
+
+CURVES = {"": 7, "_13": 13, "_25": 25}
+"""Ends of their names and number of values."""
+
+
+def curve(v: float, low: float, high: float, values: tuple[float, ...]) -> float:
+    """Return straight lines between values at equal steps, constant beyond."""
+    return float(np.interp(v, np.linspace(low, high, len(values)), values))
+
+
+def _pinned(values: int) -> tuple[float, ...]:
+    """Return the values of a curve that is 0 at its ends."""
+    return (0.0, *heights(values)[1:-1], 0.0)
+
+
+def _centred(values: int) -> tuple[float, ...]:
+    """Return the values of a curve that is 0 in the middle."""
+    own, middle = heights(values), values // 2
+    return (*own[:middle], 0.0, *own[middle + 1 :])
+
+
 DERIVATIVE = {
     "constant": ((0.5,), (), lambda t, x, f: 0.5),
     "drift": ((0.2,), (), lambda t, x, f: 0.2 * t),
@@ -70,11 +96,13 @@ DERIVATIVE = {
     ),
     "square_root": ((0.5,), ("x",), lambda t, x, f: -0.5 * np.sqrt(max(x[0], 0.0))),
     "signed_root": ((0.5,), ("F",), lambda t, x, f: -0.5 * np.sign(f) * np.sqrt(abs(f))),
-    "table": (
-        (*TABLE, -0.2, 0.3),
+} | {
+    f"table{end}": (
+        (*heights(n), -0.2, 0.3),
         (),
-        lambda t, x, f: np.interp(x[1], np.linspace(-0.2, 0.3, 7), TABLE),
-    ),
+        lambda t, x, f, n=n: curve(x[1], -0.2, 0.3, heights(n)),
+    )
+    for end, n in CURVES.items()
 }
 """At der(v): coefficients, variables, and the term as a function of time, states and force."""
 
@@ -85,10 +113,6 @@ INPUT = {
     "gain": ((0.2,), lambda t, f: 1.2 * f),
     "square": ((0.1,), lambda t, f: f + 0.1 * f**2),
     "cubic": ((0.05,), lambda t, f: f + 0.05 * f**3),
-    "characteristic": (
-        (*TABLE[1:-1], -4.0, 3.0),
-        lambda t, f: f + np.interp(f, np.linspace(-4.0, 3.0, 7), (0.0, *TABLE[1:-1], 0.0)),
-    ),
     "power_characteristic": (
         (1.4, 2.0),
         lambda t, f: 2.0 * np.sign(f) * (abs(f) / 2.0) ** 1.4,
@@ -97,6 +121,12 @@ INPUT = {
     "asymmetry": ((0.3,), lambda t, f: f + 0.3 * max(f, 0.0)),
     "saturation": ((2.0,), lambda t, f: min(max(f, -2.0), 2.0)),
     "dead_zone": ((1.0,), lambda t, f: f - np.sign(f) if abs(f) > 1.0 else 0.0),
+} | {
+    f"characteristic{end}": (
+        (*heights(n)[1:-1], -4.0, 3.0),
+        lambda t, f, n=n: f + curve(f, -4.0, 3.0, _pinned(n)),
+    )
+    for end, n in CURVES.items()
 }
 """At the input F: coefficients, and what takes its place at a time."""
 
@@ -140,11 +170,13 @@ FORCES = {
         lambda x, f: -40.0 * (max(x[0] - 0.04, 0.0) - max(-x[0] - 0.04, 0.0)),
     ),
     "signed_root": ((0.5,), "F", lambda x, f: -0.5 * np.sign(f) * np.sqrt(abs(f))),
-    "table": (
-        (*TABLE, -0.2, 0.3),
+} | {
+    f"table{end}": (
+        (*heights(n), -0.2, 0.3),
         "x",
-        lambda x, f: np.interp(x[0], np.linspace(-0.2, 0.3, 7), TABLE),
-    ),
+        lambda x, f, n=n: curve(x[0], -0.2, 0.3, heights(n)),
+    )
+    for end, n in CURVES.items()
 }
 """At the input F: coefficients, the variable, and what is added to it."""
 
@@ -155,11 +187,6 @@ OUTPUT = {
     "gain": ((0.1,), (), lambda y, v: 1.1 * y),
     "square": ((2.0,), (), lambda y, v: y + 2.0 * y**2),
     "cubic": ((9.0,), (), lambda y, v: y + 9.0 * y**3),
-    "characteristic": (
-        (*TABLE[1:-1], -0.2, 0.3),
-        (),
-        lambda y, v: y + np.interp(y, np.linspace(-0.2, 0.3, 7), (0.0, *TABLE[1:-1], 0.0)),
-    ),
     "power_characteristic": (
         (1.4, 0.1),
         (),
@@ -175,6 +202,21 @@ OUTPUT = {
         (),
         lambda y, v: y + 0.03 * np.sin(7.0 * TIMES) + 0.02 * np.cos(7.0 * TIMES),
     ),
+} | {
+    f"{name}{end}": law
+    for end, n in CURVES.items()
+    for name, law in {
+        "characteristic": (
+            (*heights(n)[1:-1], -0.2, 0.3),
+            (),
+            lambda y, v, n=n: y + np.interp(y, np.linspace(-0.2, 0.3, n), _pinned(n)),
+        ),
+        "table": (
+            (*heights(n), -0.2, 0.3),
+            ("v",),
+            lambda y, v, n=n: y + np.interp(v, np.linspace(-0.2, 0.3, n), heights(n)),
+        ),
+    }.items()
 }
 """At the output y: coefficients, variables, and what is shown of y and v."""
 
@@ -185,7 +227,6 @@ OUTPUT_OF_OTHERS = {
 """`feed_through` of an input and of a state."""
 
 
-_MIDDLE = (*TABLE[:3], 0.0, *TABLE[4:])
 PARAMETER = {
     "drift": ((0.8, 2.0), (), lambda t, v: 0.8 * (t - 2.0)),
     "sine": ((0.4, -0.2, 3.0), (), lambda t, v: 0.4 * np.sin(3.0 * t) - 0.2 * np.cos(3.0 * t)),
@@ -202,11 +243,13 @@ PARAMETER = {
     "exponential": ((1.5, 0.1), ("v",), lambda t, v: np.exp(1.5 * (v - 0.1)) - 1.0),
     "saturating": ((0.8, 0.1), ("v",), lambda t, v: -0.8 * abs(v) / (0.1 + abs(v))),
     "hill": ((0.8, 0.1), ("v",), lambda t, v: -0.8 * (v / 0.1) ** 2 / (1.0 + (v / 0.1) ** 2)),
-    "table": (
-        (*TABLE[:3], *TABLE[4:], -0.2, 0.3),
+} | {
+    f"table{end}": (
+        (*heights(n)[: n // 2], *heights(n)[n // 2 + 1 :], -0.2, 0.3),
         ("v",),
-        lambda t, v: np.interp(v, np.linspace(-0.2, 0.3, 7), _MIDDLE),
-    ),
+        lambda t, v, n=n: curve(v, -0.2, 0.3, _centred(n)),
+    )
+    for end, n in CURVES.items()
 }
 """At the parameter c: coefficients, variables, and the share of itself that is added to it."""
 
@@ -240,6 +283,8 @@ OWN_TESTS = {
     ("derivative", "lagged"): "test_a_lagged_coupling_has_a_state_of_its_own",
     ("derivative", "periodic_travel"): "test_a_ripple_of_the_way_travelled_begins_at_nought",
     ("pair", "table"): "test_a_curve_between_two_states_acts_on_both_in_proportion",
+    ("pair", "table_13"): "test_a_curve_between_two_states_acts_on_both_in_proportion",
+    ("pair", "table_25"): "test_a_curve_between_two_states_acts_on_both_in_proportion",
     ("input", "dahl"): "test_dahl_friction_at_an_input",
     ("input", "lag"): "test_a_lag_of_an_input",
     ("input", "mode"): "test_an_actuator_that_swings",
