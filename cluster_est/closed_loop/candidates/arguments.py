@@ -56,9 +56,9 @@ class OpenArguments:
         For each state the inputs of its unit that act on its derivative: an ambient temperature, a
         road, a pressure outside. What goes over to them is a function of the difference.
     relative
-        For each state the differences of a state and an input of one unit that both act on its
-        derivative: what a spring between a wheel and the road does to the wheel's speed is a
-        function of its deflection.
+        For each state the differences of itself, or of its integral, and an input of one unit that
+        acts on its derivative: what a spring between a wheel and the road does to the wheel's speed
+        is a function of its deflection.
     """
 
     states: tuple[str, ...]
@@ -151,15 +151,16 @@ def open_arguments(
     units = {name: description.variables[name].unit for name in states}
     pushed = _pushed(trajectories, states)
     around = _inputs_of_one_unit(description, units, pushed, common)
+    speeds = {x: v for x, (v, _) in integrated_states(trajectories).items()}
     return OpenArguments(
         states=states,
         driven=tuple(n for n in common if n not in (*states, *names, *lacking)),
         outputs=tuple(n for n in names if n in common and n not in states),
         units=units,
         pushed=pushed,
-        speeds={x: v for x, (v, _) in integrated_states(trajectories).items()},
+        speeds=speeds,
         surroundings=_surroundings(around, pushed),
-        relative=_relative(around, pushed, states, acting_states(trajectories) if states else None),
+        relative=_relative(around, pushed, states, speeds),
     )
 
 
@@ -188,16 +189,16 @@ def _relative(
     around: Mapping[str, Sequence[str]],
     pushed: Mapping[str, Mapping[str, int]],
     states: Sequence[str],
-    acts: np.ndarray | None,
+    speeds: Mapping[str, str],
 ) -> dict[str, tuple[str, ...]]:
-    """For each state the differences of a state and an input that both act on its derivative."""
+    """For each state the differences of it, or of its integral, and an input that acts on it."""
     found: dict[str, tuple[str, ...]] = {}
-    for i, state in enumerate(states):
+    for state in states:
         own = [
             difference(other, u)
-            for j, other in enumerate(states)
+            for other in states
             for u in around[other]
-            if state in pushed[u] and (i == j or (acts is not None and acts[i, j]))
+            if state in pushed[u] and state in (other, speeds.get(other))
         ]
         if own:
             found[state] = tuple(own)
