@@ -231,7 +231,7 @@ def _tested(
 
 
 LARGEST = 1e150
-"""Of an entry of a direction: the squares of larger ones overflow."""
+"""Length of a direction whose squares do not overflow."""
 
 
 def _normalise(rows: FloatArray) -> FloatArray:
@@ -239,8 +239,10 @@ def _normalise(rows: FloatArray) -> FloatArray:
 
     Rows whose squares would overflow, as along a trajectory that runs away, become rows of zeros.
     """
-    rows[~(np.abs(rows).max(axis=1, initial=0.0) < LARGEST)] = 0.0
-    lengths: FloatArray = np.linalg.norm(rows, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths: FloatArray = np.linalg.norm(rows, axis=1)
+    wild = ~(lengths < LARGEST)
+    rows[wild], lengths[wild] = 0.0, 0.0
     rows /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
     return lengths
 

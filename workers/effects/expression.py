@@ -48,7 +48,7 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Gt: lambda a, b: a > b,
     ast.GtE: lambda a, b: a >= b,
 }
-MAX_LENGTH = 2500
+MAX_LENGTH = 2000
 _PARSING = threading.Lock()
 """Up to 3.12, CPython counts the depth of a tree for all threads together (its issue 106905)."""
 

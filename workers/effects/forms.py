@@ -141,7 +141,7 @@ _FINER = (13, 25)
 
 def _curve(argument: str, values: Iterable[int], of: int = _VALUES) -> str:
     """Piecewise linear from low to high, constant outside, with values at equal steps, else 0."""
-    inside = f"{of - 1} * (max(min({argument}, high), low) - low) / (high - low)"
+    inside = f"{of - 1}*(max(min({argument},high),low)-low)/(high-low)"
     return " + ".join(f"k{i} * max(1 - abs({inside} - {i - 1}), 0)" for i in values)
 
 

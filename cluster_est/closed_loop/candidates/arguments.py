@@ -205,13 +205,6 @@ def _relative(
     return found
 
 
-def acting_states(trajectories: Sequence[LinearisedTrajectory]) -> np.ndarray:
-    """(x, x) booleans: whether the second state acts on the first, anywhere along the data."""
-    linear = [each.linear for each in trajectories if each.linear is not None]
-    sizes = np.max([each.A.largest() for each in linear], axis=0)
-    return np.asarray(sizes > ACTS * sizes.max(axis=1, keepdims=True))
-
-
 def _pushed(
     trajectories: Sequence[LinearisedTrajectory], states: Collection[str]
 ) -> dict[str, dict[str, int]]:

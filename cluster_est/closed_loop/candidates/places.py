@@ -6,12 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.arguments import (
-    TIME,
-    CandidatePlace,
-    OpenArguments,
-    acting_states,
-)
+from cluster_est.closed_loop.candidates.arguments import ACTS, TIME, CandidatePlace, OpenArguments
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from workers.effects.forms import EffectForm, FormCondition
 from workers.effects.site import EffectSite
@@ -37,7 +32,7 @@ def open_places(
     trajectories
         Of the training experiments, with linearisations.
     """
-    acts = acting_states(trajectories)
+    acts = _acting(trajectories)
     index = {name: i for i, name in enumerate(arguments.states)}
     places = []
     for site in sites:
@@ -103,3 +98,10 @@ def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments
         single = len(arguments.single(names))
         return single * (single - 1) // 2
     return sum(arguments.takes(form, site, name) for name in names)
+
+
+def _acting(trajectories: Sequence[LinearisedTrajectory]) -> np.ndarray:
+    """(x, x) booleans: whether the second state acts on the first, anywhere along the data."""
+    linear = [each.linear for each in trajectories if each.linear is not None]
+    sizes = np.max([each.A.largest() for each in linear], axis=0)
+    return np.asarray(sizes > ACTS * sizes.max(axis=1, keepdims=True))

@@ -17,10 +17,7 @@ from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.screening.screen import ScreeningResult, screen
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, predict
 from cluster_est.closed_loop.selection.declared_model import fit_declared
-from cluster_est.closed_loop.selection.free_curves import (
-    refit_curves,
-    refit_named,
-)
+from cluster_est.closed_loop.selection.free_curves import refit_curves, refit_named
 from cluster_est.closed_loop.selection.gates import (
     best_that_passes,
     leaves_more_than_noise,

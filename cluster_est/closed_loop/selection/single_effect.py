@@ -11,11 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.free_curves import (
-    coarse_curves,
-    finer_curves,
-    refit_named,
-)
+from cluster_est.closed_loop.selection.free_curves import coarse_curves, finer_curves, refit_named
 from cluster_est.closed_loop.selection.gates import (
     best_that_passes,
     leaves_more_than_noise,
@@ -141,16 +137,21 @@ def single_instead(
         Take only what leaves no more than noise.
     """
     price = workbench.thresholds.selection.pair_price * float(np.log(first.screening.count))
+
+    def fits_better(contender: RefittedCandidate, least: float) -> bool:
+        if contender.candidate.form.free and whole and len(current.added) < 2:
+            return False
+        if whole and leaves_more_than_noise(workbench, contender.fitted, first.floor):
+            return False
+        return min(_falls(workbench, current, contender.fitted)) > least
+
     for contenders, least in ((singles.named, 0.0), (singles.curves, price)):
+        if not any(fits_better(contender, least) for contender in contenders):
+            continue  # the gates cost simulations
         end = best_that_passes(workbench, first, contenders)
-        if end.won is None or end.prediction is None:
+        if end.won is None or end.prediction is None or not fits_better(end.won, least):
             continue
-        if end.won.candidate.form.free and whole and len(current.added) < 2:
-            continue
-        if whole and leaves_more_than_noise(workbench, end.won.fitted, first.floor):
-            continue
-        better = min(_falls(workbench, current, end.won.fitted)) > least
-        if better and end.prediction.total < prediction.total:
+        if end.prediction.total < prediction.total:
             rivals = rivals_of(end.won, end.seen.contenders, workbench.thresholds.refinement)
             return SingleEffect(end.won, end.prediction, rivals)
     return None
