@@ -20,6 +20,7 @@ from cluster_est.closed_loop.selection.declared_model import fit_declared
 from cluster_est.closed_loop.selection.free_curves import refit_curves, refit_named
 from cluster_est.closed_loop.selection.gates import (
     best_that_passes,
+    can_be_claimed,
     leaves_more_than_noise,
     reason_to_stop,
     useful_sse,
@@ -211,13 +212,17 @@ def _revised(
     won: RefittedCandidate,
     rivals: Rivals,
 ) -> tuple[FittedModel, Rivals]:
-    """Return what has won a round, refitted and revised, and the rivals of its effects."""
+    """Return what has won a round, refitted and revised, and the rivals of its effects.
+
+    What closes too little for a claim is grown first: a revision costs as much as a round, and the
+    next effect changes what it would find.
+    """
     found = rivals_of(won, end.seen.contenders, workbench.thresholds.refinement)
     rivals = {**found, **rivals, **{name: own for name, own in found.items() if own[1]}}
     grown = won.fitted
     if _grows_several(workbench, grown, begun.floor):
         grown = refit_from_other_starts(workbench, begun.base, grown)
-    if len(grown.added) > 1:
+    if len(grown.added) > 1 and can_be_claimed(workbench, begun, grown):
         grown, rivals = revise(workbench, begun, grown, rivals)
     return grown, rivals
 

@@ -71,6 +71,15 @@ def claimable_sse(workbench: LoopWorkbench, begun: RoundStart, added: int) -> fl
     """
     if added < workbench.settings.max_effects:
         return np.inf
+    return _least_claim_sse(workbench, begun)
+
+
+def can_be_claimed(workbench: LoopWorkbench, begun: RoundStart, fitted: FittedModel) -> bool:
+    """Return whether a structure closes as much as a claim needs, or leaves sensors' noise."""
+    return fitted.sse <= _least_claim_sse(workbench, begun)
+
+
+def _least_claim_sse(workbench: LoopWorkbench, begun: RoundStart) -> float:
     claim = _claim_sse(workbench, begun.base, begun.floor)
     return max(claim, _near_noise_sse(workbench, begun.floor))
 

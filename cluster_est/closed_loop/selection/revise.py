@@ -35,8 +35,6 @@ def revise(
 ) -> tuple[FittedModel, Rivals]:
     """Replace earlier effects that others are better than now, and drop those not needed.
 
-    With as many effects as are allowed, what is too far for a claim after a sweep is left as it is.
-
     Parameters
     ----------
     begun
@@ -54,7 +52,6 @@ def revise(
         Of its effects; those of others may be among them.
     """
     thresholds = workbench.thresholds.revision
-    most = claimable_sse(workbench, begun, len(grown.added))
     saved = thresholds.drop_price * float(np.log(begun.screening.count))  # by an effect less
     for sweep in range(thresholds.sweeps):
         before = grown
@@ -63,8 +60,6 @@ def revise(
             if found is not None:
                 # in its old place, so that the other positions still mean the same effects
                 grown, rivals = found[0].fitted.moved(position), {**rivals, **found[1]}
-        if grown.sse > most:
-            return grown, rivals
         if grown is before:
             break
     if workbench.settings.beam > 1:
