@@ -25,6 +25,7 @@ from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.plug_in import check_class_attributes
@@ -223,6 +224,8 @@ class Solution:
         The same, experiment by experiment, where it is too large for one array.
     difference_steps : (unknowns,) or None
         Steps of its finite differences, in search coordinates.
+    frozen : (unknowns,) or None
+        Unknowns whose column is 0 because simulations for it failed; None where none did.
     at
         The evaluation at `x`, where the method has it. That of a fit has every residual, unless the
         point could not be simulated again.
@@ -240,6 +243,7 @@ class Solution:
     jacobian: FloatArray | None = field(default=None, repr=False)
     block_jacobian: BlockMatrix | None = field(default=None, repr=False)
     difference_steps: FloatArray | None = field(default=None, repr=False)
+    frozen: npt.NDArray[np.bool_] | None = field(default=None, repr=False)
     at: Evaluation | None = field(default=None, repr=False)
     others: tuple[OtherPoint, ...] = field(default=(), repr=False)
     evaluations: tuple[Evaluation, ...] = field(default=(), repr=False)

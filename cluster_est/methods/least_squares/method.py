@@ -217,6 +217,7 @@ class _End:
             jacobian=self.jacobian.dense_if_small,
             block_jacobian=self.jacobian.blocks_if_large,
             difference_steps=self.jacobian.steps,
+            frozen=self.jacobian.frozen,
             at=state.at,
         )
 

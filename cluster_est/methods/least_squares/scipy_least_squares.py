@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
+import numpy.typing as npt
 from typing_extensions import override
 
 from cluster_est.costs.sum_squared import SumSquared
@@ -91,7 +92,7 @@ class ScipyLeastSquares(Method):
             at = cache.evaluation(x)
             requests = jacobian(space, x, at, scheme, self.relative_step, cache.progress)
             found = run_with(requests, ask)
-            cache.steps = found.steps
+            cache.steps, cache.frozen = found.steps, found.frozen
             return found.matrix
 
         try:
@@ -120,6 +121,7 @@ class ScipyLeastSquares(Method):
             iterations=cache.progress.iteration,
             jacobian=result.jac,
             difference_steps=cache.steps,
+            frozen=cache.frozen,
         )
 
 
@@ -132,6 +134,7 @@ class _LastEvaluation:
         self._at: Evaluation | None = None
         self.progress = Progress(0, np.nan)
         self.steps: FloatArray | None = None
+        self.frozen: npt.NDArray[np.bool_] | None = None
 
     def evaluation(self, x: FloatArray) -> Evaluation:
         if self._at is None or self._x is None or not np.array_equal(x, self._x):

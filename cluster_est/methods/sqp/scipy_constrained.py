@@ -301,4 +301,9 @@ class _ScipyCallbacks:
         jacobian = cache.derivatives_at_best().residual_jacobian
         if jacobian is None:
             return found
-        return replace(found, jacobian=jacobian.matrix, difference_steps=jacobian.steps)
+        return replace(
+            found,
+            jacobian=jacobian.matrix,
+            difference_steps=jacobian.steps,
+            frozen=jacobian.frozen,
+        )

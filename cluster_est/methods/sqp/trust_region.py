@@ -174,7 +174,12 @@ class _TrustRegionSearch:
         jacobian = self._model.derivatives.residual_jacobian
         if jacobian is None:
             return found
-        return replace(found, jacobian=jacobian.matrix, difference_steps=jacobian.steps)
+        return replace(
+            found,
+            jacobian=jacobian.matrix,
+            difference_steps=jacobian.steps,
+            frozen=jacobian.frozen,
+        )
 
     def _differentiate(
         self, x: FloatArray, at: Evaluation

@@ -25,6 +25,7 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods.base import Solution
 from cluster_est.problem.space import SearchSpace
 from cluster_est.uncertainty.covariance.blocks import BlockCovariance
+from cluster_est.uncertainty.covariance.directions import joined
 from cluster_est.uncertainty.covariance.jacobian import has_jacobian
 from cluster_est.uncertainty.covariance.layout import (
     HELD,
@@ -77,9 +78,10 @@ def assess(space: SearchSpace, solution: Solution, measured_step: float = 0.0) -
 def scaled_jacobian(
     space: SearchSpace, solution: Solution, measured_step: float = 0.0, weak: float = WEAK
 ) -> ScaledJacobian | None:
-    """Return the factorised Jacobian of a solution; None if it lacks the Jacobian or values."""
+    """Return the factorised Jacobian of a solution; None if a part of it or its values lack."""
     has_values = solution.at is not None or isinstance(space.problem.cost, SumSquared)
-    if not has_jacobian(solution) or not has_values or not np.isfinite(solution.cost):
+    known = has_jacobian(solution) and not _without_derivative(space, solution)
+    if not known or not has_values or not np.isfinite(solution.cost):
         return None
     constraints = np.zeros(0) if solution.at is None else solution.at.constraints
     layout = unknown_layout(space, solution.x, constraints)
@@ -89,10 +91,20 @@ def scaled_jacobian(
     )
 
 
+def _without_derivative(space: SearchSpace, solution: Solution) -> list[str]:
+    """The unknowns for which simulations beside the solution failed; 0 is not their derivative."""
+    if solution.frozen is None:
+        return []
+    return [space.unknowns[i].label for i in np.flatnonzero(solution.frozen)]
+
+
 def _nothing(space: SearchSpace, solution: Solution) -> Uncertainty:
     bounds = active_bounds(space, solution.x)
     found = tuple(ConfidenceInterval(np.nan, np.nan, np.nan, bound) for bound in bounds)
-    note = "there are no intervals, because no derivatives are known at the solution"
+    names, why = _without_derivative(space, solution), "no derivatives are known at the solution"
+    if names and has_jacobian(solution):
+        why = f"simulations for the derivatives by {joined(names)} failed"
+    note = f"there are no intervals, because {why}"
     none = np.zeros((0, 0))
     return Uncertainty(found, (), (), (), none, none, (), np.nan, 0, (note,))
 

@@ -82,6 +82,7 @@ def linearise(runner: Runner, space: SearchSpace, solution: Solution) -> Solutio
         jacobian=found.jacobian,
         block_jacobian=found.block_jacobian,
         difference_steps=found.difference_steps,
+        frozen=found.frozen,
     )
 
 
@@ -197,6 +198,7 @@ class _CentralJacobian(Method):
             jacobian=found.dense_if_small,
             block_jacobian=found.blocks_if_large,
             difference_steps=found.steps,
+            frozen=found.frozen,
             at=at,
         )
 

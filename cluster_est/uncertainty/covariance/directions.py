@@ -116,7 +116,7 @@ def _sentence(labels: Sequence[str], weights: FloatArray, relative: FloatArray, 
         return f"{labels[0]} has no effect on any residual"
     if len(labels) == 1:
         return f"{labels[0]} has hardly any effect on the residuals"
-    names = _join(labels)
+    names = joined(labels)
     if kind == "undetermined":
         how = _how(labels, weights, relative, grow="can grow", grows="can grow")
         return f"the data determine {names} only together: {how} without changing any residual"
@@ -138,10 +138,11 @@ def _how(
         f"{label} {'grows' if weight > 0.0 else 'falls'} by {abs(weight):.3g}"
         for label, weight in zip(labels[1:MOST_NAMED], weights[1:MOST_NAMED], strict=False)
     ]
-    return f"{labels[0]} {grows} by 1 while {_join(others)}"
+    return f"{labels[0]} {grows} by 1 while {joined(others)}"
 
 
-def _join(words: Sequence[str]) -> str:
+def joined(words: Sequence[str]) -> str:
+    """Return words as a sentence lists them, only so many of them."""
     words = list(words)
     if len(words) > MOST_NAMED:
         words = [*words[: MOST_NAMED - 1], f"{len(words) - MOST_NAMED + 1} others"]

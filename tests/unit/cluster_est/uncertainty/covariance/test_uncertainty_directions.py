@@ -302,3 +302,22 @@ def test_rows():
         [(0, "c"), (0, "d"), (1, "a"), (1, "b")],
     )
     assert all(row.sentence.startswith("the data") for row in rows)
+
+
+def test_an_unknown_whose_differences_fail_is_not_said_to_have_no_effect():
+    """Beyond 4.9 nothing can be simulated, and the data pull the offset below."""
+
+    def walled(times, values, experiment):
+        slope, offset = values
+        return slope * times + offset if offset > 4.9 else np.full(len(times), np.nan)
+
+    measured = [4.8 + TIMES]
+    parameters = (Parameter("a", 0.5), Parameter("b", 5.2))
+    runner, space, solution = Curves(walled, parameters, TIMES, measured).solve()
+    assert space.estimates(solution.x)["b"] == pytest.approx(4.9, abs=1e-5)
+    found = examine(runner, space, solution)
+    assert found.directions == ()
+    assert found.notes == (
+        "there are no intervals, because simulations for the derivatives by b failed",
+    )
+    assert all(np.isnan(each.std_error) for each in found.intervals)
