@@ -68,9 +68,7 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
     return on_times(experiment, times)._replace(
         gather=np.concatenate([np.zeros(0, np.intp), *gather]),
         measured=np.concatenate([np.zeros(0), *(output.values for output in experiment.outputs)]),
-        sigmas=np.concatenate(
-            [np.zeros(0), *(np.full(len(o.times), o.sigma) for o in experiment.outputs)]
-        ),
+        sigmas=np.concatenate([np.zeros(0), *(output.sigmas for output in experiment.outputs)]),
     )
 
 

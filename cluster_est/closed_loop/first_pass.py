@@ -20,7 +20,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.problem.tables.jumps import jump_times
 from cluster_est.results.output_errors import output_residuals
-from cluster_est.statistics.growing_noise import noise_growth
+from cluster_est.statistics.growing_noise import NoiseGrowth, noise_growth
 from cluster_est.statistics.outliers import PROVEN, IsolatedOutliers, isolated_outliers
 from workers.messages import Experiment, FloatArray
 
@@ -226,7 +226,7 @@ def _growth_notes(workbench: LoopWorkbench, fitted: FittedModel) -> list[str]:
     thresholds = workbench.thresholds.preparation
     runs = [workbench.problem.experiments[e] for e in workbench.train]
     size = np.abs(measured_values(runs) - fitted.residuals)
-    notes = []
+    sigmas, notes = workbench.sigmas, []
     for output, name in enumerate(workbench.records.outputs):
         rows = workbench.records.of_output(output)
         growth = noise_growth(fitted.residuals[rows], size[rows])
@@ -235,7 +235,17 @@ def _growth_notes(workbench: LoopWorkbench, fitted: FittedModel) -> list[str]:
             notes.append(
                 f"the noise of {name} grows with the signal: in the third of its samples with the "
                 f"largest values it is {times} that in the third with the smallest, and one sigma "
-                "gives the loud ones too much weight; give each experiment a sigma of its own, by "
-                "how large its signal is"
+                f"gives the loud ones too much weight; {_growth_remedy(name, growth, sigmas[rows])}"
             )
     return notes
+
+
+def _growth_remedy(name: str, growth: NoiseGrowth, sigmas: FloatArray) -> str:
+    """What to write into the config, in the output's unit."""
+    if growth.quiet <= 0.0 or growth.large <= growth.small or np.ptp(sigmas) > 0.0:
+        return f"give it a larger relative_sigma.{name} beside sigma.{name}"
+    constant, part = growth.parts
+    return (
+        f"about sigma.{name} = {constant * sigmas[0]:.2g} and relative_sigma.{name} = {part:.2g} "
+        "would give each sample its own"
+    )

@@ -56,5 +56,5 @@ def is_given(workbench: LoopWorkbench, output: int) -> bool:
 
 def measured_values(experiments: Iterable[Experiment]) -> FloatArray:
     """Return what was measured over sigma, stacked like the residuals of these experiments."""
-    parts = [o.values / o.sigma for experiment in experiments for o in experiment.outputs]
+    parts = [o.values / o.sigmas for experiment in experiments for o in experiment.outputs]
     return np.concatenate(parts) if parts else np.zeros(0)

@@ -221,7 +221,7 @@ def _unweighted(problem: Problem) -> bool:
 
 def _declares_sigma(problem: Problem) -> bool:
     """Return whether some output has a sigma."""
-    return any(o.sigma != 1.0 for e in problem.experiments for o in e.outputs)
+    return any(o.has_sigma for e in problem.experiments for o in e.outputs)
 
 
 def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:

@@ -208,7 +208,7 @@ class LoopWorkbench:
     def sigmas(self) -> FloatArray:
         """The sigma of each residual, (N,)."""
         outputs = [o for e in self.train for o in self.problem.experiments[e].outputs]
-        return np.concatenate([np.full(len(o.times), o.sigma) for o in outputs])
+        return np.concatenate([o.sigmas for o in outputs])
 
     def generator(self, stream: int) -> np.random.Generator:
         """A generator of its own for each use, so that no use moves another."""

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from cluster_est.config.messages import error_messages
 from cluster_est.config.overrides import override
-from cluster_est.config.sections.defaults import DEFAULTS, unused_defaults, with_defaults
+from cluster_est.config.sections.defaults import DEFAULTS, SIGMAS, unused_defaults, with_defaults
 from cluster_est.config.sections.experiment import (
     ColumnSection,
     CurveSection,
@@ -50,7 +50,11 @@ from cluster_est.costs import COSTS
 from cluster_est.errors import ConfigError
 from cluster_est.executors import EXECUTORS
 from cluster_est.methods import ALIASES, METHODS
-from cluster_est.problem.tables.measured import missing_time, sigma_without_output
+from cluster_est.problem.tables.measured import (
+    missing_time,
+    relative_without_sigma,
+    sigma_without_output,
+)
 from workers.fmu.description import nearest
 from workers.messages.checks import as_path, as_tuple
 
@@ -210,13 +214,21 @@ def _wrong_source(where: str, experiment: ExperimentSection, *, constrained: boo
         )
 
 
+def _wrong_sigmas(where: str, experiment: ExperimentSection) -> Iterator[str]:
+    for key in SIGMAS:
+        for name in getattr(experiment, key):
+            if name not in experiment.outputs:
+                yield sigma_without_output(f"{where}.{key}", name, experiment.outputs)
+    for name in experiment.relative_sigma:
+        if name in experiment.outputs and name not in experiment.sigma:
+            yield relative_without_sigma(where, name)
+
+
 def _contradictions(experiment: ExperimentSection, *, constrained: bool) -> Iterator[str]:
     """Contradictions within an experiment's section, found before any file is read."""
     where = f"experiments[{experiment.id!r}]"
     yield from _wrong_source(where, experiment, constrained=constrained)
-    for name in experiment.sigma:
-        if name not in experiment.outputs:
-            yield sigma_without_output(where, name, experiment.outputs)
+    yield from _wrong_sigmas(where, experiment)
     for name in experiment.outputs:
         if name in experiment.inputs:
             yield (

@@ -78,7 +78,8 @@ class ExperimentReader:
         """A signal that the model should follow, where it was measured."""
         column = self._section.outputs[variable].column
         sigma = self._section.sigma.get(variable, 1.0)
-        return self._columns.output(times, variable, column, sigma)
+        relative = self._section.relative_sigma.get(variable, 0.0)
+        return self._columns.output(times, variable, column, sigma, relative)
 
     def points(self, columns: dict[str, str]) -> FloatArray:
         """(n, d): the points of a curve, without those of which a part was not measured."""

@@ -98,8 +98,10 @@ def weighted(output: Output, normalise: Normalise, weight: float) -> Output:
     Its residuals are divided by sigma, or by the measured signal's largest absolute value or range,
     and multiplied by the square root of the weight.
     """
-    size = output.sigma
+    size, relative = output.sigma, output.relative_sigma
     if normalise != "sigma" and len(output.values):
         values = output.values
         size = float(np.ptp(values) if normalise == "range" else np.max(np.abs(values)))
-    return replace(output, sigma=(size or 1.0) / float(np.sqrt(weight)))
+        relative = 0.0
+    root = float(np.sqrt(weight))
+    return replace(output, sigma=(size or 1.0) / root, relative_sigma=relative / root)

@@ -83,7 +83,7 @@ class _NoiseShare:
 def _against_noise(subject: CheckSubject, errors: list[tuple[str, float]]) -> _NoiseShare:
     """Compare the errors of outputs with the noise that is declared for them."""
     experiment = subject.problem.experiments[subject.experiment]
-    sigmas = {o.variable: o.sigma for o in experiment.outputs if o.sigma != 1.0}
+    sigmas = {o.variable: o.sigma for o in experiment.outputs if o.has_sigma}
     if subject.trajectory is None:
         return _NoiseShare()
     sizes = dict(

@@ -32,11 +32,11 @@ def residual_table(
             _add(columns, experiment, output.variable, part)
             columns["time"].append(output.times)
             columns["measured"].append(output.values)
-            columns["simulated"].append(output.values - part * output.sigma)
+            columns["simulated"].append(output.values - part * output.sigmas)
             outcome = earlier.get(simulation.experiment)
             then = None if outcome is None else output_residuals(output, outcome)
             columns["simulated_before"].append(
-                np.full(len(part), np.nan) if then is None else output.values - then * output.sigma
+                np.full(len(part), np.nan) if then is None else output.values - then * output.sigmas
             )
         distances = curve_residuals(experiment, simulation.outcome)
         if experiment.curve is not None and distances is not None:

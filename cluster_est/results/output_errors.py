@@ -50,8 +50,8 @@ def output_errors(
         experiment = problem.experiments[old.experiment]
         for output in experiment.outputs:
             spread = float(np.std(output.values)) or np.nan
-            then = _rms(output_residuals(output, old.outcome))
-            now = _rms(output_residuals(output, new.outcome))
+            then, now = (output_residuals(output, each.outcome) for each in (old, new))
+            rmse_before, rmse_after = (_rmse(output, each) for each in (then, now))
             rows.append(
                 OutputError(
                     experiment=experiment.id,
@@ -59,12 +59,12 @@ def output_errors(
                     output=output.variable,
                     unit=units.get(output.variable, ""),
                     samples=len(output.times),
-                    rmse_before=then * output.sigma,
-                    rmse_after=now * output.sigma,
-                    relative_before=then * output.sigma / spread,
-                    relative_after=now * output.sigma / spread,
-                    normalised_before=then,
-                    normalised_after=now,
+                    rmse_before=rmse_before,
+                    rmse_after=rmse_after,
+                    relative_before=rmse_before / spread,
+                    relative_after=rmse_after / spread,
+                    normalised_before=_rms(then),
+                    normalised_after=_rms(now),
                 )
             )
         if experiment.curve is not None:
@@ -83,7 +83,7 @@ def output_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
     column = trajectory.variables.index(output.variable)
     rows = np.searchsorted(trajectory.times, output.times)
     simulated: FloatArray = trajectory.values[rows, column]
-    return (output.values - simulated) / output.sigma
+    return (output.values - simulated) / output.sigmas
 
 
 def curve_residuals(experiment: Experiment, outcome: Outcome) -> FloatArray | None:
@@ -113,6 +113,11 @@ def _curve_error(experiment: Experiment, old: Outcome, new: Outcome) -> OutputEr
         normalised_before=then,
         normalised_after=now,
     )
+
+
+def _rmse(output: Output, residuals: FloatArray | None) -> float:
+    """In the output's unit."""
+    return _rms(None if residuals is None else residuals * output.sigmas)
 
 
 def _rms(residuals: FloatArray | None) -> float:

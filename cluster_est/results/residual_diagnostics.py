@@ -80,7 +80,7 @@ def _declared(space: SearchSpace, records: StackedRecords) -> tuple[bool, ...]:
     The latter is what a normalised output has.
     """
     outputs = [o for e in space.experiments for o in space.problem.experiments[e].outputs]
-    if all(output.sigma == 1.0 for output in outputs):
+    if not any(output.has_sigma for output in outputs):
         return (False,) * len(records.outputs)
     found = dict.fromkeys(records.outputs, False)
     for output in outputs:
@@ -95,7 +95,7 @@ def _exact(space: SearchSpace, residuals: FloatArray, records: StackedRecords) -
     errors, spreads = np.zeros(len(records.outputs)), np.zeros(len(records.outputs))
     for item, output in zip(records.items, outputs, strict=True):
         if len(output.values):
-            errors[item.output] += np.add.reduce((residuals[item.rows] * output.sigma) ** 2)
+            errors[item.output] += np.add.reduce((residuals[item.rows] * output.sigmas) ** 2)
             spreads[item.output] += len(output.values) * np.var(output.values)
     return tuple((errors <= EXACT**2 * spreads).tolist())
 

@@ -83,13 +83,13 @@ def reader_of(space: SearchSpace, times: int) -> PointReader:
         for item in records.items:
             experiment = experiments[item.experiment]
             name = records.outputs[item.output]
-            sigma = next(o.sigma for o in experiment.outputs if o.variable == name)
+            own = next(o.sigmas for o in experiment.outputs if o.variable == name)
             places = np.unique(np.linspace(0, len(item.times) - 1, times).astype(int))
             for place in places.tolist() if len(item.times) else []:
                 time = float(item.times[place])
                 quantities.append(AnalysedQuantity(name, experiment.id, time))
                 rows.append(item.rows.start + place)
-                sigmas.append(sigma)
+                sigmas.append(own[place])
     return PointReader(tuple(quantities), np.array(rows, int), np.array(sigmas, float))
 
 

@@ -24,11 +24,26 @@ class NoiseGrowth:
         Of a rank correlation of at least this size where the noise is the same everywhere.
     quiet, loud
         Noise of the third of the samples with the smallest signal, and with the largest.
+    small, large
+        The size of the signal there.
     """
 
     p: float
     quiet: float
     loud: float
+    small: float
+    large: float
+
+    @property
+    def parts(self) -> tuple[float, float]:
+        """The constant part a of the noise, and b of sqrt(a^2 + (b size)^2), through both thirds.
+
+        Noise that is all in proportion to the signal still has a tenth of the quiet noise as a
+        constant part: a sample of nearly 0 is not that exact.
+        """
+        slope = (self.loud**2 - self.quiet**2) / (self.large**2 - self.small**2)
+        least = (0.1 * self.quiet) ** 2
+        return float(np.sqrt(max(self.quiet**2 - slope * self.small**2, least))), slope**0.5
 
 
 def noise_growth(residuals: FloatArray, size: FloatArray) -> NoiseGrowth:
@@ -50,7 +65,7 @@ def noise_growth(residuals: FloatArray, size: FloatArray) -> NoiseGrowth:
     NoiseGrowth
         With p = 1 and NaN where fewer than nine differences are left, or nothing varies.
     """
-    nothing = NoiseGrowth(1.0, float("nan"), float("nan"))
+    nothing = NoiseGrowth(1.0, *[float("nan")] * 4)
     if len(residuals) <= ORDER:
         return nothing
     noise = np.abs(np.diff(residuals, ORDER))[:: ORDER + 1]
@@ -63,5 +78,7 @@ def noise_growth(residuals: FloatArray, size: FloatArray) -> NoiseGrowth:
     order = np.argsort(centre, kind="stable")
     third = len(order) // 3
     gain = MEDIAN_OF_NORMAL * np.sqrt(comb(2 * ORDER, ORDER))
-    quiet, loud = (float(np.median(noise[rows])) / gain for rows in (order[:third], order[-third:]))
-    return NoiseGrowth(float(found.pvalue), quiet, loud)
+    ends = order[:third], order[-third:]
+    quiet, loud = (float(np.median(noise[rows])) / gain for rows in ends)
+    small, large = (float(np.median(centre[rows])) for rows in ends)
+    return NoiseGrowth(float(found.pvalue), quiet, loud, small, large)

@@ -163,7 +163,8 @@ class Experiment:
             signals += [given.variable, given.interpolation]
             signals += [given.times.tobytes(), given.values.tobytes()]
         for output in self.outputs:
-            signals += [output.variable, repr(output.sigma)]
+            relative = (output.relative_sigma,) if output.relative_sigma else ()
+            signals += [output.variable, repr(output.sigma), *map(repr, relative)]
             signals += [output.times.tobytes(), output.values.tobytes()]
         if self.curve is not None:
             signals += ["curve", repr(self.curve.variables), repr(self.curve.tolerances)]

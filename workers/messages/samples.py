@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, get_args
 
+import numpy as np
+
 from workers.errors import DataError
 from workers.messages.checks import check_choice, check_name, check_number
 from workers.messages.signals import check_finite, check_length, check_times, kept_floats
@@ -45,8 +47,17 @@ class Input:
 class Output:
     """A measured signal that an output variable of the FMU should follow.
 
-    Times and values may be given as arrays, lists or columns of a table; `sigma` is the standard
-    deviation of the noise, in the signal's unit.
+    Times and values may be given as arrays, lists or columns of a table.
+
+    Attributes
+    ----------
+    variable, times, values
+        The output of the FMU, when it was measured, in seconds, and what was measured.
+    sigma
+        Standard deviation of the noise, in the signal's unit; 1 where it is not given.
+    relative_sigma
+        Of a sensor or an assay whose noise grows with what it measures: the part of each measured
+        value that its noise has besides `sigma`.
 
     Raises
     ------
@@ -58,10 +69,24 @@ class Output:
     times: FloatArray = field(repr=False)
     values: FloatArray = field(repr=False)
     sigma: float = 1.0
+    relative_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         where = _check_samples(self, "output")
         check_number(self.sigma, f"{where}.sigma", DataError, above=0.0)
+        check_number(self.relative_sigma, f"{where}.relative_sigma", DataError, least=0.0)
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """The standard deviation of each sample, sqrt(sigma^2 + (relative_sigma value)^2)."""
+        if self.relative_sigma == 0.0:
+            return np.full(len(self.times), self.sigma)
+        return np.hypot(self.sigma, self.relative_sigma * self.values)
+
+    @property
+    def has_sigma(self) -> bool:
+        """Whether its noise is given: a sigma of 1 is what stands where it is not."""
+        return self.sigma != 1.0 or self.relative_sigma > 0.0
 
 
 def _check_samples(signal: Any, kind: str) -> str:

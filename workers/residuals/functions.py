@@ -31,7 +31,7 @@ class SimulatedRun:
     measured
         (times, values) by variable.
     sigma
-        Of the measured values, by variable.
+        Standard deviation of the measured values, by variable; (n,) where it grows with them.
     values
         Of the parameters, by the FMU's name.
     """
@@ -40,7 +40,7 @@ class SimulatedRun:
     times: FloatArray = field(repr=False)
     simulated: dict[str, FloatArray] = field(repr=False)
     measured: dict[str, tuple[FloatArray, FloatArray]] = field(repr=False)
-    sigma: dict[str, float]
+    sigma: dict[str, float | FloatArray]
     values: dict[str, float]
 
     def residuals(self, variable: str) -> FloatArray:
@@ -119,7 +119,7 @@ class FunctionComparison(Comparison):
             times=_lent(simulated.times),
             simulated={n: _lent(simulated.outputs[p, :, i]) for i, n in enumerate(simulated.names)},
             measured={o.variable: (_lent(o.times), _lent(o.values)) for o in outputs},
-            sigma={o.variable: o.sigma for o in outputs},
+            sigma={o.variable: o.sigmas if o.relative_sigma else o.sigma for o in outputs},
             values=dict(zip(self._parameters, simulated.values[p].tolist(), strict=False)),
         )
 

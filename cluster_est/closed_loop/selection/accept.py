@@ -130,7 +130,7 @@ def can_be_linearised(workbench: LoopWorkbench, fitted: FittedModel) -> bool:
 
 def _reach(output: Output, residuals: FloatArray, mean: float) -> float:
     """Largest distance of a simulated output from a mean."""
-    return float(np.abs(output.values - output.sigma * residuals - mean).max())
+    return float(np.abs(output.values - output.sigmas * residuals - mean).max())
 
 
 def _left_out(fitted: FittedModel, part: IntArray, thresholds: AcceptanceThresholds) -> FloatArray:

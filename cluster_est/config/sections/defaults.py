@@ -14,6 +14,8 @@ from workers.fmu.description import nearest
 
 DEFAULTS = "experiment_defaults"
 SIGNALS = ("inputs", "outputs", "signals")
+SIGMAS = ("sigma", "relative_sigma")
+"""Keys of an experiment with a number for each output."""
 """Tables whose entries are columns; an empty name takes an entry of the defaults away."""
 TIMES = ("time", "sample_time")
 """Keys that exclude each other: with one of its own an experiment does not take the other."""
@@ -43,10 +45,11 @@ def unused_defaults(defaults: dict[str, Any], config: Config) -> Iterator[str]:
     """Yield a sentence for each name in the defaults that means nothing to any experiment."""
     outputs = sorted({name for each in config.experiments for name in each.outputs})
     columns = sorted({name for each in config.experiments for name in _used(each.model_dump())})
-    for name in defaults.get("sigma", {}):
-        if name not in outputs:
-            must = "must be named as an output of some experiment but is not"
-            yield f"{DEFAULTS}.sigma.{name}: {must}{nearest(name, outputs)}"
+    for key in SIGMAS:
+        for name in defaults.get(key, {}):
+            if name not in outputs:
+                must = "must be named as an output of some experiment but is not"
+                yield f"{DEFAULTS}.{key}.{name}: {must}{nearest(name, outputs)}"
     for name in defaults.get("columns", {}):
         if name not in columns:
             must = "must be named as a column that some experiment uses but is not"
@@ -78,7 +81,8 @@ def _whole(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
             taken[key] = {name: each for name, each in taken[key].items() if name not in gone}
             own = own | {key: {name: v for name, v in own[key].items() if name not in gone}}
     whole: dict[str, Any] = _joined(taken, own)
-    for key, known in (("sigma", set(_table(whole, "outputs"))), ("columns", _used(whole))):
+    of_outputs = set(_table(whole, "outputs"))
+    for key, known in (*((key, of_outputs) for key in SIGMAS), ("columns", _used(whole))):
         if key in taken and isinstance(whole[key], dict):
             kept = {*known, *_table(own, key)}
             whole[key] = {name: each for name, each in whole[key].items() if name in kept}

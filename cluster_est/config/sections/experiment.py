@@ -97,6 +97,11 @@ class _ExperimentKeys(ConfigSection):
     sigma: dict[str, Annotated[Finite, Field(gt=0.0)]] = Field(
         default_factory=dict, description="FMU output = standard deviation of its noise; default 1"
     )
+    relative_sigma: dict[str, Annotated[Finite, Field(ge=0.0)]] = Field(
+        default_factory=dict,
+        description="FMU output = part of each measured value that its noise has besides sigma: "
+        "sqrt(sigma^2 + (relative_sigma value)^2)",
+    )
     start: Finite | None = Field(None, description="seconds; default: the first time in the data")
     stop: Finite | None = Field(None, description="seconds; default: the last measured time")
     warm_up: Finite = Field(0.0, ge=0.0, description="seconds from start on that do not count")

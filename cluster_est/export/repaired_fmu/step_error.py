@@ -215,7 +215,7 @@ def _errors_at(
                 residuals = output_residuals(output, outcome)
                 assert residuals is not None  # it has a trajectory
                 own = squares.setdefault(output.variable, [0.0, 0.0])
-                own[0] += float(np.add.reduce((residuals * output.sigma) ** 2))
+                own[0] += float(np.add.reduce((residuals * output.sigmas) ** 2))
                 own[1] += len(residuals)
     finally:
         evaluator.close()

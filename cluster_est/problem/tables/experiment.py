@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from cluster_est.problem.tables.measured import (
     MeasuredColumns,
     interval,
     missing_time,
+    relative_without_sigma,
     sigma_without_output,
 )
 from cluster_est.problem.tables.memory import table_of
@@ -44,6 +46,7 @@ def experiment_from_table(
     inputs: Columns = (),
     signals: Columns = (),
     sigma: float | Mapping[str, float] = 1.0,
+    relative_sigma: float | Mapping[str, float] = 0.0,
     columns: Mapping[str, Mapping[str, float | bool]] | None = None,
     rows: tuple[int, int] | None = None,
     start: float | None = None,
@@ -81,6 +84,8 @@ def experiment_from_table(
         measured too, but are no inputs of the model: effects may depend on them.
     sigma
         Standard deviation of the noise, of all outputs or by output.
+    relative_sigma
+        Likewise the part of each measured value that its noise has besides; only with sigma.
     columns
         {column: {"factor": ..., "offset": ..., "demean": ...}}: changes of unit.
     rows
@@ -107,7 +112,11 @@ def experiment_from_table(
     }
     if not wanted["outputs"]:
         raise DataError(f"{where}.outputs is missing; add it (FMU output = column)")
-    sigmas = _sigmas(sigma, wanted["outputs"], where)
+    sigmas = _of_outputs(sigma, 1.0, wanted["outputs"], f"{where}.sigma")
+    parts = _of_outputs(relative_sigma, 0.0, wanted["outputs"], f"{where}.relative_sigma")
+    for name, part in parts.items():
+        if part > 0.0 and sigmas[name] == 1.0:
+            raise DataError(relative_without_sigma(where, name))
     _check_times(time, sample_time, start, stop, where)
     reader = MeasuredColumns(
         _table(table, where), where, _rows(rows, where), _changes(columns, where)
@@ -115,7 +124,7 @@ def experiment_from_table(
     counted = next(iter(wanted["outputs"].values()))[0]
     times = reader.times(time, sample_time, counted)
     measured = [
-        reader.output(times, name, column, sigmas[name])
+        reader.output(times, name, column, sigmas[name], parts[name])
         for name, (column, _) in wanted["outputs"].items()
     ]
     start, stop = interval(start, stop, times, measured, where)
@@ -165,16 +174,18 @@ def _named(given: Columns, where: str) -> dict[str, tuple[str, Interpolation]]:
     return found
 
 
-def _sigmas(
-    sigma: float | Mapping[str, float], outputs: Mapping[str, Any], where: str
+def _of_outputs(
+    number: float | Mapping[str, float], default: float, outputs: Mapping[str, Any], where: str
 ) -> dict[str, float]:
-    given = sigma if isinstance(sigma, Mapping) else dict.fromkeys(outputs, sigma)
+    """A number for each output, from one for all of them or from those of some."""
+    given = number if isinstance(number, Mapping) else dict.fromkeys(outputs, number)
     for name, value in given.items():
-        check_name(name, f"{where}.sigma: an output", DataError)
+        check_name(name, f"{where}: an output", DataError)
         if name not in outputs:
             raise DataError(sigma_without_output(where, name, outputs))
-        check_number(value, f"{where}.sigma.{name}", DataError, above=0.0)
-    return {name: float(given.get(name, 1.0)) for name in outputs}
+        above = 0.0 if default > 0.0 else -math.inf
+        check_number(value, f"{where}.{name}", DataError, above=above, least=0.0)
+    return {name: float(given.get(name, default)) for name in outputs}
 
 
 def _changes(

@@ -94,11 +94,13 @@ class MeasuredColumns:
         known = np.isfinite(values)
         return Input(variable, times[known], values[known], interpolation)
 
-    def output(self, times: FloatArray, variable: str, column: str, sigma: float) -> Output:
+    def output(
+        self, times: FloatArray, variable: str, column: str, sigma: float, relative_sigma: float
+    ) -> Output:
         """A signal that the model should follow, where it was measured."""
         values = self._values(times, column, f"outputs.{variable}")
         measured = np.isfinite(values)
-        return Output(variable, times[measured], values[measured], sigma)
+        return Output(variable, times[measured], values[measured], sigma, relative_sigma)
 
     def points(self, columns: Collection[str]) -> FloatArray:
         """(n, d): the points of a curve, without those of which a part was not measured.
@@ -201,7 +203,12 @@ def missing_time(where: str, time: str | None, sample_time: float | None) -> str
 
 def sigma_without_output(where: str, name: str, outputs: Collection[str]) -> str:
     """The sentence on a standard deviation of what is no output."""
+    return f"{where}.{name}: must be named as one of its outputs but is not{nearest(name, outputs)}"
+
+
+def relative_without_sigma(where: str, name: str) -> str:
+    """The sentence on noise that would be 0 where the signal is 0."""
     return (
-        f"{where}.sigma.{name}: must be named as one of its outputs but is not"
-        f"{nearest(name, outputs)}"
+        f"{where}.relative_sigma.{name}: must have sigma.{name} beside it, the noise where the "
+        "signal is 0, but has not; add it"
     )

@@ -207,7 +207,7 @@ def _of_output(
                 errors.append(2.0 * (coarse - fine))
                 residuals.append(coarse)
                 values.append(_centred(output))
-                given.append(output.sigma != 1.0)
+                given.append(output.has_sigma)
     if not errors:
         return None
     error, residual, spread = (_rms(parts) for parts in (errors, residuals, values))
@@ -221,7 +221,7 @@ def _of_output(
 
 def _centred(output: Output) -> FloatArray:
     """The measured signal around its mean, over its sigma."""
-    return (output.values - np.mean(output.values)) / output.sigma
+    return (output.values - np.mean(output.values)) / output.sigmas
 
 
 def _rms(parts: Sequence[FloatArray]) -> float:

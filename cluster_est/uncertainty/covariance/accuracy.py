@@ -84,6 +84,6 @@ def output_norm(space: SearchSpace, factor: FloatArray) -> float:
         experiment = space.problem.experiments[e]
         if experiment.cost_function is not None or experiment.curve is not None:
             return 0.0
-        parts += [output.values / output.sigma for output in experiment.outputs]
+        parts += [output.values / output.sigmas for output in experiment.outputs]
     values = np.concatenate(parts)
     return float(np.linalg.norm(values * factor)) if len(values) == len(factor) else 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -45,20 +47,26 @@ def test_every_parameter_returns_with_every_solver(interface, solver):
         assert result.x[label] == pytest.approx(value, rel=1e-6)
 
 
-def scipy_cost(truth):
-    """The minimum that SciPy finds with exact simulations, from the same start."""
-    experiments = truth.problem.experiments
+def scipy_cost(truth, part=None):
+    """The minimum that SciPy finds with exact simulations, from the same start.
+
+    Where `part` is given the noise has 0.002 and that part of what was measured.
+    """
+    measured = [e.outputs[0].values for e in truth.problem.experiments]
+
+    def sigma(values):
+        return 1.0 if part is None else np.sqrt(0.002**2 + (part * values) ** 2)
 
     def residuals(x):
         m, log_k, c, *starts = x
         return np.concatenate(
             [
-                e.outputs[0].values - position(truth.times, force, m, np.exp(log_k), c, x0)
-                for e, force, x0 in zip(experiments, truth.forces, starts, strict=True)
+                (y - position(truth.times, force, m, np.exp(log_k), c, x0)) / sigma(y)
+                for y, force, x0 in zip(measured, truth.forces, starts, strict=True)
             ]
         )
 
-    start = np.array([1.0, np.log(20.0), 1.0, *np.zeros(len(experiments))])
+    start = np.array([1.0, np.log(20.0), 1.0, *np.zeros(len(measured))])
     return 2.0 * least_squares(residuals, start, "3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14).cost
 
 
@@ -66,6 +74,25 @@ def scipy_cost(truth):
 def test_cost_with_noise_is_that_of_scipy(method):
     truth = spring_problem(noise=0.01)
     assert fit(truth.problem, method).cost == pytest.approx(scipy_cost(truth), rel=1e-8)
+
+
+def test_noise_that_grows_with_the_signal():
+    truth = spring_problem()
+    generator = np.random.default_rng(5)
+    runs = []
+    for run in truth.problem.experiments:
+        (output,) = run.outputs
+        noise = np.sqrt(0.002**2 + (0.2 * output.values) ** 2)
+        measured = output.values + noise * generator.normal(size=len(noise))
+        louder = replace(output, values=measured, sigma=0.002, relative_sigma=0.2)
+        runs.append(replace(run, outputs=(louder,)))
+    truth = replace(truth, problem=replace(truth.problem, experiments=tuple(runs)))
+    result = fit(truth.problem)
+    assert result.cost == pytest.approx(scipy_cost(truth, 0.2), rel=1e-8)
+    for row, run in zip(result.errors, runs, strict=True):
+        (output,) = run.outputs
+        assert row.normalised_after == pytest.approx(1.0, abs=0.25)
+        assert row.rmse_after < 2.0 * np.sqrt(np.mean((0.2 * output.values) ** 2) + 0.002**2)
 
 
 def test_intervals_hold_the_truth_where_there_is_noise():

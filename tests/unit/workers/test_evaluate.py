@@ -137,6 +137,19 @@ class TestEverySolver:
             np.testing.assert_array_equal(bare.residuals, expected, strict=True)
             assert bare.trajectory is None
 
+    def test_each_residual_is_divided_by_its_own_sigma(self, solver: str) -> None:
+        interface, chosen = SOLVERS[solver]
+        (output,) = EXPERIMENTS[0].outputs
+        louder = replace(output, sigma=0.02, relative_sigma=0.3)
+        archive = (MODELS / "mass_spring_damper.fmu").read_bytes()
+        model = Model("mass.fmu", archive, interface, chosen, ("m", "k"))
+        growing = Evaluator(model, [replace(EXPERIMENTS[0], outputs=(louder,))], "test")
+        (outcome,) = ask(growing, [(0, POINTS[0])])
+        (plain,) = ask(evaluator(solver), [(0, POINTS[0])])
+        sigma = np.sqrt(0.02**2 + (0.3 * output.values) ** 2)
+        expected = plain.residuals * output.sigma / sigma
+        np.testing.assert_allclose(outcome.residuals, expected, rtol=1e-13)
+
     @pytest.mark.parametrize("mass", [-1.0, 0.0, np.nan])
     def test_fmu_says_itself_why_it_refuses_a_value(self, solver: str, mass: float) -> None:
         (outcome,) = ask(evaluator(solver), [(0, np.array([mass, 25.0]))])

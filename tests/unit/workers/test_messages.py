@@ -110,6 +110,20 @@ class TestSamples:
         with pytest.raises(DataError, match=r"output 'y'\.sigma: must be "):
             Output("y", T, T, sigma)
 
+    @pytest.mark.parametrize("part", [-0.1, np.nan, np.inf, "1", None, True])
+    def test_relative_sigma_is_a_number_from_zero(self, part):
+        with pytest.raises(DataError, match=r"output 'y'\.relative_sigma: must be "):
+            Output("y", T, T, 1.0, part)
+
+    def test_noise_that_grows_has_a_sigma_for_each_sample(self):
+        output = Output("y", [0.0, 1.0, 2.0], [0.0, -4.0, 30.0], 0.3, 0.1)
+        np.testing.assert_allclose(output.sigmas, [0.3, 0.5, np.sqrt(9.09)], rtol=1e-14)
+        plain = Output("y", [0.0, 1.0, 2.0], [0.0, -4.0, 30.0], 0.3)
+        assert plain.sigmas.tolist() == [0.3, 0.3, 0.3]
+        assert [o.has_sigma for o in (output, plain, Output("y", T, T))] == [True, True, False]
+        keys = {Experiment("e", 0.0, 2.0, (), (each,)).key for each in (output, plain)}
+        assert len(keys) == 2
+
     def test_arguments_in_another_order_are_seen(self):
         with pytest.raises(DataError, match=r"input\.variable: must be text but is array"):
             Input(T, T, "F")

@@ -107,6 +107,22 @@ def test_noise_that_grows_is_said(clean: Problem) -> None:
     with checked(changed(clean, *louder)) as bench:
         (note,) = (each for each in bench.notes if "grows" in each)
     assert note.startswith("the noise of y grows with the signal: in the third of its samples")
+    assert "about sigma.y = " in note
+    assert "relative_sigma.y = " in note
+
+
+def test_noise_that_is_declared_to_grow_is_as_declared(clean: Problem) -> None:
+    generator = np.random.default_rng(4)
+    noise = [
+        np.hypot(2e-3, 0.05 * run.outputs[0].values) * generator.standard_normal(601)
+        for run in clean.experiments
+    ]
+    runs = tuple(
+        replace(run, outputs=(replace(run.outputs[0], sigma=2e-3, relative_sigma=0.05),))
+        for run in changed(clean, *noise).experiments
+    )
+    with checked(replace(clean, experiments=runs)) as bench:
+        assert not [each for each in bench.notes if "grows" in each]
 
 
 def test_samples_after_a_jump_of_an_input_are_no_outliers(clean: Problem) -> None:

@@ -94,10 +94,13 @@ def test_overrides_and_sweeps_reach_both(tmp_path):
     changes = [
         "experiment_defaults.sigma.y=0.5",
         "experiments.b.sigma.v=0.25",
+        "experiment_defaults.relative_sigma.y=0.1",
+        "experiments.b.relative_sigma.y=0.2",
         "experiments.a.inputs.F.interpolation=hold",
     ]
     a, b = parsed(experiments, DEFAULTS, *changes).experiments
     assert (a.sigma, b.sigma) == ({"y": 0.5, "v": 0.01}, {"y": 0.5, "v": 0.25})
+    assert (a.relative_sigma, b.relative_sigma) == ({"y": 0.1}, {"y": 0.2})
     assert (a.inputs["F"].column, a.inputs["F"].interpolation) == ("force", "hold")
     head = to_toml({k: v for k, v in valid_tree().items() if k != "experiments"})
     path = tmp_path / "c.toml"

@@ -20,6 +20,15 @@ def test_noise_that_grows() -> None:
     assert grown.loud == pytest.approx(3.0, rel=0.25)
 
 
+def test_its_two_parts() -> None:
+    generator = np.random.default_rng(4)
+    grown = noise_growth(np.hypot(2.0, 0.05 * SIZE) * generator.standard_normal(N), SIZE)
+    assert grown.parts == pytest.approx((2.0, 0.05), rel=0.3)
+    alone = noise_growth(0.05 * SIZE * generator.standard_normal(N), SIZE)
+    assert alone.parts[1] == pytest.approx(0.05, rel=0.2)
+    assert 0.0 < alone.parts[0] < 0.5
+
+
 def test_p_values_are_even_where_it_does_not_even_under_a_misfit_that_grows() -> None:
     generator = np.random.default_rng(2)
     misfit = 1e-2 * SIZE**2

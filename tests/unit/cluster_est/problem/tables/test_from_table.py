@@ -73,6 +73,7 @@ def test_its_options_are_those_of_a_config():
         outputs=["position"],
         signals={"sun": "force"},
         sigma={"position": 0.1},
+        relative_sigma=0.05,
         columns={"force": {"factor": 10.0, "offset": 1.0, "demean": True}},
         start=0.05,
         values={"m": 2.0},
@@ -81,7 +82,7 @@ def test_its_options_are_those_of_a_config():
     )
     assert found.inputs[0].interpolation == "hold"
     assert found.inputs[0].values.tolist() == [-9.0, 1.0, 11.0]
-    assert found.outputs[0].sigma == 0.1
+    assert (found.outputs[0].sigma, found.outputs[0].relative_sigma) == (0.1, 0.05)
     assert found.outputs[0].values.tolist() == [0.2, 0.3]
     assert found.start == 0.05
     assert found.signals[0].variable == "sun"
@@ -104,6 +105,9 @@ REFUSED = [
     ),
     ({"sigma": {"q": 1.0}}, "sigma.q: must be named as one of its outputs but is not"),
     ({"sigma": 0.0}, "sigma.y: must be greater than 0 but is 0"),
+    ({"relative_sigma": 0.1}, "relative_sigma.y: must have sigma.y beside it, the noise where the"),
+    ({"sigma": 0.1, "relative_sigma": -0.1}, "relative_sigma.y: must be at least 0 but is -0.1"),
+    ({"relative_sigma": {"q": 1.0}}, "relative_sigma.q: must be named as one of its outputs but"),
     ({"columns": {"q": {}}}, "columns: the table has no column 'q'"),
     ({"columns": {"force": {"factr": 1}}}, "columns.force: unknown key factr; did you mean"),
     ({"columns": {"force": 3}}, "columns.force: must be a dict but is 3; write"),
