@@ -86,6 +86,19 @@ class _Residual:
         return within and any(o.coloured for o in self.outputs)
 
     @property
+    def missing(self) -> str:
+        """Say that something is missing, or that noise which was filtered would look the same."""
+        if all(o.believed and o.no_larger for o in self.outputs):
+            smooth = [o.output for o in self.outputs if o.drifts]
+            if smooth:
+                of = f" of {' and '.join(smooth)}" if len(self.outputs) > 1 else ""
+                return (
+                    f"what is left{of} is smoother than a sensor's own noise but no larger than "
+                    f"its sigma ({self.level}): the noise was filtered, or something is missing"
+                )
+        return f"something is missing ({self.level})"
+
+    @property
     def level(self) -> str:
         """Say how large it is, beside what."""
         worst = max(self.outputs, key=lambda o: o.level, default=None)
@@ -153,7 +166,7 @@ def _judged(
     if base.of_sensors:
         reason = f"{_autocorrelated(base)}; the effects that were tried do not explain it"
         return ReasonedVerdict(Verdict.COLOURED, reason, closed)
-    missing = f"something is missing ({base.level}), and {_nothing(found, workbench.settings)}"
+    missing = f"{base.missing}, and {_nothing(found, workbench.settings)}"
     best = "the best effects" if several else "the best effect"
     little = _little(training, predicted, several=several)
     return ReasonedVerdict(Verdict.UNEXPLAINED, f"{missing}: {best} {little}", closed)
@@ -188,9 +201,7 @@ def _nothing_added(
     if now.structured and now.of_sensors and not nowhere:
         return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now, settings))
     if now.structured:
-        return ReasonedVerdict(
-            Verdict.UNEXPLAINED, f"something is missing ({now.level}), {_why_not(why)}"
-        )
+        return ReasonedVerdict(Verdict.UNEXPLAINED, f"{now.missing}, {_why_not(why)}")
     if nowhere:
         return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {why}: {NOWHERE}")
     if why == RejectionReason.COLOURED_NOISE:

@@ -60,7 +60,7 @@ class UnexplainedResidual:
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
         said = f"{self.size:.3g}{unit} rms at {self.output}"
         if np.isfinite(self.over_noise):
-            said += f", {self.over_noise:.3g} times the noise"
+            said += f", {self.over_noise:.3g} times the noise from sample to sample"
         if np.isfinite(self.period):
             return f"{said}, most of it with a period of {readable_time(self.period)}"
         if np.isfinite(self.shortest_period):

@@ -105,12 +105,22 @@ class OutputNoise:
 
     @property
     def within(self) -> bool:
-        """It is no larger than noise of the declared sigma is by chance, and no drift.
+        """It is no larger than noise of the declared sigma is by chance, and no drift."""
+        return self.no_larger and not self.drifts
+
+    @property
+    def drifts(self) -> bool:
+        """It forgets too slowly for a sensor's own noise."""
+        return self.correlation > LONGEST
+
+    @property
+    def no_larger(self) -> bool:
+        """It is no larger than noise of the declared sigma is by chance, however smooth.
 
         The chance is that of a chi-squared number with as many degrees of freedom as the memory
         leaves. A residual is not judged by its own error, which grows with it.
         """
-        if not self.declared or self.correlation > LONGEST:
+        if not self.declared:
             return False
         degrees = 2.0 / self.error**2 if self.error > 0.0 else np.inf
         most = chdtri(degrees, CHANCE) / degrees if np.isfinite(degrees) else 1.0

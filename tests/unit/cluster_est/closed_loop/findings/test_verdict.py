@@ -196,6 +196,24 @@ def test_where_a_declared_sigma_is_wrong_coloured_noise_is_measured_by_its_white
     )
 
 
+@pytest.mark.parametrize(
+    ("size", "said"),
+    [
+        (1.0, "what is left is smoother than a sensor's own noise but no larger than its sigma "),
+        (3.0, "something is missing (residual 3 times the declared sigma)"),
+    ],
+)
+def test_noise_that_was_filtered_is_not_said_to_be_something_that_is_missing(size, said):
+    """Four records of a slow wave whose root mean square is `size` sigma."""
+    search = Case(size**2, size**2, LITTLE, STRUCTURED, ()).search()
+    wave = size * np.sqrt(2.0) * np.sin(2.0 * np.pi * np.arange(400) / 50.0)
+    fit = replace(search.current, residuals=wave)
+    smooth = replace(search, base=fit, current=fit, noise=np.array([0.01]))
+    judgement = judge(replace(made_bench(PROBLEM), sigma_declared=True), smooth)
+    assert judgement.verdict is Verdict.UNEXPLAINED
+    assert judgement.reason.startswith(said)
+
+
 @pytest.mark.parametrize("unit", [1.0, 1e-9])
 def test_the_gap_that_is_closed_is_the_same_in_any_unit(unit):
     """Without a declared sigma residuals are in the unit of the output, be it that of amperes."""
