@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import bdtrc
 
+from cluster_est.closed_loop.growing_noise import GrowingNoise, growing_noise, with_own_sigmas
 from cluster_est.closed_loop.measured_noise import measured_values, noise_of
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.selection.declared_model import THOROUGH
@@ -20,7 +21,6 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.problem.tables.jumps import jump_times
 from cluster_est.results.output_errors import output_residuals
-from cluster_est.statistics.growing_noise import NoiseGrowth, noise_growth
 from cluster_est.statistics.outliers import PROVEN, IsolatedOutliers, isolated_outliers
 from workers.messages import Experiment, FloatArray
 
@@ -90,7 +90,8 @@ def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
 
     The declared model is fitted as a search begins; its residuals show single samples that nothing
     beside them explains (`isolated_outliers`). Copies of the experiments without them take the
-    place of those that were measured. Where an output has too many, it keeps them all.
+    place of those that were measured. Where an output has too many, it keeps them all. Of noise
+    that grows with the signal each sample is given its own, see `growing_noise`.
     """
     with open_workbench(request) as workbench:
         (fitted,) = workbench.fit(
@@ -99,20 +100,23 @@ def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
         outliers = [] if fitted is None else _outliers(workbench, fitted)
         thresholds = workbench.thresholds.preparation
         notes = [each.sentence(thresholds) for each in outliers]
-        notes += [] if fitted is None else _growth_notes(workbench, fitted)
         few = [each for each in outliers if each.few(thresholds)]
-        if not few:
+        growing: tuple[GrowingNoise, ...] = ()
+        if fitted is not None:
+            growing = growing_noise(workbench, fitted, _kept(workbench, few))
+        notes += [each.sentence for each in growing]
+        if not few and not any(each.weighted for each in growing):
             yield replace(workbench, notes=(*workbench.notes, *notes), first_fit=fitted)
             return
-    cleaned = replace(request, problem=without(workbench.problem, few))
-    with open_workbench(cleaned) as again:
+    cleaned = with_own_sigmas(without(workbench.problem, few), growing)
+    with open_workbench(replace(request, problem=cleaned)) as again:
         notes = [*workbench.notes, *notes]
         yield replace(again, notes=tuple(notes), sigma_declared=workbench.sigma_declared)
 
 
 def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
     """Return the problem with copies of its experiments that lack these samples."""
-    masks = {(e, o.output): found.mask for o in outliers for e, found in o.found.items()}
+    masks = _masks(outliers)
     experiments = []
     for e, experiment in enumerate(problem.experiments):
         outputs = []
@@ -123,6 +127,21 @@ def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
             outputs.append(output)
         experiments.append(replace(experiment, outputs=tuple(outputs)))
     return replace(problem, experiments=tuple(experiments))
+
+
+def _masks(outliers: Sequence[OutliersOfOutput]) -> dict[Place, Mask]:
+    return {(e, o.output): found.mask for o in outliers for e, found in o.found.items()}
+
+
+def _kept(workbench: LoopWorkbench, outliers: Sequence[OutliersOfOutput]) -> Mask:
+    """The residuals that are no outliers."""
+    masks, records = _masks(outliers), workbench.records
+    kept = np.ones(workbench.size, bool)
+    for item in records.items:
+        mask = masks.get((workbench.train[item.experiment], records.outputs[item.output]))
+        if mask is not None:
+            kept[item.rows] = ~mask
+    return kept
 
 
 def _outliers(workbench: LoopWorkbench, fitted: FittedModel) -> list[OutliersOfOutput]:
@@ -219,33 +238,3 @@ def _held_out(workbench: LoopWorkbench, fitted: FittedModel) -> dict[Place, Floa
             if residuals is not None:
                 found[test, output.variable] = residuals
     return found
-
-
-def _growth_notes(workbench: LoopWorkbench, fitted: FittedModel) -> list[str]:
-    """Say which outputs' noise is larger where their signal is."""
-    thresholds = workbench.thresholds.preparation
-    runs = [workbench.problem.experiments[e] for e in workbench.train]
-    size = np.abs(measured_values(runs) - fitted.residuals)
-    sigmas, notes = workbench.sigmas, []
-    for output, name in enumerate(workbench.records.outputs):
-        rows = workbench.records.of_output(output)
-        growth = noise_growth(fitted.residuals[rows], size[rows])
-        if growth.p < thresholds.growth_p and growth.loud >= thresholds.growth * growth.quiet:
-            times = f"{growth.loud / growth.quiet:.1f} times" if growth.quiet > 0.0 else "far above"
-            notes.append(
-                f"the noise of {name} grows with the signal: in the third of its samples with the "
-                f"largest values it is {times} that in the third with the smallest, and one sigma "
-                f"gives the loud ones too much weight; {_growth_remedy(name, growth, sigmas[rows])}"
-            )
-    return notes
-
-
-def _growth_remedy(name: str, growth: NoiseGrowth, sigmas: FloatArray) -> str:
-    """What to write into the config, in the output's unit."""
-    if growth.quiet <= 0.0 or growth.large <= growth.small or np.ptp(sigmas) > 0.0:
-        return f"give it a larger relative_sigma.{name} beside sigma.{name}"
-    constant, part = growth.parts
-    return (
-        f"about sigma.{name} = {constant * sigmas[0]:.2g} and relative_sigma.{name} = {part:.2g} "
-        "would give each sample its own"
-    )

@@ -14,6 +14,16 @@ ORDER = 6
 """Of the differences, from which the misfit of a wrong model has all but gone."""
 
 
+MEDIAN_OF_SQUARE = 1.0 / 0.4549
+"""A mean over the median, of the square of normal noise."""
+CLIPPED, CLIPPED_MEAN = 4.0, 0.9205
+"""Times its expectation that a squared difference counts at most, as an outlier's would, and the
+mean of the square of normal noise that is cut off there."""
+LEAST = 0.1
+"""Of the noise of the smallest samples: none is more exact than that, however close to 0."""
+ROUNDS = 20
+
+
 @dataclass(frozen=True)
 class NoiseGrowth:
     """The dependence of noise on the size of the signal.
@@ -24,41 +34,30 @@ class NoiseGrowth:
         Of a rank correlation of at least this size where the noise is the same everywhere.
     quiet, loud
         Noise of the third of the samples with the smallest signal, and with the largest.
-    small, large
-        The size of the signal there.
+    constant, part
+        a and b of the standard deviation sqrt(a^2 + (b size)^2).
     """
 
     p: float
     quiet: float
     loud: float
-    small: float
-    large: float
-
-    @property
-    def parts(self) -> tuple[float, float]:
-        """The constant part a of the noise, and b of sqrt(a^2 + (b size)^2), through both thirds.
-
-        Noise that is all in proportion to the signal still has a tenth of the quiet noise as a
-        constant part: a sample of nearly 0 is not that exact.
-        """
-        slope = (self.loud**2 - self.quiet**2) / (self.large**2 - self.small**2)
-        least = (0.1 * self.quiet) ** 2
-        return float(np.sqrt(max(self.quiet**2 - slope * self.small**2, least))), slope**0.5
+    constant: float
+    part: float
 
 
-def noise_growth(residuals: FloatArray, size: FloatArray) -> NoiseGrowth:
+def noise_growth(residuals: FloatArray, measured: FloatArray) -> NoiseGrowth:
     """Test whether the size of the noise follows that of the signal.
 
     The noise at a sample is taken from the sixth difference about it, because the residual of a
     wrong model is large where the signal is, too. Differences that share samples are not
     independent, so every seventh is compared with the size of the signal there, by ranks (C.
-    Spearman, Am. J. Psychol. 15 (1904) 72-101, doi:10.2307/1412159).
+    Spearman, Am. J. Psychol. 15 (1904) 72-101, doi:10.2307/1412159). That size is of what was
+    measured, smoothed by binomial weights, of which the difference is all but independent.
 
     Parameters
     ----------
-    residuals, size : (n,)
-        Of a record in the order of time, or several behind each other; the second is the size of
-        what was simulated.
+    residuals, measured : (n,)
+        Of a record in the order of time, or several behind each other.
 
     Returns
     -------
@@ -69,6 +68,7 @@ def noise_growth(residuals: FloatArray, size: FloatArray) -> NoiseGrowth:
     if len(residuals) <= ORDER:
         return nothing
     noise = np.abs(np.diff(residuals, ORDER))[:: ORDER + 1]
+    size = _smoothed_size(measured)
     centre = size[ORDER // 2 : len(size) - ORDER // 2][:: ORDER + 1]
     if len(noise) < 9 or not np.ptp(noise) > 0.0 or not np.ptp(centre) > 0.0:
         return nothing
@@ -80,5 +80,37 @@ def noise_growth(residuals: FloatArray, size: FloatArray) -> NoiseGrowth:
     gain = MEDIAN_OF_NORMAL * np.sqrt(comb(2 * ORDER, ORDER))
     ends = order[:third], order[-third:]
     quiet, loud = (float(np.median(noise[rows])) / gain for rows in ends)
-    small, large = (float(np.median(centre[rows])) for rows in ends)
-    return NoiseGrowth(float(found.pvalue), quiet, loud, small, large)
+    constant, part = _parts(residuals, size)
+    return NoiseGrowth(float(found.pvalue), quiet, loud, max(constant, LEAST * quiet), part)
+
+
+def _smoothed_size(measured: FloatArray) -> FloatArray:
+    weights = np.array([comb(ORDER, k) for k in range(ORDER + 1)]) / 2.0**ORDER
+    padded = np.pad(measured, ORDER // 2, mode="edge")
+    return np.abs(np.convolve(padded, weights, "valid"))
+
+
+def _parts(residuals: FloatArray, size: FloatArray) -> tuple[float, float]:
+    """The two parts of the noise, by weighted least squares of the squared sixth differences.
+
+    The expectation of each is the mean of a^2 + (b size)^2 over its seven samples, with the squares
+    of the binomial coefficients as weights, and its variance is in proportion to the square of that
+    (M. Davidian, R. J. Carroll, J. Am. Stat. Assoc. 82 (1987) 1079-1091,
+    doi:10.1080/01621459.1987.10478543).
+    """
+    from scipy.optimize import nnls  # slow to import, and no plain fit asks for it
+
+    weights = np.array([comb(ORDER, k) ** 2 for k in range(ORDER + 1)]) / comb(2 * ORDER, ORDER)
+    squares = np.diff(residuals, ORDER) ** 2 / comb(2 * ORDER, ORDER)
+    largest = float(size.max())
+    terms = np.column_stack(
+        [np.ones(len(squares)), np.convolve((size / largest) ** 2, weights, "valid")]
+    )
+    expected = np.full(len(squares), float(np.median(squares)) * MEDIAN_OF_SQUARE)
+    found = np.zeros(2)
+    for _ in range(ROUNDS):
+        expected = np.maximum(expected, 1e-12 * float(squares.max()))
+        clipped = np.minimum(squares, CLIPPED * expected) / CLIPPED_MEAN
+        found, _ = nnls(terms / expected[:, None], clipped / expected)
+        expected = terms @ found
+    return float(np.sqrt(found[0])), float(np.sqrt(found[1])) / largest

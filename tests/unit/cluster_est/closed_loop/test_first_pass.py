@@ -98,17 +98,36 @@ def test_the_same_is_set_aside_each_time(clean: Problem) -> None:
     assert keys[0] == keys[1]
 
 
-def test_noise_that_grows_is_said(clean: Problem) -> None:
+def test_noise_that_grows_weights_each_sample_unless_a_sigma_is_given(clean: Problem) -> None:
     generator = np.random.default_rng(4)
-    louder = []
-    for run in clean.experiments:
-        size = np.abs(run.outputs[0].values)
-        louder.append(size / size.max() * 0.1 * generator.standard_normal(601))
-    with checked(changed(clean, *louder)) as bench:
+    louder = [
+        0.2 * run.outputs[0].values * generator.standard_normal(601) for run in clean.experiments
+    ]
+    undeclared = tuple(
+        replace(run, outputs=(replace(run.outputs[0], sigma=1.0),)) for run in clean.experiments
+    )
+    spoiled = changed(replace(clean, experiments=undeclared), *louder)
+    with checked(spoiled) as bench:
         (note,) = (each for each in bench.notes if "grows" in each)
+        outputs = [run.outputs[0] for run in bench.problem.experiments]
+        assert not bench.sigma_declared
     assert note.startswith("the noise of y grows with the signal: in the third of its samples")
-    assert "about sigma.y = " in note
+    assert "so each sample was weighted with its own; write sigma.y = 0.0" in note
+    for output in outputs:
+        assert output.sigma == pytest.approx(0.01, rel=0.6)
+        assert output.relative_sigma == pytest.approx(0.2, rel=0.2)
+        assert (
+            f"sigma.y = {output.sigma:.3g} and relative_sigma.y = {output.relative_sigma:.3g}"
+            in note
+        )
+    declared = tuple(
+        replace(run, outputs=(replace(run.outputs[0], sigma=0.01),)) for run in spoiled.experiments
+    )
+    with checked(replace(spoiled, experiments=declared)) as bench:
+        (note,) = (each for each in bench.notes if "grows" in each)
+        assert [run.outputs[0].relative_sigma for run in bench.problem.experiments] == [0.0] * 2
     assert "relative_sigma.y = " in note
+    assert note.endswith("would give each sample its own")
 
 
 def test_noise_that_is_declared_to_grow_is_as_declared(clean: Problem) -> None:

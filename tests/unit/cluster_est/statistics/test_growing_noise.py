@@ -20,13 +20,17 @@ def test_noise_that_grows() -> None:
     assert grown.loud == pytest.approx(3.0, rel=0.25)
 
 
-def test_its_two_parts() -> None:
+def test_its_two_parts_even_where_the_signal_swings_through_zero() -> None:
     generator = np.random.default_rng(4)
-    grown = noise_growth(np.hypot(2.0, 0.05 * SIZE) * generator.standard_normal(N), SIZE)
-    assert grown.parts == pytest.approx((2.0, 0.05), rel=0.3)
+    swing = 100.0 * np.sin(2.0 * np.pi * np.arange(N) / 40.0)
+    for constant, part in ((2.0, 0.05), (5.0, 0.2)):
+        noise = np.hypot(constant, part * swing) * generator.standard_normal(N)
+        grown = noise_growth(noise, swing + noise)
+        assert grown.constant == pytest.approx(constant, rel=0.2)
+        assert grown.part == pytest.approx(part, rel=0.1)
     alone = noise_growth(0.05 * SIZE * generator.standard_normal(N), SIZE)
-    assert alone.parts[1] == pytest.approx(0.05, rel=0.2)
-    assert 0.0 < alone.parts[0] < 0.5
+    assert alone.part == pytest.approx(0.05, rel=0.1)
+    assert 0.0 < alone.constant < 0.3
 
 
 def test_p_values_are_even_where_it_does_not_even_under_a_misfit_that_grows() -> None:

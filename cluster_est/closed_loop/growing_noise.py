@@ -1,0 +1,107 @@
+"""Noise that grows with the signal: each sample is weighted with its own, or a note says how."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from cluster_est.closed_loop.measured_noise import measured_values
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.problem.problem import Problem
+from cluster_est.statistics.growing_noise import NoiseGrowth, noise_growth
+
+
+@dataclass(frozen=True)
+class GrowingNoise:
+    """An output whose noise is larger where its signal is.
+
+    Attributes
+    ----------
+    output, growth
+        Its name, and by how much, in units of its residual.
+    sigma, relative_sigma
+        Of a sample, as in `Output`; NaN where they are not known.
+    weighted
+        Each sample takes its own; not where the user has given a sigma.
+    """
+
+    output: str
+    growth: NoiseGrowth
+    sigma: float
+    relative_sigma: float
+    weighted: bool
+
+    @property
+    def sentence(self) -> str:
+        """Say how much it grows, and what becomes of it."""
+        growth, name = self.growth, self.output
+        times = f"{growth.loud / growth.quiet:.1f} times" if growth.quiet > 0.0 else "far above"
+        said = (
+            f"the noise of {name} grows with the signal: in the third of its samples with the "
+            f"largest values it is {times} that in the third with the smallest"
+        )
+        both = f"sigma.{name} = {self.sigma:.3g} and relative_sigma.{name} = "
+        both += f"{self.relative_sigma:.3g}"
+        if self.weighted:
+            return (
+                f"{said}, so each sample was weighted with its own; write {both} into the "
+                "experiments for a fit with the same weights"
+            )
+        said += ", and one sigma gives the loud ones too much weight"
+        if np.isnan(self.sigma):
+            return f"{said}; give it a larger relative_sigma.{name} beside sigma.{name}"
+        return f"{said}; about {both} would give each sample its own"
+
+
+def growing_noise(
+    workbench: LoopWorkbench, fitted: FittedModel, kept: npt.NDArray[np.bool_]
+) -> tuple[GrowingNoise, ...]:
+    """Return the outputs whose noise grows with their signal.
+
+    Parameters
+    ----------
+    workbench, fitted
+        Where, and the declared model.
+    kept : (residuals,)
+        The samples that are no outliers.
+    """
+    thresholds = workbench.thresholds.preparation
+    runs = [workbench.problem.experiments[e] for e in workbench.train]
+    measured = measured_values(runs)
+    found = []
+    for output, name in enumerate(workbench.records.outputs):
+        rows = workbench.records.of_output(output)
+        rows = rows[kept[rows]]
+        growth = noise_growth(fitted.residuals[rows], measured[rows])
+        if growth.p >= thresholds.growth_p or growth.loud < thresholds.growth * growth.quiet:
+            continue
+        sigmas = workbench.sigmas[rows]
+        known = growth.quiet > 0.0 and growth.part > 0.0 and np.ptp(sigmas) == 0.0
+        sigma = _rounded(growth.constant * sigmas[0]) if known else np.nan
+        relative = _rounded(growth.part) if known else np.nan
+        weighted = known and not workbench.sigma_declared
+        found.append(GrowingNoise(name, growth, sigma, relative, weighted))
+    return tuple(found)
+
+
+def with_own_sigmas(problem: Problem, growing: Sequence[GrowingNoise]) -> Problem:
+    """Return the problem with a standard deviation for each sample of the outputs that need it."""
+    own = {each.output: each for each in growing if each.weighted}
+    experiments = []
+    for experiment in problem.experiments:
+        outputs = [
+            replace(o, sigma=own[o.variable].sigma, relative_sigma=own[o.variable].relative_sigma)
+            if o.variable in own
+            else o
+            for o in experiment.outputs
+        ]
+        experiments.append(replace(experiment, outputs=tuple(outputs)))
+    return replace(problem, experiments=tuple(experiments))
+
+
+def _rounded(value: float) -> float:
+    """As it is written into a note, so that a fit with it has the same weights to the bit."""
+    return float(f"{value:.3g}")
