@@ -64,7 +64,7 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
     states = Counter(row["status"] for row in rows)
     done = states["done"]
     tone: Tone = "good" if done == len(rows) else "bad" if not done else ""
-    sections = (_errors(rows), _estimates(rows), _runs(rows))
+    sections = (errors(rows), _estimates(rows), _runs(rows))
     page = rendered(
         "sweep.html",
         name=folder.resolve().name,
@@ -106,7 +106,7 @@ def _ranked(rows: Sequence[Row]) -> list[Row]:
     return sorted(ended, key=lambda row: _value(row, name))
 
 
-def _errors(rows: Sequence[Row]) -> ReportSection:
+def errors(rows: Sequence[Row]) -> ReportSection:
     """Training and held-out errors of the runs in one picture."""
     drawn = _ranked(rows)[:MOST_DRAWN]
     if not drawn:

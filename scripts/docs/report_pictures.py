@@ -1,9 +1,12 @@
-"""Draw the pictures of the page on the report: parts of a report, each as an SVG file of its own.
+"""Draw the pictures of the docs: parts of reports, each as an SVG file of its own.
 
     cluster-est close-loop configs/mass_with_friction.toml --out runs/friction
-    python scripts/docs/report_pictures.py runs/friction
+    cluster-est fit configs/mass_spring_damper.toml --out runs/spring
+    cluster-est sensitivity configs/mass_with_friction.toml --out runs/ranked
+    cluster-est sweep configs/sweep.toml --out runs/sweep
+    python scripts/docs/report_pictures.py runs/friction runs/spring runs/ranked runs/sweep
 
-Writes cluster_est/docs/report_*.svg from the tables of that run, with the report's own charts and
+Writes cluster_est/docs/*.svg from the tables of those runs, with the reports' own charts and
 colours, for a light and for a dark page.
 """
 
@@ -19,10 +22,13 @@ from markupsafe import Markup
 from cluster_est.report.blocks import FigureBlock, PanelsBlock, ReportSection
 from cluster_est.report.drawing import Chart
 from cluster_est.report.error_sizes import error_picture
-from cluster_est.report.folder import read_run
+from cluster_est.report.folder import ReportedRun, read_run
 from cluster_est.report.sections.curves import curves
 from cluster_est.report.sections.effects import effects
 from cluster_est.report.sections.search import search
+from cluster_est.report.sections.sensitivity import sensitivity
+from cluster_est.report.sweep_page import SUMMARY, errors, is_sweep
+from cluster_est.run_folder.reading import read_run_table
 
 DOCS = Path(__file__).resolve().parents[2] / "cluster_est" / "docs"
 WIDTH = 820
@@ -46,29 +52,48 @@ SHEET = """
 
 
 def main() -> None:
-    """Read the run and write the pictures."""
+    """Read the runs and write the pictures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("run", type=Path, help="folder of the closed loop")
-    for name, text in pictures(parser.parse_args().run):
-        path = DOCS / f"report_{name}.svg"
-        path.write_text(text, encoding="utf-8")
-        print(path.name, f"{len(text) / 1e3:.0f} kB")
+    parser.add_argument("runs", type=Path, nargs="+", help="folders of runs, and of a sweep")
+    for folder in parser.parse_args().runs:
+        for name, text in pictures(folder):
+            path = DOCS / f"{name}.svg"
+            path.write_text(text, encoding="utf-8")
+            print(path.name, f"{len(text) / 1e3:.0f} kB")
 
 
 def pictures(folder: Path) -> Iterator[tuple[str, str]]:
-    """The name and the text of each picture."""
+    """The name and the text of each picture of a run."""
+    if is_sweep(folder):
+        figure = first_figure(errors(read_run_table(folder / SUMMARY)))
+        yield "sweep_errors", drawn(figure.title, figure.chart)
+        return
     run = read_run(folder)
-    errors = error_picture(run)
-    if errors is not None:
-        yield "errors", drawn(errors.title, errors.chart)
-    for block in curves(run).blocks:
-        if isinstance(block, PanelsBlock):
-            panel = next(panel for panel in block.panels if panel.first)
-            title = f"{panel.experiment}, {panel.output}: {panel.note}"
-            yield "curves", drawn(title, panel.chart)
+    if run.is_sensitivity:
+        figure = first_figure(sensitivity(run))
+        yield "sensitivity_ranking", drawn(figure.title, figure.chart)
+    elif run.is_loop:
+        yield from of_closed_loop(run)
+    else:
+        yield "first_fit", first_panel(run)
+
+
+def of_closed_loop(run: ReportedRun) -> Iterator[tuple[str, str]]:
+    """The pictures of the page on the report."""
+    found = error_picture(run)
+    if found is not None:
+        yield "report_errors", drawn(found.title, found.chart)
+    yield "report_curves", first_panel(run)
     for name, section in (("shape", effects(run)), ("search", search(run))):
         figure = first_figure(section)
-        yield name, drawn(figure.title, figure.chart)
+        yield f"report_{name}", drawn(figure.title, figure.chart)
+
+
+def first_panel(run: ReportedRun) -> str:
+    """The curves of the experiment that a report opens on."""
+    panels = next(block for block in curves(run).blocks if isinstance(block, PanelsBlock)).panels
+    panel = next(panel for panel in panels if panel.first)
+    return drawn(f"{panel.experiment}, {panel.output}: {panel.note}", panel.chart)
 
 
 def first_figure(section: ReportSection) -> FigureBlock:

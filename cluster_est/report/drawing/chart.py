@@ -18,6 +18,8 @@ from cluster_est.report.drawing.scale import UNITS, Scale
 
 PIXELS_A_TICK = 40
 """Height of a plot for each value that is written beside it."""
+MOST_SIGNS = 70
+"""Signs of the numbers below a plot, and two for the space after each: more would run together."""
 
 PLOT = Markup(
     '<div class="plot" style="height:{height}px" data-x="{x}" data-y="{y}">{label}{beside}'
@@ -62,10 +64,18 @@ class Plot:
             return tuple((float(i), name) for i, name in enumerate(self.rows))
         return self.y.ticks(max(2, round(self.height / PIXELS_A_TICK)))
 
+    def under(self, most: int) -> tuple[tuple[float, str], ...]:
+        """Values of x with what is written at them, as many as there is room for."""
+        ticks = self.x.ticks(most)
+        while most > 1 and sum(len(text) + 2 for _, text in ticks) > MOST_SIGNS:
+            most -= 1
+            ticks = self.x.ticks(most)
+        return ticks
+
     def html(self, *, across: int, last: bool) -> Markup:
         """The plot as HTML; values of x are written below the `last` one of a chart."""
         up = [(place, text) for place, text in self._placed(self.y, self.beside())]
-        right = self._placed(self.x, self.x.ticks(across))
+        right = self._placed(self.x, self.under(across))
         grid = [f"M0 {round(UNITS - place)}H{UNITS}" for place, _ in up if not self.rows]
         grid += [f"M{round(place)} 0V{UNITS}" for place, _ in right]
         return PLOT.format(

@@ -69,10 +69,11 @@ def test_the_picture_is_drawn_from_the_run(run):
 
 def test_the_pictures_of_the_report_are_drawn_from_the_run(run):
     drawn = dict(pictures(run))
-    assert sorted(drawn) == ["curves", "errors", "search", "shape"]
+    names = ["report_curves", "report_errors", "report_search", "report_shape"]
+    assert sorted(drawn) == names
     page = (ROOT / "cluster_est" / "docs" / "the_report.md").read_text(encoding="utf-8")
     for name, text in drawn.items():
-        file = f"report_{name}.svg"
+        file = f"{name}.svg"
         assert f"]({file})" in page
         committed = (ROOT / "cluster_est" / "docs" / file).read_text(encoding="utf-8")
         titles = [ElementTree.fromstring(each)[0].text for each in (text, committed)]

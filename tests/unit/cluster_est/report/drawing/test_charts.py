@@ -98,3 +98,11 @@ def test_texts_of_charts_are_escaped(tmp_path):
     found = parsed(tmp_path, plot, below=HOSTILE)
     assert found.by_id("one").texts.count(HOSTILE) >= 4
     assert found.by_id("one").plots[0].paths.keys() == {HOSTILE}
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.00168, 0.00218), (0.0, 1.0), (12345.67, 12345.69)])
+def test_numbers_below_a_plot_do_not_run_together(low, high):
+    plot = Plot("title", "", Scale(low, high), Scale(0.0, 1.0), ())
+    texts = [text for _, text in plot.under(10)]
+    assert len(texts) >= 1
+    assert sum(len(text) + 2 for text in texts) <= 70
