@@ -34,7 +34,8 @@ def predict(workbench: LoopWorkbench, fitted: FittedModel) -> LeaveOneOutPredict
 
     The fit to the others is one Gauss-Newton step away, since all but one experiment were in it
     already; its length is chosen so that the others do not get worse, and the prediction is a real
-    simulation. With one or two experiments, quarters of their records take the experiments' place.
+    simulation. What acts on the left-out part alone, as its initial state, follows by the linear
+    model. With one or two experiments, quarters of their records take the experiments' place.
     """
     parts = _parts(workbench)
     thresholds = workbench.thresholds.acceptance
@@ -139,11 +140,15 @@ def _left_out(fitted: FittedModel, part: IntArray, thresholds: AcceptanceThresho
     others[part] = False
     matrix, residuals = fitted.jacobian[others], fitted.residuals[others]
     sizes = np.linalg.norm(matrix, axis=0)
-    usable = sizes > 0.0  # what acts on the left-out part alone stays as it is
+    usable = sizes > 0.0
     step = np.zeros(len(fitted.x))
     if usable.any():
         scaled = matrix[:, usable] / sizes[usable]
         step[usable] = np.linalg.lstsq(scaled, -residuals, rcond=1e-6)[0] / sizes[usable]
+    own = fitted.jacobian[part]
+    alone = ~usable & (np.linalg.norm(own, axis=0) > 0.0)
+    if alone.any():
+        step[alone] = np.linalg.lstsq(own[:, alone], -own @ step, rcond=1e-6)[0]
     most = longest_step(fitted.space, fitted.x, thresholds.largest_step)
     step = np.clip(step, -most, most)
     points = [fitted.x + length * step for length in thresholds.step_lengths]
