@@ -19,6 +19,7 @@ import numpy as np
 from cluster_est.closed_loop.findings.confirmation import confirmed
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
 from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.findings.resampled_choice import resampled_choices, with_choices
 from cluster_est.closed_loop.findings.residual.disturbance import (
     UnexplainedResidual,
     unexplained_residuals,
@@ -184,6 +185,7 @@ def _report(
     kept = found.current if keep else found.base
     over = ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
     unexplained = _unexplained(workbench, judgement.verdict, kept, found)
+    choices = resampled_choices(workbench, found) if keep else None
     return LoopResult(
         verdict=judgement.verdict,
         summary="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained)]),
@@ -203,7 +205,8 @@ def _report(
         seconds=0.0,
         curves=curves,
         errors_over=over,
-        structures=_compared(workbench, judgement.verdict, found),
+        structures=with_choices(_compared(workbench, judgement.verdict, found), choices),
+        resampled="" if choices is None else choices.sentence,
         unexplained=unexplained,
     )
 

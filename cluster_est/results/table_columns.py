@@ -417,6 +417,13 @@ TABLES = (
                 "of the set among all that were compared, if the verdict is found; NaN in its "
                 "other rows",
             ),
+            ColumnDescription(
+                "chosen",
+                NUMBER,
+                "",
+                "share of the draws of experiments in which the set is the best; NaN where it was "
+                "not among the leading ones",
+            ),
         ),
     ),
     TableMeaning(

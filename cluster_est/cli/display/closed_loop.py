@@ -50,9 +50,9 @@ def print_loop(console: Console, run: StoredRun) -> None:
     narrow = facts["verdict"] == "unexplained"  # they do not allow for what is missing
     for effect in facts["effects"]:
         _print_effect(console, effect, too_narrow=narrow)
-    if facts.get("likely"):  # runs of earlier versions do not say
-        say(console, "")
-        say(console, facts["likely"])
+    choices = [facts[key] for key in ("likely", "resampled") if facts.get(key)]
+    for said in ["", *choices] if choices else []:  # runs of earlier versions do not say
+        say(console, said)
     _print_parameters(console, run.tables["parameters"], too_narrow=narrow)
     _print_errors(console, run.tables["errors"], facts)
     for note in facts["notes"]:

@@ -87,6 +87,9 @@ class LoopResult:
     unexplained
         What is left of each output beyond its noise, where the verdict is "partial" or
         "unexplained": its size, and how fast it is. The largest over its noise comes first.
+    resampled
+        How often the effects are chosen where the training experiments are drawn anew, in a
+        sentence; "" where that is not known.
     """
 
     verdict: Verdict
@@ -110,6 +113,7 @@ class LoopResult:
     structures: tuple[ComparedStructure, ...] = field(default=(), repr=False)
     unexplained: tuple[UnexplainedResidual, ...] = ()
     failures_in_search: int = 0
+    resampled: str = ""
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
         """Root mean square of the normalised errors before or after; NaN without any.
@@ -219,6 +223,7 @@ class LoopResult:
             "summary": self.summary,
             "effects": [tables.effect_facts(effect) for effect in self.effects],
             "likely": likely_sentence(self.structures),
+            "resampled": self.resampled,
             "unexplained": [dataclasses.asdict(each) for each in self.unexplained],
             "rejected": [tables.effect_facts(effect) for effect in self.rejected],
             "errors": {

@@ -50,6 +50,7 @@ STRUCTURES = pa.schema(
         *((name, pa.bool_()) for name in ("converged", "accepted")),
         ("relative_steps", pa.float64()),
         ("probability", pa.float64()),
+        ("chosen", pa.float64()),
     ]
 )
 RENAMED = {"imitated_by": "confounded_with"}

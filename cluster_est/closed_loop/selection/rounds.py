@@ -129,6 +129,8 @@ class ComparedStructure:
         Steps of the solver over those of the declared model; NaN where they are not counted.
     probability
         Of the set among all that were compared; NaN where that is not known.
+    chosen
+        Share of the draws of the experiments in which the set is the best one; NaN likewise.
     """
 
     step: int
@@ -139,6 +141,7 @@ class ComparedStructure:
     accepted: bool
     relative_steps: float = np.nan
     probability: float = np.nan
+    chosen: float = np.nan
 
 
 @dataclass(frozen=True)

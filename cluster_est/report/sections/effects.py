@@ -138,9 +138,9 @@ def candidates(run: ReportedRun) -> ReportSection:
 
 def _compared(run: ReportedRun) -> list[Block]:
     """The structures that each step refitted, the best first."""
-    names = columns("structure", "#gap closed", "#criterion", "#probability", "")
-    said = run.facts.get("likely") or ""
-    blocks: list[Block] = [TextBlock(f"{said[:1].upper()}{said[1:]}.")] if said else []
+    names = columns("structure", "#gap closed", "#criterion", "#probability", "#chosen", "")
+    said = [run.facts[key] for key in ("likely", "resampled") if run.facts.get(key)]
+    blocks: list[Block] = [TextBlock(f"{each[:1].upper()}{each[1:]}.") for each in said]
     rows = [row for row in run.tables["structures"] if row["effects"]]  # not the declared model
     for step in sorted({row["step"] for row in rows}):
         own = [row for row in rows if row["step"] == step]
@@ -149,7 +149,8 @@ def _compared(run: ReportedRun) -> list[Block]:
                 TableCell(" + ".join(row["effects"]), code=True),
                 _closed(row),
                 digits(row["criterion"], 4),
-                _probability(row),
+                _share(row, "probability"),
+                _share(row, "chosen"),
                 TableCell("accepted", "good") if row["accepted"]
                 else TableCell("" if row["converged"] else "fell behind", "faint"),
             )
@@ -166,12 +167,12 @@ def _closed(row: Row) -> str:
     return f"{100.0 * closed:.1f}\u2009%" if math.isfinite(closed) else ""
 
 
-def _probability(row: Row) -> str:
-    """The probability of a set of effects; runs of earlier versions have none."""
-    probability = row.get("probability")
-    if probability is None or probability != probability:
+def _share(row: Row, name: str) -> str:
+    """A probability of a set of effects; runs of earlier versions have none."""
+    share = row.get(name)
+    if share is None or share != share:
         return ""
-    return percent(probability).replace(" %", "\u2009%")
+    return percent(share).replace(" %", "\u2009%")
 
 
 STAGES = tuple(reversed(CandidateStage))
