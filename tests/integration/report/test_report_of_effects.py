@@ -119,6 +119,18 @@ def test_the_likely_sets_of_effects_are_named_with_their_probabilities(closed):
     assert page.count(percent(known[0])) >= 2  # there, and in the table of the step
 
 
+def test_how_often_the_effect_is_chosen_again_is_said(closed, capsys):
+    said = json.loads((closed / "run.json").read_text())["resampled"]
+    rows = pq.read_table(closed / "structures.parquet").to_pylist()
+    shares = {tuple(row["effects"]): row["chosen"] for row in rows if row["chosen"] >= 0.0}
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert shares["coulomb at der(v)",] > 0.5
+    assert f"the best set is coulomb at der(v) in {percent(shares['coulomb at der(v)',])}" in said
+    assert f"{said[:1].upper()}{said[1:]}." in Page(write_report(closed)).text
+    assert main(["show", str(closed)]) == 0
+    assert " ".join(said.split()) in " ".join(capsys.readouterr().out.split())
+
+
 def test_the_path_of_the_search_has_every_set_of_effects(closed):
     rows = pq.read_table(closed / "structures.parquet").to_pylist()
     rows = [row for row in rows if row["effects"]]
