@@ -10,7 +10,7 @@ import numpy as np
 from cluster_est.closed_loop.findings.structure_probabilities import DECLARED, percent
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.statistics.resampled_choice import LinearFit, choice_shares
+from cluster_est.statistics.choice_shares import LinearFit, choice_shares
 from workers.messages import IntArray
 
 DRAWS = 200

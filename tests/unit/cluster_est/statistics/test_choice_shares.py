@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.statistics.resampled_choice import LinearFit, choice_shares
+from cluster_est.statistics.choice_shares import LinearFit, choice_shares
 
 PIECES = np.repeat(np.arange(12), 15)
 OUTPUTS = np.tile(np.repeat([0, 1], [10, 5]), 12)
