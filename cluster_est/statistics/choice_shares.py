@@ -64,15 +64,17 @@ def choice_shares(
         For the draws.
     """
     count = int(pieces.max()) + 1
-    sums = [_PieceSums(fit, pieces, outputs) for fit in fits]
     sizes = np.zeros((count, int(outputs.max()) + 1))
     np.add.at(sizes, (pieces, outputs), 1.0)
-    chosen = np.zeros(len(fits))
-    for _ in range(draws):
-        times = np.bincount(generator.integers(count, size=count), minlength=count).astype(float)
-        samples = times @ sizes
-        chosen[np.argmin([each.criterion(times, samples) for each in sums])] += 1.0
-    return chosen / draws
+    drawn = [
+        np.bincount(generator.integers(count, size=count), minlength=count).astype(float)
+        for _ in range(draws)
+    ]
+    criteria = np.empty((len(fits), draws))
+    for row, fit in zip(criteria, fits, strict=True):  # one after the other: the sums are large
+        sums = _PieceSums(fit, pieces, outputs)
+        row[:] = [sums.criterion(times, times @ sizes) for times in drawn]
+    return np.bincount(criteria.argmin(axis=0), minlength=len(fits)) / draws
 
 
 class _PieceSums:

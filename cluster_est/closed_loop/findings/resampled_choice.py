@@ -7,7 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.structure_probabilities import DECLARED, percent
+from cluster_est.closed_loop.findings.structure_probabilities import (
+    DECLARED,
+    best_rows,
+    percent,
+)
+from cluster_est.closed_loop.findings.words.sentences import in_a_row
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.choice_shares import LinearFit, choice_shares
@@ -49,9 +54,8 @@ class ResampledChoices:
             for labels, share in ranked
             if share > 0.0
         ]
-        named = named[:MOST_NAMED]
-        listed = f"{', '.join(named[:-1])} and {named[-1]}" if len(named) > 1 else named[0]
-        return f"of {DRAWS} times that {self.drawn} were drawn anew, the best set is {listed}"
+        said = in_a_row(named[:MOST_NAMED])
+        return f"of {DRAWS} times that {self.drawn} were drawn anew, the best set is {said}"
 
 
 def resampled_choices(workbench: LoopWorkbench, found: SelectionResult) -> ResampledChoices | None:
@@ -65,8 +69,10 @@ def resampled_choices(workbench: LoopWorkbench, found: SelectionResult) -> Resam
     workbench, found
         Where, and the end of the search.
     """
+    if not found.current.added:
+        return None
     leading = _leading(workbench, found)
-    if not found.current.added or max(len(fit.x) for fit in leading) > MOST_UNKNOWNS:
+    if max(len(fit.x) for fit in leading) > MOST_UNKNOWNS:
         return None
     choice = workbench.thresholds.selection.choice_price * np.log(found.steps[0].screening.count)
     fits = [LinearFit(f.residuals, f.jacobian, choice * len(f.added)) for f in leading]
@@ -85,12 +91,7 @@ def with_choices(
     if choices is None:
         return tuple(path)
     shares = {frozenset(labels): share for labels, share in choices.shares.items()}
-    best: dict[frozenset[str], int] = {}
-    for number, each in enumerate(path):
-        key = frozenset(each.effects)
-        if key not in best or each.criterion < path[best[key]].criterion:
-            best[key] = number
-    known = {number: shares.get(key, np.nan) for key, number in best.items()}
+    known = {number: shares.get(key, np.nan) for key, number in best_rows(path).items()}
     return tuple(
         replace(each, chosen=known.get(number, np.nan)) for number, each in enumerate(path)
     )

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cluster_est.closed_loop.findings.words.sentences import in_a_row
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 
 SHARE = 0.9
@@ -43,11 +44,7 @@ def with_probabilities(
     """
     declared = ComparedStructure(0, (), 0.0, 0.0, converged=True, accepted=False)
     rows = [*path, declared]
-    best: dict[frozenset[str], int] = {}
-    for number, each in enumerate(rows):
-        key = frozenset(each.effects)
-        if key not in best or each.criterion < rows[best[key]].criterion:
-            best[key] = number
+    best = best_rows(rows)
     priced = [
         rows[number].criterion + choice * len(rows[number].effects) for number in best.values()
     ]
@@ -57,6 +54,16 @@ def with_probabilities(
     return tuple(
         replace(each, probability=known.get(number, np.nan)) for number, each in enumerate(rows)
     )
+
+
+def best_rows(rows: Sequence[ComparedStructure]) -> dict[frozenset[str], int]:
+    """Return the number of the row in which each set of effects has its best refit."""
+    best: dict[frozenset[str], int] = {}
+    for number, each in enumerate(rows):
+        key = frozenset(each.effects)
+        if key not in best or each.criterion < rows[best[key]].criterion:
+            best[key] = number
+    return best
 
 
 def likely_structures(path: Sequence[ComparedStructure]) -> tuple[ComparedStructure, ...]:
@@ -85,8 +92,7 @@ def likely_sentence(path: Sequence[ComparedStructure]) -> str:
     named = [f"{name} {share}" for name, share in zip(called, shares, strict=True)]
     if len(named) > MOST_NAMED:
         named = [*named[: MOST_NAMED - 1], f"{len(named) - MOST_NAMED + 1} more the rest"]
-    listed = f"{', '.join(named[:-1])} and {named[-1]}" if len(named) > 1 else named[0]
-    return f"of the {count} sets of effects that were compared, the data give {listed}"
+    return f"of the {count} sets of effects that were compared, the data give {in_a_row(named)}"
 
 
 def percent(probability: float) -> str:

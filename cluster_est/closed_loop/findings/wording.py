@@ -18,7 +18,7 @@ from cluster_est.closed_loop.findings.effects import (
 from cluster_est.closed_loop.findings.residual.disturbance import readable_time
 from cluster_est.closed_loop.findings.residual.unused_columns import varying_columns
 from cluster_est.closed_loop.findings.words.naming import EffectName, Namer
-from cluster_est.closed_loop.findings.words.sentences import sentence_of
+from cluster_est.closed_loop.findings.words.sentences import in_a_row, sentence_of
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
@@ -50,15 +50,11 @@ def shared_arguments(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
             place = str(candidate.site), candidate.effect.variables
             places.setdefault(place, []).append(candidate.form.name)
     return tuple(
-        f"{_listed(names)} are functions of {argument} at {site}: the data show their sum, and how "
-        "it splits between them, and so their names, is less certain than that"
+        f"{in_a_row(names)} are functions of {argument} at {site}: the data show their sum, and "
+        "how it splits between them, and so their names, is less certain than that"
         for (site, (argument,)), names in places.items()
         if len(names) > 1
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def describe_effects(

@@ -14,9 +14,9 @@ from workers.fmu.description import nearest
 
 DEFAULTS = "experiment_defaults"
 SIGNALS = ("inputs", "outputs", "signals")
+"""Tables whose entries are columns; an empty name takes an entry of the defaults away."""
 SIGMAS = ("sigma", "relative_sigma")
 """Keys of an experiment with a number for each output."""
-"""Tables whose entries are columns; an empty name takes an entry of the defaults away."""
 TIMES = ("time", "sample_time")
 """Keys that exclude each other: with one of its own an experiment does not take the other."""
 
