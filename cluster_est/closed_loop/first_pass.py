@@ -15,6 +15,7 @@ from cluster_est.closed_loop.measured_noise import measured_values, noise_of
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.selection.declared_model import THOROUGH
 from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.synthetic_experiments import with_outputs
 from cluster_est.closed_loop.thresholds import PreparationThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.problem.problem import Problem
@@ -22,7 +23,7 @@ from cluster_est.problem.space import make_space
 from cluster_est.problem.tables.jumps import jump_times
 from cluster_est.results.output_errors import output_residuals
 from cluster_est.statistics.outliers import PROVEN, IsolatedOutliers, isolated_outliers
-from workers.messages import Experiment, FloatArray
+from workers.messages import Experiment, FloatArray, Output
 
 Place = tuple[int, str]
 """An experiment's index and the name of an output."""
@@ -117,16 +118,14 @@ def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
 def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
     """Return the problem with copies of its experiments that lack these samples."""
     masks = _masks(outliers)
-    experiments = []
-    for e, experiment in enumerate(problem.experiments):
-        outputs = []
-        for output in experiment.outputs:
-            mask = masks.get((e, output.variable))
-            if mask is not None and mask.any():
-                output = replace(output, times=output.times[~mask], values=output.values[~mask])
-            outputs.append(output)
-        experiments.append(replace(experiment, outputs=tuple(outputs)))
-    return replace(problem, experiments=tuple(experiments))
+
+    def change(e: int, output: Output) -> Output:
+        mask = masks.get((e, output.variable))
+        if mask is None or not mask.any():
+            return output
+        return replace(output, times=output.times[~mask], values=output.values[~mask])
+
+    return with_outputs(problem, change)
 
 
 def _masks(outliers: Sequence[OutliersOfOutput]) -> dict[Place, Mask]:

@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.closed_loop.measured_noise import measured_values
+from cluster_est.closed_loop.synthetic_experiments import with_outputs
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.problem.problem import Problem
 from cluster_est.statistics.growing_noise import NoiseGrowth, noise_growth
+from workers.messages import Output
 
 
 @dataclass(frozen=True)
@@ -90,16 +92,14 @@ def growing_noise(
 def with_own_sigmas(problem: Problem, growing: Sequence[GrowingNoise]) -> Problem:
     """Return the problem with a standard deviation for each sample of the outputs that need it."""
     own = {each.output: each for each in growing if each.weighted}
-    experiments = []
-    for experiment in problem.experiments:
-        outputs = [
-            replace(o, sigma=own[o.variable].sigma, relative_sigma=own[o.variable].relative_sigma)
-            if o.variable in own
-            else o
-            for o in experiment.outputs
-        ]
-        experiments.append(replace(experiment, outputs=tuple(outputs)))
-    return replace(problem, experiments=tuple(experiments))
+
+    def change(_: int, output: Output) -> Output:
+        found = own.get(output.variable)
+        if found is None:
+            return output
+        return replace(output, sigma=found.sigma, relative_sigma=found.relative_sigma)
+
+    return with_outputs(problem, change)
 
 
 def _rounded(value: float) -> float:

@@ -17,6 +17,7 @@ from cluster_est.closed_loop.synthetic_experiments import (
     SyntheticKind,
     enlarged_kind,
     shortened_kinds,
+    with_outputs,
 )
 from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.costs.sum_squared import SumSquared
@@ -33,7 +34,7 @@ from cluster_est.statistics.records import make_records
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest
-from workers.messages import Experiment, Outcome
+from workers.messages import Experiment, Outcome, Output
 from workers.messages.checks import check_kind, check_number
 
 
@@ -225,16 +226,11 @@ def _declares_sigma(problem: Problem) -> bool:
 
 
 def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:
-    experiments = []
-    for experiment in problem.experiments:
-        outputs = [
-            replace(o, sigma=float(noise[o.variable]))
-            if np.isfinite(noise.get(o.variable, np.nan)) and noise[o.variable] > 0.0
-            else o
-            for o in experiment.outputs
-        ]
-        experiments.append(replace(experiment, outputs=tuple(outputs)))
-    return replace(problem, experiments=tuple(experiments))
+    def change(_: int, output: Output) -> Output:
+        sigma = noise.get(output.variable, np.nan)
+        return replace(output, sigma=float(sigma)) if np.isfinite(sigma) and sigma > 0.0 else output
+
+    return with_outputs(problem, change)
 
 
 def _weight_note(problem: Problem, noise: dict[str, float]) -> str:

@@ -1,13 +1,15 @@
-"""Synthetic experiments: those that were measured, shortened or with enlarged inputs."""
+"""Synthetic experiments: those that were measured, shortened, enlarged or with other outputs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cluster_est.closed_loop.thresholds import PreparationThresholds
-from workers.messages import Experiment, FloatArray
+from cluster_est.problem.problem import Problem
+from workers.messages import Experiment, FloatArray, Output
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,15 @@ def shortened_kinds(thresholds: PreparationThresholds) -> tuple[ShortenedCopy, .
 def enlarged_kind(thresholds: PreparationThresholds) -> EnlargedCopy:
     """Return the enlarged experiments in which a model must stay bounded."""
     return EnlargedCopy(thresholds.enlargement)
+
+
+def with_outputs(problem: Problem, change: Callable[[int, Output], Output]) -> Problem:
+    """Return the problem with each output as a function of it and its experiment's index."""
+    experiments = [
+        replace(experiment, outputs=tuple(change(e, output) for output in experiment.outputs))
+        for e, experiment in enumerate(problem.experiments)
+    ]
+    return replace(problem, experiments=tuple(experiments))
 
 
 def _swung(values: FloatArray, factor: float) -> FloatArray:
