@@ -32,6 +32,7 @@ from cluster_est.closed_loop.selection.refinement.pairs import refit_pairs
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, Rivals, rivals_of
 from cluster_est.closed_loop.selection.refinement.refits import FIRST
 from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit, may_become_useful
+from cluster_est.closed_loop.selection.refinement.visited_models import VisitedModels
 from cluster_est.closed_loop.selection.restarts import refit_from_other_starts
 from cluster_est.closed_loop.selection.revise import revise
 from cluster_est.closed_loop.selection.rounds import (
@@ -76,7 +77,8 @@ def beam_search(
     noise = noise_of(workbench, base.residuals)
     floor = workbench.noise_floor(noise)
     predicted = predict(workbench, base)
-    search = _Search(workbench, base, floor, base, predicted)
+    visited = VisitedModels(floor / workbench.size)
+    search = _Search(workbench, base, floor, visited, base, predicted)
     while True:
         _say_phase(workbench, search.current)
         screened = screen(workbench, search.current, len(search.steps) + 1)
@@ -107,6 +109,8 @@ class _Search:
     ----------
     base, floor
         The declared model, fitted, and the sum of squares that the noise alone would leave.
+    visited
+        The models that it has added effects to.
     current, prediction, rivals, beside
         The accepted structure, its leave-one-out prediction, the rivals of its effects, and the
         structures that it was compared with.
@@ -125,6 +129,7 @@ class _Search:
     workbench: LoopWorkbench
     base: FittedModel
     floor: float
+    visited: VisitedModels
     current: FittedModel
     prediction: LeaveOneOutPrediction
     rivals: Rivals = field(default_factory=dict)
@@ -139,8 +144,16 @@ class _Search:
 
     def begin(self, screened: ScreeningResult, numerical: float) -> RoundStart:
         """Begin a round at the accepted structure."""
+        self.visited.keep(self.workbench, self.current, screened.ranking)
         begun = RoundStart(
-            self.base, self.current, self.prediction, screened, self.floor, self.beside, numerical
+            self.base,
+            self.current,
+            self.prediction,
+            screened,
+            self.visited,
+            self.floor,
+            self.beside,
+            numerical,
         )
         self.first = self.first or begun
         self.passed.add(self.current.structure)

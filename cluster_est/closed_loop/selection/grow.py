@@ -6,7 +6,6 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.screening.ranking import rank
 from cluster_est.closed_loop.selection.accept import can_be_linearised
 from cluster_est.closed_loop.selection.gates import useful_sse
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, refit
@@ -38,12 +37,13 @@ def grow(
         accepted = parent is begun.model
         if not accepted and not can_be_linearised(workbench, parent):
             continue
-        ranking = begun.screening.ranking if accepted else rank(workbench, parent)
+        ranking = begun.screening.ranking if accepted else begun.visited.ranking(workbench, parent)
         best = min((c.criterion for c in found.values()), default=np.inf)
         useful = UsefulFit(
             best + workbench.thresholds.refinement.alternative,
             useful_sse(workbench, begun, len(parent.added) + 1),
         )
+        earlier = begun.visited.grown_from(parent)
         contenders = refit(
             workbench,
             parent,
@@ -52,10 +52,14 @@ def grow(
             wide=accepted,
             further=accepted and large,
             known={*known, *found},
+            done={c.fitted.structure for c in earlier},
             useful=useful,
         )
+        contenders = sorted([*contenders, *earlier], key=lambda c: c.criterion)
         contenders += refit_same_argument(workbench, parent, ranking, contenders)
-        for contender in refit_switch_widths(workbench, contenders, useful.criterion):
+        contenders = refit_switch_widths(workbench, contenders, useful.criterion)
+        begun.visited.add(parent, contenders)
+        for contender in contenders:
             found.setdefault(contender.fitted.structure, contender)
     return sorted(found.values(), key=lambda c: c.criterion)
 

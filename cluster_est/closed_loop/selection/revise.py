@@ -6,7 +6,6 @@ from itertools import combinations
 
 import numpy as np
 
-from cluster_est.closed_loop.screening.ranking import rank
 from cluster_est.closed_loop.selection.accept import can_be_linearised, is_usable
 from cluster_est.closed_loop.selection.gates import claimable_sse
 from cluster_est.closed_loop.selection.refinement.refine import (
@@ -118,15 +117,25 @@ def _instead(
     most = grown.criterion(workbench.records) + rise
     claimable = claimable_sse(workbench, begun, len(rest.added) + 1)
     useful = UsefulFit(most + thresholds.alternative, claimable)
-    ranking = rank(workbench, rest)
+    ranking = begun.visited.ranking(workbench, rest)
+    earlier = begun.visited.grown_from(rest)
     refitted = refit(
-        workbench, rest, ranking, begun.floor, wide=False, further=False, useful=useful
+        workbench,
+        rest,
+        ranking,
+        begun.floor,
+        wide=False,
+        further=False,
+        done={c.fitted.structure for c in earlier},
+        useful=useful,
     )
+    refitted += earlier
     if len(positions) == 1:
         own = RefittedCandidate(grown, grown.criterion(workbench.records), True)
         there = ending_with(own, grown.added[positions[0]].effect.name)
         refitted += refit_same_argument(workbench, rest, ranking, [there])
     refitted = refit_switch_widths(workbench, refitted, useful.criterion)
+    begun.visited.add(rest, refitted)
     contenders = believable(workbench, rest, refitted)
     if not contenders or contenders[0].criterion >= most:
         return None

@@ -12,6 +12,7 @@ from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.screening.screen import ScreeningResult
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, Rivals
+from cluster_est.closed_loop.selection.refinement.visited_models import VisitedModels
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 
 
@@ -69,6 +70,8 @@ class RoundStart:
         The accepted structure, fitted, and its leave-one-out prediction.
     screening
         Of all candidates at that model.
+    visited
+        The models that the search has added effects to.
     floor
         Sum of squares that the noise alone would leave.
     beside
@@ -81,6 +84,7 @@ class RoundStart:
     model: FittedModel = field(repr=False)
     prediction: LeaveOneOutPrediction = field(repr=False)
     screening: ScreeningResult = field(repr=False)
+    visited: VisitedModels = field(repr=False)
     floor: float
     beside: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
     numerical: float = 0.0

@@ -53,6 +53,7 @@ def refit(
     wide: bool = True,
     further: bool = True,
     known: Collection[frozenset[str]] = (),
+    done: Collection[frozenset[str]] = (),
     useful: UsefulFit = ANY_FIT,
 ) -> list[RefittedCandidate]:
     """Refit the leading candidates; the best first.
@@ -71,7 +72,10 @@ def refit(
         Go on to candidates further back where the first do not close the gap to it: the larger an
         effect, the less the score of a small one says.
     known
-        Structures that need no refit, because they were reached from another one.
+        Structures that need no refit, because they were reached from another one: the next in the
+        ranking take their places.
+    done
+        Structures that were refitted from this model before: they keep their places.
     useful
         What a structure must come down to. What cannot is refitted no further.
     """
@@ -87,9 +91,14 @@ def refit(
         new = [i for i, name in zip(ranked, names, strict=True) if own | {name} not in known]
         return new[:most]
 
+    def is_done(i: int) -> bool:
+        return own | {ranking.trials[i].candidate.effect.name} in done
+
     leaders = leading(ranking.plain, 2 * trials)
     white = leading(ranking.white, thresholds.white_leaders)
-    first = list(dict.fromkeys([*leaders[:trials], *white]))
+    places = list(dict.fromkeys([*leaders[:trials], *white]))
+    first = [i for i in places if not is_done(i)]
+    count = max(count - (len(places) - len(first)), 0)
     chosen, left = _mixed(first_steps(workbench, current, ranking, first, useful), count)
     reached = [step.sse for step in chosen]
     possible = [min(step.sse, step.asked.predicted) for step in chosen]
@@ -98,7 +107,7 @@ def refit(
     best = min((c.fitted.sse for c in contenders), default=current.sse)
     if not further or _closes(current, best, floor, thresholds.closes):
         return contenders
-    later = [i for i in leaders[trials:] if i not in first]
+    later = [i for i in leaders[trials:] if i not in places and not is_done(i)]
     left += first_steps(workbench, current, ranking, later, useful)
     left.sort(key=lambda step: step.sse)
     contenders += _refit_steps(workbench, current, floor, left[:count], useful)

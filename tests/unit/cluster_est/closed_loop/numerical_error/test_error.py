@@ -15,6 +15,7 @@ from cluster_est.closed_loop.numerical_error.error import (
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.gates import coloured_noise_explains, failed_gate
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.visited_models import VisitedModels
 from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundStart
 from cluster_est.results.solver_error.finer_solver import SolverScale
 
@@ -105,7 +106,9 @@ def test_an_effect_must_explain_more_than_the_numerical_error_could(after, refus
     screening = made_screening(base.jacobian, base.residuals, [], [])
     predicted = LeaveOneOutPrediction(np.array([1000.0]))
     most = error(1.0, 1.0).explainable
-    begun = RoundStart(base, base, predicted, screening, floor=1000.0, numerical=most)
+    begun = RoundStart(
+        base, base, predicted, screening, VisitedModels(1.0), floor=1000.0, numerical=most
+    )
     grown = RefittedCandidate(fit_with_squares(problem, after), criterion=0.0, full=True)
     coloured = coloured_noise_explains(bench, begun, grown)
     predicted = LeaveOneOutPrediction(np.array([after]))

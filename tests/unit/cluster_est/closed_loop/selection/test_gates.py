@@ -21,15 +21,17 @@ from cluster_est.closed_loop.selection.gates import (
     useful_sse,
 )
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.visited_models import VisitedModels
 from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundStart
 
 FLOOR = 40.0
+VISITED = VisitedModels(1.0)
 
 
 def begun(problem, base, model):
     fits = [fit_with_squares(problem, squares) for squares in (base, model)]
     screening = made_screening(fits[0].jacobian, fits[0].residuals, [], [])
-    return RoundStart(*fits, LeaveOneOutPrediction(np.ones(1)), screening, FLOOR)
+    return RoundStart(*fits, LeaveOneOutPrediction(np.ones(1)), screening, VISITED, FLOOR)
 
 
 def test_a_structure_that_may_grow_further_is_of_use_whatever_it_leaves():
@@ -91,7 +93,9 @@ def begun_and_grown(noise, shape, size, floor):
     named = [made_candidate(f"wave {i}") for i in range(len(WAVES))]
     screening = made_screening(fits[0].jacobian, before, columns, named)
     assert screening.count == len(WAVES)
-    start = RoundStart(*fits[:1] * 2, LeaveOneOutPrediction(np.full(1, 2.0)), screening, floor)
+    start = RoundStart(
+        *fits[:1] * 2, LeaveOneOutPrediction(np.full(1, 2.0)), screening, VISITED, floor
+    )
     grown = RefittedCandidate(fits[1], fits[1].criterion(bench.records), full=True)
     assert grown.criterion < fits[0].criterion(bench.records)  # for white noise it is better
     return bench, start, grown

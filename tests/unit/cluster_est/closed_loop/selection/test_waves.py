@@ -14,6 +14,7 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.gates import best_that_passes
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.visited_models import VisitedModels
 from cluster_est.closed_loop.selection.rounds import RejectionReason, RoundStart
 from cluster_est.closed_loop.selection.waves import believable, period_of, residuals_without
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
@@ -101,7 +102,9 @@ def test_where_only_waves_are_left_that_cannot_be_believed_that_is_the_reason(be
     """The first has less than three periods in its records, the second does not fit better."""
     base = unfitted(bench)
     screening = made_screening(base.jacobian, base.residuals, [], [])
-    begun = RoundStart(base, base, LeaveOneOutPrediction(np.ones(2)), screening, 1.0)
+    begun = RoundStart(
+        base, base, LeaveOneOutPrediction(np.ones(2)), screening, VisitedModels(1.0), 1.0
+    )
     brief = grown(bench, "sine", (1.0, 0.5, 2.0), 1.0)
     brief = replace(brief, criterion=base.criterion(bench.records) - 100.0)
     worse = replace(brief, criterion=base.criterion(bench.records) + 100.0)
