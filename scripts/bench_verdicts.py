@@ -31,6 +31,10 @@ from cluster_est.results.residual_sentences import residual_sentences
 SEEN = 100.0
 """Likelihood ratio above which a fit must warn."""
 
+FLAGS = ("error of", "is never taken")
+"""Words of a note on a step or a tolerance: its error beside the noise, or that it has none because
+the times of the measurements are closer together."""
+
 LONGER, LOOSE, WRONG = 10.0, 1e-3, 10.0
 """A communication step over the sampling interval; a tolerance; a sigma over the true one."""
 
@@ -87,7 +91,8 @@ def steps(options: argparse.Namespace) -> None:
                 flagged.append(case.name)
                 print(f"  {case.name}: refused: {error}", flush=True)
                 continue
-            words = [note for note in (found.summary, *found.notes) if "error of" in note]
+            said = (found.summary, *found.notes)
+            words = [note for note in said if any(word in note for word in FLAGS)]
             flagged += [case.name] * bool(words)
             claimed += [case.name] * bool(found.effects)
             print(f"  {case.name}: {found.verdict}: {found.summary}; {' '.join(words)}", flush=True)

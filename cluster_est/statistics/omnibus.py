@@ -56,8 +56,9 @@ def omnibus(
 
     For each length, Q = r' K r / r' r with r the projected residual and K_ij = exp(-(i - j)^2 / 2
     length^2) between samples of one record, 0 between records: the locally best test against a
-    random signal with covariance K. Q is standardised by its null distribution, the statistic is
-    the largest over the lengths, and its p-value is counted among white noise that went through
+    random signal with covariance K. Each output is also looked at alone, or the noise of many would
+    hide what is in one. Q is standardised by its null distribution, the statistic is the largest
+    over the lengths and the outputs, and its p-value is counted among white noise that went through
     the same projection and the same maximum.
 
     It needs no candidates, so it also fires where nothing in a library explains the residual; where
@@ -90,7 +91,7 @@ def _null(
     draws: int,
     lengths: Sequence[float],
 ) -> FloatArray:
-    """Q of projected white noise, (draws, lengths)."""
+    """Q of projected white noise, (draws, statistics)."""
     rows = max(1, NUMBERS_AT_ONCE // max(records.size, 1))
     found = []
     for start in range(0, draws, rows):
@@ -102,8 +103,12 @@ def _null(
 def _smoothness(
     signals: FloatArray, records: StackedRecords, lengths: Sequence[float]
 ) -> FloatArray:
-    """Q of each row of `signals`, (rows, lengths)."""
-    quadratic = np.zeros((len(signals), len(lengths)))
+    """Q of each row of `signals`: for each length, over all outputs and then for each alone.
+
+    (rows, lengths), or where there are several outputs (rows, lengths * (1 + outputs)).
+    """
+    quadratic = np.zeros((len(records.outputs), len(signals), len(lengths)))
+    squares = np.zeros((len(records.outputs), len(signals), 1))
     for item in records.items:
         count = len(item.times)
         if not count:
@@ -113,9 +118,13 @@ def _smoothness(
         spectra = rfft(signals[:, item.rows], padded, axis=1)
         power = spectra.real**2 + spectra.imag**2
         pairs = zip(lengths, reaches, strict=True)
-        quadratic += power @ np.stack([_weights(*pair, padded) for pair in pairs], axis=1)
-    smoothness: FloatArray = quadratic / (signals**2).sum(axis=1)[:, None]
-    return smoothness
+        weights = np.stack([_weights(*pair, padded) for pair in pairs], axis=1)
+        quadratic[item.output] += power @ weights
+        squares[item.output, :, 0] += (signals[:, item.rows] ** 2).sum(axis=1)
+    found = [quadratic.sum(axis=0) / squares.sum(axis=0)]
+    if len(records.outputs) > 1:
+        found += list(quadratic / np.where(squares > 0.0, squares, 1.0))
+    return np.concatenate(found, axis=1)
 
 
 def _weights(length: float, reach: int, padded: int) -> FloatArray:

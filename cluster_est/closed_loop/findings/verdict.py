@@ -27,6 +27,7 @@ from cluster_est.closed_loop.selection.rounds import (
 )
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from workers.messages import FloatArray
 
 CLAIMS = (Verdict.FOUND, Verdict.PARTIAL)
 """Verdicts with which effects are added."""
@@ -70,8 +71,9 @@ class ReasonedVerdict:
 class _Residual:
     """The residual of a model: beside its noise, and its structure.
 
-    `excess` is that of its squares over those of the white part of the noise; `structured` says
-    that it is smooth, and larger; `of_sensors` that it may be the noise of sensors for all that.
+    `excess` is that of its squares over those of the white part of the noise, of all outputs or of
+    the one with the most; `structured` says that it is smooth, and larger; `of_sensors` that it may
+    be the noise of sensors for all that.
     """
 
     outputs: tuple[OutputNoise, ...]
@@ -293,7 +295,7 @@ def _residual(
     """Look at what a model leaves, with the screening of the round that began at it."""
     thresholds, settings = workbench.thresholds.verdict, workbench.settings
     outputs = residual_noise(workbench, fitted, found.noise)
-    excess = fitted.sse / workbench.noise_floor(found.noise) - 1.0
+    excess = _excess(workbench, fitted, found.noise)
     omnibus, whitened = at.screening.omnibus, at.screening.omnibus_white
     smooth = omnibus.p <= settings.significance and omnibus.z > thresholds.structure
     of_sensors = is_noise_of_sensors(
@@ -303,6 +305,17 @@ def _residual(
         whitened=whitened.p > settings.significance,
     )
     return _Residual(outputs, excess, smooth and excess > thresholds.excess, of_sensors)
+
+
+def _excess(workbench: LoopWorkbench, fitted: FittedModel, noise: FloatArray) -> float:
+    """Squares over those of the noise, less 1: of all outputs, or of the one with the most."""
+    rows = [workbench.records.of_output(o) for o in range(len(workbench.records.outputs))]
+    alone = [
+        float(np.mean(fitted.residuals[own] ** 2) / level**2)
+        for own, level in zip(rows, noise.tolist(), strict=True)
+        if len(own) and level > 0.0
+    ]
+    return max(fitted.sse / workbench.noise_floor(noise), *alone, 0.0) - 1.0
 
 
 def _closed(

@@ -68,12 +68,39 @@ def test_draws_in_chunks_are_the_same_draws(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_quadratic_form_is_that_of_the_kernel(records: StackedRecords) -> None:
     signal = np.random.default_rng(24).standard_normal(records.size)
     lengths = (2, 6)
-    expected = np.zeros(2)
+    expected = np.zeros((len(records.outputs), 2))
     for item in records.items:
         r = signal[item.rows]
         distance = np.abs(np.subtract.outer(np.arange(len(r)), np.arange(len(r))))
         for k, length in enumerate(lengths):
             kernel = np.exp(-0.5 * (distance / length) ** 2) * (distance <= 4 * length)
-            expected[k] += r @ kernel @ r
+            expected[item.output, k] += r @ kernel @ r
     found = module._smoothness(signal[None], records, lengths)[0]
-    np.testing.assert_allclose(found, expected / (signal @ signal), rtol=1e-10)
+    np.testing.assert_allclose(found[:2], expected.sum(axis=0) / (signal @ signal), rtol=1e-10)
+    for output in range(len(records.outputs) if len(records.outputs) > 1 else 0):
+        own = signal[records.of_output(output)]
+        alone = found[2 * output + 2 : 2 * output + 4]
+        np.testing.assert_allclose(alone, expected[output] / (own @ own), rtol=1e-10)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-6, 1e6])
+def test_structure_in_one_of_many_outputs_is_seen_whatever_its_scale(scale: float) -> None:
+    records = stack(60, 60, 60, outputs=12)
+    rows = records.of_output(7)
+    wave = np.sin(2.0 * np.pi * np.arange(len(rows)) / 30.0)
+    nothing = OrthogonalProjection(np.zeros((records.size, 0)))
+    for seed in range(5):  # among the noise of all 12, the wave is missed in some of these
+        generator = np.random.default_rng(seed)
+        residuals = generator.standard_normal(records.size)
+        residuals[rows] = scale * (residuals[rows] + wave)
+        assert omnibus(nothing, residuals, records, generator).p <= 0.01
+
+
+def test_an_output_of_which_nothing_is_left_is_no_structure() -> None:
+    records = stack(80, 80, outputs=2)
+    residuals = np.random.default_rng(26).standard_normal(records.size)
+    residuals[records.of_output(0)] = 0.0
+    found = omnibus(OrthogonalProjection(np.zeros((records.size, 0))), residuals, records,
+                    np.random.default_rng(0))  # fmt: skip
+    assert np.isfinite(found.z)
+    assert found.p > 0.01

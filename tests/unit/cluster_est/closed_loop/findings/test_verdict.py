@@ -10,6 +10,7 @@ from support.loop_objects import (
     fit_with_squares,
     made_bench,
     made_candidate,
+    made_fit,
     made_problem,
     made_round,
     made_screening,
@@ -365,3 +366,18 @@ def test_a_gap_on_held_out_data_is_that_to_the_noise_as_it_is():
     assert confirmed(FOUND, changes((30.0, 10.0), (15.7, 10.2)), LoopSettings()).verdict is (
         Verdict.UNEXPLAINED
     )
+
+
+@pytest.mark.parametrize(("excess", "expected"), [(0.5, Verdict.COLOURED), (0.04, Verdict.NONE)])
+def test_what_is_left_of_one_output_does_not_drown_in_the_noise_of_many(excess, expected):
+    """Of twelve outputs, one has the excess; over all of them it is a twelfth of that."""
+    problem = made_problem(100, outputs=12)
+    residuals = np.ones(1200)
+    residuals[300:400] = np.sqrt(1.0 + excess)
+    fit = made_fit(problem, residuals)
+    screening = made_screening(
+        np.zeros((1200, 1)), residuals, [], [], omnibus=STRUCTURED, p_white=1e-9
+    )
+    search = made_selection(fit, fit, made_round(CLEAN, screening), squares=np.full(1, 1200.0))
+    judgement = judge(made_bench(problem), replace(search, noise=np.ones(12)))
+    assert judgement.verdict is expected
