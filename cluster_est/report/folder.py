@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from cluster_est.errors import RunFolderError
 from cluster_est.report.activity import LogActivity, read_activity
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
-from cluster_est.run_folder.reading import read_facts, read_run_table
+from cluster_est.run_folder.reading import read_facts, read_run_columns, read_run_table
 
 Row = Mapping[str, Any]
 RUNNING = "running"
@@ -131,9 +129,4 @@ def _rows(path: Path, name: str) -> tuple[Row, ...]:
 
 
 def _table(path: Path) -> pa.Table | None:
-    if not path.is_file():
-        return None
-    try:
-        return pq.read_table(path)
-    except (pa.ArrowException, OSError) as error:
-        raise RunFolderError(f"{path}: is damaged ({error}); run again") from error
+    return read_run_columns(path) if path.is_file() else None

@@ -116,8 +116,21 @@ def read_run_table(path: Path) -> list[dict[str, Any]]:
     RunFolderError
         If it is damaged.
     """
+    rows: list[dict[str, Any]] = read_run_columns(path).to_pylist()
+    return rows
+
+
+def read_run_columns(path: Path) -> pa.Table:
+    """Return one of a run's tables.
+
+    Raises
+    ------
+    RunFolderError
+        If it is damaged.
+    """
+    # pq.read_table would import all of pyarrow.dataset, and make columns of a folder named "k=3"
     try:
-        rows: list[dict[str, Any]] = pq.read_table(path).to_pylist()
+        with pq.ParquetFile(path) as file:
+            return file.read()
     except (pa.ArrowException, OSError) as error:
         raise RunFolderError(f"{path}: is damaged ({error}); run again") from error
-    return rows

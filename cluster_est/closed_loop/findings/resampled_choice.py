@@ -10,9 +10,8 @@ import numpy as np
 from cluster_est.closed_loop.findings.structure_probabilities import (
     DECLARED,
     best_rows,
-    percent,
 )
-from cluster_est.closed_loop.findings.words.sentences import in_a_row
+from cluster_est.closed_loop.findings.words.numbers import in_a_row, percent
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.choice_shares import LinearFit, choice_shares

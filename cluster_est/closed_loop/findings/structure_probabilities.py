@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.words.sentences import in_a_row
+from cluster_est.closed_loop.findings.words.numbers import in_a_row, percent
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 
 SHARE = 0.9
@@ -93,10 +93,3 @@ def likely_sentence(path: Sequence[ComparedStructure]) -> str:
     if len(named) > MOST_NAMED:
         named = [*named[: MOST_NAMED - 1], f"{len(named) - MOST_NAMED + 1} more the rest"]
     return f"of the {count} sets of effects that were compared, the data give {in_a_row(named)}"
-
-
-def percent(probability: float) -> str:
-    """Write a probability in percent, with no more certainty than it has."""
-    if probability > 0.99:
-        return "more than 99 %"
-    return "less than 1 %" if probability < 0.01 else f"{100.0 * probability:.0f} %"

@@ -15,10 +15,10 @@ from cluster_est.closed_loop.findings.effects import (
     ErrorChange,
     NamedEffect,
 )
-from cluster_est.closed_loop.findings.residual.disturbance import readable_time
 from cluster_est.closed_loop.findings.residual.unused_columns import varying_columns
 from cluster_est.closed_loop.findings.words.naming import EffectName, Namer
-from cluster_est.closed_loop.findings.words.sentences import in_a_row, sentence_of
+from cluster_est.closed_loop.findings.words.numbers import in_a_row, readable_time
+from cluster_est.closed_loop.findings.words.sentences import sentence_of
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.structure_probabilities import percent
+from cluster_est.closed_loop.findings.words.numbers import percent
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.report.blocks import (
     Block,

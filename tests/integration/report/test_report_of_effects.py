@@ -13,7 +13,7 @@ from support.reported import Page
 from support.truth.springs_with_friction import FRICTION, WIDTH, write_config
 
 from cluster_est.cli import main
-from cluster_est.closed_loop.findings.structure_probabilities import percent
+from cluster_est.closed_loop.findings.words.numbers import percent
 from cluster_est.report import write_report
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import welch
 
+from cluster_est.closed_loop.findings.words.numbers import readable_time
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.records import OutputRecord
 from workers.messages import FloatArray
@@ -107,14 +108,6 @@ def unexplained_residuals(
             )
         )
     return tuple(sorted(found, key=lambda each: -np.nan_to_num(each.over_noise, nan=np.inf)))
-
-
-def readable_time(seconds: float) -> str:
-    """Write a time in the unit in which it is easy to read: "3.2 s", "4.5 min", "24 h", "3 d"."""
-    for unit, size, most in (("s", 1.0, 120.0), ("min", 60.0, 7200.0), ("h", 3600.0, 172_800.0)):
-        if seconds < most:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds / 86_400.0:.3g} d"
 
 
 def _periods(

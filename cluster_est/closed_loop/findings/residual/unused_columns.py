@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.residual.disturbance import readable_time
+from cluster_est.closed_loop.findings.words.numbers import readable_time
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.problem.tables.unused import UnusedColumns
 from cluster_est.statistics.dependence import Dependence, dependence, periodic_share

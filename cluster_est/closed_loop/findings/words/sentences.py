@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.effects import AgreeingEquation
-from cluster_est.closed_loop.findings.residual.disturbance import readable_time
+from cluster_est.closed_loop.findings.words.numbers import readable_time
 from cluster_est.results.row_types import EffectCurve, Estimate
 
 SAME = 1e-6
@@ -99,8 +99,3 @@ def _agreement(also: AgreeingEquation, curve: EffectCurve) -> str:
         f"{curve.variable} = {also.told_at:.3g}{over} the two would differ by "
         f"{also.told_by:.2g}{unit}, so measure there to tell them apart."
     )
-
-
-def in_a_row(words: Sequence[str]) -> str:
-    """Write words with commas, and "and" before the last one."""
-    return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from support.loop_objects import made_bench, made_fit, made_problem
 
-from cluster_est.closed_loop.findings.residual.disturbance import (
-    readable_time,
-    unexplained_residuals,
-)
+from cluster_est.closed_loop.findings.residual.disturbance import unexplained_residuals
+from cluster_est.closed_loop.findings.words.numbers import readable_time
 
 LENGTHS = (1001, 801)
 SIGMA = 0.2
