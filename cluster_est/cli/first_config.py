@@ -34,6 +34,12 @@ def init(options: Namespace) -> int:
         say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
     for name in dict.fromkeys(name for run in found.runs for name in run.missing_inputs):
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
-        say(console, f"{out}: no column of {where} is like input {name!r}; it stays as it starts")
+        lines = enumerate(text.toml.splitlines(), 1)
+        place = next((n for n, line in lines if f'inputs.{name} = "COLUMN"' in line), None)
+        say(
+            console,
+            f"{out}{f', line {place}' if place else ''}: no column of {where} is like input "
+            f"{name!r}; name one there, or it keeps its start value",
+        )
     say(console, f"{out} is written; look through it, then: cluster-est check {out}")
     return ExitCode.DONE

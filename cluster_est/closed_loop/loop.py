@@ -63,6 +63,7 @@ from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Problem
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
+from cluster_est.results.initial_errors import initial_errors, initial_notes
 from cluster_est.results.result import Result
 from cluster_est.running.environment import Monitor
 from cluster_est.running.records import Note, Record, Show
@@ -188,7 +189,7 @@ def _report(
     choices = resampled_choices(workbench, found) if keep else None
     return LoopResult(
         verdict=judgement.verdict,
-        summary="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained)]),
+        summary="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, after)]),
         effects=named if keep else (),
         before=before,
         after=after,
@@ -251,10 +252,15 @@ def _with_columns(
     )
 
 
-def _disturbance(verdict: Verdict, unexplained: Sequence[UnexplainedResidual]) -> tuple[str, ...]:
-    """Say how large what nothing explains is, and how fast."""
+def _disturbance(
+    verdict: Verdict, unexplained: Sequence[UnexplainedResidual], after: Result
+) -> tuple[str, ...]:
+    """Say how large what nothing explains is, and how fast, if the start is not what is wrong."""
     if verdict is not Verdict.UNEXPLAINED or not unexplained:
         return ()
+    begun = initial_errors(after.problem, after.simulations, fitted=True)
+    if begun:
+        return (f"{begun[0].sentence}; see to that first",)
     said = f"if it is a disturbance that nobody measured, it makes {unexplained[0].sentence}"
     return (said, *dict.fromkeys(c for each in unexplained for c in each.columns))
 
@@ -269,7 +275,8 @@ def _notes(
     """Sentences for the reader."""
     notes = (*workbench.notes, *_not_converged(before, after), *shared_arguments(fitted.added))
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
-        notes = (*notes, where_left(workbench, fitted), NOT_ALLOWED_FOR)
+        begun = initial_notes(after.problem, after.simulations)
+        notes = (*notes, *begun, where_left(workbench, fitted), NOT_ALLOWED_FOR)
     if after.uncertainty is not None:
         notes = (*notes, *after.uncertainty.sentences)
     return (*notes, *fitted_to_held_out(after.estimates))

@@ -45,6 +45,7 @@ from cluster_est.config.sections.sections import (
     ParameterSection,
 )
 from cluster_est.config.sections.value_files import VALUE_FILES, with_values_of_files
+from cluster_est.config.unfilled import unfilled
 from cluster_est.costs import ALIASES as COST_ALIASES
 from cluster_est.costs import COSTS
 from cluster_est.errors import ConfigError
@@ -104,7 +105,8 @@ def read_config(path: str | Path, overrides: Sequence[str] | None = None) -> Con
     path = as_path(path, "config", ConfigError)
     changes = as_tuple(() if overrides is None else overrides, str, "overrides", ConfigError)
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = path.read_text(encoding="utf-8-sig")
+        raw = tomllib.loads(text)
     except FileNotFoundError:
         raise ConfigError(f"there is no config file {path}; check the path") from None
     except UnicodeDecodeError as error:
@@ -123,8 +125,11 @@ def read_config(path: str | Path, overrides: Sequence[str] | None = None) -> Con
         ) from error
     except (ValueError, RecursionError) as error:  # tomllib lets more out than its own error
         raise ConfigError(f"{path}: must be TOML but is not: {error}; mend that line") from None
-    for text in changes:
-        override(raw, text)
+    for change in changes:
+        override(raw, change)
+    open_ = list(unfilled(raw, text, str(path)))
+    if open_:
+        raise ConfigError("\n".join(open_))
     tree, units = with_values_of_files(raw, path.parent)
     return parse_config(tree, str(path)).with_units_of_files(units)
 

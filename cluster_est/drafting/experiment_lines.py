@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
+from cluster_est.config.unfilled import FILL_IN
 from cluster_est.drafting.columns import TIMES, TableColumn, fold, split_unit
 from cluster_est.drafting.draft import DraftExperiment
 from cluster_est.drafting.matching import ColumnMatch
@@ -20,8 +21,6 @@ MOST_OPEN = 20
 """Outputs that are looked at for a comment where no column is like them."""
 MOST_SIGNALS = 20
 """Columns that are proposed as signals."""
-FILL_IN = "FILL IN"
-"""Begins a value that only the user knows; `check` refuses it and names its line."""
 
 
 def experiments(

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cluster_est.drafting.columns import TableColumn, fold, split_suffix, with_suffix
+from cluster_est.problem.tables.units import conversion
 from workers.fmu.variable import ModelVariable
 
 SIMILAR = 0.6
@@ -44,7 +45,7 @@ def match(
 
     A column has the same name, or the same but for case, blanks, underscores, brackets and a unit
     at its end. Where neither decides, a similar column is a suggestion, or the only one that is
-    left.
+    left, or the only one with a unit that can be converted to the variable's.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def match(
             left.remove(similar)
             similar = with_suffix(similar, variable.unit)
         found.append(ColumnMatch(variable, column, similar))
-    return _last_one(found, left)
+    return _by_unit(_last_one(found, left), left)
 
 
 def same(
@@ -108,9 +109,26 @@ def _last_one(found: list[ColumnMatch], left: list[TableColumn]) -> list[ColumnM
     """Suggest the column if one variable and one column are left over."""
     open_ = [i for i, m in enumerate(found) if m.column is None and m.similar is None]
     if len(open_) == len(left) == 1:
-        similar = with_suffix(left[0], found[open_[0]].variable.unit)
+        similar = with_suffix(left.pop(), found[open_[0]].variable.unit)
         found[open_[0]] = replace(found[open_[0]], similar=similar)
     return found
+
+
+def _by_unit(found: list[ColumnMatch], left: list[TableColumn]) -> list[ColumnMatch]:
+    """Suggest a column where it alone, of those left over, has a unit of a variable's kind."""
+    open_ = [i for i, m in enumerate(found) if m.column is None and m.similar is None]
+    fitting = {i: [c for c in left if _of_kind(c, found[i].variable)] for i in open_}
+    wanted = Counter(c.name for columns in fitting.values() for c in columns)
+    for i, columns in fitting.items():
+        if len(columns) == 1 and wanted[columns[0].name] == 1:
+            found[i] = replace(found[i], similar=columns[0])
+    return found
+
+
+def _of_kind(column: TableColumn, variable: ModelVariable) -> bool:
+    return bool(column.unit and variable.unit) and (
+        conversion(column.unit, variable.unit) is not None
+    )
 
 
 def _same(

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from cluster_est.config.unfilled import FILL_IN
 from cluster_est.drafting.candidates import MOST_LISTED, ParameterCandidate
 from cluster_est.drafting.draft import ConfigDraft
-from cluster_est.drafting.experiment_lines import FILL_IN, experiments, relative, said
+from cluster_est.drafting.experiment_lines import experiments, relative, said
 from cluster_est.toml import dotted, inline
 from workers.fmu.description import ModelDescription
 

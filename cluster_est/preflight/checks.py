@@ -19,7 +19,7 @@ from cluster_est.preflight.remedies import (
     without_parameters,
 )
 from cluster_est.preflight.repeatability import instances, repeatable
-from cluster_est.preflight.rest import at_rest
+from cluster_est.preflight.rest import at_rest, starts_elsewhere
 from cluster_est.preflight.simulation_costs import costs
 from cluster_est.preflight.solver_checks import accuracy, derivatives, stiffness
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
@@ -106,7 +106,7 @@ def run_checks(
             *bounds(subject),
             *data,
             *_simulation_findings(subject, simulations, cure),
-            *at_rest(subject, simulations),
+            *(at_rest(subject, simulations) or starts_elsewhere(subject, simulations)),
             *_probe_findings(subject, simulations),
         ]
     return CheckPage(tuple(findings), tuple(simulations))

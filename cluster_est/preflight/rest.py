@@ -1,4 +1,4 @@
-"""A check of the start: a model that begins at rest, with nothing to move it."""
+"""Checks of the start: a model that begins at rest with nothing to move it, or elsewhere."""
 
 from __future__ import annotations
 
@@ -8,6 +8,12 @@ import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.preflight.subject import CheckSubject
+from cluster_est.results.initial_errors import (
+    estimates_start,
+    free_start_advice,
+    initial_errors,
+    noise_of_samples,
+)
 from cluster_est.results.output_errors import Simulation
 from workers.messages import Experiment, FloatArray
 
@@ -26,7 +32,7 @@ def at_rest(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
     for simulation in simulations:
         experiment = subject.problem.experiments[simulation.experiment]
         moving = [o for o in experiment.outputs if _moves(o.values)]
-        known = not _estimated_start(subject, simulation.experiment)
+        known = not estimates_start(subject.space, simulation.experiment, subject.description)
         if moving and known and _still(simulation):
             resting.append((experiment, moving[0]))
     if not resting or not subject.declared:
@@ -40,22 +46,32 @@ def at_rest(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
         f"nothing moves in the simulation of {where}{_though(experiment)}: its start is an "
         f"equilibrium; the measured {output.variable} moves by {f'{far:.3g} {unit}'.strip()}"
     )
-    return [CheckFinding(CheckVerdict.NOTE, "start", said, _advice(subject))]
+    return [
+        CheckFinding(
+            CheckVerdict.NOTE,
+            "start",
+            said,
+            f"{free_start_advice(subject.problem)}; or give the input that moves it",
+        )
+    ]
+
+
+def starts_elsewhere(
+    subject: CheckSubject, simulations: Sequence[Simulation]
+) -> list[CheckFinding]:
+    """Name the output that is farthest from its measurement at the first sample."""
+    if not subject.declared:
+        return []
+    found = initial_errors(subject.problem, simulations, fitted=False)
+    if not found:
+        return []
+    said = f"{found[0].sentence}, at the start values"
+    return [CheckFinding(CheckVerdict.NOTE, "start", said, free_start_advice(subject.problem))]
 
 
 def _though(experiment: Experiment) -> str:
     driven = [i.variable for i in experiment.inputs if np.ptp(i.values) > 0.0]
     return f", though {listed(driven)} does" if len(driven) == 1 else ""
-
-
-def _advice(subject: CheckSubject) -> str:
-    states = [n for n in subject.description.states if subject.description.variables[n].settable]
-    name = states[0] if states else "STATE"
-    return (
-        f"give the start that was measured, values.{name} = NUMBER, or estimate it, "
-        f'parameters.{name} = {{ start = NUMBER, per = "experiment" }}; or give the input that '
-        "moves it"
-    )
 
 
 def _still(simulation: Simulation) -> bool:
@@ -70,17 +86,4 @@ def _moves(values: FloatArray) -> bool:
     """Return True for a signal that moves by more than its noise."""
     if len(values) < 4 or np.ptp(values) == 0.0:
         return False
-    noise = 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(6.0)
-    return bool(np.std(values) > CLEAR * noise)
-
-
-def _estimated_start(subject: CheckSubject, experiment: int) -> bool:
-    """Return True if an unknown of an experiment is a start value, or its own."""
-    variables = subject.description.variables
-    for unknown in subject.space.unknowns:
-        parameter = unknown.parameter
-        found = variables.get(parameter.target)
-        start = found is not None and found.causality not in ("parameter", "input")
-        if experiment in unknown.experiments and (start or parameter.per):
-            return True
-    return False
+    return bool(np.std(values) > CLEAR * noise_of_samples(values))

@@ -22,7 +22,11 @@ def print_page(console: Console, page: CheckPage) -> None:
     say(console, "")
     problems = sum(each.verdict == "problem" for each in page.findings)
     left = sum(each.verdict == "not done" for each in page.findings)
+    notes = sum(each.verdict == "note" for each in page.findings)
     said = _counted(problems, "problem") if problems else "no problem was found"
+    if notes:
+        say_what = "says" if notes == 1 else "say"
+        said += f"; {_counted(notes, 'note')} {say_what} what may be wrong"
     if left:
         said = (
             f"{left} of {_counted(len(page.findings), 'check')} were not done; in the others "

@@ -6,6 +6,7 @@ else knows of them: a run's own config has every experiment with all of its keys
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterator
 from typing import Any
 
@@ -49,11 +50,19 @@ def unused_defaults(defaults: dict[str, Any], config: Config) -> Iterator[str]:
         for name in defaults.get(key, {}):
             if name not in outputs:
                 must = "must be named as an output of some experiment but is not"
-                yield f"{DEFAULTS}.{key}.{name}: {must}{nearest(name, outputs)}"
+                yield f"{DEFAULTS}.{key}.{name}: {must}{_beside(name, outputs)}"
     for name in defaults.get("columns", {}):
         if name not in columns:
             must = "must be named as a column that some experiment uses but is not"
-            yield f"{DEFAULTS}.columns.{name}: {must}{nearest(name, columns)}"
+            yield f"{DEFAULTS}.columns.{name}: {must}{_beside(name, columns)}"
+
+
+def _beside(name: str, known: list[str]) -> str:
+    """Return the end of a message: either of two names may be the misspelt one."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    if near:
+        return f", only {near[0]!r} is; one of the two names may be wrong"
+    return nearest(name, known)
 
 
 def _long_forms(section: dict[str, Any]) -> dict[str, Any]:

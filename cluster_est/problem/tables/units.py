@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
+from collections import Counter
 from dataclasses import dataclass
 
 PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
-PREFIXED = ("m", "s", "N", "Pa", "V", "A", "W", "J", "Ohm", "F", "H", "Hz", "K", "N.m", "bar")
 SPELLINGS = {
     "°C": "degC", "celsius": "degC", "°": "deg", "Ω": "Ohm", "ohm": "Ohm",
     "\u00b5": "u", "\u03bc": "u",  # the micro sign and the Greek letter
@@ -32,48 +33,74 @@ class UnitConversion:
 
 
 @dataclass(frozen=True)
-class _BaseUnit:
-    """A number in the base unit is `factor` times the number, plus `offset`."""
+class _Unit:
+    """A number in base units is `factor` times the number, plus `offset`.
 
-    base: str
+    Attributes
+    ----------
+    powers
+        The base units with their powers, in the order of their names.
+    """
+
+    powers: tuple[tuple[str, int], ...]
     factor: float = 1.0
     offset: float = 0.0
 
+    def to(self, power: int) -> _Unit:
+        """A power of it; without its offset, as in W/K or K/min."""
+        raised = tuple((base, power * own) for base, own in self.powers)
+        return _Unit(raised, self.factor**power)
 
-_UNITS = {
-    "cm": _BaseUnit("m", 1e-2),
-    "min": _BaseUnit("s", 60.0),
-    "h": _BaseUnit("s", 3600.0),
-    "kg": _BaseUnit("kg"),
-    "g": _BaseUnit("kg", 1e-3),
-    "t": _BaseUnit("kg", 1e3),
-    "hPa": _BaseUnit("Pa", 1e2),
-    "Wh": _BaseUnit("J", 3600.0),
-    "kWh": _BaseUnit("J", 3.6e6),
-    "degC": _BaseUnit("K", 1.0, 273.15),
-    "degF": _BaseUnit("K", 5.0 / 9.0, 273.15 - 32.0 * 5.0 / 9.0),
-    "psi": _BaseUnit("Pa", 6894.757293168),
-    "rad": _BaseUnit("rad"),
-    "deg": _BaseUnit("rad", math.pi / 180.0),
-    "rad/s": _BaseUnit("rad/s"),
-    "deg/s": _BaseUnit("rad/s", math.pi / 180.0),
-    "rpm": _BaseUnit("rad/s", math.pi / 30.0),
-    "m/s": _BaseUnit("m/s"),
-    "mm/s": _BaseUnit("m/s", 1e-3),
-    "km/h": _BaseUnit("m/s", 1.0 / 3.6),
-    "m3/s": _BaseUnit("m3/s"),
-    "m3/h": _BaseUnit("m3/s", 1.0 / 3600.0),
-    "l/s": _BaseUnit("m3/s", 1e-3),
-    "l/min": _BaseUnit("m3/s", 1e-3 / 60.0),
-    "kg/s": _BaseUnit("kg/s"),
-    "kg/h": _BaseUnit("kg/s", 1.0 / 3600.0),
-    "1": _BaseUnit("1"),
-    "%": _BaseUnit("1", 1e-2),
-} | {
-    prefix + base: _BaseUnit("Pa", factor * 1e5) if base == "bar" else _BaseUnit(base, factor)
-    for base in PREFIXED
+    def times(self, other: _Unit) -> _Unit:
+        """The product of both."""
+        powers = Counter(dict(self.powers))
+        for base, own in other.powers:
+            powers[base] += own
+        kept = tuple(sorted((base, own) for base, own in powers.items() if own))
+        return _Unit(kept, self.factor * other.factor)
+
+
+_BASES = ("m", "s", "kg", "N", "Pa", "V", "A", "W", "J", "Ohm", "F", "H", "Hz", "K", "mol", "rad")
+_PLAIN = _Unit(())
+_UNITS = {base: _Unit(((base, 1),)) for base in _BASES}
+_UNITS |= {
+    prefix + base: _Unit(_UNITS[base].powers, factor)
+    for base in _BASES
+    if base not in ("kg", "rad")
     for prefix, factor in PREFIXES.items()
 }
+_UNITS |= {
+    prefix + "bar": _Unit(_UNITS["Pa"].powers, factor * 1e5) for prefix, factor in PREFIXES.items()
+}
+_UNITS |= {
+    name: _Unit(tuple((base, power) for base, power in of), factor, offset)
+    for name, of, factor, offset in (
+        ("cm", (("m", 1),), 1e-2, 0.0),
+        ("l", (("m", 3),), 1e-3, 0.0),
+        ("ml", (("m", 3),), 1e-6, 0.0),
+        ("min", (("s", 1),), 60.0, 0.0),
+        ("h", (("s", 1),), 3600.0, 0.0),
+        ("d", (("s", 1),), 86400.0, 0.0),
+        ("g", (("kg", 1),), 1e-3, 0.0),
+        ("mg", (("kg", 1),), 1e-6, 0.0),
+        ("t", (("kg", 1),), 1e3, 0.0),
+        ("hPa", (("Pa", 1),), 1e2, 0.0),
+        ("psi", (("Pa", 1),), 6894.757293168, 0.0),
+        ("Wh", (("J", 1),), 3600.0, 0.0),
+        ("kWh", (("J", 1),), 3.6e6, 0.0),
+        ("Ah", (("A", 1), ("s", 1)), 3600.0, 0.0),
+        ("mAh", (("A", 1), ("s", 1)), 3.6, 0.0),
+        ("degC", (("K", 1),), 1.0, 273.15),
+        ("degF", (("K", 1),), 5.0 / 9.0, 273.15 - 32.0 * 5.0 / 9.0),
+        ("deg", (("rad", 1),), math.pi / 180.0, 0.0),
+        ("rev", (("rad", 1),), 2.0 * math.pi, 0.0),
+        ("rpm", (("rad", 1), ("s", -1)), math.pi / 30.0, 0.0),
+        ("1", (), 1.0, 0.0),
+        ("%", (), 1e-2, 0.0),
+    )
+}
+_PART = re.compile(r"1|(?P<name>.*?[^\d-])(?P<power>-?\d+)?")
+"""A unit and its power, as in m3 or s-2."""
 
 
 LIKELY = {
@@ -82,7 +109,7 @@ LIKELY = {
     "Pa": ("kPa", "bar", "hPa", "MPa"), "bar": ("Pa", "kPa"), "kPa": ("Pa", "bar"),
     "m": ("mm", "cm"), "mm": ("m",), "m/s": ("km/h", "mm/s"), "s": ("ms", "min", "h"),
     "N": ("kN",), "W": ("kW",), "J": ("kJ", "kWh"), "V": ("mV",), "A": ("mA",),
-    "m3/s": ("l/min", "m3/h", "l/s"), "kg/s": ("kg/h",), "1": ("%",),
+    "m3/s": ("l/min", "m3/h", "l/s"), "kg/s": ("kg/h", "kg/min", "g/s"), "1": ("%",),
 }  # fmt: skip
 """Units in which a column may be that is taken for one in another unit."""
 
@@ -105,7 +132,7 @@ def spelled(unit: str) -> str:
 
 def is_known(unit: str) -> bool:
     """Return whether a unit can be converted at all."""
-    return spelled(unit) in _UNITS
+    return _parsed(spelled(unit)) is not None
 
 
 def same_unit(one: str, other: str) -> bool:
@@ -115,10 +142,37 @@ def same_unit(one: str, other: str) -> bool:
 
 def conversion(given: str, wanted: str) -> UnitConversion | None:
     """Return the conversion from one unit to another; None if it is not known."""
-    a, b = _UNITS.get(spelled(given)), _UNITS.get(spelled(wanted))
-    if a is None or b is None or a.base != b.base:
+    a, b = _parsed(spelled(given)), _parsed(spelled(wanted))
+    if a is None or b is None or a.powers != b.powers:
         return None
     return UnitConversion(_rounded(a.factor / b.factor), _rounded((a.offset - b.offset) / b.factor))
+
+
+def _parsed(unit: str) -> _Unit | None:
+    """Return a unit, or a product or quotient of units such as kg/min or J/(kg.K), if it is known.
+
+    What stands behind a stroke is divided by, up to the next one.
+    """
+    if unit in _UNITS:
+        return _UNITS[unit]
+    found = _PLAIN
+    for place, side in enumerate(unit.split("/")):
+        bare = side[1:-1] if place and side.startswith("(") and side.endswith(")") else side
+        for part in bare.split("."):
+            own = _raised(part)
+            if own is None:
+                return None
+            found = found.times(own.to(-1) if place else own)
+    return found
+
+
+def _raised(part: str) -> _Unit | None:
+    """Return a unit with its power."""
+    read = _PART.fullmatch(part)
+    name = (read["name"] or "1") if read is not None else ""
+    if read is None or name not in _UNITS:
+        return None
+    return _UNITS[name].to(int(read["power"] or 1))
 
 
 def _rounded(number: float) -> float:

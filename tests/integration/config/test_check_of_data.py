@@ -247,7 +247,7 @@ class TestStart:
             "nothing moves in the simulation of experiment run: its start is an equilibrium; the "
             "measured speed moves by 78.5 rad/s"
         )
-        assert "values.i = NUMBER, or estimate it, parameters.i = { start = NUMBER, per" in found.do
+        assert 'parameters.i = { start = 0, per = "experiment" }' in found.do
 
     def test_one_whose_start_is_estimated_may_begin_there(self):
         coasting = {"t": TIMES, "V": 0.0 * TIMES, "w": 80.0 * np.exp(-2.0 * TIMES)}

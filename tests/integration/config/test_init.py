@@ -357,7 +357,8 @@ class TestWhereSomethingIsOpen:
             assert f"first.toml, line {number}: fill in {name}" in said
         assert main(["check", "first.toml", "--seconds", "0"]) == 2
         refused = capsys.readouterr().err
-        assert "has no column 'FILL IN: position?'" in refused
+        assert "line 23: experiments['a'].inputs.F must be filled in" in refused
+        assert "line 24: experiments['a'].outputs.y must be filled in but still is" in refused
         Path("first.toml").write_text(text.replace("FILL IN: ", "").replace('?"', '"'))
         assert main(["check", "first.toml", "--seconds", "0"]) == 0
 
@@ -374,11 +375,20 @@ class TestWhereSomethingIsOpen:
     def test_what_no_column_is_like_stands_there_as_a_comment(self, tmp_path):
         path = tmp_path / "a.parquet"
         columns = {"time": TIMES, "F": FORCE, "v": FORCE, "Www [mm]": FORCE, "Zzz [Pa]": FORCE}
-        pq.write_table(pa.table(columns), path)
+        pq.write_table(pa.table(columns | {"Xxx [mm]": FORCE}), path)
         text = write(draft(FMU, [path]), tmp_path).toml
         assert '# outputs.y = "COLUMN"  # [m]' in text
         assert '# columns."Www [mm]" = { factor = 0.001 }  # from mm' in text
         assert 'columns."Zzz [Pa]"' not in text
+
+    def test_the_only_column_with_a_unit_of_its_kind_must_be_confirmed(self, written, tmp_path):
+        path = tmp_path / "a.parquet"
+        columns = {"time": TIMES, "pull (kN)": FORCE, "y": FORCE, "Zzz [Pa]": FORCE}
+        pq.write_table(pa.table(columns), path)
+        text, _, said = written(path)
+        assert 'inputs.F = "FILL IN: pull (kN)?"' in text
+        assert 'columns."pull (kN)" = { factor = 1000.0 }' in text
+        assert "fill in inputs.F" in said
 
     def test_a_column_that_says_another_unit_is_a_problem(self, written, tmp_path, capsys):
         path = tmp_path / "a.parquet"
@@ -404,7 +414,11 @@ class TestWhereSomethingIsOpen:
     def test_an_input_without_any_column_keeps_its_start(self, written, tmp_path):
         path = table(tmp_path / "a.csv", time=TIMES, y=FORCE, Zzz=FORCE, Www=FORCE)
         text, tree, said = written(path)
-        assert "no column of 'a' is like input 'F'; it stays as it starts" in said
+        number = next(n for n, line in enumerate(text.split("\n"), 1) if "inputs.F" in line)
+        assert (
+            f"first.toml, line {number}: no column of 'a' is like input 'F'; name one there, or it "
+            "keeps its start value"
+        ) in said
         assert "inputs" not in tree["experiments"][0]
         assert "keeps its start value 0" in text
         assert "# columns without a variable of the FMU: Zzz, Www" in text

@@ -151,13 +151,13 @@ ONE = '[[experiments]]\nid = "a"\ndata = "a.csv"\n'
             ONE,
             DEFAULTS.replace("v = 0.01", "vv = 0.01"),
             "experiment_defaults.sigma.vv: must be named as an output of some experiment but is "
-            "not; did you mean 'v'?",
+            "not, only 'v' is; one of the two names may be wrong",
         ),
         (
             ONE,
             DEFAULTS.replace("{ speed =", "{ sped ="),
             "experiment_defaults.columns.sped: must be named as a column that some experiment "
-            "uses but is not; did you mean 'speed'?",
+            "uses but is not, only 'speed' is; one of the two names may be wrong",
         ),
         (ONE + "sigma.w = 1.0\n", DEFAULTS, "experiments['a'].sigma.w: must be named as one of"),
         (ONE + "inputs = 3\n", DEFAULTS, "experiments['a'].inputs: must be a table but is 3"),
