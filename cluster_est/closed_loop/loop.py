@@ -63,7 +63,7 @@ from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Problem
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
-from cluster_est.results.initial_errors import initial_errors, initial_notes
+from cluster_est.results.initial_errors import InitialError, initial_errors, initial_notes
 from cluster_est.results.result import Result
 from cluster_est.running.environment import Monitor
 from cluster_est.running.records import Note, Record, Show
@@ -187,9 +187,10 @@ def _report(
     over = ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
     unexplained = _unexplained(workbench, judgement.verdict, kept, found)
     choices = resampled_choices(workbench, found) if keep else None
+    begun = initial_errors(after.problem, after.simulations, fitted=True)
     return LoopResult(
         verdict=judgement.verdict,
-        summary="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, after)]),
+        summary="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]),
         effects=named if keep else (),
         before=before,
         after=after,
@@ -253,12 +254,13 @@ def _with_columns(
 
 
 def _disturbance(
-    verdict: Verdict, unexplained: Sequence[UnexplainedResidual], after: Result
+    verdict: Verdict,
+    unexplained: Sequence[UnexplainedResidual],
+    begun: Sequence[InitialError] = (),
 ) -> tuple[str, ...]:
     """Say how large what nothing explains is, and how fast, if the start is not what is wrong."""
     if verdict is not Verdict.UNEXPLAINED or not unexplained:
         return ()
-    begun = initial_errors(after.problem, after.simulations, fitted=True)
     if begun:
         return (f"{begun[0].sentence}; see to that first",)
     said = f"if it is a disturbance that nobody measured, it makes {unexplained[0].sentence}"

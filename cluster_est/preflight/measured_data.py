@@ -10,11 +10,11 @@ import numpy as np
 
 from cluster_est.config.reader import Config
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
+from cluster_est.problem.idle_inputs import idle_inputs, stays
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.tables.jumps import jump_findings
 from cluster_est.statistics.quantisation import quantisation_step
 from workers.fmu.description import ModelDescription
-from workers.fmu.variable import ModelVariable
 from workers.messages import Experiment, FloatArray
 
 ROUNDING = math.sqrt(12.0)
@@ -33,28 +33,10 @@ def data_findings(problem: Problem, description: ModelDescription) -> list[Check
     ]
 
 
-def idle_inputs(problem: Problem, description: ModelDescription) -> dict[str, list[str]]:
-    """Return the inputs of the FMU that nothing drives, with the experiments in which."""
-    targets = {p.target for p in problem.parameters if not p.auxiliary}
-    found: dict[str, list[str]] = {}
-    for variable in description.inputs():
-        names = {variable.name, *variable.aliases}
-        if variable.kind not in ("real", "integer", "boolean") or names & targets:
-            continue
-        for each in problem.experiments:
-            if names.isdisjoint({i.variable for i in each.inputs} | dict(each.values).keys()):
-                found.setdefault(variable.name, []).append(each.id)
-    return found
-
-
-def stays(variable: ModelVariable) -> str:
-    """Return the value of an input that nothing drives, with its unit."""
-    return f"{variable.start or 0.0:g} {variable.unit}".strip()
-
-
 def _inputs_without_data(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     lines = []
-    for name, ids in idle_inputs(problem, description).items():
+    idle = idle_inputs(problem.parameters, problem.experiments, description)
+    for name, ids in idle.items():
         value = stays(description.variables[name])
         count = len(problem.experiments)
         if len(ids) < count:

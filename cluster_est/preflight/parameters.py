@@ -9,8 +9,8 @@ import numpy as np
 
 from cluster_est.methods.derivatives.differences import relative_noise
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
-from cluster_est.preflight.measured_data import idle_inputs, stays
 from cluster_est.preflight.subject import CheckSubject, unanswered
+from cluster_est.problem.idle_inputs import silent_inputs, stays
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.unknown import Unknown
 from workers.messages import FloatArray
@@ -128,8 +128,8 @@ def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
     """Return one line for parameters that may be dead only because nothing drives the model."""
     if not subject.declared or not names:
         return []
-    idle = idle_inputs(subject.problem, subject.description)
-    silent = [n for n, ids in idle.items() if len(ids) == len(subject.problem.experiments)]
+    problem = subject.problem
+    silent = silent_inputs(problem.parameters, problem.experiments, subject.description)
     if not silent:
         return []
     value = stays(subject.description.variables[silent[0]])

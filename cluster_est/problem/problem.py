@@ -10,6 +10,7 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.problem import display
 from cluster_est.problem.formulas import Formula, ParameterConstraint
+from cluster_est.problem.idle_inputs import silent_inputs, silent_notes
 from cluster_est.problem.names import coefficient_names, refuse_repeated
 from cluster_est.problem.options import check_options
 from cluster_est.problem.parameter import Parameter
@@ -172,10 +173,12 @@ class Problem:
         ModelError, ProblemError
             As `describe`, or if it cannot be simulated at the experiments' times.
         """
-        jumps = jump_notes(self.experiments)
+        description = self.describe()
+        silent = silent_inputs(self.parameters, self.experiments, description)
+        notes = (*silent_notes(silent, description), *jump_notes(self.experiments))
         if self.model.interface == "model_exchange":
-            return jumps
-        return (*communication_notes(self.model, self.describe(), self.experiments), *jumps)
+            return notes
+        return (*communication_notes(self.model, description, self.experiments), *notes)
 
     def _repr_html_(self) -> str:
         """Show model, parameters and experiments in a display."""

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from cluster_est.cli.display.run import SHOWN, interval, number, print_run, print_table, say
 from cluster_est.cli.display.sensitivity import print_sensitivity
+from cluster_est.closed_loop.findings.words.numbers import NO_ALTERNATIVE
 from cluster_est.run_folder.reading import StoredRun, read_stored_run
 
 Facts = Mapping[str, Any]
@@ -94,7 +95,7 @@ def _print_effect(console: Console, effect: Facts, *, too_narrow: bool = False) 
     elif effect["alternatives"]:
         say(console, "  (nothing in these data tells them apart)")
     else:
-        say(console, "  nothing else that was tried explains the data as well")
+        say(console, f"  {NO_ALTERNATIVE}")
 
 
 def _range(row: Facts) -> str:

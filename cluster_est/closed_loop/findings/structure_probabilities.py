@@ -92,4 +92,7 @@ def likely_sentence(path: Sequence[ComparedStructure]) -> str:
     named = [f"{name} {share}" for name, share in zip(called, shares, strict=True)]
     if len(named) > MOST_NAMED:
         named = [*named[: MOST_NAMED - 1], f"{len(named) - MOST_NAMED + 1} more the rest"]
-    return f"of the {count} sets of effects that were compared, the data give {in_a_row(named)}"
+    return (
+        f"of the {count} sets of effects that were compared, allowing for a model that is not "
+        f"exact, the data give {in_a_row(named)}"
+    )

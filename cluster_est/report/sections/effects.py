@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.words.numbers import percent
+from cluster_est.closed_loop.findings.words.numbers import NO_ALTERNATIVE, percent
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.report.blocks import (
     Block,
@@ -211,9 +211,7 @@ def _confounded(parameter: str) -> str:
 def _rivals(effect: Row) -> Block:
     others = effect.get("alternatives") or []
     if not others:
-        return TextBlock(
-            f"{effect['name']}: nothing else that was tried explains the data as well."
-        )
+        return TextBlock(f"{effect['name']}: {NO_ALTERNATIVE}.")
     names = columns("cannot be told apart", "equation", "#criterion", "differ most at", "#by")
     chosen = cells(
         TableCell(f"{effect.get('words') or effect['form']} at {effect['site']} (chosen)"),

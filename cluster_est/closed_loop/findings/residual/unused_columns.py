@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cluster_est.closed_loop.findings.words.numbers import readable_time
 from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.problem.idle_inputs import silent_inputs
 from cluster_est.problem.tables.unused import UnusedColumns
 from cluster_est.statistics.dependence import Dependence, dependence, periodic_share
 from cluster_est.statistics.records import OutputRecord
@@ -45,6 +46,8 @@ class VaryingColumn:
         where only the period is the same.
     period
         Seconds, where only that is the same; else NaN.
+    silent
+        Inputs of the FMU that nothing drives: it may belong there.
     """
 
     column: str
@@ -52,17 +55,24 @@ class VaryingColumn:
     share: float
     p: float = np.nan
     period: float = np.nan
+    silent: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
         """Say what it has to do with the residual, and what to try."""
         name = f"column {self.column!r} is not used and"
         if np.isfinite(self.period):
-            return f"{name} has the same period, {readable_time(self.period)}: try it as a signal"
+            return f"{name} has the same period, {readable_time(self.period)}: {self._advice}"
         return (
             f"{name} varies with it (it carries {self.share:.0%} of the residual of {self.output}"
-            "): try it as a signal, unless it is a consequence itself"
+            f"): {self._advice}, unless it is a consequence itself"
         )
+
+    @property
+    def _advice(self) -> str:
+        if not self.silent:
+            return "try it as a signal"
+        return f"try it as input {' or '.join(self.silent)}, which has no data, or as a signal"
 
 
 def varying_columns(
@@ -102,7 +112,9 @@ def varying_columns(
     best: dict[str, VaryingColumn] = {}
     for each in sorted(found, key=lambda c: (np.nan_to_num(c.p), -np.nan_to_num(c.share))):
         best.setdefault(each.column, each)
-    return tuple(best.values())[:MOST_NAMED]
+    problem = workbench.problem
+    silent = silent_inputs(problem.parameters, problem.experiments, workbench.description)
+    return tuple(replace(each, silent=silent) for each in best.values())[:MOST_NAMED]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+NO_ALTERNATIVE = (
+    "were the rest of the model exact, there would be very strong evidence against all else that "
+    "was tried"
+)
+"""What is said of an effect without alternatives; a criterion takes models for exact."""
+
 
 def readable_time(seconds: float) -> str:
     """Write a time in the unit in which it is easy to read: "3.2 s", "4.5 min", "24 h", "3 d"."""

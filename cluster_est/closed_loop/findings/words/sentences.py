@@ -43,11 +43,30 @@ def sentence_of(
         said += f", with {_listed(values)}"
     if math.isfinite(period):
         said += f", a period of {readable_time(period)}"
+    said += _reference(candidate, coefficients)
     seen = curve if curve is not None and len(curve.x) and curve.variable != "time" else None
     if seen is not None:
         own = candidate.site.kind == "output" and seen.variable == candidate.site.target
         said += f"; {'before the effect' if own else 'in the data'} {_range(seen)}"
     return " ".join([f"{said}.", *(_agreement(each, seen) for each in also if seen is not None)])
+
+
+REFERENCES = {
+    "drift": "t", "linear": "{v}", "inverse": "{v}", "exponential": "{v}", "power": "abs({v})",
+    "magnitude": "abs({v})", "square": "{v}^2", "inverse_square": "{v}^2", "heating": "z",
+}  # fmt: skip
+"""Of forms at a parameter that leave it as it is at one value of their argument: that argument."""
+
+
+def _reference(candidate: EffectCandidate, coefficients: Sequence[Estimate]) -> str:
+    """Say where a parameter that varies now has the value that is estimated for it."""
+    argument = REFERENCES.get(candidate.form.name)
+    at = next((e for e in coefficients if e.parameter == f"{candidate.effect.name}.at"), None)
+    if candidate.site.kind != "parameter" or argument is None or at is None:
+        return ""
+    named = argument.format(v=next(iter(candidate.effect.variables), ""))
+    where = f"{named} = {at.value:.4g}{in_unit(at.unit)}"
+    return f"; the value of {candidate.site.target} is the one at {where}"
 
 
 def _place(candidate: EffectCandidate) -> str:

@@ -70,8 +70,8 @@ def test_what_was_added_is_named_in_any_case():
 def test_sentences():
     path = with_probabilities(compared(("a+x", -5000.0), ("b", -4984.0), ("c", -400.0)), 0.0)
     assert likely_sentence(path) == (
-        "of the 4 sets of effects that were compared, the data give a + x 73 % of the probability "
-        "and b 27 %"
+        "of the 4 sets of effects that were compared, allowing for a model that is not exact, the "
+        "data give a + x 73 % of the probability and b 27 %"
     )
     alone = with_probabilities(compared(("a", -5000.0), ("c", -400.0)), 0.0)
     assert likely_sentence(alone).endswith("the data give a more than 99 % of the probability")

@@ -101,9 +101,9 @@ def test_a_wave_of_the_same_period_is_named_as_that_and_no_more(tmp_path):
     found = varying_columns(made, residuals, period=0.2)
     assert [c.column for c in found] == ["daily"]
     assert np.isnan(found[0].p)
-    assert found[0].sentence == (
-        "column 'daily' is not used and has the same period, 0.2 s: try it as a signal"
-    )
+    said = "column 'daily' is not used and has the same period, 0.2 s: try it as "
+    assert found[0].sentence == f"{said}input F, which has no data, or as a signal"
+    assert replace(found[0], silent=()).sentence == f"{said}a signal"
     assert varying_columns(made, residuals, period=0.13) == ()
 
 

@@ -84,3 +84,19 @@ def test_a_coefficient_at_its_bound_is_not_said_to_be_undetermined():
     made = candidate(EffectSite("derivative", "v"), "square", "v")
     held = replace(estimate("k", 0.0), lower95=math.nan, upper95=math.nan, at_bound="lower")
     assert "with k = 0 (at its lower bound)" in sentence_of("drag", made, [held], curve())
+
+
+@pytest.mark.parametrize(("form", "where"), [
+    ("power", "abs(m) = 0.12 kg/s"), ("linear", "m = 0.12 kg/s"), ("square", "m^2 = 0.12 kg/s"),
+])  # fmt: skip
+def test_a_parameter_that_varies_is_the_one_at_a_place(form, where):
+    made = candidate(EffectSite("parameter", "UA"), form, "m")
+    numbers = [estimate("n", 0.6), estimate("at", 0.12, "kg/s", on="known")]
+    said = sentence_of("a power law in m", made, numbers, None)
+    assert said.endswith(f"; the value of UA is the one at {where}.")
+
+
+def test_what_has_no_such_place_says_none():
+    made = candidate(EffectSite("derivative", "v"), "hinge", "x")
+    numbers = [estimate("k", 0.6), estimate("at", 0.12, "m")]
+    assert "the one at" not in sentence_of("a spring", made, numbers, None)
