@@ -20,6 +20,8 @@ from workers.fmu.description import ModelDescription
 from workers.messages import Experiment
 
 Row = Mapping[str, Any]
+MOST_NAMED = 4
+"""Experiments in a note."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +45,7 @@ class ParameterReader:
         absent += [p.name for p in named[count:] if self._find(p) is None]
         notes = list(left)
         if absent:
-            one = len(absent) == 1
-            notes.append(
-                f"{', '.join(absent)} {'has' if one else 'have'} a value for each experiment and "
-                f"{'keeps its' if one else 'keep their'} start; choose the values of one with "
-                "experiment"
-            )
+            notes.append(self._absent(absent))
         return RepairedModel(
             run,
             problem,
@@ -59,6 +56,25 @@ class ParameterReader:
             tuple(known.items()),
             tuple(notes),
             of_experiments=self._of_experiments(named, effects),
+        )
+
+    def _absent(self, names: Sequence[str]) -> str:
+        """Say which parameters keep their starts, and how to choose the values of an experiment."""
+        one = len(names) == 1
+        targets = {p.name: p.target for p in self.problem.parameters}
+        starts = [self.description.variables.get(targets[name]) for name in names]
+        known = [
+            f"{name} = {start.start:g}"
+            for name, start in zip(names, starts, strict=True)
+            if start is not None and start.start is not None
+        ]
+        ids = [e.id for e in self.problem.experiments]
+        more = ", ..." if len(ids) > MOST_NAMED else ""
+        return (
+            f"{', '.join(names)} {'has' if one else 'have'} a value for each experiment and "
+            f"{'keeps its' if one else 'keep their'} start in the exported FMU"
+            f"{' (' + ', '.join(known) + ')' if known else ''}; choose the values of one with "
+            f"--experiment ID, in Python experiment=ID, of {', '.join(ids[:MOST_NAMED])}{more}"
         )
 
     def _of_experiments(

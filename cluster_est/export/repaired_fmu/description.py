@@ -61,6 +61,8 @@ def model_description(
     for place, section in enumerate(_interfaces(layout, chosen, sources)):
         root.insert(place, section)
     _add_units(root, layout)
+    if layout.exchange:
+        _default_experiment(root).set("tolerance", f"{layout.tolerance:g}")
     _set_starts(root, layout)
     indices = _add_variables(root, layout)
     _extend_structure(root, layout, indices)
@@ -71,6 +73,12 @@ def model_description(
 def with_step(document: bytes, step: float) -> bytes:
     """Return the document with a default step size, which many tools take unless told otherwise."""
     root = ET.fromstring(document)
+    _default_experiment(root).set("stepSize", repr(step))
+    ET.indent(root)
+    return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
+
+
+def _default_experiment(root: Element) -> Element:
     before = (
         "ModelExchange",
         "CoSimulation",
@@ -78,9 +86,7 @@ def with_step(document: bytes, step: float) -> bytes:
         "TypeDefinitions",
         "LogCategories",
     )
-    _child(root, "DefaultExperiment", before).set("stepSize", repr(step))
-    ET.indent(root)
-    return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
+    return _child(root, "DefaultExperiment", before)
 
 
 def _interfaces(layout: WrapperLayout, old: Element, sources: tuple[str, ...]) -> list[Element]:

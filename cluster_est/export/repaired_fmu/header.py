@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 
 from cluster_est.export.repaired_fmu.layout import WrapperLayout
 from workers.messages import Value
-from workers.simulation.integrator import DEFAULT_RTOL
 
 
 def header(layout: WrapperLayout, guid: str) -> str:
@@ -57,17 +56,14 @@ def _counts(layout: WrapperLayout) -> dict[str, object]:
 def _solver(layout: WrapperLayout) -> dict[str, object]:
     model, description = layout.repair.problem.model, layout.repair.description
     solver = model.solver
-    rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
-    if solver.name == "cvode":
-        rtol = min(rtol, DEFAULT_RTOL)
     eventful = description.event_indicators > 0 or any(
         v.variability == "discrete" for v in description.variables.values()
     )
     return {
         "FIXED_STEPS": int(solver.name == "rk4"),
         "SOLVER_STEP": _number(solver.step or 0.0),
-        "SOLVER_RTOL": _number(rtol),
-        "SOLVER_ATOL": _number(rtol if solver.atol is None else solver.atol),
+        "SOLVER_RTOL": _number(layout.tolerance),
+        "SOLVER_ATOL": _number(layout.tolerance if solver.atol is None else solver.atol),
         "MOST_STEPS": f"{solver.max_steps}L",
         "ORIGINAL_TOLERANCE": _number(solver.rtol or 0.0),
         "COMPLETES_STEPS": int(layout.exchange and description.completes_steps),

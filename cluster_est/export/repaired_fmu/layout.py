@@ -12,6 +12,7 @@ from workers.effects.compiled import CompiledEquations, equations
 from workers.effects.definition import EffectDefinition
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
+from workers.simulation.integrator import DEFAULT_RTOL
 
 Kind = Literal["INPUT", "SIGNAL", "COEFFICIENT", "BASE", "START", "RATE", "OUTPUT", "STATE"]
 
@@ -114,6 +115,13 @@ class WrapperLayout:
     def columns(self) -> tuple[str, ...]:
         """Inputs, then signals."""
         return (*(v.name for v in self.inputs), *self.signals)
+
+    @property
+    def tolerance(self) -> float:
+        """The relative tolerance that the run was integrated with."""
+        solver = self.repair.problem.model.solver
+        rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
+        return min(rtol, DEFAULT_RTOL) if solver.name == "cvode" else rtol
 
     def effect(self, index: int) -> EffectDefinition:
         return self.repair.effects[index]

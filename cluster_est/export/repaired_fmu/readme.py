@@ -36,7 +36,9 @@ The wrapper's C sources are in sources/. They need no further header and are com
     cc -std=c99 -O2 -ffp-contract=off -fPIC -shared -o {name}.so *.c -lm -ldl
 """
 _EXCHANGE = """In co-simulation the wrapper integrates the repaired model with {solver}. In model
-exchange delays and backlashes are sampled at completed integrator steps."""
+exchange the tool integrates: the run had a relative tolerance of {tolerance:g}, which is the FMU's
+default too, and a looser one, or an output interval that inputs change within, adds an error of its
+own. Delays and backlashes are sampled at completed integrator steps."""
 _SIMULATION = """The original is for co-simulation, so this FMU is too; it makes the steps of the
 run."""
 _STEP = """In co-simulation, {sentence}.
@@ -61,7 +63,11 @@ def readme(layout: WrapperLayout, name: str, tool: str, step: StepErrors | None)
     repair = layout.repair
     model = repair.problem.model
     solver = "dormand_prince" if model.solver.name == "cvode" else model.solver.name
-    how = _EXCHANGE.format(solver=solver) if layout.exchange else _SIMULATION
+    how = (
+        _EXCHANGE.format(solver=solver, tolerance=layout.tolerance)
+        if layout.exchange
+        else _SIMULATION
+    )
     return _README.format(
         name=name,
         file=model.name,

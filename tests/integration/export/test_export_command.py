@@ -72,9 +72,14 @@ def test_the_exported_fmu_does_what_the_run_did(run, tmp_path, capsys):
 
 
 @needs_compiler
-def test_a_fit_without_effects_reproduces_the_cost(run, tmp_path):
+def test_a_fit_without_effects_reproduces_the_cost(run, tmp_path, capsys):
     fmu = run.parent / "models" / "repaired.fmu"
     assert main(["export", str(run), "--fmu", str(fmu)]) == ExitCode.DONE
+    said = " ".join(capsys.readouterr().err.split())
+    assert (
+        "x0 has a value for each experiment and keeps its start in the exported FMU (x0 = 0); "
+        "choose the values of one with --experiment ID, in Python experiment=ID, of exp1, exp2, "
+    ) in said
     text = (run.parent / "config.toml").read_text(encoding="utf-8").replace(EFFECT, "")
     text = text.replace("mass_spring_damper.fmu", "repaired.fmu")
     found = {row["label"]: row["value"] for row in rows_of(run, "parameters")}
@@ -103,6 +108,9 @@ def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
         readme = archive.read("documentation/README.md").decode()
     assert f"a communication step of {named} s reproduces the run's RMSE" in readme
     assert "harder (cubic) at der(v)" in readme
+    assert read_config(run / "config.toml").model.rtol is None  # what the solver then takes
+    assert float(read_model_description(str(fmu)).defaultExperiment.tolerance) == 1e-8
+    assert "the run had a relative tolerance of 1e-08" in " ".join(readme.split())
     errors = {row["experiment"]: row for row in rows_of(run, "errors")}
     for name, row in errors.items():
         sizes = f"{row['rmse_before']:.4g} | {row['rmse_after']:.4g}"
