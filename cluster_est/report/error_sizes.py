@@ -143,7 +143,7 @@ def error_picture(run: ReportedRun) -> FigureBlock | None:
     plot = Plot(title, "", across, upright, marks, max(60, ROW_PIXELS * len(names)), names)
     note = f"Before: {run.before}."
     if sizes.is_noise:
-        note += " A model cannot be expected to come below the line of the noise."
+        note += " A model that lacks nothing comes near the line of the noise."
     if sizes.is_noise and "estimated" in sizes.measure:
         note += " The noise of an output is estimated over all training experiments together."
     below = f"error over {sizes.measure}"

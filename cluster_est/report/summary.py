@@ -66,8 +66,7 @@ def _fitted(run: ReportedRun) -> list[str]:
     """Return sentences on what was fitted to what, and how the error went."""
     if not run.finished:
         return []
-    searched = ("train", "test")
-    numbers = sum(row["estimated_on"] in searched for row in run.tables["parameters"])
+    numbers = sum(row["estimated_on"] == "train" for row in run.tables["parameters"])
     roles = {row["experiment"]: row["role"] for row in run.tables["errors"]}
     train = sum(role == "train" for role in roles.values())
     model = (run.facts.get("fmu") or {}).get("name") or "the model"

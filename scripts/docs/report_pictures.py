@@ -34,7 +34,7 @@ DOCS = Path(__file__).resolve().parents[2] / "cluster_est" / "docs"
 WIDTH = 820
 AROUND = 92
 """Pixels of a chart besides its plots: title, legend, and what is written below."""
-BETWEEN = 44
+BETWEEN = 50
 """Pixels above and below each plot."""
 
 PICTURE = Markup(

@@ -17,6 +17,8 @@ UNITS = 10_000
 LOG_FROM = 10.0
 """Ratio of two positive values beyond which a scale that may be logarithmic is."""
 
+LEAST_TICKS = 2
+
 MORE = 1.35
 """Times the asked number of parts there may be, rather than fewer than half."""
 
@@ -64,12 +66,15 @@ class Scale:
         return np.asarray(UNITS * (values - self.low) / (self.high - self.low))
 
     def ticks(self, count: int) -> tuple[tuple[float, str], ...]:
-        """About so many round values between both ends, and how they are written."""
+        """About so many round values between both ends, two at least, and how they are written."""
         if self.log:
             return self._powers(count)
-        step = nice_step(self.high - self.low, count)
-        first, last = math.ceil(self.low / step), math.floor(self.high / step)
-        values = [step * number for number in range(first, last + 1)]
+        values: list[float] = []
+        while len(values) < LEAST_TICKS:  # one alone gives no measure of the scale
+            step = nice_step(self.high - self.low, count)
+            first, last = math.ceil(self.low / step), math.floor(self.high / step)
+            values = [step * number for number in range(first, last + 1)]
+            count += 1
         return tuple((value, tick_text(value, step)) for value in values)
 
     def _powers(self, count: int) -> tuple[tuple[float, str], ...]:

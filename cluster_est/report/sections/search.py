@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from cluster_est.closed_loop.stages import stage_title
 from cluster_est.report.blocks import (
     Block,
     FigureBlock,
@@ -129,8 +130,9 @@ def _all_searches(run: ReportedRun) -> list[Block]:
             TextBlock("The folder does not tell its searches apart, so none is drawn.", "faint")
         ]
     marks = []
-    for place, name in enumerate(dict.fromkeys(row["search"] for _, row in rows)):
-        own = [(number, row["cost"]) for number, row in rows if row["search"] == name]
+    titles = {row["search"]: stage_title(row["search"]) for _, row in rows}
+    for place, name in enumerate(dict.fromkeys(titles.values())):
+        own = [(number, row["cost"]) for number, row in rows if titles[row["search"]] == name]
         x, y = (np.array(values, float) for values in zip(*own, strict=True))
         marks.append(Dots(name, f"series-{place % SERIES}", x, y))
     title = "Costs of all searches"

@@ -27,7 +27,7 @@
       const text = i === 0 ? "0" : Math.abs(i * step) < 1e5 && decimals < 7 ? (i * step).toFixed(decimals) : String(Number((i * step).toPrecision(8)));
       found.push([i * step, text.replace("-", "\u2212")]);
     }
-    return found;
+    return found.length < 2 ? ticks(low, high, count + 1) : found;
   }
 
   // ---- points of a path, read back once

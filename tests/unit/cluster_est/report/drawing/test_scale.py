@@ -73,3 +73,11 @@ def test_values_that_are_equal_or_none_have_a_scale_too():
 )
 def test_time_spans_have_the_unit_in_which_one_thinks_of_them(span, name):
     assert time_unit(span).name == name
+
+
+@pytest.mark.parametrize("low", [-1.31, -0.99, 0.02, 311.3])
+@pytest.mark.parametrize("span", [1e-6, 0.7, 3.21, 4.1, 9.9])
+def test_there_are_two_ticks_at_least_so_that_a_size_can_be_read(low, span):
+    ticks = [value for value, _ in Scale(low, low + span).ticks(1)]
+    assert 2 <= len(ticks) <= 12
+    assert all(low <= value <= low + span for value in ticks)
