@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
-from cluster_est.cli.display.run import SHOWN, interval, number, print_run, print_table, say
+from cluster_est.cli.display.run import SHOWN, interval, number, print_run, print_table, say, tell
 from cluster_est.cli.display.sensitivity import print_sensitivity
 from cluster_est.closed_loop.findings.words.numbers import NO_ALTERNATIVE
 from cluster_est.run_folder.reading import StoredRun, read_stored_run
@@ -42,7 +42,7 @@ def print_any_run(console: Console, run_folder: Path) -> None:
 def print_loop(console: Console, run: StoredRun) -> None:
     """Verdict, effects, parameters, errors before and after, and what to know."""
     facts = run.facts
-    say(console, f"verdict: {facts['verdict']}: {facts['summary']}")
+    tell(console, f"verdict: {facts['verdict']}: {facts['summary']}")
     say(
         console,
         f"run {run.path}: {facts['simulations']} simulations ({_failed(facts)}), "
@@ -53,7 +53,7 @@ def print_loop(console: Console, run: StoredRun) -> None:
         _print_effect(console, effect, too_narrow=narrow)
     choices = [facts[key] for key in ("likely", "resampled") if facts.get(key)]
     for said in ["", *choices] if choices else []:  # runs of earlier versions do not say
-        say(console, said)
+        tell(console, said)
     _print_parameters(console, run.tables["parameters"], too_narrow=narrow)
     _print_errors(console, run.tables["errors"], facts)
     for note in facts["notes"]:
@@ -80,7 +80,7 @@ def _print_effect(console: Console, effect: Facts, *, too_narrow: bool = False) 
     say(console, "")
     named = effect.get("words") or effect["family"]  # runs of earlier versions have no words
     say(console, f"effect {effect['name']} ({named}) at {effect['site']}")
-    say(console, f"  {effect.get('sentence') or effect['equation']}")
+    tell(console, f"  {effect.get('sentence') or effect['equation']}")
     narrow = " (too narrow)" if too_narrow else ""
     for name, row in effect["parameters"].items():
         held = " (held)" if row["fixed"] else f"   95 %{narrow}: {_range(row)}"
@@ -89,13 +89,13 @@ def _print_effect(console: Console, effect: Facts, *, too_narrow: bool = False) 
     for sentence in effect["evidence"]:
         say(console, f"  {sentence}")
     for other in effect["alternatives"]:
-        say(console, f"  cannot be told apart from: {_alternative(other)}")
+        tell(console, f"  cannot be told apart from: {_alternative(other)}")
     if any(_differs(other) for other in effect["alternatives"]):
         say(console, "  (an experiment that stays where they differ most would tell them apart)")
     elif effect["alternatives"]:
         say(console, "  (nothing in these data tells them apart)")
     else:
-        say(console, f"  {NO_ALTERNATIVE}")
+        tell(console, f"  {NO_ALTERNATIVE}")
 
 
 def _range(row: Facts) -> str:

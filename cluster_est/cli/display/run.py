@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -219,6 +220,20 @@ def print_table(console: Console, header: list[str], rows: Iterable[Iterable[str
 def say(console: Console, text: str) -> None:
     """One line, however narrow the terminal."""
     console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def tell(console: Console, text: str) -> None:
+    """A sentence: broken between words in a terminal, one line elsewhere."""
+    if console.is_terminal and len(text) > console.width:
+        indent = " " * (len(text) - len(text.lstrip()) + 4)
+        text = textwrap.fill(
+            text,
+            console.width,
+            subsequent_indent=indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    say(console, text)
 
 
 def _percent(share: float) -> str:

@@ -18,14 +18,15 @@ def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark:
     """
     train, test = (largest_error(errors, role) for role in ("train", "test"))
     said = []
+    worst = " in the worst output" if len({e.output for e in errors}) > 1 else ""
     if np.isfinite(train) and np.isfinite(test):
         said.append(
             f"what is left is {_times(train)} times {over} on training and {_times(test)} on "
-            f"held-out data{remark}"
+            f"held-out data{worst}{remark}"
         )
     elif np.isfinite(train) or np.isfinite(test):
         where = "" if np.isfinite(train) else " on held-out data"
-        size = f"{_times(train if not where else test)} times {over}{where}"
+        size = f"{_times(train if not where else test)} times {over}{where}{worst}"
         said.append(f"what is left is {size}{remark}")
     silent = without_noise(errors)
     if silent:
