@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -13,6 +15,7 @@ from cluster_est.cli.crash_observer import crash_observer, end, refuse_quiet_end
 from cluster_est.cli.display.terminal_text import readable
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.parser import parse
+from cluster_est.config.key_lines import with_lines
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
 
@@ -26,11 +29,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with terminations(), np.errstate(all="ignore"):
             return run_command(options)
     except ClusterEstError as error:
-        errors.print(f"cluster-est: {readable(str(error))}")
+        errors.print(f"cluster-est: {readable(_placed(str(error), options))}")
         return ExitCode.BAD_INPUT
     except KeyboardInterrupt:
         errors.print("cluster-est: interrupted")
         return ExitCode.INTERRUPTED
+
+
+def _placed(message: str, options: Namespace) -> str:
+    """Return a message with the lines of the config that it speaks of."""
+    config = getattr(options, "config", None)
+    if config is None:
+        return message
+    overridden = [each.partition("=")[0] for each in getattr(options, "overrides", ())]
+    return with_lines(message, Path(config), overridden)
 
 
 def run() -> None:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+from workers.fmu.description import nearest
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Parse arguments, with key=value arguments anywhere, before and after the options."""
     parser = make_parser()
+    _suggest(parser, sys.argv[1:] if arguments is None else arguments)
     options, rest = parser.parse_known_args(arguments)
     for argument in rest:
         if argument.startswith("-") or "=" not in argument or "overrides" not in options:
@@ -17,6 +21,14 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     if rest:
         options.overrides = [*options.overrides, *rest]
     return options
+
+
+def _suggest(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> None:
+    """End with the command that may be meant, where there is none of that name."""
+    known = parser.get_default("commands")
+    name = next((each for each in arguments if not each.startswith("-")), None)
+    if name is not None and name not in known:
+        parser.error(f"there is no command {name!r}{nearest(name, known)}")
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -84,6 +96,7 @@ def make_parser() -> argparse.ArgumentParser:
     _add_export(commands)
     _add_sweep(commands)
     _add_replay(commands)
+    parser.set_defaults(commands=tuple(commands.choices))
     return parser
 
 

@@ -74,7 +74,7 @@ def refused(run: Run, arguments: list[str], *phrases: str, lines: int = 1) -> No
 @pytest.mark.parametrize(
     ("changes", "phrases"),
     [
-        ({"model.fmuu": "x"}, ["config.toml: unknown key model.fmuu; did you mean 'fmu'?"]),
+        ({"model.fmuu": "x"}, [", line 3: unknown key model.fmuu; did you mean 'fmu'?"]),
         ({f"{A}.outputs": REMOVED}, ["experiments['a'].outputs is missing; add it"]),
         ({"parameters.m.start": "1"}, ["must be a number but is '1'; remove the quotes"]),
         ({"parameters.m.start": 20}, ["parameters.m.start: must lie in its bounds"]),
@@ -227,7 +227,7 @@ def test_bad_options(tmp_path, run, capsys, arguments):
 @pytest.mark.parametrize(
     ("changes", "rows", "phrase"),
     [
-        ({"modle": {}}, ROWS, "cluster-est: config.toml: unknown key modle; did you mean 'model'?"),
+        ({"modle": {}}, ROWS, ": unknown key modle; did you mean 'model'?"),
         ({}, "time,force,position\n0,,\n1,,\n", "experiment 'a'.outputs.y: column 'position' of"),
         ({"model.fmu": "x.fmu"}, ROWS, "x.fmu: must have a binary for linux64"),
     ],
