@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
-from typing import get_args
+from typing import Self, get_args
 
 from workers.errors import EffectError, ModelError
 from workers.messages.checks import (
@@ -20,6 +20,7 @@ from workers.messages.checks import (
     shown,
 )
 from workers.messages.hashing import content_hash
+from workers.messages.seats import Seats
 from workers.messages.types import Interface, ResetPolicy, SolverName
 
 
@@ -134,6 +135,8 @@ class Model:
         The reset policy: every simulation begins with a "reset" of the instance that there is; a
         new "instance", for FMUs whose reset leaves something behind; or a new "process", for those
         whose library does. "auto" leaves the choice to the coordinator; a worker resets.
+    seats
+        Those that its instances may take, where their number is limited; None where it is not.
 
     Raises
     ------
@@ -149,6 +152,7 @@ class Model:
     structure: tuple[tuple[str, int], ...] = ()
     logging_on: bool = False
     reset: ResetPolicy = "auto"
+    seats: Seats | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.archive, str | PathLike):
@@ -166,6 +170,16 @@ class Model:
         object.__setattr__(self, "parameters", named)
         pairs = as_pairs(self.structure, "model.structure", ModelError)
         object.__setattr__(self, "structure", pairs)
+
+    def at_most(self, workers: int) -> int:
+        """How many of so many workers may have an instance at once."""
+        return workers if self.seats is None else min(workers, len(self.seats.numbers))
+
+    def of_worker(self, worker: int) -> Self:
+        """The same for one of a pool's workers, counted from 0: with a seat of its own."""
+        if self.seats is None:
+            return self
+        return replace(self, seats=self.seats.of_worker(worker))
 
     @cached_property
     def archive_hash(self) -> str:

@@ -45,7 +45,8 @@ def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
                 connection.send(_probed(asked, evaluator))
                 continue
             answers = OutcomeColumns.of(evaluator.evaluate(asked))
-            connection.send(BatchReport(answers, resident_bytes("self"), instances_made()))
+            has = resident_bytes("self"), instances_made(), evaluator.has_lost_seat
+            connection.send(BatchReport(answers, *has))
     evaluator.close()
 
 

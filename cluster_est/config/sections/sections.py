@@ -185,6 +185,11 @@ class ExecutorSection(ConfigSection):
     workers: Count | None = Field(
         None, gt=0, description="default: every core of the cluster for ray, else 1"
     )
+    instances: Count | None = Field(
+        None,
+        gt=0,
+        description="of the FMU that may exist at once, over all workers; default: any number",
+    )
     address: str | None = Field(
         None, description='of a Ray cluster, e.g. "auto"; default: this machine alone'
     )
