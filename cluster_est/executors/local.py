@@ -14,6 +14,7 @@ from cluster_est.executors.backlog import TaskBacklog
 from cluster_est.executors.base import WorkerPool
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe_model
+from workers.fmu.surroundings import set_environment_here
 from workers.messages import Experiment, Limits, Model, Outcome, Task
 from workers.wire import TaskBatch
 
@@ -95,6 +96,7 @@ class LocalExecutor(WorkerPool):
         address: str | None,
         limits: Limits | None = None,
     ) -> Self:
+        set_environment_here(model)
         count = model.at_most(workers or 1)
         if count > 1 and describe_model(model).once_per_process:
             count = 1

@@ -209,6 +209,12 @@ def _open(
             )
         return pool.open(model, problem.experiments, count, resources.address, limits)
 
+    if problem.model.working_folder and executor_class(resources.executor).in_process:
+        raise UnsuitableExecutorError(
+            "model.working_folder: needs workers that are processes of their own, because a "
+            f'process has one working folder, but executor.name is "{resources.executor}"; choose '
+            '"processes" or "ray" there'
+        )
     declared = problem.model.reset
     if known is None and declared != "auto":
         said = f"each simulation begins with {BEGINS[declared]}, as model.reset says"
