@@ -33,7 +33,8 @@ from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.run_folder.run_status import RunStatus
 from cluster_est.running.environment import RunEnvironment, WorkerSource
 from cluster_est.running.interrupts import stopped_by
-from cluster_est.running.records import Budget, Show
+from cluster_est.running.records import Show
+from cluster_est.running.resources import Resources
 from cluster_est.running.shared_pools import SharedPools
 from cluster_est.sensitivity.analysis import analyse_sensitivity, check_bounds
 from cluster_est.sensitivity.result import SensitivityResult
@@ -117,11 +118,11 @@ class Listener:
     say
         Called with sentences that a user should know.
     progress
-        Makes, for a budget, a context that shows how far the run is.
+        Makes, for its resources, a context that shows how far the run is.
     """
 
     say: Callable[[str], None]
-    progress: Callable[[Budget], AbstractContextManager[Show]]
+    progress: Callable[[Resources], AbstractContextManager[Show]]
 
 
 @dataclass(frozen=True)
@@ -226,7 +227,8 @@ def do_run(
     KeyboardInterrupt
         If it is interrupted before anything was simulated.
     """
-    for sentence in former_keys(run.config):
+    resources = build_resources(run.config)
+    for sentence in (*former_keys(run.config), *resources.notes()):
         listener.say(sentence)
     to = replace(to, out=to.out.absolute())  # an FMU may leave this process in another folder
     context = RunContext(run.identity, to.out, to.existing, listener.say)
@@ -234,13 +236,12 @@ def do_run(
         return RunEnd(RunStatus.DONE)
     if to.begin_at_once:
         context.begin()
-    resources = build_resources(run.config)
     # workers end when everything is written: an FMU that crashes while it is let go takes nothing
     own = SharedPools() if source is None else nullcontext(source)
     try:
         with (
             own as workers,
-            listener.progress(resources.budget) as show,
+            listener.progress(resources) as show,
             context,
             stopped_by(to.out / STOP),
         ):

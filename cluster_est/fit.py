@@ -149,10 +149,11 @@ def fit_in(environment: RunEnvironment, problem: Problem, plan: FitPlan) -> Resu
     problem.describe()
     train = check_search(problem, plan)
     with one_blas_thread(), environment.executor(problem) as executor:
-        result = fit_on(environment.runner(executor), train, plan)
+        runner = environment.runner(executor)
+        result = fit_on(runner, train, plan)
     if not result.interrupted:
         resources = environment.resources
-        error = measure_solver_error(train, result.solution, result.simulations, resources)
+        error = measure_solver_error(train, result.solution, result.simulations, resources, runner)
         result = replace(result, solver_error=error)
     return replace(result, seconds=time.monotonic() - begin)
 

@@ -11,20 +11,36 @@ from workers.wire import OutcomeColumns, TaskBatch
 
 @ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)
 class FmuActor:
-    """An actor whose FMU lives in another process. Ray never restarts it: the pool replaces it."""
+    """An actor whose FMU lives in another process. Ray never restarts it: the pool replaces it.
+
+    It loads nothing before it is asked whether it is ready, so that it can say where it is before.
+    """
+
+    _evaluator: SupervisedEvaluator
 
     def __init__(
         self, model: Model, experiments: tuple[Experiment, ...], limits: Limits, name: str
     ) -> None:
-        self._evaluator = SupervisedEvaluator(model, experiments, name, limits)
+        self._installation = model, experiments, name, limits
 
-    def ready(self) -> bool:
-        """Return once the FMU is loaded; raise what went wrong otherwise."""
+    def node(self) -> str:
+        """Return the id of the node that it is on."""
+        return str(ray.get_runtime_context().get_node_id())
+
+    def ready(self, worker: int) -> bool:
+        """Load the FMU as one of the pool's workers; raise what went wrong otherwise."""
+        model, experiments, name, limits = self._installation
+        model = model.of_worker(worker)
+        self._evaluator = SupervisedEvaluator(model, experiments, name, limits)
         return True
 
     def evaluate(self, batch: TaskBatch) -> OutcomeColumns:
         """Answer a batch of tasks."""
         return OutcomeColumns.of(self._evaluator.evaluate(batch))
+
+    def free_instance(self) -> None:
+        """Let the FMU go until there is something to do."""
+        self._evaluator.free_instance()
 
     def once(self, batch: TaskBatch) -> OutcomeColumns:
         """Answer a batch of tasks, each at the first attempt."""

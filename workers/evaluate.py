@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from workers.fmu.description import describe_model
+from workers.fmu.seats import has_lost
 from workers.kernels.fmi import failure
 from workers.messages import (
     REDUCTIONS,
@@ -105,6 +106,15 @@ class Evaluator:
                 outcomes = self._simulate(int(experiment), ids, values, batch)
                 answers.update(zip(part.tolist(), outcomes, strict=True))
         return [answers[i] for i in range(len(batch.ids))]
+
+    def free_instance(self) -> None:
+        """Let the instance go; the next simulation makes another one."""
+        self._simulator.instance.free()
+
+    @property
+    def has_lost_seat(self) -> bool:
+        """True after a fatal error where instances are limited: it is of no use any more."""
+        return has_lost(self.model.seats)
 
     def close(self) -> None:
         """Free the FMU."""

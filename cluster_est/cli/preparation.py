@@ -44,11 +44,12 @@ def check(options: Namespace) -> int:
         return _verdict(page)
     run = read_run(path, options.overrides, RunKind.FIT, allow_code=options.allow_code)
     config, problem = run.config, run.identity.problem
-    for sentence in former_keys(config):
+    resources = build_resources(config)
+    for sentence in (*former_keys(config), *resources.notes()):
         complain(sentence)
     print_model(console, problem, f"method {config.method.name}")
     say_if_compiled_first()
-    page = run_checks(problem, build_resources(config), seconds)
+    page = run_checks(problem, resources, seconds)
     declared = [*sigma_findings(config, problem.describe()), *_units(config, problem)]
     page = replace(page, findings=(*page.findings, *declared))
     if page.simulations:

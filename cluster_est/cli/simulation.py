@@ -26,14 +26,15 @@ from cluster_est.run_folder.reading import check_has_estimates, read_run_table
 def simulate(options: Namespace) -> int:
     """Simulate every experiment and write one table of trajectories."""
     config, out = read_config(options.config, options.overrides), options.out
-    for sentence in former_keys(config):
+    resources = build_resources(config)
+    for sentence in (*former_keys(config), *resources.notes()):
         complain(sentence)
     writer = _table_writer(out)
     if out.is_dir():
         raise RunFolderError(f"--out: {out} must be a file but is a folder; choose another")
     problem = build_problem(config, options.config.parent, allow_code=options.allow_code)
     values = {} if options.run_folder is None else read_estimates(options.run_folder, problem)
-    simulations = run_simulate(problem, build_resources(config), values)
+    simulations = run_simulate(problem, resources, values)
     for simulation in simulations:
         if not simulation.outcome.ok:
             name = problem.experiments[simulation.experiment].id

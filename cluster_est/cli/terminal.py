@@ -10,7 +10,8 @@ from rich.console import Console
 from cluster_est.cli.display.progress import FIRST, ProgressLine
 from cluster_est.cli.display.run import say
 from cluster_est.configured_run import Listener
-from cluster_est.running.records import Budget, Show
+from cluster_est.running.records import Show
+from cluster_est.running.resources import Resources
 from workers.kernels.fmi.compiling import compiled_before
 
 
@@ -31,6 +32,7 @@ def terminal_listener() -> Listener:
 
 
 @contextmanager
-def _progress(budget: Budget) -> Iterator[Show]:
-    with ProgressLine(Console(stderr=True), budget) as line:
+def _progress(resources: Resources) -> Iterator[Show]:
+    console, most = Console(stderr=True), resources.instances
+    with ProgressLine(console, resources.budget, most_workers=most) as line:
         yield line.show

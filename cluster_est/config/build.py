@@ -154,6 +154,8 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
         targets,
         tuple(structure.items()),
         reset=config.model.reset,
+        environment=tuple(config.model.environment.items()),
+        working_folder=config.model.working_folder,
     )
 
 

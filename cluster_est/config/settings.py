@@ -61,6 +61,7 @@ def build_resources(config: Config) -> Resources:
         address=config.executor.address,
         budget=Budget(**config.budget.model_dump()),
         limits=_limits(config),
+        instances=config.executor.instances,
     )
 
 

@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import ClassVar, Self
 
 from cluster_est.plug_in import check_class_attributes
-from workers.messages import Experiment, Limits, Model, Outcome, Task, Want
+from workers.messages import Experiment, Limits, Model, Outcome, ResetPolicy, Task, Want
 
 
 class Executor(ABC):
@@ -20,6 +20,9 @@ class Executor(ABC):
 
     workers: int
     """How many simulations run at the same time."""
+
+    reset: ResetPolicy = "auto"
+    """What every simulation begins with, once that has been decided."""
 
     @abstractmethod
     def submit(self, tasks: Sequence[Task]) -> None:
@@ -50,6 +53,13 @@ class Executor(ABC):
         """Number of workers that have something to do.
 
         Where a task was given to two, the slower one counts too until it has answered.
+        """
+
+    def free_instances(self, workers: int) -> None:  # noqa: B027 (what holds no instances has none to let go)
+        """Have the first workers let their instances of the FMU go until they are asked again.
+
+        Where the number of instances is limited, somebody else is about to make some. Nothing is
+        queued then. After `close` it does nothing.
         """
 
     @abstractmethod
@@ -116,7 +126,8 @@ class WorkerPool(Executor):
         model, experiments
             What tasks refer to.
         workers
-            How many; None for the executor's default.
+            How many; None for the executor's default. At most `model.at_most(workers)` are started,
+            and worker i is given `model.of_worker(i)`.
         address
             Of a cluster, for executors that have one.
         limits

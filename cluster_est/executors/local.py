@@ -5,14 +5,16 @@ from __future__ import annotations
 import queue
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from typing import ClassVar, Protocol, Self
+from typing import ClassVar, Protocol, Self, final
 
 from typing_extensions import override
 
+from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import TaskBacklog
 from cluster_est.executors.base import WorkerPool
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe_model
+from workers.fmu.surroundings import set_environment_here
 from workers.messages import Experiment, Limits, Model, Outcome, Task
 from workers.wire import TaskBatch
 
@@ -26,7 +28,38 @@ class _EvaluatorProtocol(Protocol):
 
     def evaluate(self, batch: TaskBatch) -> list[Outcome]: ...
 
+    def free_instance(self) -> None: ...
+
     def close(self) -> None: ...
+
+
+@final
+class _EvaluatorHere:
+    """An evaluator in this process, where an instance that had a fatal error stays for good.
+
+    Another one in its place would be one too many where their number is limited.
+    """
+
+    def __init__(self, evaluator: Evaluator) -> None:
+        self._evaluator = evaluator
+        self.free_instance, self.close = evaluator.free_instance, evaluator.close
+
+    def evaluate(self, batch: TaskBatch) -> list[Outcome]:
+        """Answer a batch.
+
+        Raises
+        ------
+        ExecutorError
+            If there can be no instance for this worker any more.
+        """
+        outcomes = self._evaluator.evaluate(batch)
+        if self._evaluator.has_lost_seat:
+            raise ExecutorError(
+                f"executor.instances: {self._evaluator.model.name} had a fatal error, after which "
+                "an instance may not be freed, so that another one in this process would be one "
+                'more than allowed; choose executor.name = "processes" or "ray"'
+            )
+        return outcomes
 
 
 class LocalExecutor(WorkerPool):
@@ -51,6 +84,7 @@ class LocalExecutor(WorkerPool):
         self._backlog = TaskBacklog(shares=2 * self.workers)
         self._threads = ThreadPoolExecutor(self.workers)
         self._running: dict[Future[list[Outcome]], TaskBatch] = {}
+        self._closed = False
 
     @classmethod
     @override
@@ -62,10 +96,20 @@ class LocalExecutor(WorkerPool):
         address: str | None,
         limits: Limits | None = None,
     ) -> Self:
-        count = workers or 1
+        set_environment_here(model)
+        count = model.at_most(workers or 1)
         if count > 1 and describe_model(model).once_per_process:
             count = 1
-        return cls([Evaluator(model, experiments, f"local-{i}") for i in range(count)])
+        evaluators: list[_EvaluatorHere] = []
+        try:
+            for i in range(count):
+                each = Evaluator(model.of_worker(i), experiments, f"local-{i}")
+                evaluators.append(_EvaluatorHere(each))
+        except BaseException:
+            for evaluator in evaluators:
+                evaluator.close()
+            raise
+        return cls(evaluators)
 
     def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
         return self.in_turn(tasks, lambda task: self._evaluators[0].evaluate(TaskBatch.of([task])))
@@ -110,7 +154,17 @@ class LocalExecutor(WorkerPool):
         waiting = len(self._backlog) if self.workers == 1 else 0
         return min(self.workers, len(self._running) + waiting)
 
+    def free_instances(self, workers: int) -> None:
+        if self._closed:
+            return
+        idle = [self._idle.get() for _ in self._evaluators]  # once nothing is simulated any more
+        for evaluator in self._evaluators[:workers]:
+            evaluator.free_instance()
+        for evaluator in idle:
+            self._idle.put(evaluator)
+
     def close(self) -> None:
+        self._closed = True
         self._backlog.clear()
         _, endless = wait(self._running, CLOSE_SECONDS)
         self._threads.shutdown(wait=not endless, cancel_futures=True)

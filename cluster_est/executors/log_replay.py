@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 from cluster_est.executors.base import Executor, OutcomeSource
 from cluster_est.executors.simulation_key import simulation_key
-from workers.messages import Experiment, Model, Outcome, Task
+from workers.messages import Experiment, Model, Outcome, ResetPolicy, Task
 
 
 class LogReplayExecutor(Executor):
@@ -53,6 +53,11 @@ class LogReplayExecutor(Executor):
     def workers(self) -> int:  # type: ignore[override]
         """Those of the executor behind it; a pool may grow."""
         return self._inner.workers
+
+    @property
+    def reset(self) -> ResetPolicy:  # type: ignore[override]
+        """That of the executor behind it."""
+        return self._inner.reset
 
     def submit(self, tasks: Sequence[Task]) -> None:
         if self._log.remaining:
@@ -102,6 +107,9 @@ class LogReplayExecutor(Executor):
     @property
     def busy(self) -> int:
         return self._inner.busy
+
+    def free_instances(self, workers: int) -> None:
+        self._inner.free_instances(workers)
 
     def close(self) -> None:
         self._held.clear()

@@ -39,11 +39,12 @@ class ProcessExecutor(WorkerPool):
         address: str | None,
         limits: Limits | None = None,
     ) -> Self:
-        count = workers or 1
+        count = model.at_most(workers or 1)
+        limits = limits or Limits()
         with ThreadPoolExecutor(count) as starters:
             starting = [
                 starters.submit(
-                    SupervisedEvaluator, model, experiments, f"process-{i}", limits or Limits()
+                    SupervisedEvaluator, model.of_worker(i), experiments, f"process-{i}", limits
                 )
                 for i in range(count)
             ]
@@ -70,6 +71,9 @@ class ProcessExecutor(WorkerPool):
     @property
     def busy(self) -> int:
         return self._threads.busy
+
+    def free_instances(self, workers: int) -> None:
+        self._threads.free_instances(workers)
 
     def close(self) -> None:
         for guard in self._guards:

@@ -22,6 +22,7 @@ from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import TaskBacklog
 from cluster_est.executors.base import WorkerPool
 from cluster_est.executors.ray_cluster import connect, cores, disconnect, why_not_started
+from cluster_est.executors.ray_seats import ActorSeats
 from workers.actor import FmuActor
 from workers.messages import Experiment, Limits, Model, Outcome, Status, Task
 from workers.wire import OutcomeColumns, TaskBatch
@@ -70,7 +71,8 @@ class RayPool(WorkerPool):
         *,
         owns_ray: bool,
     ) -> None:
-        self._fixed = workers
+        self._fixed, self._model = workers, model
+        self._seats = ActorSeats(model.seats)
         self._owns_ray = owns_ray
         self._installation = ray.put(model), ray.put(experiments), limits
         self._backlog = TaskBacklog(shares=IN_FLIGHT * self.workers)
@@ -111,8 +113,8 @@ class RayPool(WorkerPool):
 
     @property
     def workers(self) -> int:  # type: ignore[override]
-        """As many as wanted, or as there are cores at the moment."""
-        return self._fixed or cores()
+        """As many as wanted, or as there are cores at the moment; as many as may have the FMU."""
+        return self._model.at_most(self._fixed or cores())
 
     def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
         for _ in range(ALONE):
@@ -164,7 +166,31 @@ class RayPool(WorkerPool):
     def busy(self) -> int:
         return len({flight.actor for flight in self._flying.values()})
 
+    def free_instances(self, workers: int) -> None:
+        for _ in range(GIVEN_UP):
+            names = self._seats.first(workers)
+            if sum(self._frees_instance(name) for name in names) == len(names):
+                return
+        raise ExecutorError(
+            f"executor.instances: a worker must let its instance of {self._model.name} go, but "
+            f"{GIVEN_UP} in its place were lost meanwhile; look at the cluster's nodes"
+        )
+
+    def _frees_instance(self, name: str) -> bool:
+        """Have an actor let its FMU go; False if it was lost, and another one has its seat."""
+        for reference in [r for r, (starting, _) in self._starting.items() if starting == name]:
+            self._join(reference)
+        if name not in self._actors:
+            return False
+        try:
+            ray.get(self._actors[name].free_instance.remote())
+        except RayError:
+            self._replace(name)
+            return False
+        return True
+
     def close(self) -> None:
+        self._seats.close()
         for actor in [*self._actors.values(), *(actor for _, actor in self._starting.values())]:
             ray.kill(actor)
         for kept in (self._actors, self._starting, self._flying, self._suspects, self._open):
@@ -188,8 +214,11 @@ class RayPool(WorkerPool):
         for _ in range(self.workers - len(self._actors) - len(self._starting)):
             name = f"ray-{self._started}"
             self._started += 1
-            actor = FmuActor.remote(*self._installation, name)  # type: ignore[attr-defined]
-            self._starting[actor.ready.remote()] = name, actor
+            worker = self._seats.take(name)
+            how = FmuActor.options(**self._seats.placed(worker))  # type: ignore[attr-defined]
+            actor = how.remote(*self._installation, name)
+            self._seats.ask_node(name, actor)
+            self._starting[actor.ready.remote(worker)] = name, actor
 
     def _join(self, reference: Any) -> None:
         """A worker is ready, or has failed to start."""
@@ -198,6 +227,7 @@ class RayPool(WorkerPool):
             ray.get(reference)
         except RayError as error:
             self._failed += 1
+            self._seats.leave(name)
             most = FAILED_STARTS if self._ready else FAILED_FIRST_STARTS
             if isinstance(error, RayTaskError) or self._failed >= most:
                 raise why_not_started(error) from error
@@ -306,6 +336,7 @@ class RayPool(WorkerPool):
         actor = self._actors.pop(name, None)
         if actor is not None:
             ray.kill(actor)
+            self._seats.leave(name)
             self._start_missing()
 
 

@@ -79,7 +79,8 @@ def run_checks(
         return CheckPage((*data, CheckFinding(CheckVerdict.NOT_DONE, "simulates", said, _MORE)), ())
     # before the time of the checks begins: Ray takes a second to import
     in_process = executor_class(resources.executor).in_process
-    with ProbeBench.open(problem.model, problem.experiments) as bench:
+    model = resources.limited(problem.model)
+    with ProbeBench.open(model, problem.experiments) as bench:
         loaded = bench.ask(None, 1e4 if seconds == np.inf else max(seconds, 1.0) * LOADING)
         if isinstance(loaded, NoAnswer):
             return CheckPage((_not_loaded(loaded),), (), loads=False)
@@ -93,6 +94,7 @@ def run_checks(
             in_process,
             resources.workers,
             resources.limits.growth,
+            instances=resources.instances,
             declared=declared,
         )
         simulations = _simulate(subject)

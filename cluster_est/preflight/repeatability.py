@@ -120,7 +120,12 @@ def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
 
 def instances(subject: CheckSubject) -> CheckFinding:
     """Return the number of instances that one process can have."""
-    found = subject.ask(InstanceProbe(), 0, 3.0)
+    most = InstanceProbe().max_count
+    allowed = most if subject.instances is None else min(most, subject.instances)
+    if allowed == 1:
+        said = "not tried: executor.instances = 1 allows one at once"
+        return CheckFinding(CheckVerdict.OK, "instances", said)
+    found = subject.ask(InstanceProbe(allowed), 0, 3.0)
     if isinstance(found, NoAnswer):
         return unanswered("instances", found)
     declared = subject.description.offer(subject.problem.model.interface).once_per_process

@@ -49,6 +49,8 @@ class CheckSubject:
         Whether the executor of the config runs simulations in this process, and its workers.
     growth
         Bytes after which its processes are replaced.
+    instances
+        How many instances of the FMU may exist at once; None for any number.
     simulation_seconds
         Of the first simulation of `experiment`.
     experiment
@@ -70,6 +72,7 @@ class CheckSubject:
     in_process: bool = True
     workers: int | None = None
     growth: float = 256.0 * 2**20
+    instances: int | None = None
     simulation_seconds: float = 0.0
     experiment: int = 0
     reset_policy: ResetPolicy = "reset"

@@ -20,6 +20,8 @@ def read_model(
     solver: Solver | SolverName | Literal["auto"] = "auto",
     structure: Mapping[str, int] | None = None,
     reset: ResetPolicy = "auto",
+    environment: Mapping[str, str] | None = None,
+    working_folder: str = "",
 ) -> Model:
     """Read an FMU, with the defaults of a config.
 
@@ -37,6 +39,8 @@ def read_model(
         Structural parameters (FMI 3) that differ from their start values.
     reset
         The state that every simulation begins with; see `Model.reset`.
+    environment, working_folder
+        What the FMU finds around it in its process; see `Model`.
 
     Raises
     ------
@@ -67,7 +71,17 @@ def read_model(
     if isinstance(solver, str):
         check_choice(solver, get_args(SolverName), "model.solver", ModelError)
         solver = Solver(solver)
-    return Model(path.name, archive, found, solver, names, tuple(chosen.items()), reset=reset)
+    return Model(
+        path.name,
+        archive,
+        found,
+        solver,
+        names,
+        tuple(chosen.items()),
+        reset=reset,
+        environment=as_pairs(environment or {}, "model.environment", ModelError),
+        working_folder=working_folder,
+    )
 
 
 def choose_interface(wanted: str, offered: tuple[Interface, ...]) -> Interface:

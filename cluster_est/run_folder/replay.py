@@ -199,7 +199,9 @@ def prepare(
         if chosen is not None:
             problem = replace(problem, model=replace(problem.model, reset=chosen.policy))
     task = Task(0, index, logged.values, logged.want, effects)
-    return ReplayRequest(problem, build_resources(resolved).limits, task, key == logged.key)
+    resources = build_resources(resolved)
+    problem = replace(problem, model=resources.limited(problem.model).of_worker(0))
+    return ReplayRequest(problem, resources.limits, task, key == logged.key)
 
 
 def config_base(run_folder: Path, config: Path | None) -> Path:

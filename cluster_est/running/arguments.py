@@ -53,15 +53,17 @@ def check_resources(resources: Resources) -> None:
         raise ProblemError(
             f"executor.name: there is no {resources.executor!r}{nearest(name, EXECUTORS)}"
         )
-    if resources.workers is not None:
-        check_number(resources.workers, "executor.workers", ProblemError, above=0, whole=True)
+    for key in ("workers", "instances"):
+        value = getattr(resources, key)
+        if value is not None:
+            check_number(value, f"executor.{key}", ProblemError, above=0, whole=True)
     if resources.address is not None:
         check_kind(resources.address, str, "executor.address", ProblemError)
     check_kind(resources.budget, Budget, "budget", ProblemError)
     check_kind(resources.limits, Limits, "executor", ProblemError)
-    for key, value in asdict(resources.limits).items():
-        if not (isinstance(value, float) and value == math.inf):
-            check_number(value, f"executor.limits.{key}", ProblemError, above=0.0)
+    for key, limit in asdict(resources.limits).items():
+        if not (isinstance(limit, float) and limit == math.inf):
+            check_number(limit, f"executor.limits.{key}", ProblemError, above=0.0)
     budget = resources.budget
     if budget.evaluations is not None:
         check_number(budget.evaluations, "budget.evaluations", ProblemError, above=0, whole=True)

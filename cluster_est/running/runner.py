@@ -28,7 +28,7 @@ from cluster_est.running.records import (
 )
 from cluster_est.running.run_display import RunDisplay
 from cluster_est.running.search_state import SearchRequest, SearchState, suited
-from workers.messages import Effect, FloatArray, Outcome, Status, Task, Want
+from workers.messages import Effect, FloatArray, Outcome, ResetPolicy, Status, Task, Want
 
 SUBMITTED_AT_ONCE = 1000
 HURRY_SECONDS = 2.0
@@ -90,6 +90,14 @@ class Runner:
     def failures(self) -> int:
         """Those of them that failed."""
         return self._pending.failures
+
+    def free_instances(self, workers: int) -> ResetPolicy:
+        """Have the first workers let their instances go until they are asked again.
+
+        Returns what simulations begin with here, for whoever makes instances in their place.
+        """
+        self._executor.free_instances(workers)
+        return self._executor.reset
 
     def run(
         self,

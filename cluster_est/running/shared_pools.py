@@ -72,6 +72,7 @@ def pool_key(problem: Problem, resources: Resources) -> tuple[Any, ...]:
     return (
         resources.executor,
         resources.workers,
+        resources.instances,
         resources.address,
         resources.limits,
         problem.model.key,

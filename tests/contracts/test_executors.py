@@ -248,6 +248,14 @@ class TestContract:
         assert all(same(one, other) for one, other in zip(outcomes, again, strict=True))
         assert setup.executor.completed() == [], "`first_worker` alone returns these outcomes"
 
+    def test_a_worker_that_let_its_instance_go_answers_the_same(self, setup: Setup) -> None:
+        tasks = make_tasks(24)
+        check(gather(setup.executor, tasks), tasks)
+        setup.executor.free_instances(1)
+        check(gather(setup.executor, tasks), tasks)
+        setup.executor.free_instances(setup.executor.workers)
+        check(gather(setup.executor, tasks), tasks)
+
     def test_all_that_are_done_come_together(self, setup: Setup) -> None:
         for seconds in (0.1, 1.0, 10.0):  # until each has answered its own, however busy all is
             with setup.open(SPRING, EXPERIMENTS) as executor:  # which knows of no quick ones yet
@@ -279,6 +287,7 @@ class TestContract:
             assert executor.completed() == [], "after `close` nothing is completed any more"
             assert executor.busy == 0, "after `close` no worker is busy"
         executor.close()
+        executor.free_instances(1)
 
     @pytest.mark.parametrize(
         ("name", "parameters", "said"),

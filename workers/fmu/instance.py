@@ -23,6 +23,7 @@ from workers.fmu.description import ModelDescription
 from workers.fmu.functions import FunctionTable
 from workers.fmu.logger import CALLBACKS, log_message_3, open_log
 from workers.fmu.platforms import binary_path
+from workers.fmu.seats import Seat
 from workers.fmu.signal_handlers import kept_signal_handlers
 from workers.kernels.fmi.component import FmiComponent
 from workers.messages import Model
@@ -69,14 +70,14 @@ class FmuInstance:
         description.check_platform(model.interface)
         self._folder = unpack(model.name, model.archive, model.archive_hash)
         self.log: deque[str] = deque(maxlen=20)
-        self._is_freed = self._is_used = False
+        self._is_freed = self._is_used = self._is_spent = False
         self._fmu = self._load()
         self.component = self._functions.component()
 
     @property
     def is_new(self) -> bool:
-        """True until a simulation begins with it."""
-        return not self._is_used
+        """True until a simulation begins with it; of one that was freed, the next will be."""
+        return self._is_freed or not self._is_used
 
     def begin(self) -> FmiComponent:
         """Return the instance for a simulation, the first of which needs no reset.
@@ -89,7 +90,7 @@ class FmuInstance:
         ModelError
             If it was freed, and the FMU cannot be instantiated again.
         """
-        if self._is_freed:
+        if self._is_freed or self._is_spent:
             self.replace()
         component = self.component._replace(reset=_NO_RESET_AT) if self.is_new else self.component
         self._is_used = True
@@ -112,10 +113,15 @@ class FmuInstance:
         """Replace the instance by a fresh one: all that is left after a fatal error.
 
         The old one is not freed here, because the standard forbids any further call to it. Unless
-        it was freed before it is kept, because it may still call its logger.
+        it was freed before it is kept, because it may still call its logger. Where the number of
+        instances is limited it also keeps its seat, and there is no other one in this process.
         """
-        if not self._is_freed:
+        if not (self._is_freed or self._is_spent):
             _abandoned.append(self._fmu)
+            if self._seat is not None:
+                self._seat.lose()
+                self._is_spent = True  # to be told by `begin`: the failure itself counts first
+                return
         self._fmu = self._load()
         self._is_freed = self._is_used = False
         self.component = self._functions.component()
@@ -149,12 +155,25 @@ class FmuInstance:
     def free(self) -> None:
         """Free the instance and unload its library; a second call does nothing."""
         with _load_lock:
-            if not self._is_freed:
+            if not (self._is_freed or self._is_spent):
                 self._is_freed = True
                 with kept_signal_handlers():
                     self._fmu.freeInstance()
+                if self._seat is not None:
+                    self._seat.give_back()
 
     def _load(self) -> Any:
+        """Load it, once there is a seat for it where the number of instances is limited."""
+        seats = self._model.seats
+        self._seat = None if seats is None else Seat(seats, self._model.name)
+        try:
+            return self._load_seated()
+        except BaseException:
+            if self._seat is not None:
+                self._seat.give_back()
+            raise
+
+    def _load_seated(self) -> Any:
         """Load it with fmpy's class for its version and interface."""
         version, interface = self._description.version, self._model.interface
         model_class = _CLASSES[version, interface]
@@ -187,6 +206,7 @@ class FmuInstance:
             if not self.log and not self._description.once_per_process:
                 with contextlib.suppress(Exception):  # some say why only if they are to talk
                     fmu.instantiate(loggingOn=True, **how)
+                    fmu.freeInstance()  # nobody would, and it may hold a licence
             raise
 
     def _load_failure(self, error: Exception) -> str:

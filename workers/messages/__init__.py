@@ -11,6 +11,7 @@ from workers.messages.matrix_series import MatrixSeries
 from workers.messages.model import Effect, Model, Solver
 from workers.messages.outcome import Linearisation, Outcome, Status, Trajectory
 from workers.messages.samples import Input, Output
+from workers.messages.seats import Seats
 from workers.messages.task import Limits, Task
 from workers.messages.types import (
     REDUCTIONS,
@@ -47,6 +48,7 @@ __all__ = [
     "Reduction",
     "ResetPolicy",
     "Role",
+    "Seats",
     "SignalBound",
     "Solver",
     "SolverName",

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
-from typing import get_args
+from pathlib import PurePosixPath
+from typing import Self, get_args
 
 from workers.errors import EffectError, ModelError
 from workers.messages.checks import (
@@ -20,6 +21,7 @@ from workers.messages.checks import (
     shown,
 )
 from workers.messages.hashing import content_hash
+from workers.messages.seats import Seats
 from workers.messages.types import Interface, ResetPolicy, SolverName
 
 
@@ -134,6 +136,13 @@ class Model:
         The reset policy: every simulation begins with a "reset" of the instance that there is; a
         new "instance", for FMUs whose reset leaves something behind; or a new "process", for those
         whose library does. "auto" leaves the choice to the coordinator; a worker resets.
+    environment
+        (name, value) of environment variables that the FMU needs, set before it is loaded.
+    working_folder
+        The folder in the FMU's archive, such as "resources", that its process works in, for an FMU
+        that opens its files by relative paths; "" for that of the program.
+    seats
+        Those that its instances may take, where their number is limited; None where it is not.
 
     Raises
     ------
@@ -149,6 +158,9 @@ class Model:
     structure: tuple[tuple[str, int], ...] = ()
     logging_on: bool = False
     reset: ResetPolicy = "auto"
+    environment: tuple[tuple[str, str], ...] = ()
+    working_folder: str = ""
+    seats: Seats | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.archive, str | PathLike):
@@ -166,6 +178,21 @@ class Model:
         object.__setattr__(self, "parameters", named)
         pairs = as_pairs(self.structure, "model.structure", ModelError)
         object.__setattr__(self, "structure", pairs)
+        variables = as_pairs(self.environment, "model.environment", ModelError)
+        object.__setattr__(self, "environment", variables)
+        for name, value in variables:
+            _check_variable(name, value)
+        _check_folder(self.working_folder)
+
+    def at_most(self, workers: int) -> int:
+        """How many of so many workers may have an instance at once."""
+        return workers if self.seats is None else min(workers, len(self.seats.numbers))
+
+    def of_worker(self, worker: int) -> Self:
+        """The same for one of a pool's workers, counted from 0: with a seat of its own."""
+        if self.seats is None:
+            return self
+        return replace(self, seats=self.seats.of_worker(worker))
 
     @cached_property
     def archive_hash(self) -> str:
@@ -177,8 +204,31 @@ class Model:
         """Hash of everything that makes a simulation's result, but values and experiment."""
         more = [repr(self.structure)] if self.structure else []
         more += [f"renew {self.reset}"] if self.reset != "auto" else []
+        more += [f"environment {self.environment!r}"] if self.environment else []
+        more += [f"folder {self.working_folder}"] if self.working_folder else []
         return content_hash(
             [self.archive_hash, self.interface, repr(self.solver), *self.parameters, *more]
+        )
+
+
+def _check_variable(name: str, value: object) -> None:
+    """Refuse an environment variable that no system takes."""
+    check_text(value, f"model.environment.{name}", ModelError)
+    if not name or "=" in name or "\0" in f"{name}{value}":
+        raise ModelError(
+            f"model.environment: must hold names without '=', and no NUL character, but has "
+            f"{shown(name)} = {shown(value)}; correct it"
+        )
+
+
+def _check_folder(folder: object) -> None:
+    """Refuse a folder that is not inside the archive."""
+    check_text(folder, "model.working_folder", ModelError)
+    path = PurePosixPath(str(folder).replace("\\", "/"))
+    if path.is_absolute() or ".." in path.parts or ":" in str(folder) or "\0" in str(folder):
+        raise ModelError(
+            'model.working_folder: must be a folder in the FMU, such as "resources", but is '
+            f"{shown(folder)}; leave it out for the folder that the program is started in"
         )
 
 

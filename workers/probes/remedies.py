@@ -35,6 +35,8 @@ class SimulationVariant:
 class RemedyProbe(FmuProbe):
     """Asks in which of some ways an experiment can be simulated, each with a new instance.
 
+    Where the number of instances is limited, each is made when the one before was freed.
+
     Attributes
     ----------
     experiment, point
@@ -55,7 +57,7 @@ class RemedyProbe(FmuProbe):
         end = time.monotonic() + self.seconds
         found: list[bool] = []
         for variant in self.variants:
-            if time.monotonic() > end:
+            if time.monotonic() > end or evaluator.has_lost_seat:
                 break
             found.append(self._runs(evaluator, variant))
         return found
@@ -68,8 +70,9 @@ class RemedyProbe(FmuProbe):
             model = replace(model, solver=replace(model.solver, step=variant.step))
         experiment = evaluator.experiments[self.experiment]
         simulator = Simulator(model, evaluator.description, (experiment,))
+        limited = model.seats is not None
         try:
-            simulator.load()
+            simulator.load(evaluator.simulator.instance if limited else None)
             batch = simulator.run(0, np.ascontiguousarray(self.point[None, kept]))
         except ModelError:
             return False

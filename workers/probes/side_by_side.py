@@ -59,6 +59,8 @@ class SideBySideProbe(FmuProbe):
 
     def answer(self, evaluator: Evaluator) -> bool | None:
         """True if they disturb each other; None if one fails alone or does not repeat itself."""
+        if evaluator.model.seats is not None:
+            evaluator.free_instance()  # the two below are all that there may be
         first, second = _InstanceRun(evaluator, self.one), _InstanceRun(evaluator, self.other)
         alone = first.bits(), second.bits()
         if None in alone:

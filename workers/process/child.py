@@ -14,6 +14,7 @@ from typing import Any
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.fmu.instance import instances_made
+from workers.fmu.surroundings import enter_working_folder
 from workers.probes.base import FmuProbe
 from workers.probes.memory import resident_bytes
 from workers.process.orders import BatchReport
@@ -33,6 +34,7 @@ def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
     try:
         if isinstance(evaluator, ModelError):
             raise evaluator
+        enter_working_folder(evaluator.model)
         evaluator.load()
     except ModelError as error:
         connection.send(error)
@@ -45,7 +47,8 @@ def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
                 connection.send(_probed(asked, evaluator))
                 continue
             answers = OutcomeColumns.of(evaluator.evaluate(asked))
-            connection.send(BatchReport(answers, resident_bytes("self"), instances_made()))
+            has = resident_bytes("self"), instances_made(), evaluator.has_lost_seat
+            connection.send(BatchReport(answers, *has))
     evaluator.close()
 
 

@@ -37,8 +37,19 @@ class StartOrder:
 
 @dataclass(frozen=True)
 class BatchReport:
-    """Answers to a batch, and what the process has come to: bytes in memory, FMU instances."""
+    """Answers to a batch, and what the process has come to.
+
+    Attributes
+    ----------
+    answers
+        In the order of the batch.
+    resident, instances
+        Bytes in memory, and FMU instances that it has made.
+    spent
+        Whether it can make no instance any more, which may have failed tasks after the first.
+    """
 
     answers: OutcomeColumns
     resident: int
     instances: int
+    spent: bool = False

@@ -98,6 +98,10 @@ class SupervisedEvaluator:
         found = self._ask(TaskBatch.of([task]))
         return found[0] if isinstance(found, list) else self._failed(task, found)
 
+    def free_instance(self) -> None:
+        """End the process while nothing is asked; the next task begins another one."""
+        self._end(kill=True)
+
     def stop(self) -> None:
         """End what is simulated, from another thread; all that is asked from now on fails."""
         self._stopped = True
@@ -156,6 +160,10 @@ class SupervisedEvaluator:
             code = self._end(kill=failure is not None)
             return failure or how_it_ended(code)
         outcomes = report.answers.outcomes()
+        if report.spent:
+            self._end(kill=True)
+            if len(outcomes) > 1:  # those that came after the fatal error were not simulated
+                return ProcessFailure(Status.LOST_WORKER, "another simulation ended its process")
         self._known.update(batch.experiments.tolist() if batch.want in USUAL else [])
         if self._reset == "process":
             self._end(kill=True)  # it has answered, and nothing waits for how it ends

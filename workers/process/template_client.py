@@ -9,18 +9,13 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from workers.fmu.surroundings import READ_AT_START
 from workers.process.orders import Installation, StartOrder
-
-READ_AT_START = (
-    *("LD_", "DYLD_", "MALLOC_", "GLIBC_", "PYTHON"),
-    *("NUMBA_", "OPENBLAS_", "OMP_", "MKL_"),
-)
-"""How environment variables begin that a process, or a library, reads only when it starts."""
 
 
 class TemplateClient:
@@ -58,7 +53,7 @@ class TemplateClient:
         OSError
             If none can be started.
         """
-        order = StartOrder(installation, _environment(), _folder())
+        order = StartOrder(installation, _environment(installation[0].environment), _folder())
         with self._lock, _standard_error() as errors:
             handles = orders, progress, errors
             with contextlib.suppress(EOFError, OSError):
@@ -114,11 +109,15 @@ class TemplateClient:
         self._orders = self._process = None
 
 
-def _environment() -> dict[str, str]:
-    """Return this program's environment, with which the template finds this package too."""
+def _environment(given: Sequence[tuple[str, str]]) -> dict[str, str]:
+    """Return this program's environment with what an FMU needs.
+
+    The template finds this package in it too.
+    """
+    found = {**os.environ, "OPENBLAS_NUM_THREADS": "1", **dict(given)}
     own = str(Path(__file__).parents[2])
-    path = os.pathsep.join([own, *filter(None, [os.environ.get("PYTHONPATH")])])
-    return {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"}
+    path = os.pathsep.join([own, *filter(None, [found.get("PYTHONPATH")])])
+    return {**found, "PYTHONPATH": path}
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ from typing_extensions import override
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
+from workers.fmu.surroundings import set_environment_here
 from workers.messages import Experiment, Model
 from workers.probes.base import FmuProbe
 from workers.process.forked import CAN_FORK, ForkClient
@@ -132,6 +133,7 @@ class BenchHere(ProbeBench):
     @override
     def ask(self, probe: FmuProbe | None, seconds: float) -> Any:
         try:
+            set_environment_here(self._model)
             evaluator = Evaluator(self._model, self._experiments, "check")
             with contextlib.closing(evaluator):
                 evaluator.load()

@@ -212,7 +212,7 @@ class FmuIntegrator:
         values = np.array([known[name].start or 0.0 for name in self._model.parameters])
         jacobian = directional_jacobian(self._description)
         try:
-            apart = FmuInstance(self._model, self._description)
+            apart = self._instance_apart()
         except ModelError:
             return
         try:
@@ -226,6 +226,24 @@ class FmuIntegrator:
             apart.free()
         if found.error <= MAX_JACOBIAN_ERROR:  # zeros in place of derivatives are an error of 1
             self.batch.jacobian = jacobian
+
+    def _instance_apart(self) -> FmuInstance:
+        """Return another instance; where there is no seat for it, that of the worker goes before.
+
+        The worker's is made again with the first simulation.
+
+        Raises
+        ------
+        ModelError
+            If there is none to be had.
+        """
+        try:
+            return FmuInstance(self._model, self._description)
+        except ModelError:
+            if self._model.seats is None or self._description.once_per_process:
+                raise
+        self.instance.free()
+        return FmuInstance(self._model, self._description)
 
     @property
     def gives_jacobian(self) -> bool:

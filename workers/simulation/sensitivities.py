@@ -219,7 +219,7 @@ class SensitivitySource:
 
     def _add_perturbed_instances(self) -> int:
         """Add two instances, where there may be more. Returns the kind of the parameter then."""
-        if self._description.once_per_process:
+        if self._description.once_per_process or self._model.seats is not None:
             return NOT_AVAILABLE
         added: list[FmuInstance] = []
         try:

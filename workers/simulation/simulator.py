@@ -175,7 +175,10 @@ class Simulator:
         for p, point in enumerate(points):
             run, reason = None, "there are effects"
             if not effects:
-                run, reason = self._run_with_sensitivities(bound, point)
+                try:
+                    run, reason = self._run_with_sensitivities(bound, point)
+                except ModelError as error:  # there is no instance to be had any more
+                    reason = str(error)
             if run is None:
                 run = self.run(experiment, point[None], effects)
                 run.messages[0] = run.messages[0] or f"no sensitivities: {reason}"

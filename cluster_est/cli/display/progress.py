@@ -43,6 +43,8 @@ class ProgressLine:
         Of this machine.
     clock
         Gives seconds; for tests.
+    most_workers
+        That can be started; None for any number.
     """
 
     def __init__(
@@ -51,10 +53,12 @@ class ProgressLine:
         budget: Budget,
         cores: int | None = None,
         clock: Callable[[], float] = time.monotonic,
+        *,
+        most_workers: int | None = None,
     ) -> None:
         self._budget, self._console, self._clock = budget, console, clock
         self._begun = self._printed = clock()
-        self._hint = WorkerHint(os.cpu_count() or 1 if cores is None else cores)
+        self._hint = WorkerHint(os.cpu_count() or 1 if cores is None else cores, most_workers)
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._enabled = console.is_terminal
         self._shown = 0.0
@@ -102,17 +106,20 @@ class WorkerHint:
     ----------
     cores
         Of this machine.
+    most_workers
+        That can be started; None for any number.
     """
 
-    def __init__(self, cores: int) -> None:
+    def __init__(self, cores: int, most_workers: int | None = None) -> None:
         self._cores = cores
+        self._useful = cores if most_workers is None else min(cores, most_workers)
         self._since = math.nan
         self._said = False
 
     def look(self, snapshot: RunSnapshot) -> str:
         """Return the sentence where it is due, else nothing."""
         workers = snapshot.workers
-        if self._said or workers >= self._cores:
+        if self._said or workers >= self._useful:
             return ""
         if snapshot.busy < workers or snapshot.waiting < workers:
             self._since = math.nan
@@ -125,8 +132,8 @@ class WorkerHint:
         verb = "simulates" if workers == 1 else "simulate"
         return (
             f"{workers} of this machine's {self._cores} cores {verb} while {snapshot.waiting} "
-            f"simulations wait; executor.workers={self._cores} would be faster, and the result the "
-            "same (stop with Ctrl-C, go on with --resume)"
+            f"simulations wait; executor.workers={self._useful} would be faster, and the result "
+            "the same (stop with Ctrl-C, go on with --resume)"
         )
 
 

@@ -51,7 +51,7 @@ def measure_numerical_error(
     noise : (outputs,)
         In units of the residuals.
     resources
-        For the limits of a simulation.
+        For the limits of a simulation, and of instances.
     """
     runs = [workbench.problem.experiments[e] for e in workbench.train]
     model, description = workbench.problem.model, workbench.description
@@ -143,7 +143,9 @@ def _residuals(
     """The residuals of the training experiments with another solver."""
     runs = tuple(workbench.problem.experiments[e] for e in workbench.train)
     values = fitted.space.physical(fitted.x)
-    outcomes = simulate_with_solver(fitted.problem, runs, values, solver, "residuals", resources)
+    outcomes = simulate_with_solver(
+        fitted.problem, runs, values, solver, "residuals", resources, beside=workbench.runner
+    )
     workbench.meter.full += len(runs)
     for run, outcome in zip(runs, outcomes, strict=True):
         if not outcome.ok or outcome.residuals is None:

@@ -52,6 +52,16 @@ class ModelSection(ConfigSection):
         description="what every simulation begins with: a reset of the instance, a new instance "
         "or a new process; auto: the first that lets a simulation be repeated",
     )
+    environment: dict[str, str] = Field(
+        default_factory=dict,
+        description="environment variable = its value, as the FMU needs it when it is loaded; with "
+        "local they stay set in this process, where none may be something else already",
+    )
+    working_folder: str = Field(
+        "",
+        description='a folder in the FMU, such as "resources", that its process works in, for an '
+        "FMU that opens its files by relative paths; not with local",
+    )
     units: dict[str, str] = Field(
         default_factory=dict,
         description="variable of the FMU or signal = its unit, where the FMU names none or "
@@ -184,6 +194,11 @@ class ExecutorSection(ConfigSection):
     name: str = Field(_RESOURCES.executor, description=one_of(EXECUTORS))
     workers: Count | None = Field(
         None, gt=0, description="default: every core of the cluster for ray, else 1"
+    )
+    instances: Count | None = Field(
+        None,
+        gt=0,
+        description="of the FMU that may exist at once, over all workers; default: any number",
     )
     address: str | None = Field(
         None, description='of a Ray cluster, e.g. "auto"; default: this machine alone'

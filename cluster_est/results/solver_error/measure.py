@@ -19,7 +19,7 @@ from cluster_est.results.output_errors import Simulation, output_residuals
 from cluster_est.results.solver_error.finer_solver import SolverScale, solver_scale
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
-from workers.messages import Experiment, FloatArray, Outcome, Output, Solver, Want
+from workers.messages import Experiment, FloatArray, Outcome, Output, ResetPolicy, Solver, Want
 
 MOST_EXPERIMENTS = 8
 """That are simulated again; of more, every n-th."""
@@ -107,6 +107,7 @@ def measure_solver_error(
     solution: Solution,
     simulations: Sequence[Simulation],
     resources: Resources,
+    runner: Runner,
 ) -> SolverError | None:
     """Simulate training experiments again with half the step, where a fit stands.
 
@@ -123,7 +124,9 @@ def measure_solver_error(
     simulations
         Of every experiment of the problem at the estimates, with trajectories.
     resources
-        For the limits of a simulation.
+        For the limits of a simulation, and of instances.
+    runner
+        Of the fit, whose workers may still be there.
 
     Returns
     -------
@@ -143,7 +146,9 @@ def measure_solver_error(
     usual = [outcomes[space.experiments[p]] for p in positions]
     try:
         values = space.physical(solution.x)[positions]
-        finer = simulate_with_solver(problem, runs, values, scale.finer(), "trajectory", resources)
+        finer = simulate_with_solver(
+            problem, runs, values, scale.finer(), "trajectory", resources, beside=runner
+        )
     except ClusterEstError:
         return None
     found = [
@@ -160,6 +165,8 @@ def simulate_with_solver(
     solver: Solver,
     want: Want,
     resources: Resources,
+    *,
+    beside: Runner,
 ) -> list[Outcome]:
     """Simulate experiments with another solver, in a process of their own where there are such.
 
@@ -176,7 +183,9 @@ def simulate_with_solver(
     solver, want
         How, and what for.
     resources
-        For the limits of a simulation.
+        For the limits of a simulation, and of instances.
+    beside
+        Whose first worker lets its instance go before, where their number is limited.
 
     Raises
     ------
@@ -184,8 +193,10 @@ def simulate_with_solver(
         If no process can be started, or the FMU cannot be loaded.
     """
     # what a simulation leaves behind must not look like an error of the solver
-    reset = "instance" if problem.model.reset == "auto" else problem.model.reset
-    model = replace(problem.model, solver=solver, reset=reset)
+    reset: ResetPolicy = "instance" if problem.model.reset == "auto" else problem.model.reset
+    if resources.instances is not None:  # and instances are dear
+        reset = beside.free_instances(1)
+    model = replace(problem.model, solver=solver, reset=reset, seats=resources.seats)
     kind = executor_class("processes" if hasattr(os, "fork") else "local")
     with kind.open(model, runs, 1, None, resources.limits) as pool:
         return Runner(pool).simulate(

@@ -20,7 +20,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.running.resources import Resources
 from cluster_est.running.trials.known_fmus import Trial
-from cluster_est.running.trials.side_by_side import what_disturbs
+from cluster_est.running.trials.side_by_side import TOGETHER, what_disturbs
 from workers.errors import ModelError
 from workers.messages import Experiment, Limits, Outcome, ResetPolicy, Status, Task
 from workers.process.forked import CAN_FORK
@@ -159,7 +159,7 @@ def open_with_reset(
     """
     pool, decision = _open(problem, resources, known)
     try:
-        disturbs = what_disturbs(problem) if pool.in_process and pool.workers > 1 else ""
+        disturbs = _disturbance(problem, resources, pool)
         if disturbs and resources.workers is not None:
             raise UnsuitableExecutorError(
                 f"executor.workers: two instances of {problem.model.name} in one process must not "
@@ -170,10 +170,21 @@ def open_with_reset(
     except BaseException:
         pool.close()
         raise
-    if not disturbs:
-        return pool, decision
-    pool.close()
-    return _open(problem, replace(resources, workers=1), decision)
+    if disturbs:
+        pool.close()
+        pool, decision = _open(problem, replace(resources, workers=1), decision)
+    pool.reset = decision.policy
+    return pool, decision
+
+
+def _disturbance(problem: Problem, resources: Resources, pool: WorkerPool) -> str:
+    """Return what instances in this process do to each other; "" if nothing, or there is one."""
+    if not (pool.in_process and pool.workers > 1):
+        return ""
+    if resources.instances is None:
+        return what_disturbs(problem)
+    limited = replace(problem, model=resources.limited(problem.model))
+    return what_disturbs(limited, lambda: pool.free_instances(TOGETHER))
 
 
 def _open(
@@ -182,7 +193,7 @@ def _open(
     """Do as `open_with_reset`, however many workers there are in this process."""
 
     def start(kind: str, policy: ResetPolicy, count: int | None) -> WorkerPool:
-        model = replace(problem.model, reset=policy)
+        model = replace(problem.model, reset=policy, seats=resources.seats)
         # what is tried apart for an executor in this process has no more limits than there
         limits = resources.limits if kind == resources.executor else NO_LIMITS
         pool = executor_class(kind)
@@ -198,6 +209,12 @@ def _open(
             )
         return pool.open(model, problem.experiments, count, resources.address, limits)
 
+    if problem.model.working_folder and executor_class(resources.executor).in_process:
+        raise UnsuitableExecutorError(
+            "model.working_folder: needs workers that are processes of their own, because a "
+            f'process has one working folder, but executor.name is "{resources.executor}"; choose '
+            '"processes" or "ray" there'
+        )
     declared = problem.model.reset
     if known is None and declared != "auto":
         said = f"each simulation begins with {BEGINS[declared]}, as model.reset says"

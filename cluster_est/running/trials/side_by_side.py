@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from cluster_est.problem.problem import Problem
@@ -15,6 +17,8 @@ FACTOR = 1.37
 """Between the values of the two instances: no round number."""
 NO_HURRY = 1e6
 """Seconds: a clock must not decide what a run may do."""
+TOGETHER = 2
+"""Instances that are tried at once."""
 DISTURBED = "give other results while another one is simulated"
 
 
@@ -39,10 +43,17 @@ def two_simulations(problem: Problem, first: int = 0) -> SideBySideProbe:
     return SideBySideProbe(InstanceSimulation(first, one), InstanceSimulation(second, other))
 
 
-def what_disturbs(problem: Problem) -> str:
+def what_disturbs(problem: Problem, make_room: Callable[[], None] | None = None) -> str:
     """Return what two instances in one process do if both are used, as a verb; "" if nothing bad.
 
     That is tried in a process of its own, where there are such processes: it may crash.
+
+    Parameters
+    ----------
+    problem
+        What is simulated.
+    make_room
+        Called before: it lets so many instances go, where their number is limited.
 
     Raises
     ------
@@ -54,6 +65,8 @@ def what_disturbs(problem: Problem) -> str:
     trial = Trial("undisturbed", problem.model, problem.experiments, tasks)
     if trial.passed:
         return ""
+    if make_room is not None:
+        make_room()
     with ProbeBench.open(problem.model, problem.experiments) as bench:
         found = bench.ask(probe, NO_HURRY)
         if isinstance(found, NoAnswer) and found.crashed:

@@ -29,6 +29,7 @@ OPTIONAL int model_resources(Model *m, const char *location)
     return OK;
 }
 OPTIONAL int model_accept(Model *m) { (void)m; return OK; }
+OPTIONAL void model_free(Model *m) { (void)m; }
 OPTIONAL void model_start(Model *m) { (void)m; }
 OPTIONAL void model_reset(Model *m, const Values *before) { (void)m, (void)before; }
 
@@ -75,8 +76,9 @@ int check_size(const Model *m, size_t size, size_t expected, const char *functio
 
 int refresh(Model *m)
 {
-    if (m->state.stale && model_equations(m) != OK)
-        return ERROR;
+    int status = m->state.stale ? model_equations(m) : OK;
+    if (status != OK)
+        return status;
     m->state.stale = false;
     return OK;
 }
@@ -118,6 +120,7 @@ void core_free(Model *m)
 {
     if (m == NULL)
         return;
+    model_free(m);
     free(m->instance_name);
     free(m);
 }

@@ -85,7 +85,7 @@ typedef struct {
     double next_time; /* INFINITY for none */
 } Event;
 
-enum { OK = 0, DISCARD = 2, ERROR = 3 }; /* the same numbers in both versions */
+enum { OK = 0, DISCARD = 2, ERROR = 3, FATAL = 4 }; /* the same numbers in both versions */
 
 /* The value of a variable by its name, wherever a `Model *m` is in scope. */
 #define M(name) (m->state.v.name)
@@ -95,7 +95,8 @@ int error(const Model *m, const char *format, ...);
 
 /* ---- what a model defines: the equations, and what else it needs -------------------------- */
 
-/* Computes derivatives, event indicators and outputs from all the other values. */
+/* Computes derivatives, event indicators and outputs from all the other values. FATAL reaches the
+   caller at the end of the initialisation or of a step; elsewhere it is an ERROR. */
 int model_equations(Model *m);
 /* Changes discrete values and states: one round of event iteration. */
 void model_event(Model *m, Event *event);
@@ -117,6 +118,8 @@ bool model_refuses(const char *name);
 int model_resources(Model *m, const char *location);
 /* Refuses an instance by returning ERROR. */
 int model_accept(Model *m);
+/* Called before an instance is freed. */
+void model_free(Model *m);
 /* Called when initialisation ends. */
 void model_start(Model *m);
 /* Called after a reset with the values that were there before. */

@@ -47,8 +47,9 @@ int core_exit_initialization(Model *m, const char *function)
     if (require(m, INITIALIZATION, function) != OK)
         return ERROR;
     model_start(m);
-    if (refresh(m) != OK) /* bad parameters are reported here, not in the first step */
-        return ERROR;
+    int status = refresh(m);
+    if (status != OK) /* bad parameters are reported here, not in the first step */
+        return status;
     m->state.last_event = M(time);
     m->state.phase = EVENT_MODE;
     m->state.updating = true;

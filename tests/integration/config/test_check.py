@@ -105,11 +105,12 @@ def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined: Examine,
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("instances", [None, 1])
 def test_the_communication_step_with_which_it_can_be_simulated_is_named(
-    own_fmu: Give, fmi: int
+    own_fmu: Give, fmi: int, instances: int | None
 ) -> None:
     problem = in_co_simulation(bare_problem(own_fmu("needs_short_steps", fmi)))
-    page = run_checks(problem, Resources(), MINUTE, declared=False)
+    page = run_checks(problem, Resources(instances=instances), MINUTE, declared=False)
 
     assert not page.good
     failed = line(page, "experiment default")

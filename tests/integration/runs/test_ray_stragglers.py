@@ -7,11 +7,11 @@ import signal
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import ray
+from support.descendants import ray_actors
 from support.problems.springs import spring_problem
 
 from cluster_est.executors.local import LocalExecutor
@@ -30,31 +30,6 @@ def pool(problem) -> Iterator[RayPool]:
     with RayPool.open(problem.model, problem.experiments, 2, None) as executor:
         yield executor
     assert not ray.is_initialized()
-
-
-def actors() -> list[int]:
-    """Ray's actor processes that descend from this one."""
-    found, parents = [], {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                name = (entry / "cmdline").read_bytes()
-                parents[int(entry.name)] = int(
-                    (entry / "stat").read_text().rpartition(")")[2].split()[1]
-                )
-            except OSError:
-                continue
-            if name.startswith(b"ray::FmuActor"):
-                found.append(int(entry.name))
-    return [pid for pid in found if os.getpid() in ancestors(pid, parents)]
-
-
-def ancestors(process: int, parents: dict[int, int]) -> set[int]:
-    known: set[int] = set()
-    while process in parents:
-        process = parents[process]
-        known.add(process)
-    return known
 
 
 def tasks(problem, count: int, first: int) -> list[Task]:
@@ -80,7 +55,7 @@ def expected(problem, asked: list[Task]) -> dict[int, bytes]:
 
 def test_what_a_worker_holds_up_is_asked_elsewhere(problem, pool):
     answers(pool, tasks(problem, 100, 0))
-    stopped = actors()[0]
+    stopped = ray_actors()[0]
     os.kill(stopped, signal.SIGSTOP)
     try:
         asked = tasks(problem, 200, 1000)
@@ -98,7 +73,7 @@ def test_what_a_worker_holds_up_is_asked_elsewhere(problem, pool):
 
 def test_a_late_answer_is_none_to_another_task_of_the_same_id(problem, pool):
     answers(pool, tasks(problem, 100, 0))
-    stopped = actors()[0]
+    stopped = ray_actors()[0]
     os.kill(stopped, signal.SIGSTOP)
     try:
         answers(pool, tasks(problem, 200, 1000))
@@ -120,7 +95,7 @@ def test_killed_workers_change_no_bit(problem, pool):
     for kill_at in (300, 900, 10**9):
         while len(found) < min(kill_at, len(asked)):
             found |= {o.task: o.residuals.tobytes() for o in pool.completed()}
-        running = actors()
+        running = ray_actors()
         if running and kill_at < len(asked):
             os.kill(running[0], signal.SIGKILL)
     assert found == expected(problem, asked)

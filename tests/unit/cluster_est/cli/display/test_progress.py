@@ -59,8 +59,8 @@ def test_without_a_terminal_a_line_is_printed_now_and_then():
 
 
 def test_more_workers_are_proposed_once_where_they_would_help():
-    def said(workers: int, waiting: int, cores: int) -> list[str]:
-        hint = WorkerHint(cores)
+    def said(workers: int, waiting: int, cores: int, most: int | None = None) -> list[str]:
+        hint = WorkerHint(cores, most)
         busy = replace(snapshot(1.0), busy=workers, workers=workers, waiting=waiting)
         return [
             text for seconds in range(100) if (text := hint.look(replace(busy, seconds=seconds)))
@@ -69,4 +69,8 @@ def test_more_workers_are_proposed_once_where_they_would_help():
     (sentence,) = said(1, 30, 8)
     assert "1 of this machine's 8 cores simulates while 30 simulations wait" in sentence
     assert "executor.workers=8 would be faster" in sentence
+    (sentence,) = said(1, 30, 8, 3)
+    assert "1 of this machine's 8 cores simulates" in sentence
+    assert "executor.workers=3 would be faster" in sentence
+    assert said(3, 30, 8, 3) == [], "no more than executor.instances are started"
     assert said(8, 30, 8) == said(4, 3, 8) == []

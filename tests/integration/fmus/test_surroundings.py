@@ -1,0 +1,214 @@
+"""What an FMU finds around it: environment variables, and a working folder.
+
+The truth is the solution of x' = -k x, x(0) = 1, by hand, times the gain: 2.5 exp(-k t).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from cluster_est import read_model
+from cluster_est.cli import main
+from cluster_est.run_folder.run_identity import hash_config
+from workers.errors import ModelError
+from workers.fmu.surroundings import set_environment_here
+
+Give = Callable[[str, int], Path]
+Fit = Callable[..., int]
+
+RATE, GAIN = 1.3, 2.5
+NAME = "GAIN_OF_THE_DECAY"
+BOTH = pytest.mark.parametrize("fmi", [2, 3])
+
+
+@pytest.fixture
+def fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fit:
+    """Fits k of an FMU to the truth, without the variable in this process; the run is in `run`."""
+    monkeypatch.setenv(NAME, "")  # so that what a test leaves is taken away
+    monkeypatch.delenv(NAME)
+
+    def fit(fmu: Path, model: str, *overrides: str) -> int:
+        times = np.linspace(0.0, 2.0, 21)
+        rows = [f"{t!r},{GAIN * math.exp(-RATE * t)!r}" for t in times.tolist()]
+        (tmp_path / "a.csv").write_text("time,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+        text = "parameters.k = { start = 0.7, bounds = [0.01, 10.0] }\n"
+        text += f'[model]\nfmu = "{fmu}"\n{model}\n'
+        text += '[[experiments]]\nid = "a"\ndata = "a.csv"\ntime = "time"\noutputs = { y = "y" }\n'
+        path = tmp_path / "config.toml"
+        path.write_text(text, encoding="utf-8")
+        return main(["fit", str(path), "--out", str(tmp_path / "run"), "--overwrite", *overrides])
+
+    return fit
+
+
+@pytest.fixture
+def with_file(own_fmu: Give, tmp_path: Path) -> Callable[[int], Path]:
+    """An FMU that opens `gain.txt`, with that file among its resources."""
+
+    def add(fmi: int) -> Path:
+        path = tmp_path / f"with_file_fmi{fmi}.fmu"
+        path.write_bytes(own_fmu("reads_file", fmi).read_bytes())
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.writestr("resources/tables/gain.txt", f"{GAIN}\n")
+        return path
+
+    return add
+
+
+def estimate(folder: Path) -> float:
+    rows = pq.read_table(folder / "run" / "parameters.parquet").to_pylist()
+    return next(float(row["value"]) for row in rows if row["parameter"] == "k")
+
+
+@pytest.mark.parametrize(
+    ("executor", "fmi"),
+    [("local", 2), ("local", 3), ("processes", 2), ("processes", 3), ("ray", 2)],
+)
+def test_an_environment_variable_is_there_when_the_library_is_loaded(
+    own_fmu: Give, fitted: Fit, tmp_path: Path, executor: str, fmi: int
+) -> None:
+    fmu, name = own_fmu("reads_environment", fmi), f"executor.name={executor}"
+    if executor != "ray":  # which takes long to begin
+        fitted(fmu, "", name)
+        assert estimate(tmp_path) != pytest.approx(RATE, rel=1e-2), "the gain must matter"
+    assert fitted(fmu, f'environment = {{ {NAME} = "{GAIN}" }}', name, "executor.workers=2") == 0
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
+    assert (NAME in os.environ) is (executor == "local"), "a process of its own keeps it to itself"
+
+
+def test_one_that_is_something_else_in_this_process_is_refused_there_alone(
+    own_fmu: Give,
+    fitted: Fit,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv(NAME, "7.0")
+    fmu, given = own_fmu("reads_environment", 2), f'environment = {{ {NAME} = "{GAIN}" }}'
+    assert fitted(fmu, given) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"model.environment.{NAME}: must be '2.5', but in this process, which" in said
+    assert 'it is \'7.0\' already; choose executor.name = "processes" or "ray", or unset' in said
+    assert os.environ[NAME] == "7.0"
+
+    assert fitted(fmu, given, "executor.name=processes") == 0
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
+    monkeypatch.setenv(NAME, str(GAIN))
+    assert fitted(fmu, given) == 0
+
+
+def test_one_that_is_read_when_a_process_starts(
+    own_fmu: Give, fitted: Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A library that the FMU needs, in a folder that is not known when this process starts."""
+    fmu, folder = own_fmu("needs_library", 2), tmp_path / "libraries"
+    folder.mkdir()
+    absent = _needed_library(fmu)
+    subprocess.run(["cc", "-shared", "-o", absent, "-x", "c", "/dev/null"], cwd=folder, check=True)
+    assert fitted(fmu, "", "executor.name=processes") == 2
+    assert "it needs the shared library" in " ".join(capsys.readouterr().err.split())
+    given = f'environment = {{ LD_LIBRARY_PATH = "{folder}" }}'
+    assert fitted(fmu, given, "executor.name=processes") in (0, 1)
+    assert fitted(fmu, given) == 2
+    assert "must be set before a process starts to be heeded" in capsys.readouterr().err
+
+
+def _needed_library(fmu: Path) -> str:
+    import tomllib
+
+    from fmus.variables import MODELS
+
+    name = fmu.name.rpartition("_fmi")[0]
+    text = (MODELS / name / "model.toml").read_text(encoding="utf-8")
+    return f"lib{tomllib.loads(text)['needs_library']}.so"
+
+
+@BOTH
+def test_a_file_among_the_resources_is_opened_by_a_relative_path(
+    fitted: Fit, with_file: Callable[[int], Path], tmp_path: Path, fmi: int
+) -> None:
+    here = os.getcwd()
+    folder = 'working_folder = "resources/tables"'
+    assert fitted(with_file(fmi), folder, "executor.name=processes", "executor.workers=2") == 0
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
+    assert os.getcwd() == here
+
+
+@pytest.mark.parametrize(
+    ("folder", "executor", "said"),
+    [
+        ("resources/tables", "local", "model.working_folder: needs workers that are processes"),
+        ("tables", "processes", "model.working_folder: must be a folder in with_file_fmi2.fmu"),
+        ("../outside", "processes", "model.working_folder: must be a folder in the FMU"),
+        ("/tmp", "processes", "model.working_folder: must be a folder in the FMU"),
+        ("C:\\\\data", "processes", "model.working_folder: must be a folder in the FMU"),
+    ],
+)
+def test_a_folder_that_cannot_be_is_refused(
+    fitted: Fit,
+    with_file: Callable[[int], Path],
+    capsys: pytest.CaptureFixture[str],
+    folder: str,
+    executor: str,
+    said: str,
+) -> None:
+    code = fitted(with_file(2), f'working_folder = "{folder}"', f"executor.name={executor}")
+    assert code == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("environment", "said"),
+    [
+        ({"A=B": "1"}, r"must hold names without '='"),
+        ({"": "1"}, r"must hold names without '='"),
+        ({"A": "1\0"}, r"no NUL character"),
+        ({"A": 1}, r"model\.environment\.A: must be text but is 1"),
+        (["A"], r"must hold pairs"),
+    ],
+)
+def test_variables_that_no_system_takes_are_refused(
+    own_fmu: Give, environment: object, said: str
+) -> None:
+    with pytest.raises(ModelError, match=said):
+        read_model(own_fmu("dahlquist", 2), environment=environment)  # type: ignore[arg-type]
+
+
+def test_nothing_is_set_where_one_of_several_is_refused(
+    own_fmu: Give, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FIRST", "")
+    monkeypatch.delenv("FIRST")
+    monkeypatch.setenv("SECOND", "b")
+    model = read_model(own_fmu("dahlquist", 2), environment={"FIRST": "1", "SECOND": "2"})
+    with pytest.raises(ModelError, match="SECOND"):
+        set_environment_here(model)
+    assert "FIRST" not in os.environ
+
+
+def test_what_an_fmu_finds_is_part_of_what_its_simulations_depend_on(own_fmu: Give) -> None:
+    fmu = own_fmu("reads_environment", 2)
+    models = [
+        read_model(fmu),
+        read_model(fmu, environment={NAME: "1"}),
+        read_model(fmu, environment={NAME: "2"}),
+        read_model(fmu, working_folder="resources"),
+    ]
+    assert len({model.key for model in models}) == len(models)
+
+
+def test_a_run_of_before_these_keys_can_be_resumed() -> None:
+    before = hash_config({"model": {"fmu": "a.fmu"}}, ())
+    nothing: dict[str, object] = {"fmu": "a.fmu", "environment": {}, "working_folder": ""}
+    assert hash_config({"model": nothing}, ()) == before
+    for key, value in (("environment", {NAME: "1"}), ("working_folder", "resources")):
+        assert hash_config({"model": {**nothing, key: value}}, ()) != before

@@ -1,0 +1,376 @@
+"""Never more instances of an FMU than `executor.instances` allows, and few in all.
+
+The FMU counts its instances itself. The truth of the fits is the solution of x' = -k x, x(0) = 1,
+by hand: exp(-k t).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import threading
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support.counted import VARIABLE, CountedInstances
+
+from cluster_est import Parameter, Problem, fit
+from cluster_est.cli import main
+from cluster_est.errors import ExecutorError, ProblemError, UnsuitableExecutorError
+from cluster_est.executors.processes import ProcessExecutor
+from cluster_est.preflight.bare_fmu import bare_problem
+from cluster_est.running.resources import Resources
+from cluster_est.running.trials.reset_policy import open_with_reset
+from workers.evaluate import Evaluator
+from workers.fmu.description import describe_model
+from workers.fmu.instance import FmuInstance
+from workers.messages import Experiment, Limits, Model, Outcome, Output, Solver, Status, Task
+from workers.process.forked import ForkClient
+from workers.process.supervisor import SupervisedEvaluator
+from workers.wire import TaskBatch
+
+Give = Callable[[str, int], Path]
+Run = Callable[..., int]
+
+RATE = 1.3
+TIMES = np.linspace(0.0, 2.0, 41)
+CRASHES, FATAL = 2.7, 2.2
+"""Rates at which the FMU does that."""
+FORKED = pytest.mark.parametrize("executor", ["local", "processes"])
+
+
+@pytest.fixture
+def counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CountedInstances:
+    """Count in a folder; FMUs that other tests have tried out are new here."""
+    folder = tmp_path / "counted"
+    folder.mkdir()
+    monkeypatch.setenv(VARIABLE, str(folder))
+    monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path / "cache"))
+    return CountedInstances(folder)
+
+
+@pytest.fixture
+def run(own_fmu: Give, tmp_path: Path) -> Run:
+    """Runs a command on four records of a decay; the run is in `run`."""
+
+    def do(command: str, *overrides: str, noise: float = 0.0) -> int:
+        generator, text = np.random.default_rng(0), ""
+        for name in "abcd":
+            y = np.exp(-RATE * TIMES) + noise * generator.standard_normal(len(TIMES))
+            rows = [f"{t!r},{v!r}" for t, v in zip(TIMES.tolist(), y.tolist(), strict=True)]
+            (tmp_path / f"{name}.csv").write_text("time,y\n" + "\n".join(rows) + "\n")
+            text += f'[[experiments]]\nid = "{name}"\ndata = "{name}.csv"\ntime = "time"\n'
+            text += 'outputs = { y = "y" }\n'
+        config = "parameters.k = { start = 0.7, bounds = [0.01, 1.9] }\n"
+        config += f'[model]\nfmu = "{own_fmu("counts_instances", 2)}"\n{text}'
+        path = tmp_path / "config.toml"
+        path.write_text(config, encoding="utf-8")
+        out = [] if command == "check" else ["--out", str(tmp_path / "run"), "--overwrite"]
+        return main([command, str(path), *out, *overrides])
+
+    return do
+
+
+def problem(fmu: Path, solver: str = "dormand_prince") -> Problem:
+    model = Model(fmu.name, fmu.read_bytes(), "model_exchange", Solver(solver), ("k",))  # type: ignore[arg-type]
+    output = Output("y", TIMES, np.exp(-RATE * TIMES))
+    runs = tuple(Experiment(name, 0.0, 2.0, (), (output,)) for name in "abcd")
+    return Problem(model, (Parameter("k", 0.7, 0.01, 3.0),), runs)
+
+
+def estimate(folder: Path) -> float:
+    rows = pq.read_table(folder / "run" / "parameters.parquet").to_pylist()
+    return next(float(row["value"]) for row in rows if row["parameter"] == "k")
+
+
+def simulations(folder: Path) -> int:
+    return int(json.loads((folder / "run" / "run.json").read_text())["simulations"])
+
+
+def answered(executor: object, rates: list[float], first: int = 0) -> list[Outcome]:
+    """The outcomes of tasks, in their order."""
+    tasks = [Task(first + i, i % 4, np.array([rate])) for i, rate in enumerate(rates)]
+    executor.submit(tasks)  # type: ignore[attr-defined]
+    found: dict[int, Outcome] = {}
+    while len(found) < len(tasks):
+        found |= {outcome.task: outcome for outcome in executor.completed()}  # type: ignore[attr-defined]
+    return [found[task.id] for task in tasks]
+
+
+def check(outcomes: list[Outcome], rates: list[float]) -> None:
+    """Compare those that succeeded with the solution by hand."""
+    for outcome, rate in zip(outcomes, rates, strict=True):
+        if outcome.ok:
+            expected = np.exp(-RATE * TIMES) - np.exp(-rate * TIMES)
+            assert np.allclose(outcome.residuals, expected, atol=1e-6)
+
+
+def test_without_a_limit_there_are_as_many_as_workers(run: Run, counted: CountedInstances) -> None:
+    """The FMU can count to more than any of the limits below."""
+    assert run("fit", "executor.workers=5", "executor.name=processes") == 0
+    assert counted.most == 5
+
+
+@FORKED
+def test_eight_workers_share_three_instances(
+    run: Run,
+    counted: CountedInstances,
+    executor: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    wanted = "executor.workers=8", "executor.instances=3", f"executor.name={executor}"
+    assert run("fit", *wanted) == 0
+    assert counted.most == 3
+    assert capsys.readouterr().err.count("3 of the 8 workers that executor.workers asks for") == 1
+
+    counted.forget()  # the second time the FMU is known, and no more than simulated
+    assert run("fit", *wanted) == 0
+    assert (counted.most, counted.made) == (3, 3)
+    assert simulations(tmp_path) > 20
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
+
+
+def test_a_limit_that_changes_nothing_is_not_mentioned(
+    run: Run, counted: CountedInstances, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("fit", "executor.workers=2", "executor.instances=2") == 0
+    assert "executor.instances" not in capsys.readouterr().err
+    assert counted.most == 2
+
+
+@FORKED
+@pytest.mark.parametrize("instances", [1, 3])
+def test_the_error_of_the_solver_is_measured_in_the_place_of_a_worker(
+    run: Run, counted: CountedInstances, tmp_path: Path, executor: str, instances: int
+) -> None:
+    """The workers stay until the run is written, and the measurement is in a further process."""
+    limit = f"executor.instances={instances}", "executor.workers=3", f"executor.name={executor}"
+    assert run("fit", "model.solver=rk4", *limit) == 0
+    assert counted.most == instances
+    facts = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
+    assert facts["solver_error"]["experiments"] == 4
+
+    workers = 1 if executor == "local" else instances
+    counted.forget()
+    assert run("fit", "model.solver=rk4", *limit) == 0
+    assert len(counted.processes) == workers + 1
+    assert counted.made == instances + 1, "the measurement keeps its instance for all simulations"
+
+
+@FORKED
+def test_a_closed_loop_keeps_to_it(
+    run: Run, counted: CountedInstances, tmp_path: Path, executor: str
+) -> None:
+    limit = "executor.instances=2", "executor.workers=4", f"executor.name={executor}"
+    assert run("close-loop", *limit, noise=1e-3) == 0
+    assert counted.most == 2
+    assert counted.made < 20 < simulations(tmp_path)
+    facts = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
+    assert "a finer one fails" not in json.dumps(facts), "the error of the solver was measured"
+
+
+@pytest.mark.parametrize("instances", [1, 2, 3])
+@pytest.mark.parametrize("solver", ["dormand_prince", "cvode"])
+def test_a_check_keeps_to_it(
+    run: Run,
+    counted: CountedInstances,
+    capsys: pytest.CaptureFixture[str],
+    instances: int,
+    solver: str,
+) -> None:
+    limit = f"executor.instances={instances}", f"model.solver={solver}"
+    assert run("check", *limit, "--seconds", "60") == 0
+    assert counted.most == instances
+    page = " ".join(capsys.readouterr().out.split())
+    tried = "not tried: executor.instances = 1 allows one at once"
+    several = f"{instances} at once in a process, two of which do not disturb each other"
+    assert (tried if instances == 1 else several) in page
+
+
+def test_a_check_of_an_fmu_that_fails_keeps_to_it(run: Run, counted: CountedInstances) -> None:
+    wider = f"parameters.k.start={FATAL}", "parameters.k.bounds=[0.01,3.0]"
+    run("check", "executor.instances=1", *wider, "model.interface=co_simulation")
+    assert counted.most == 1
+
+
+@FORKED
+def test_cvode_finds_the_same_with_one_instance(
+    run: Run, counted: CountedInstances, tmp_path: Path, executor: str
+) -> None:
+    """The FMU's derivatives are tried beforehand, in an instance of their own."""
+    given = "model.solver=cvode", "model.rtol=1e-7", f"executor.name={executor}"
+    assert run("fit", *given) == 0
+    expected = estimate(tmp_path)
+    counted.forget()
+    assert run("fit", *given, "executor.instances=1") == 0
+    assert counted.most == 1
+    assert estimate(tmp_path) == expected
+
+    counted.forget()
+    assert main(["replay", str(tmp_path / "run"), "0"]) == 0
+    assert counted.most == 1
+
+
+def test_cvode_uses_the_derivatives_with_one_instance_too(
+    own_fmu: Give, counted: CountedInstances
+) -> None:
+    asked = problem(own_fmu("counts_instances", 2), "cvode")
+    model = Resources(instances=3).limited(asked.model).of_worker(0)
+    batch = TaskBatch.of([Task(i, i, np.array([1.0 + 0.1 * i])) for i in range(4)])
+    with closing(Evaluator(model, asked.experiments, "one of three")) as evaluator:
+        check(evaluator.evaluate(batch), [1.0, 1.1, 1.2, 1.3])
+        assert evaluator.simulator.gives_jacobian
+    assert counted.most == 1, "the seats of other workers are theirs"
+
+
+def test_sensitivities_take_no_further_instances(own_fmu: Give, counted: CountedInstances) -> None:
+    """Without a limit two more are made for k, by which the FMU has no directional derivative."""
+    asked = problem(own_fmu("counts_instances", 2))
+    batch = TaskBatch.of([Task(0, 0, np.array([1.0]), "sensitivities")])
+    limited = Resources(instances=5).limited(asked.model)
+    most = []
+    for model in (asked.model, limited, limited.of_worker(0)):
+        with closing(Evaluator(model, asked.experiments, "alone")) as evaluator:
+            (outcome,) = evaluator.evaluate(batch)
+        check([outcome], [1.0])
+        most.append(counted.most)
+        counted.forget()
+    assert most == [3, 1, 1]
+
+
+def test_crashes_and_kills_never_make_one_too_many(
+    own_fmu: Give, counted: CountedInstances
+) -> None:
+    asked = problem(own_fmu("counts_instances", 2))
+    rates = [CRASHES if i % 9 == 4 else 1.0 + 0.01 * i for i in range(60)]
+    resources = Resources("processes", 8, instances=3)
+    with open_with_reset(asked, resources)[0] as pool:
+        assert isinstance(pool, ProcessExecutor)
+        assert pool.workers == 3
+        for turn in range(6):
+            outcomes = answered(pool, rates, 100 * turn)
+            check(outcomes, rates)
+            crashed = [i for i, outcome in enumerate(outcomes) if outcome.status is Status.CRASH]
+            assert crashed == [i for i, rate in enumerate(rates) if rate == CRASHES]
+            assert sum(outcome.ok for outcome in outcomes) == len(rates) - len(crashed)
+            for guard in pool._guards:  # that which would have seen the FMU's process end
+                os.kill(guard._forks.server, signal.SIGKILL)
+    assert counted.made > 20
+    assert counted.most == 3
+
+
+def test_a_process_that_is_slow_to_end_is_waited_for(
+    own_fmu: Give, counted: CountedInstances, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As if nobody knew what has become of it: its signal is late, and its end is not reported."""
+    asked = problem(own_fmu("counts_instances", 2))
+    model = replace(Resources(instances=1).limited(asked.model), reset="process")
+    late: list[threading.Timer] = []
+    end = os.kill
+
+    def later(process: int, number: int) -> None:
+        late.append(threading.Timer(0.5, end, (process, number)))
+        late[-1].start()
+
+    guard = SupervisedEvaluator(model, asked.experiments, "guarded", Limits())
+    with monkeypatch.context() as patched:
+        patched.setattr("workers.process.supervisor.os.kill", later)
+        patched.setattr(ForkClient, "wait", lambda *_: None)
+        outcomes = [guard.once(Task(i, 0, np.array([1.0 + 0.1 * i]))) for i in range(4)]
+        for timer in late:
+            timer.join()
+    guard.close()
+    check(outcomes, [1.0, 1.1, 1.2, 1.3])
+    assert len(late) == 4
+    assert counted.made == 4
+    assert counted.most == 1
+
+
+def test_an_instance_that_was_let_go_is_followed_by_a_new_one(own_fmu: Give) -> None:
+    """A new one is not reset: were it taken for the old one, nor would be all others of a batch."""
+    model = problem(own_fmu("counts_instances", 2)).model
+    instance = FmuInstance(model, describe_model(model))
+    first, second = instance.begin(), instance.begin()
+    assert first.reset != second.reset
+    assert not instance.is_new
+    instance.free()
+    assert instance.is_new
+    assert instance.begin().reset == first.reset
+    assert not instance.is_new
+    instance.free()
+
+
+def test_instances_that_disturb_each_other_are_found_out_within_the_limit(own_fmu: Give) -> None:
+    """Two are tried at once, for which two workers let theirs go."""
+    shared = bare_problem(own_fmu("shares_static", 2))
+    with pytest.raises(UnsuitableExecutorError, match="must not disturb each other"):
+        open_with_reset(shared, Resources("local", 2, instances=2))
+
+
+def test_after_a_fatal_error_the_process_is_ended_and_its_neighbours_are_answered(
+    own_fmu: Give, counted: CountedInstances
+) -> None:
+    asked = problem(own_fmu("counts_instances", 2))
+    rates = [FATAL if i % 7 == 3 else 1.0 + 0.01 * i for i in range(40)]
+    with open_with_reset(asked, Resources("processes", 2, instances=2))[0] as pool:
+        answered(pool, [1.0] * 8)  # from now on tasks travel together
+        outcomes = answered(pool, rates, 100)
+    check(outcomes, rates)
+    fatal = [i for i, outcome in enumerate(outcomes) if not outcome.ok]
+    assert fatal == [i for i, rate in enumerate(rates) if rate == FATAL]
+    assert {outcomes[i].status for i in fatal} == {Status.SOLVER_FAILURE}
+    assert not any("executor.instances" in outcomes[i].message for i in fatal)
+    assert counted.most == 2
+
+
+def test_after_a_fatal_error_in_this_process_there_is_no_other_instance(
+    own_fmu: Give, counted: CountedInstances, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may not be freed, so that the limit can only be held by ending here, with a sentence."""
+    monkeypatch.setattr("workers.fmu.seats._taken", {})
+    monkeypatch.setattr("workers.fmu.seats._lost", set())
+    asked = problem(own_fmu("counts_instances", 2))
+    with open_with_reset(asked, Resources("local", 1, instances=1))[0] as pool:
+        answered(pool, [1.0, 1.1])
+        with pytest.raises(ExecutorError, match=r"^executor\.instances: .* fatal .*; choose exec"):
+            answered(pool, [1.0, FATAL, 1.1], 100)
+    assert counted.most == 1
+
+
+@pytest.mark.parametrize("policy", ["instance", "process"])
+def test_each_simulation_in_a_new_one_is_never_two(
+    own_fmu: Give, counted: CountedInstances, policy: str
+) -> None:
+    asked = problem(own_fmu("counts_instances", 3))
+    asked = replace(asked, model=replace(asked.model, reset=policy))  # type: ignore[arg-type]
+    rates = [1.0 + 0.01 * i for i in range(20)]
+    with open_with_reset(asked, Resources("processes", 4, instances=2))[0] as pool:
+        outcomes = answered(pool, rates)
+    check(outcomes, rates)
+    assert all(outcome.ok for outcome in outcomes)
+    assert counted.made >= 20
+    assert counted.most == 2
+
+
+def test_two_runs_of_a_program_share_the_limit(own_fmu: Give, counted: CountedInstances) -> None:
+    """Also where the pool of the first has hardly ended when that of the second begins."""
+    asked = problem(own_fmu("counts_instances", 2))
+    for executor in ("processes", "local", "processes"):
+        found = fit(asked, resources=Resources(executor, 3, instances=2))
+        assert found.estimates[0].value == pytest.approx(RATE, rel=1e-5)
+    assert counted.most == 2
+
+
+@pytest.mark.parametrize("instances", [0, -1, 1.5, True, "3", math.inf])
+def test_a_limit_that_is_no_count_is_refused(own_fmu: Give, instances: object) -> None:
+    asked = problem(own_fmu("counts_instances", 2))
+    with pytest.raises(ProblemError, match=r"^executor\.instances: must be"):
+        fit(asked, resources=Resources(instances=instances))  # type: ignore[arg-type]
