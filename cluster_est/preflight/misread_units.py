@@ -14,7 +14,9 @@ import numpy as np
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from cluster_est.problem.tables.units import UnitConversion, likely_conversions
+from cluster_est.problem.tables.unused import TableSource
 from cluster_est.results.output_errors import Simulation
+from cluster_est.toml import dotted
 from workers.messages import Experiment, FloatArray, Input
 from workers.probes.variants import SimulatedVariant, VariantProbe
 from workers.process.trial import NoAnswer
@@ -176,7 +178,7 @@ def _inputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
     as_is = np.inf
     if seen is not None:
         as_is = _joint(experiment, SimulatedVariant(seen.times, seen.values), seen.variables)
-    variants = [*_input_variants(subject, experiment), *_time_variants(experiment)]
+    variants = [*_input_variants(subject, experiment), *_time_variants(subject, experiment)]
     if not as_is > FAR or not variants:
         return []
     tried = tuple((v.experiment, v.factor) for v in variants)
@@ -264,17 +266,30 @@ def _with_input(experiment: Experiment, given: Input) -> Experiment:
     return replace(experiment, inputs=others)
 
 
-def _time_variants(experiment: Experiment) -> Iterator[_Variant]:
+def _time_variants(subject: CheckSubject, experiment: Experiment) -> Iterator[_Variant]:
     long = experiment.stop - experiment.start
+    tables = {table.experiment: table for table in subject.problem.tables}
+    table = tables.get(experiment.id)
     for unit, factor in TIMES.items():
         yield _Variant(
             _stretched(experiment, factor),
             factor,
             f"the time seems to be in {unit}, and is read as {long:.4g} seconds",
-            f"columns.COLUMN = {{ factor = {factor:g} }}, for the name of the time's column; or "
-            f"{factor:g} times the sample_time",
+            _rescaled_time(table, factor),
             "time",
         )
+
+
+def _rescaled_time(table: TableSource | None, factor: float) -> str:
+    """Return the key that says in which unit the times of a table are."""
+    if table is not None and table.time:
+        return f"{dotted('columns', table.time)} = {{ factor = {factor:g} }}"
+    if table is not None and table.sample_time:
+        return f"sample_time = {table.sample_time * factor:g}"
+    return (
+        f"columns.COLUMN = {{ factor = {factor:g} }}, for the name of the time's column; or "
+        f"{factor:g} times the sample_time"
+    )
 
 
 def _stretched(experiment: Experiment, factor: float) -> Experiment:
