@@ -67,6 +67,9 @@ def gather(
     repair = ParameterReader(problem, description, rows, chosen).repair(run_folder.resolve().name)
     path = run_folder / "errors.parquet"
     errors = read_run_table(path) if path.is_file() else []
+    shapes = run_folder / "shapes.parquet"
+    ranges = _ranges(read_run_table(shapes)) if shapes.is_file() else {}
+    repair = dataclasses.replace(repair, ranges=ranges)
     return _with_errors(repair, errors, fitted=facts.get("verdict") is not None)
 
 
@@ -100,6 +103,18 @@ def repaired(
     chosen = _experiment(problem, experiment)
     repair = ParameterReader(problem, problem.describe(), rows, chosen).repair(run)
     return _with_errors(repair, errors, fitted=fitted)
+
+
+def _ranges(shapes: Sequence[Row]) -> dict[str, str]:
+    """Return for each effect the range that its variable had in the data."""
+    found = {}
+    for row in shapes:
+        if row["x"] and row["variable"]:
+            unit = row["variable_unit"]
+            unit = f" {unit}" if unit not in ("", "1") else ""
+            low, high = min(row["x"]), max(row["x"])
+            found[row["effect"]] = f"{row['variable']} from {low:.4g} to {high:.4g}{unit}"
+    return found
 
 
 def _with_errors(repair: RepairedModel, errors: Sequence[Row], *, fitted: bool) -> RepairedModel:

@@ -91,6 +91,9 @@ class RepairedModel:
         The values that the experiment had besides.
     notes
         Sentences on what is not as in the run.
+    ranges
+        For each effect the range that its variable had in the data, as text; none where that is not
+        known.
     errors
         What the run reports.
     without
@@ -109,6 +112,7 @@ class RepairedModel:
     known: tuple[tuple[str, Value], ...]
     notes: tuple[str, ...]
     errors: tuple[ReportedError, ...] = ()
+    ranges: Mapping[str, str] = field(default_factory=dict)
     without: str = "the original at the start values"
     of_experiments: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 

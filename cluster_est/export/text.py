@@ -24,6 +24,8 @@ def describe_effects(repair: RepairedModel) -> str:
         lines += [f"    {effect_equation(effect)}"]
         prefix = f"{effect.effect.name}."
         lines += [f"  {_line(value, prefix)}" for value in values]
+        if effect.effect.name in repair.ranges:
+            lines += [f"    estimated over {repair.ranges[effect.effect.name]}; beyond, a guess"]
     return "\n".join(lines) + "\n"
 
 

@@ -108,6 +108,9 @@ def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
         readme = archive.read("documentation/README.md").decode()
     assert f"a communication step of {named} s reproduces the run's RMSE" in readme
     assert "harder (cubic) at der(v)" in readme
+    (shape,) = rows_of(run, "shapes")
+    span = f"x from {min(shape['x']):.4g} to {max(shape['x']):.4g} m"
+    assert f"estimated over {span}; beyond, a guess" in readme
     assert read_config(run / "config.toml").model.rtol is None  # what the solver then takes
     assert float(read_model_description(str(fmu)).defaultExperiment.tolerance) == 1e-8
     assert "the run had a relative tolerance of 1e-08" in " ".join(readme.split())
