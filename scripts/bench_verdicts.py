@@ -3,12 +3,15 @@
     python scripts/bench_verdicts.py fits --records results.jsonl --every 4
     python scripts/bench_verdicts.py steps
     python scripts/bench_verdicts.py sigmas
+    python scripts/bench_verdicts.py sizes --every 3
 
 All run on cases of the closed loop's benchmark. `fits`: how often a fit of the declared model warns
 that something is missing, beside the likelihood ratio of the true structure that `--records` has,
 a file of `bench_closed_loop.py`. `steps`: clean cases with a communication step ten times as long
 as the sampling interval, or a tolerance of 1e-3; each must be refused or flagged, with no effect.
 `sigmas`: declared sigmas ten times too small or too large; each must be named as the likely error.
+`sizes`: disturbances that nobody measured; each must be called unexplained, with its size as it is:
+what the model leaves of the outputs without their noise, which only the benchmark knows.
 """
 
 from __future__ import annotations
@@ -20,11 +23,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from closed_loop_benchmark.data import make
+from closed_loop_benchmark.data import Data, make
 from closed_loop_benchmark.problem import make_problem
 from closed_loop_benchmark.scenarios import Scenario, all_scenarios
 
 import cluster_est as ce
+from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.loop import close_loop
 from cluster_est.results.residual_sentences import residual_sentences
 
@@ -34,6 +39,9 @@ SEEN = 100.0
 FLAGS = ("error of", "is never taken")
 """Words of a note on a step or a tolerance: its error beside the noise, or that it has none because
 the times of the measurements are closer together."""
+
+NEAR = 0.2
+"""Relative error of the size of a disturbance that is still right."""
 
 LONGER, LOOSE, WRONG = 10.0, 1e-3, 10.0
 """A communication step over the sampling interval; a tolerance; a sigma over the true one."""
@@ -114,10 +122,42 @@ def sigmas(options: argparse.Namespace) -> None:
         print(f"    another sentence than with the right one in {changed}")
 
 
+def sizes(options: argparse.Namespace) -> None:
+    """Compare the sizes of disturbances as they are said with what they are."""
+    cases = [c for c in all_scenarios() if c.kind == "disturbance"][:: options.every]
+    right, unexplained = 0, 0
+    for case in cases:
+        data = make(case)
+        result = close_loop(make_problem(data))
+        unexplained += result.verdict is Verdict.UNEXPLAINED and not result.effects
+        ratio = _said_over_true(data, result)
+        right += abs(ratio - 1.0) <= NEAR
+        print(f"  {case.name}: {result.verdict}, said over true size {ratio:.3f}", flush=True)
+    print(f"unexplained, no effect: {unexplained} of {len(cases)}; ", end="")
+    print(f"size within {NEAR:.0%}: {right} of {len(cases)}")
+
+
+def _said_over_true(data: Data, result: LoopResult) -> float:
+    """The size that is said of the output where it is largest, over what it is; NaN for none."""
+    if not result.unexplained:
+        return float("nan")
+    said = result.unexplained[0]
+    column = data.system.outputs.index(said.output)
+    left = []
+    for run, simulation in zip(data.experiments, result.after.simulations, strict=True):
+        seen = simulation.outcome.trajectory
+        if run.role == "train" and seen is not None:
+            rows = np.searchsorted(seen.times, data.times)
+            simulated = seen.values[rows, seen.variables.index(said.output)]
+            left.append(run.true_outputs[:, column] - simulated)
+    return said.size / float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
+
+
 PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
     "fits": fits,
     "steps": steps,
     "sigmas": sigmas,
+    "sizes": sizes,
 }
 
 
