@@ -23,6 +23,7 @@ from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
+from cluster_est.problem.idle_inputs import silent_notes
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.running.arguments import check_problem, check_resources
@@ -286,7 +287,7 @@ def _short_notes(workbench: LoopWorkbench) -> tuple[str, ...]:
 
 
 def _notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
-    notes = list(problem.notes())
+    notes = [*silent_notes(problem, description), *problem.notes()]
     closed = _closed_parameters(problem, description)
     if closed:
         notes.append(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
 from workers.messages import Experiment
@@ -46,8 +47,9 @@ def silent_inputs(
     return tuple(name for name, ids in idle.items() if len(ids) == len(experiments))
 
 
-def silent_notes(names: Sequence[str], description: ModelDescription) -> tuple[str, ...]:
+def silent_notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     """Say which inputs nothing drives; nothing where all are driven."""
+    names = silent_inputs(problem.parameters, problem.experiments, description)
     if not names:
         return ()
     named = [f"{n} ({stays(description.variables[n])})" for n in names[:MOST_NAMED]]

@@ -10,7 +10,6 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.problem import display
 from cluster_est.problem.formulas import Formula, ParameterConstraint
-from cluster_est.problem.idle_inputs import silent_inputs, silent_notes
 from cluster_est.problem.names import coefficient_names, refuse_repeated
 from cluster_est.problem.options import check_options
 from cluster_est.problem.parameter import Parameter
@@ -173,12 +172,10 @@ class Problem:
         ModelError, ProblemError
             As `describe`, or if it cannot be simulated at the experiments' times.
         """
-        description = self.describe()
-        silent = silent_inputs(self.parameters, self.experiments, description)
-        notes = (*silent_notes(silent, description), *jump_notes(self.experiments))
+        jumps = jump_notes(self.experiments)
         if self.model.interface == "model_exchange":
-            return notes
-        return (*communication_notes(self.model, description, self.experiments), *notes)
+            return jumps
+        return (*communication_notes(self.model, self.describe(), self.experiments), *jumps)
 
     def _repr_html_(self) -> str:
         """Show model, parameters and experiments in a display."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from cluster_est.problem.idle_inputs import silent_notes
 from cluster_est.results.initial_errors import initial_notes
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.residual_sentences import residual_facts, residual_sentences
@@ -40,7 +41,9 @@ def fit_facts(result: Result) -> dict[str, Any]:
 
 def fit_notes(result: Result) -> tuple[str, ...]:
     """Sentences about the simulations, the residuals and the uncertainty."""
-    notes = [*result.problem.notes(), *initial_notes(result.problem, result.simulations)]
+    problem = result.problem
+    notes = [*problem.notes(), *silent_notes(problem, problem.describe())]
+    notes += initial_notes(problem, result.simulations)
     if result.diagnostics is not None:
         notes += residual_sentences(result.diagnostics)
     if result.solver_error is not None:

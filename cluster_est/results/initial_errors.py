@@ -77,6 +77,8 @@ def initial_errors(
     fitted
         They are at the estimates of a fit: what is left at the first sample must stand out.
     """
+    if not simulations:
+        return ()
     description = problem.describe()
     space = make_space(problem, tuple(range(len(problem.experiments))))
     offs: dict[str, list[tuple[float, float]]] = {}

@@ -27,7 +27,7 @@ def test_written_values_are_few_evenly_spaced_and_different(low, span, count):
         return
     found = scale.ticks(count)
     values = np.array([value for value, _ in found])
-    assert 1 <= len(found) <= 1.35 * count + 1
+    assert 2 <= len(found) <= max(1.35 * count + 1, 5)  # a step finer, where there was but one
     assert np.all((values >= scale.low - 1e-6 * span) & (values <= scale.high + 1e-6 * span))
     if len(values) > 2:
         assert np.diff(values) == pytest.approx(np.diff(values)[0], rel=1e-3)
