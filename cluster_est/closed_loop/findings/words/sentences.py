@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.effects import AgreeingEquation
-from cluster_est.closed_loop.findings.words.numbers import readable_time
+from cluster_est.closed_loop.findings.words.numbers import in_a_row, readable_time
 from cluster_est.results.row_types import EffectCurve, Estimate
 
 SAME = 1e-6
@@ -40,7 +40,7 @@ def sentence_of(
     said = f"{_capital(words)} {_place(candidate)}: {candidate.equation}"
     values = [] if candidate.form.free else [_value(candidate, e) for e in coefficients if _told(e)]
     if values:
-        said += f", with {_listed(values)}"
+        said += f", with {in_a_row(values)}"
     if math.isfinite(period):
         said += f", a period of {readable_time(period)}"
     said += _reference(candidate, coefficients)
@@ -76,11 +76,6 @@ def _place(candidate: EffectCandidate) -> str:
 
 def _capital(words: str) -> str:
     return words[:1].upper() + words[1:]
-
-
-def _listed(parts: Sequence[str]) -> str:
-    *first, last = parts
-    return f"{', '.join(first)} and {last}" if first else last
 
 
 def _told(estimate: Estimate) -> bool:
