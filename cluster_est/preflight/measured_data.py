@@ -35,8 +35,7 @@ def data_findings(problem: Problem, description: ModelDescription) -> list[Check
 
 def _inputs_without_data(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     lines = []
-    idle = idle_inputs(problem.parameters, problem.experiments, description)
-    for name, ids in idle.items():
+    for name, ids in idle_inputs(problem, description).items():
         value = stays(description.variables[name])
         count = len(problem.experiments)
         if len(ids) < count:

@@ -128,8 +128,7 @@ def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
     """Return one line for parameters that may be dead only because nothing drives the model."""
     if not subject.declared or not names:
         return []
-    problem = subject.problem
-    silent = silent_inputs(problem.parameters, problem.experiments, subject.description)
+    silent = silent_inputs(subject.problem, subject.description)
     if not silent:
         return []
     value = stays(subject.description.variables[silent[0]])

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
-from workers.messages import Experiment
 
 MOST_NAMED = 4
 """Inputs in a note."""
 
 
-def idle_inputs(
-    parameters: Sequence[Parameter],
-    experiments: Sequence[Experiment],
-    description: ModelDescription,
-) -> dict[str, list[str]]:
+def idle_inputs(problem: Problem, description: ModelDescription) -> dict[str, list[str]]:
     """Return the inputs of the FMU that nothing drives, with the experiments in which."""
-    targets = {p.target for p in parameters if not p.auxiliary}
+    targets = {p.target for p in problem.parameters if not p.auxiliary}
     found: dict[str, list[str]] = {}
     for variable in description.inputs():
         names = {variable.name, *variable.aliases}
         if variable.kind not in ("real", "integer", "boolean") or names & targets:
             continue
-        for each in experiments:
+        for each in problem.experiments:
             if names.isdisjoint({i.variable for i in each.inputs} | dict(each.values).keys()):
                 found.setdefault(variable.name, []).append(each.id)
     return found
@@ -37,19 +29,15 @@ def stays(variable: ModelVariable) -> str:
     return f"{variable.start or 0.0:g} {variable.unit}".strip()
 
 
-def silent_inputs(
-    parameters: Sequence[Parameter],
-    experiments: Sequence[Experiment],
-    description: ModelDescription,
-) -> tuple[str, ...]:
+def silent_inputs(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     """Return the inputs that nothing drives in any experiment."""
-    idle = idle_inputs(parameters, experiments, description)
-    return tuple(name for name, ids in idle.items() if len(ids) == len(experiments))
+    idle, count = idle_inputs(problem, description), len(problem.experiments)
+    return tuple(name for name, ids in idle.items() if len(ids) == count)
 
 
 def silent_notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     """Say which inputs nothing drives; nothing where all are driven."""
-    names = silent_inputs(problem.parameters, problem.experiments, description)
+    names = silent_inputs(problem, description)
     if not names:
         return ()
     named = [f"{n} ({stays(description.variables[n])})" for n in names[:MOST_NAMED]]

@@ -112,8 +112,7 @@ def varying_columns(
     best: dict[str, VaryingColumn] = {}
     for each in sorted(found, key=lambda c: (np.nan_to_num(c.p), -np.nan_to_num(c.share))):
         best.setdefault(each.column, each)
-    problem = workbench.problem
-    silent = silent_inputs(problem.parameters, problem.experiments, workbench.description)
+    silent = silent_inputs(workbench.problem, workbench.description)
     return tuple(replace(each, silent=silent) for each in best.values())[:MOST_NAMED]
 
 

@@ -30,6 +30,9 @@ def test_one_that_is_driven_somewhere_is_not():
 def test_a_value_of_its_own_or_a_parameter_drives_an_input():
     problem = without_force(("e0", "e1"))
     runs = tuple(replace(run, values=(("F", 1.0),)) for run in problem.experiments)
-    assert silent_inputs(problem.parameters, runs, problem.describe()) == ()
-    driven = (*problem.parameters, replace(problem.parameters[0], name="F"))
-    assert silent_inputs(driven, problem.experiments, problem.describe()) == ()
+    valued = replace(problem, experiments=runs)
+    assert silent_inputs(valued, valued.describe()) == ()
+    parameters = (*problem.parameters, replace(problem.parameters[0], name="F"))
+    model = replace(problem.model, parameters=(*problem.model.parameters, "F"))
+    driven = replace(problem, model=model, parameters=parameters)
+    assert silent_inputs(driven, driven.describe()) == ()
