@@ -115,7 +115,7 @@ class EffectCurve:
     Attributes
     ----------
     effect, part
-        Its name, and the site: "der(v)". A pair has two of them.
+        Its name, and the site: "der(v)", "der(v) while v > 0". A pair has two of them.
     variable, variable_unit, unit
         Its argument, and both units; "" where the FMU names none.
     x, y, lower, upper : (n,)
@@ -132,6 +132,9 @@ class EffectCurve:
     integral_of
         The state whose integral the variable is, but for a factor, or the difference of two for a
         difference: "v - w" for "x - z". "" where it is none.
+    positive
+        A variable that switches the effect with its sign: the curve holds where it is positive. ""
+        without one.
     """
 
     effect: str
@@ -150,3 +153,4 @@ class EffectCurve:
     free_error: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
     why_not: str = ""
     integral_of: str = ""
+    positive: str = ""

@@ -11,6 +11,7 @@ BENCHMARK_NAMES = {
     "clip_above": "saturation",
     "signed_root": "leak",
     "periodic_travel": "cogging",
+    "load_dependent_coulomb": "pressed_friction",
 }
 """Forms of the library that the benchmark calls otherwise; a gap at a single rate is one more."""
 

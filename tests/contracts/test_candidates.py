@@ -38,6 +38,8 @@ LINEAR = ("mass_spring_damper", "two_mass_drive")
 """Where the response to a finite change is what a linear system says."""
 KINK = re.compile(r"max|min|abs|where|sign|tanh")
 WAVES_IN_A_RECORD = 5.0
+VISITED = {"coulomb_table_25": ("mass_spring_damper",)}
+"""Systems on which each value of a curve has more samples than the two around a switch."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,9 @@ def test_its_direction_is_what_simulations_say(systems, kind, name):
     able = [
         seen
         for system, seen in systems.items()
-        if (system in LINEAR or not finite) and _of(seen.candidates, kind, name)
+        if (system in LINEAR or not finite)
+        and system in VISITED.get(name, NAMES)
+        and _of(seen.candidates, kind, name)
     ]
     assert able, "it is a candidate on none of the systems: add one here that it makes sense on"
     seen = able[zlib.crc32(f"{kind} {name}".encode()) % len(able)]

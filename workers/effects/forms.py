@@ -182,6 +182,10 @@ _WHOLLY = (
     FormCoefficient("low", None, scale=GridScale.RANGE_S, grid=(0.0,), held=True, unit="site"),
     FormCoefficient("high", None, scale=GridScale.RANGE_S, grid=(1.0,), held=True, unit="site"),
 )
+_ACROSS = (
+    FormCoefficient("low", None, scale=GridScale.LOW_W, grid=(1.0,), held=True, unit="w"),
+    FormCoefficient("high", None, scale=GridScale.HIGH_W, grid=(1.0,), held=True, unit="w"),
+)
 _RATIO = FormCoefficient(
     "back", None, positive=True, scale=GridScale.COUPLING, grid=(1.0,), unit="other / site"
 )
@@ -235,6 +239,9 @@ _RATES = (
          "-forward * max(tanh(v / width), 0) - backward * min(tanh(v / width), 0)",
          (_drag("site", name="forward"), _drag("site", name="backward"), _WIDTH),
          1, when=_OWN_OSCILLATES, order=0.5),
+    # pressed by a load, such as a brake's or a seal's
+    EffectForm("load_dependent_coulomb", "friction", _DER, "-k * abs(w) * tanh(v / width)",
+         (_drag("site / w"), _WIDTH), 2, when=_OWN_OSCILLATES, order=0.6),
     EffectForm("dahl", "friction", _DER, "-k * z",
          (_drag("site"), _shape("x0", "travel", GridScale.TRAVEL_V, 0.02, 0.1, 0.4)), 1,
          (_BRISTLE,),
@@ -277,6 +284,13 @@ _RATES = (
         EffectForm(name, FREE_FAMILY, _DER, _curve("v", _all(of), of),
              _curve_coefficients(_all(of), *_MOSTLY), 1, order=2.0, values=of, finer_than=coarse)
         for name, of, coarse in _resolutions("table")
+    ),
+    # a friction whose level depends on the place, or on anything else
+    *(
+        EffectForm(name, FREE_FAMILY, _DER, f"-({_curve('w', _all(of), of)}) * tanh(v / width)",
+             _curve_coefficients(_all(of), *_ACROSS, _WIDTH), 2, when=_OWN_OSCILLATES, order=2.0,
+             values=of, finer_than=coarse)
+        for name, of, coarse in _resolutions("coulomb_table")
     ),
     # between two states
     _between("joint", "end stop", "max(min(v, at), -at)", " / v", _BEYOND),

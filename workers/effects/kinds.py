@@ -35,6 +35,10 @@ class GridScale(enum.Enum):
     """1 % quantile."""
     HIGH_V = "high v"
     """99 % quantile."""
+    LOW_W = "low w"
+    """1 % quantile of the form's second variable."""
+    HIGH_W = "high w"
+    """99 % quantile of it."""
     COUPLING = "coupling"
     """How much more than on the first state of a pair what is between the two acts on the second:
     by the derivatives of their rates by each other, 1 where these say nothing."""
@@ -66,7 +70,8 @@ class FormCondition(enum.Enum):
     POSITIVE = "positive"
     """Its variable, or the signal where it has none, is never negative."""
     OWN = "own"
-    """Its variable is the state at whose derivative it acts, at an input one that this acts on."""
+    """Its variable, the first where it has two, is the state at whose derivative it acts, at an
+    input one that this acts on."""
     FIRST = "first"
     """Its variable is the first state of the pair."""
     FORCE = "force"

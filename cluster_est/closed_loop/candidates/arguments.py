@@ -104,6 +104,16 @@ class OpenArguments:
         """Return the arguments that are no differences: products are made of these alone."""
         return [name for name in names if name in self.states or not is_difference(name)]
 
+    def beside(self, site: EffectSite, names: Collection[str]) -> list[str]:
+        """Return what a function of a state that is pushed there may depend on besides.
+
+        These are the others of some arguments, and in any case the position that it is the speed
+        of: how a body rubs depends on where it is.
+        """
+        pushed = self.pushed_by(site)
+        places = [x for x, v in self.speeds.items() if v in pushed and x in self.states]
+        return [n for n in dict.fromkeys([*self.single(names), *places]) if n not in pushed]
+
     @cached_property
     def differences(self) -> int:
         """Number of differences of states of one unit."""
@@ -250,4 +260,7 @@ def variables_of(
     names = arguments.at(site) if leading is None else [n for n in leading if n != TIME]
     if form.variables == 1:
         return [(name,) for name in names if arguments.takes(form, site, name)]
+    if FormCondition.OWN in form.when:
+        others = arguments.beside(site, names)
+        return [(own, other) for own in arguments.pushed_by(site) for other in others]
     return list(itertools.combinations(arguments.single(names), 2))

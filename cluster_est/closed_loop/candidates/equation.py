@@ -32,7 +32,8 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
     if form.memory:
         return f"{site.target} -> {form.memory}({site.target}, {coefficients[0]})"
     if form.free:
-        table = f"table of {names.get('v', site.target)} from low to high: "
+        argument = effect.variables[-1] if effect.variables else names.get("v", site.target)
+        table = f"table of {argument} from low to high: "
         values = [c.name for c in form.coefficients if c.neutral is not None]
         table += ", ".join(values if len(values) < 9 else [*values[:2], "...", values[-1]])
         if site.kind == "pair":
@@ -40,6 +41,8 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
             return f"der({first}) += {table}; der({second}) -= {names.get('back', 'back')} times it"
         if site.kind == "parameter":
             return f"{site.target} -> {site.target} * (1 + {table})"
+        if form.variables > 1:
+            return f"{site} += {named('-tanh(v / width)')} * ({table})"
         return f"{site} += {table}" if at_rates else f"{site.target} -> {site.target} + {table}"
     text = named(form.equation)
     if site.kind == "pair":

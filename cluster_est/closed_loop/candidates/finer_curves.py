@@ -64,7 +64,7 @@ def refined(
     known = dict(zip([c.name for c in coarse.form.coefficients], values, strict=True))
     ends = known["low"], known["high"]
     if len(coarse.strengths) == coarse.form.values:
-        v = pooled(trajectories, coarse.effect.variables[0])
+        v = pooled(trajectories, coarse.effect.variables[-1])
         ends = float(np.quantile(v, RARE)), float(np.quantile(v, 1.0 - RARE))
     points = np.linspace(known["low"], known["high"], coarse.form.values)
     heights = [known.get(f"k{i + 1}", 0.0) for i in range(coarse.form.values)]

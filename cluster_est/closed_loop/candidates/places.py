@@ -94,6 +94,8 @@ def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments
             return 0
         return n - 2 + (arguments.differences if first < second else 0)
     names = arguments.at(site)
+    if form.variables == 2 and FormCondition.OWN in form.when:
+        return len(arguments.pushed_by(site)) * len(arguments.beside(site, names))
     if form.variables == 2:
         single = len(arguments.single(names))
         return single * (single - 1) // 2

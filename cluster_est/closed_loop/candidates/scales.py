@@ -75,6 +75,8 @@ class SignalScales:
         if scale is GridScale.COUPLING:
             return tuple(g * self._coupling(site) for g in grid)
         signal = self._signal(site) if scale in _OF_SIGNAL else self._about(site, variables)
+        if scale in _OF_SECOND:
+            signal = pooled(self.trajectories, variables[1])
         if signal is None:
             return ()
         values = self._spread(scale or GridScale.RMS_V, np.array(grid), signal, site, variables)
@@ -213,13 +215,16 @@ def oscillates(signal: FloatArray, share: float = CandidateThresholds.both_signs
 _ABOVE_ZERO = {"K": 0.0, "degC": 273.15, "Cel": 273.15, "\N{DEGREE SIGN}C": 273.15}
 """How far the zero of a unit of temperature lies above absolute zero."""
 _OF_SIGNAL = (GridScale.MAX_S, GridScale.RANGE_S, GridScale.FASTEST_S)
-_ENDS = (GridScale.LOW_V, GridScale.HIGH_V)
+_OF_SECOND = (GridScale.LOW_W, GridScale.HIGH_W)
+_ENDS = (GridScale.LOW_V, GridScale.HIGH_V, *_OF_SECOND)
 _SIZES: Mapping[GridScale, Callable[[FloatArray], Any]] = {
     GridScale.MEAN_V: lambda v: v.mean(),
     GridScale.MEAN_ABSOLUTE_V: lambda v: np.abs(v).mean(),
     GridScale.MEAN_SQUARE_V: lambda v: (v**2).mean(),
     GridScale.LOW_V: lambda v: np.quantile(v, 0.01),
     GridScale.HIGH_V: lambda v: np.quantile(v, 0.99),
+    GridScale.LOW_W: lambda w: np.quantile(w, 0.01),
+    GridScale.HIGH_W: lambda w: np.quantile(w, 0.99),
     GridScale.MAX_V: lambda v: np.abs(v).max(),
     GridScale.MAX_S: lambda s: np.abs(s).max(),
     GridScale.RMS_V: lambda v: np.sqrt(np.mean(v**2)),

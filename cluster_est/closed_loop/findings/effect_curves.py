@@ -71,8 +71,8 @@ def _shown(
     trajectories: Sequence[LinearisedTrajectory],
     fitted: FittedModel,
 ) -> EffectCurve:
-    """A curve with its free values, where these can be had."""
-    if curve.why_not or site is None:
+    """A curve with its free values, where these can be had; not for one sign of a variable."""
+    if curve.why_not or curve.positive or site is None:
         return curve
     values = [arguments(each, site, curve.variable) for each in trajectories]
     found = free_values(site, trajectories, values, fitted.residuals)

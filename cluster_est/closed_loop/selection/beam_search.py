@@ -227,15 +227,17 @@ def _revised(
 ) -> tuple[FittedModel, Rivals]:
     """Return what has won a round, refitted and revised, and the rivals of its effects.
 
-    What closes too little for a claim is grown first: a revision costs as much as a round, and the
-    next effect changes what it would find.
+    What closes too little for a claim is grown first: other starts and a revision cost as much as a
+    round, and the next effect changes what they would find.
     """
     found = rivals_of(won, end.seen.contenders, workbench.thresholds.refinement)
     rivals = {**found, **rivals, **{name: own for name, own in found.items() if own[1]}}
     grown = won.fitted
+    if not can_be_claimed(workbench, begun, grown):
+        return grown, rivals
     if _grows_several(workbench, grown, begun.floor):
         grown = refit_from_other_starts(workbench, begun.base, grown)
-    if len(grown.added) > 1 and can_be_claimed(workbench, begun, grown):
+    if len(grown.added) > 1:
         grown, rivals = revise(workbench, begun, grown, rivals)
     return grown, rivals
 

@@ -44,11 +44,15 @@ class EffectShape:
         The name of the variable; "time" for the time.
     shape
         The function.
+    positive
+        The variable whose sign switches it: the function holds where that is positive. "" without
+        one.
     """
 
     target: str
     argument: str
     shape: Shape = field(repr=False)
+    positive: str = ""
 
 
 def effect_shapes(
@@ -74,13 +78,13 @@ def shape_over(
 ) -> Callable[[FloatArray], FloatArray] | None:
     """Return what an effect adds, over the variable of its curve, also where no data were.
 
-    None where it has no curve, or changes a parameter. Of a signal that becomes a function of
+    None where it has no curve, or one of another variable's sign, or changes a parameter. Of a signal that becomes a function of
     itself, what is added to it.
     """
     found = next(
         (d for d in _definitions(result, description) if d.effect.name == curve.effect), None
     )
-    if curve.why_not or found is None or found.site.kind == "parameter":
+    if curve.why_not or curve.positive or found is None or found.site.kind == "parameter":
         return None
     part = part_shapes(found)[0]
     values = np.array([e.value for e in coefficient_estimates(found, result)])
@@ -139,11 +143,14 @@ def part_shapes(definition: EffectDefinition, signal: float = 1.0) -> list[Effec
     """
     found = []
     for target, equation in definition.equations:
-        made = _part(definition, equation, signal)
+        positive, made = "", _part(definition, equation, signal)
+        if made is None:
+            positive, made = _while_positive(definition, equation, signal)
         if made is None:
             return []
         argument, symbol, shown = made
-        found.append(EffectShape(target, argument, _compiled(definition, shown, symbol)))
+        shape = _compiled(definition, shown, symbol)
+        found.append(EffectShape(target, argument, shape, positive))
     return found
 
 
@@ -168,6 +175,18 @@ def _part(
         (symbol,) = used
         return str(symbol).removeprefix("fmu:"), symbol, equation
     return _difference(definition, equation) if len(used) == 2 else None
+
+
+def _while_positive(
+    definition: EffectDefinition, equation: sp.Expr, signal: float
+) -> tuple[str, tuple[str, sp.Symbol, sp.Expr] | None]:
+    """The variable whose sign switches a part, and the part where that is positive, if any."""
+    name = next(iter(definition.effect.variables), "")
+    switching = variable_symbol(name)
+    switched = equation.replace(lambda e: isinstance(e, sp.tanh) and e.has(switching), lambda _: 1)
+    if not name or switched.has(switching):
+        return "", None
+    return name, _part(definition, switched, signal)
 
 
 def _arguments(definition: EffectDefinition, equation: sp.Expr) -> set[sp.Symbol]:
@@ -229,9 +248,11 @@ def _curve(
     units = {name: variable.unit for name, variable in description.variables.items()}
     unit, at_rates = units.get(part.target, ""), definition.site.at_rates
     first = parts_of(part.argument)[0]
+    at = f"der({part.target})" if at_rates else str(definition.site)
     return EffectCurve(
         effect=definition.effect.name,
-        part=f"der({part.target})" if at_rates else str(definition.site),
+        part=f"{at} while {part.positive} > 0" if part.positive else at,
+        positive=part.positive,
         variable=part.argument,
         variable_unit="s" if part.argument == "time" else units.get(first, ""),
         unit=f"{unit}/s" if unit and at_rates else unit,

@@ -40,70 +40,86 @@ def _centred(values: int) -> tuple[float, ...]:
     return (*own[:middle], 0.0, *own[middle + 1 :])
 
 
-DERIVATIVE = {
-    "constant": ((0.5,), (), lambda t, x, f: 0.5),
-    "drift": ((0.2,), (), lambda t, x, f: 0.2 * t),
-    "sine": ((0.3, 0.2, 7.0), (), lambda t, x, f: 0.3 * np.sin(7 * t) + 0.2 * np.cos(7 * t)),
-    "viscous": ((0.5,), (), lambda t, x, f: -0.5 * x[1]),
-    "quadratic": ((0.7,), (), lambda t, x, f: -0.7 * x[1] * abs(x[1])),
-    "cubic": ((0.7,), (), lambda t, x, f: -0.7 * x[1] ** 3),
-    "power": (
-        (0.5, 1.4, 0.9),
-        (),
-        lambda t, x, f: -0.5 * np.sign(x[1]) * (abs(x[1]) / 0.9) ** 1.4,
-    ),
-    "radiation": (
-        (0.05, 0.3),
-        ("v", "F"),
-        lambda t, x, f: -0.05 * ((x[1] + 0.3) ** 4 - (f + 0.3) ** 4),
-    ),
-    "exponential": (
-        (0.4, 0.2, 0.1),
-        ("x",),
-        lambda t, x, f: 0.4 * np.exp((x[0] - 0.2) / 0.1),
-    ),
-    "contact": (
-        (-2.0, 0.05, 1.5, 0.1),
-        ("x",),
-        lambda t, x, f: -2.0 * (max(x[0] - 0.05, 0.0) / 0.1) ** 1.5,
-    ),
-    "coulomb": ((0.5, 0.05), (), lambda t, x, f: -0.5 * np.tanh(x[1] / 0.05)),
-    "stribeck": (
-        (0.5, 0.4, 0.1, 0.05),
-        (),
-        lambda t, x, f: -(0.5 + 0.4 * np.exp(-((x[1] / 0.1) ** 2))) * np.tanh(x[1] / 0.05),
-    ),
-    "asymmetric_coulomb": (
-        (0.5, 0.2, 0.05),
-        (),
-        lambda t, x, f: -(0.5 if x[1] > 0.0 else 0.2) * np.tanh(x[1] / 0.05),
-    ),
-    "periodic": (
-        (0.3, 0.2, 40.0),
-        ("x",),
-        lambda t, x, f: 0.3 * np.sin(40.0 * x[0]) + 0.2 * np.cos(40.0 * x[0]),
-    ),
-    "linear": ((-4.0,), ("x",), lambda t, x, f: -4.0 * x[0]),
-    "saturating": ((-2.0, 0.05), ("x",), lambda t, x, f: -2.0 * x[0] / (0.05 + abs(x[0]))),
-    "square": ((9.0,), ("x",), lambda t, x, f: 9.0 * x[0] ** 2),
-    "product": ((0.1,), ("x", "F"), lambda t, x, f: 0.1 * x[0] * f),
-    "hinge": ((-50.0, 0.05), ("x",), lambda t, x, f: -50.0 * max(x[0] - 0.05, 0.0)),
-    "hinge_below": ((50.0, 0.02), ("x",), lambda t, x, f: 50.0 * max(0.02 - x[0], 0.0)),
-    "gap": (
-        (40.0, 0.04),
-        ("x",),
-        lambda t, x, f: -40.0 * (max(x[0] - 0.04, 0.0) - max(-x[0] - 0.04, 0.0)),
-    ),
-    "square_root": ((0.5,), ("x",), lambda t, x, f: -0.5 * np.sqrt(max(x[0], 0.0))),
-    "signed_root": ((0.5,), ("F",), lambda t, x, f: -0.5 * np.sign(f) * np.sqrt(abs(f))),
-} | {
-    f"table{end}": (
-        (*heights(n), -0.2, 0.3),
-        (),
-        lambda t, x, f, n=n: curve(x[1], -0.2, 0.3, heights(n)),
-    )
-    for end, n in CURVES.items()
-}
+DERIVATIVE = (
+    {
+        "constant": ((0.5,), (), lambda t, x, f: 0.5),
+        "drift": ((0.2,), (), lambda t, x, f: 0.2 * t),
+        "sine": ((0.3, 0.2, 7.0), (), lambda t, x, f: 0.3 * np.sin(7 * t) + 0.2 * np.cos(7 * t)),
+        "viscous": ((0.5,), (), lambda t, x, f: -0.5 * x[1]),
+        "quadratic": ((0.7,), (), lambda t, x, f: -0.7 * x[1] * abs(x[1])),
+        "cubic": ((0.7,), (), lambda t, x, f: -0.7 * x[1] ** 3),
+        "power": (
+            (0.5, 1.4, 0.9),
+            (),
+            lambda t, x, f: -0.5 * np.sign(x[1]) * (abs(x[1]) / 0.9) ** 1.4,
+        ),
+        "radiation": (
+            (0.05, 0.3),
+            ("v", "F"),
+            lambda t, x, f: -0.05 * ((x[1] + 0.3) ** 4 - (f + 0.3) ** 4),
+        ),
+        "exponential": (
+            (0.4, 0.2, 0.1),
+            ("x",),
+            lambda t, x, f: 0.4 * np.exp((x[0] - 0.2) / 0.1),
+        ),
+        "contact": (
+            (-2.0, 0.05, 1.5, 0.1),
+            ("x",),
+            lambda t, x, f: -2.0 * (max(x[0] - 0.05, 0.0) / 0.1) ** 1.5,
+        ),
+        "coulomb": ((0.5, 0.05), (), lambda t, x, f: -0.5 * np.tanh(x[1] / 0.05)),
+        "load_dependent_coulomb": (
+            (4.0, 0.05),
+            ("v", "x"),
+            lambda t, x, f: -4.0 * abs(x[0]) * np.tanh(x[1] / 0.05),
+        ),
+        "stribeck": (
+            (0.5, 0.4, 0.1, 0.05),
+            (),
+            lambda t, x, f: -(0.5 + 0.4 * np.exp(-((x[1] / 0.1) ** 2))) * np.tanh(x[1] / 0.05),
+        ),
+        "asymmetric_coulomb": (
+            (0.5, 0.2, 0.05),
+            (),
+            lambda t, x, f: -(0.5 if x[1] > 0.0 else 0.2) * np.tanh(x[1] / 0.05),
+        ),
+        "periodic": (
+            (0.3, 0.2, 40.0),
+            ("x",),
+            lambda t, x, f: 0.3 * np.sin(40.0 * x[0]) + 0.2 * np.cos(40.0 * x[0]),
+        ),
+        "linear": ((-4.0,), ("x",), lambda t, x, f: -4.0 * x[0]),
+        "saturating": ((-2.0, 0.05), ("x",), lambda t, x, f: -2.0 * x[0] / (0.05 + abs(x[0]))),
+        "square": ((9.0,), ("x",), lambda t, x, f: 9.0 * x[0] ** 2),
+        "product": ((0.1,), ("x", "F"), lambda t, x, f: 0.1 * x[0] * f),
+        "hinge": ((-50.0, 0.05), ("x",), lambda t, x, f: -50.0 * max(x[0] - 0.05, 0.0)),
+        "hinge_below": ((50.0, 0.02), ("x",), lambda t, x, f: 50.0 * max(0.02 - x[0], 0.0)),
+        "gap": (
+            (40.0, 0.04),
+            ("x",),
+            lambda t, x, f: -40.0 * (max(x[0] - 0.04, 0.0) - max(-x[0] - 0.04, 0.0)),
+        ),
+        "square_root": ((0.5,), ("x",), lambda t, x, f: -0.5 * np.sqrt(max(x[0], 0.0))),
+        "signed_root": ((0.5,), ("F",), lambda t, x, f: -0.5 * np.sign(f) * np.sqrt(abs(f))),
+    }
+    | {
+        f"table{end}": (
+            (*heights(n), -0.2, 0.3),
+            (),
+            lambda t, x, f, n=n: curve(x[1], -0.2, 0.3, heights(n)),
+        )
+        for end, n in CURVES.items()
+    }
+    | {
+        f"coulomb_table{end}": (
+            (*heights(n), -0.05, 0.1, 0.05),
+            ("v", "x"),
+            lambda t, x, f, n=n: -curve(x[0], -0.05, 0.1, heights(n)) * np.tanh(x[1] / 0.05),
+        )
+        for end, n in CURVES.items()
+    }
+)
 """At der(v): coefficients, variables, and the term as a function of time, states and force."""
 
 

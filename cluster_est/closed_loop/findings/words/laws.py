@@ -41,6 +41,8 @@ class Law(enum.Enum):
     SWITCH = "a switch with the sign"
     SWITCH_WITH_PEAK = "a switch with the sign and a peak near zero"
     TWO_SWITCHES = "a switch with the sign, of two levels"
+    SWITCH_BY_MAGNITUDE = "a switch with the sign, times a magnitude"
+    SWITCH_BY_CURVE = "a switch with the sign, times a free curve"
     HYSTERESIS = "a hysteresis"
     ABOVE = "linear above a threshold"
     BELOW = "linear below a threshold"
@@ -70,7 +72,7 @@ POWERS = {
 def law_of(form: EffectForm) -> Law:
     """Return the law of a form: of what it adds, or by what share it changes a parameter."""
     if form.free:
-        return Law.CURVE
+        return Law.SWITCH_BY_CURVE if form.variables > 1 else Law.CURVE
     if form.memory:
         return Law.OTHER
     names = ["t", "s", "v", "w", *(c.name for c in form.coefficients)]
@@ -112,7 +114,11 @@ def _with_free_exponent(term: sp.Expr, coefficients: set[sp.Symbol]) -> Law | No
 
 def _in_two(term: sp.Expr, v: sp.Symbol, w: sp.Symbol) -> Law:
     """The law of a function of two variables, or of a variable and the signal."""
-    laws = {Law.PRODUCT: v * w, Law.FOURTH_DIFFERENCE: (v + 1) ** 4 - (w + 1) ** 4}
+    laws = {
+        Law.PRODUCT: v * w,
+        Law.FOURTH_DIFFERENCE: (v + 1) ** 4 - (w + 1) ** 4,
+        Law.SWITCH_BY_MAGNITUDE: sp.tanh(v) * sp.Abs(w),
+    }
     return next((k for k, own in laws.items() if sp.simplify(term / own).is_number), Law.OTHER)
 
 

@@ -34,7 +34,7 @@ OF_SIGNALS = {
 }
 """What signal processing calls a form at an input or an output, whatever is measured."""
 
-IN_ONE = {
+TERMS = {
     Law.LINEAR: "a term linear in {v}",
     Law.ABSOLUTE: "a term proportional to the magnitude of {v}",
     Law.SQUARE: "a term quadratic in {v}",
@@ -51,6 +51,10 @@ IN_ONE = {
     Law.SWITCH: "a term that switches with the sign of {v}",
     Law.SWITCH_WITH_PEAK: "a term that switches with the sign of {v}, with a peak near zero",
     Law.TWO_SWITCHES: "a term that switches with the sign of {v} between two levels",
+    Law.SWITCH_BY_MAGNITUDE: (
+        "a term that switches with the sign of {v}, proportional to the magnitude of {w}"
+    ),
+    Law.SWITCH_BY_CURVE: "a term that switches with the sign of {v}, by a free curve of {w}",
     Law.HYSTERESIS: "a hysteresis over {v}",
     Law.ABOVE: "a term linear in {v} above a threshold",
     Law.BELOW: "a term linear in {v} below a threshold",
@@ -89,7 +93,8 @@ def mathematics_of(law: Law, form: EffectForm, site: EffectSite, variables: tupl
     if law is Law.PRODUCT:
         factors = named if form.variables == 2 else [site.target, *named]
         return f"a product of {' and '.join(factors)}"
-    said = IN_ONE.get(law, "a term in {v}").format(v=named[0] if named else site.target)
+    first, last = (named[0], named[-1]) if named else (site.target, site.target)
+    said = TERMS.get(law, "a term in {v}").format(v=first, w=last)
     if site.kind == "parameter":
         return said.replace("a term", "a variation", 1)
     return said

@@ -33,7 +33,7 @@ from cluster_est.closed_loop.findings.words.mathematics import mathematics_of
 from cluster_est.closed_loop.findings.words.physics import PlacedLaw, physics_of
 from cluster_est.results.row_types import EffectCurve
 from workers.effects.expression import parse
-from workers.effects.variables import difference, is_difference, own_variable
+from workers.effects.variables import bracketed, difference, is_difference, own_variable
 from workers.fmu.description import ModelDescription
 
 MOVING = (SPEED, TURNING, SPEED / TIME, TURNING / TIME, FORCE, TORQUE)
@@ -107,7 +107,7 @@ class Namer:
             one_sided=seen is not None and (seen.x.min() >= 0.0 or seen.x.max() <= 0.0),
             level=self._level,
         )
-        physics = physics_of(placed)
+        physics = physics_of(placed).format(w=bracketed(variables[-1]) if variables else "")
         words = physics or mathematics_of(law, candidate.form, site, variables)
         return EffectName(words, placed, bool(physics))
 
@@ -195,7 +195,8 @@ def _direction(
         x = np.array([-2.0, -1.0, 1.0, 2.0])
         found = _around_zero(candidate, values)
         y = np.array([found(each) for each in x]) if found is not None else np.zeros(len(x))
-    work = {Law.ABOVE: y, Law.BELOW: -y}.get(law, x * y)
+    of_sign = (Law.SWITCH_BY_MAGNITUDE, Law.SWITCH_BY_CURVE)  # their curves are for one direction
+    work = {Law.ABOVE: y, Law.BELOW: -y, **dict.fromkeys(of_sign, y)}.get(law, x * y)
     if not np.isfinite(work).all() or not work.any():
         return 0
     least = 1e-9 * float(np.abs(work).max())

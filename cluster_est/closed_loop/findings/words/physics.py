@@ -109,6 +109,8 @@ FRICTION = {
     Law.SWITCH: "Coulomb friction",
     Law.SWITCH_WITH_PEAK: "Stribeck friction",
     Law.TWO_SWITCHES: "Coulomb friction, unlike in the two directions",
+    Law.SWITCH_BY_MAGNITUDE: "Coulomb friction proportional to the magnitude of {w}",
+    Law.SWITCH_BY_CURVE: "Coulomb friction that depends on {w}",
     Law.HYSTERESIS: "friction with presliding (Dahl)",
 }
 """Of a body against its surroundings, or of two against each other."""

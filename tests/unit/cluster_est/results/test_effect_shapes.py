@@ -53,6 +53,8 @@ def test_every_form_is_drawn_as_its_equation(kind, form):
     for part, text in zip(parts, (form.equation, form.reaction), strict=False):
         over_signal = part.argument == "a"
         at = {"t": X, "v": X, "s": X if over_signal else 2.5} | names
+        if part.positive:
+            at |= {"v": np.inf, "w": X}
         with np.errstate(all="ignore"):
             expected = eval(text.replace("^", "**"), {"__builtins__": {}}, NUMPY | at)
             if kind in ("input", "output") and not over_signal:
@@ -70,6 +72,14 @@ def test_a_difference_of_two_states_is_one_argument():
     values = np.array([0.7, 0.3])[: len(made.coefficients)]
     assert first.shape(X, values) == pytest.approx(-0.7 * X)
     assert np.all(np.sign(second.shape(X, values)) == np.sign(X))
+
+
+def test_a_switched_function_of_another_variable_is_drawn_for_one_direction():
+    effect = Effect("e", "der(v)", "load_dependent_coulomb", ("v", "x"))
+    names = {name: variable_symbol(name) for name in ("x", "v")}
+    (part,) = part_shapes(_definition(effect, EffectSite("derivative", "v"), names))
+    assert (part.argument, part.positive) == ("x", "v")
+    assert part.shape(X, np.array([0.5, 0.01])) == pytest.approx(-0.5 * np.abs(X))
 
 
 def own(equation: str) -> EffectDefinition:

@@ -15,6 +15,7 @@ V = np.cos(3.0 * T) + 0.1 * T
 W = np.sin(5.0 * T + 1.0)
 SIGNALS = FormArguments(T, S, V, W)
 HATS = [np.interp(V, np.linspace(-0.9, 1.1, 7), np.eye(7)[i]) for i in range(7)]
+HATS_OF_W = [np.interp(W, np.linspace(-0.9, 1.1, 7), np.eye(7)[i]) for i in range(7)]
 HATS_OF_S = [np.interp(S, np.linspace(-0.9, 1.1, 7), np.eye(7)[i]) for i in range(7)]
 OUTER = np.maximum(V - 0.4, 0) - np.maximum(-V - 0.4, 0)
 SIGNED = np.sign(V) * np.sqrt(np.abs(V))
@@ -40,6 +41,7 @@ LINEAR = {
         [0, 0, 0.1],
         [-np.tanh(V / 0.1) * (V > 0), -np.tanh(V / 0.1) * (V < 0)],
     ),
+    ("derivative", "load_dependent_coulomb"): ([0, 0.1], [-np.abs(W) * np.tanh(V / 0.1)]),
     ("derivative", "linear"): ([0], [V]),
     ("derivative", "saturating"): ([0, 0.4], [V / (0.4 + np.abs(V))]),
     ("derivative", "square"): ([0], [V**2]),
@@ -49,6 +51,10 @@ LINEAR = {
     ("derivative", "gap"): ([0, 0.4], [-OUTER]),
     ("derivative", "square_root"): ([0], [-np.sqrt(np.maximum(V, 0))]),
     ("derivative", "signed_root"): ([0], [-SIGNED]),
+    ("derivative", "coulomb_table"): (
+        [0] * 7 + [-0.9, 1.1, 0.1],
+        [-hat * np.tanh(V / 0.1) for hat in HATS_OF_W],
+    ),
     ("derivative", "table"): ([0] * 7 + [-0.9, 1.1], HATS),
     ("pair", "joint"): ([0, 0, 0.4], [-np.clip(V, -0.4, 0.4), np.clip(V, -0.4, 0.4)]),
     ("pair", "gap"): ([0, 0, 0.4], [-OUTER, OUTER]),

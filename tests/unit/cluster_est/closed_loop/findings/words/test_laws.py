@@ -28,6 +28,8 @@ LAWS = {
     ("derivative", "coulomb"): Law.SWITCH,
     ("derivative", "stribeck"): Law.SWITCH_WITH_PEAK,
     ("derivative", "asymmetric_coulomb"): Law.TWO_SWITCHES,
+    ("derivative", "load_dependent_coulomb"): Law.SWITCH_BY_MAGNITUDE,
+    ("derivative", "coulomb_table"): Law.SWITCH_BY_CURVE,
     ("derivative", "dahl"): Law.HYSTERESIS,
     ("derivative", "square_root"): Law.ROOT,
     ("derivative", "signed_root"): Law.ODD_ROOT,

@@ -116,6 +116,19 @@ def test_a_square_is_drag_only_where_the_speed_keeps_its_sign_and_is_slowed():
     assert name(units, site, "square", "v", values=[-1.0]) == "a term quadratic in v"
 
 
+def test_friction_whose_level_depends_on_something_names_that():
+    units, site = {"v": "m/s", "p": "bar"}, der("v")
+    against, partly = seen(BOTH, -np.abs(BOTH)), seen(BOTH, BOTH)
+    pressed = name(units, site, "load_dependent_coulomb", "v", "p", curve=against)
+    assert pressed == "Coulomb friction proportional to the magnitude of p"
+    placed = name(units, site, "coulomb_table", "v", "p", curve=against)
+    assert placed == "Coulomb friction that depends on p"
+    driving = name(units, site, "coulomb_table", "v", "p", curve=partly)
+    assert driving == "a term that switches with the sign of v, by a free curve of p"
+    drawn = name({}, site, "load_dependent_coulomb", "v", "p", curve=against)
+    assert drawn == "a term that switches with the sign of v, proportional to the magnitude of p"
+
+
 def test_between_two_states():
     heat = name({"a": "degC", "b": "degC"}, pair("a", "b"), "linear", "a - b")
     assert heat == "heat conduction or convection"
