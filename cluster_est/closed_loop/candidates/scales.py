@@ -74,15 +74,21 @@ class SignalScales:
             return tuple(g * self._middle() for g in grid)
         if scale is GridScale.COUPLING:
             return tuple(g * self._coupling(site) for g in grid)
-        signal = self._signal(site) if scale in _OF_SIGNAL else self._about(site, variables)
-        if scale in _OF_SECOND:
-            signal = pooled(self.trajectories, variables[1])
+        signal = self._scaled_by(scale, site, variables)
         if signal is None:
             return ()
         values = self._spread(scale or GridScale.RMS_V, np.array(grid), signal, site, variables)
         if coefficient.held and coefficient.positive and self.step and variables:
             return tuple(dict.fromkeys(np.maximum(values, self._crossed(variables[0])).tolist()))
         return tuple(float(x) for x in values)
+
+    def _scaled_by(
+        self, scale: GridScale | None, site: EffectSite, variables: tuple[str, ...]
+    ) -> FloatArray | None:
+        """The signal whose size a scale is."""
+        if scale in _OF_SECOND:
+            return pooled(self.trajectories, variables[1])
+        return self._signal(site) if scale in _OF_SIGNAL else self._about(site, variables)
 
     def _spread(
         self,

@@ -33,19 +33,20 @@ def rank_curves(
     CandidateRanking
         Of these curves alone, against the residual as it is; the coarse ones come first.
     """
-    leading = workbench.thresholds.screening.curves
-    leaders = ranking.leaders(ranking.plain, leading, free=True)
+    thresholds = workbench.thresholds.screening
+    leaders = ranking.leaders(ranking.plain, thresholds.curves, free=True)
     coarse = [ranking.trials[i] for i in leaders]
+    refined = len(coarse) if workbench.exchange else thresholds.probed_curves
     finer = [
         CandidatePoint(candidate, values)
-        for trial in coarse
+        for trial in coarse[:refined]
         for candidate in _finer(trial.candidate)
         for values in candidate.grid
     ]
     new = candidate_columns(workbench, fitted, workbench.trajectories(fitted), finer, ranking.rows)
     columns = (*(ranking.columns[i] for i in leaders), *new)
-    residual, least = ranking.residual, workbench.thresholds.screening.confounded
-    scores = score(residual.projection, residual.residuals, columns, least)
+    residual = ranking.residual
+    scores = score(residual.projection, residual.residuals, columns, thresholds.confounded)
     return replace(ranking, trials=(*coarse, *finer), columns=columns, plain=scores)
 
 

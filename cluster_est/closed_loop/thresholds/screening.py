@@ -57,6 +57,9 @@ class ScreeningThresholds:
         high. Benchmark; its mean is 1 where the column means nothing (theory: chi-squared).
     curves
         Places of leading free curves at which finer ones are looked at. Benchmark.
+    probed_curves
+        The same in co-simulation, where each value of a curve takes simulations of its own.
+        Benchmark.
     confounded
         Share of a direction outside the declared parameters below which it cannot be told from
         them. Signal: the linearisations of a simulation are not more exact.
@@ -78,6 +81,7 @@ class ScreeningThresholds:
     peak_distance: float = 0.1
     column_penalty: float = 8.0
     curves: int = 12
+    probed_curves: int = 4
     confounded: float = CONFOUNDED
     autoregression: int = 2
     omnibus_lengths: tuple[float, ...] = LENGTHS

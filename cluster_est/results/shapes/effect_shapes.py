@@ -78,8 +78,8 @@ def shape_over(
 ) -> Callable[[FloatArray], FloatArray] | None:
     """Return what an effect adds, over the variable of its curve, also where no data were.
 
-    None where it has no curve, or one of another variable's sign, or changes a parameter. Of a signal that becomes a function of
-    itself, what is added to it.
+    None where it has no curve, or one for one sign of another variable, or changes a parameter. Of
+    a signal that becomes a function of itself, what is added to it.
     """
     found = next(
         (d for d in _definitions(result, description) if d.effect.name == curve.effect), None
