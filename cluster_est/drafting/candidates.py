@@ -18,6 +18,7 @@ _CONSTANTS = {"g", "pi", "e", "R_gas", "gravity", "c_light", "k_B", "sigma_SB", 
 _SETTINGS = re.compile(
     r"(?i)(^|[._])(eps\w*|tol\w*|\w*_small|\w*_nominal|sample\w*|n_\w+|use_\w+|delay_buffer)$"
 )
+_SPECIFIC_HEAT = re.compile(r"k?J/(\(kg[.* ]?(K|degC)\)|kg/(K|degC)|kg[.](K|degC))")
 _INITIAL = re.compile(r"(?i)(^|[._])(\w*_init(ial)?|\w*_start|x0|v0)$")
 _KELVINS = 50.0
 """To both sides of a temperature: a tenth and ten times of it would be no temperatures."""
@@ -84,6 +85,8 @@ def _why_not(variable: ModelVariable, start: float) -> str:
         return "named like a constant of nature"
     if _INITIAL.search(variable.name):
         return "named like an initial value; estimate it where the experiments begin differently"
+    if _SPECIFIC_HEAT.fullmatch(variable.unit):
+        return "a specific heat, which is known of most substances"
     if _SETTINGS.search(variable.name):
         return "named like a setting, not like a property"
     if start == 0.0:
@@ -101,6 +104,8 @@ def _bounds(variable: ModelVariable, start: float) -> tuple[tuple[float, float] 
         return (low, high), "bounds: the FMU's min and max"
     if start == 0.0:
         return None, "no bounds: nothing says how large it is"
+    if low == 0.0 < start:
+        return guess, f"bounds: a guess, {how}; the FMU's min is 0"  # a model may divide by it
     if low is not None:
         return (low, max(guess[1], low + abs(start))), "bounds: the FMU's min, and a guess"
     if high is not None:

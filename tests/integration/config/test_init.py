@@ -58,7 +58,7 @@ class TestWhereColumnsMatch:
         assert [e.get("role", "train") for e in tree["experiments"]] == ["train", "train", "test"]
         assert tree["experiment_defaults"]["inputs"] == {"F": "F"}
         assert all(set(e) <= {"id", "data", "role"} for e in tree["experiments"])
-        assert tree["parameters"]["k"] == {"start": 25.0, "bounds": [0.0, 250.0]}
+        assert tree["parameters"]["k"] == {"start": 25.0, "bounds": [2.5, 250.0]}
         assert "[N/m] stiffness of the spring" in text
         assert '# x = { start = 0.0, per = "experiment" }' in text
         result = ce.fit(ce.read_problem("first.toml", ["parameters.m.fixed=true"]))
@@ -492,6 +492,22 @@ def test_guesses_suit_temperatures_and_initial_values():
     assert [c.per for c in found] == ["experiment", "", ""]
     assert [not c.why_not for c in found] == [False, True, True]
     assert [c.bounds for c in found] == [(243.15, 343.15)] * 2 + [(29.315, 2931.5)]
+
+
+def test_what_a_model_may_divide_by_is_not_searched_at_zero_and_a_specific_heat_is_known():
+    described = describe(FMU.name, FMU.read_bytes())
+    given = {"m": ("kg", 2.0, None), "share": ("1", 0.5, 1.0), "cp": ("J/(kg.K)", 4186.0, None)}
+    variables = {
+        name: ModelVariable(
+            name, i, "real", "parameter", True, unit=unit, start=start, low=0.0, high=high
+        )
+        for i, (name, (unit, start, high)) in enumerate(given.items())
+    }
+    mass, share, heat = candidates(replace(described, variables=variables))
+    assert (mass.bounds, share.bounds) == ((0.2, 20.0), (0.0, 1.0))
+    assert mass.origin.endswith("the FMU's min is 0")
+    assert heat.why_not == "a specific heat, which is known of most substances"
+    assert not mass.why_not
 
 
 def test_an_fmu_without_parameters_says_so(own_fmu, tmp_path):
