@@ -13,6 +13,7 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.methods.derivatives.differences import Scheme, jacobian
+from cluster_est.problem.prior_weights import check_priors
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.arguments import check_problem, check_resources
@@ -113,7 +114,10 @@ class ResidualFunction:
         return self._space.estimates(self._checked(x))
 
     def __call__(self, x: FloatArray) -> FloatArray:
-        """(residuals,): (measured - simulated) / sigma, experiment after experiment."""
+        """(residuals,): (measured - simulated) / sigma, experiment after experiment.
+
+        Behind those of an experiment stand the residuals of the priors that count with it.
+        """
         at = self._run(_PointEvaluation(self._checked(x))).at
         if at is None or not at.ok:
             self.reason = "" if at is None else at.reason
@@ -205,6 +209,7 @@ def _check(space: SearchSpace) -> None:
             f'cost.name: must be "sse" for residuals, whose squares are summed, but is '
             f"{problem.cost.name!r}; choose that, or use fit"
         )
+    check_priors(problem)
     if space.constraint_names:
         raise ProblemError(
             "constraints: must be none for residuals, which cannot say them, but there is "

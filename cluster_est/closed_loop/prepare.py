@@ -168,6 +168,13 @@ def _check_shape(problem: Problem, settings: LoopSettings) -> None:
             "because its tests are made for those, but has something else; remove it, and fit "
             "with it before or after"
         )
+    for parameter in problem.parameters:
+        if parameter.prior is not None:
+            raise ProblemError(
+                f"closed loop: parameters.{parameter.name}.prior must be left out, because its "
+                "tests take all residuals for those of measurements; remove it here, and give it "
+                "to a fit with what was found"
+            )
     train = make_space(problem, problem.indices("train"))
     check_method(BRIEF, train)
     samples = train.rows[-1].stop

@@ -8,7 +8,7 @@ from pathlib import Path
 from cluster_est.config.constraints import check_signals, parameter_constraints
 from cluster_est.config.effects import build_effects
 from cluster_est.config.experiments import build_experiments, table_sources
-from cluster_est.config.options import build_cost
+from cluster_est.config.options import build_cost, build_prior
 from cluster_est.config.reader import Config, ParameterSection, read_config
 from cluster_est.config.reading import find_file
 from cluster_est.config.user_code import UserCode
@@ -127,6 +127,7 @@ def _parameter(name: str, section: ParameterSection) -> Parameter:
         unit=section.unit,
         expression=section.expression,
         auxiliary=section.auxiliary,
+        prior=build_prior(section.prior, f"parameters.{name}.prior"),
     )
 
 

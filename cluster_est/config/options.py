@@ -9,10 +9,12 @@ from cluster_est.config.reader import Config
 from cluster_est.costs import ALIASES as COST_ALIASES
 from cluster_est.costs import COSTS, Cost
 from cluster_est.costs.total import TotalCost
-from cluster_est.errors import ConfigError
+from cluster_est.errors import ConfigError, ProblemError
 from cluster_est.methods import ALIASES, METHODS, Method
+from cluster_est.priors import PRIORS, Prior
 from cluster_est.problem.options import check_option
 from workers.fmu.description import nearest
+from workers.messages.checks import shown
 
 
 def build_method(config: Config) -> Method:
@@ -38,7 +40,32 @@ def build_cost(config: Config) -> Cost:
     return _with_options(COSTS[name], config.cost.options, "cost.options")
 
 
-Kind = TypeVar("Kind", bound=Method | Cost)
+def build_prior(given: dict[str, Any], where: str) -> Prior | None:
+    """The prior of a parameter; None where a config names none.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such prior, or a key is missing, unknown or of the wrong kind.
+    """
+    if not given:
+        return None
+    name = given.get("name")
+    if not isinstance(name, str) or name not in PRIORS:
+        said = f"is {shown(name)}{nearest(str(name), PRIORS)}" if "name" in given else "is missing"
+        raise ConfigError(f"{where}.name: must be one of {', '.join(PRIORS)} but {said}")
+    kind = PRIORS[name]
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+        if field.name not in given:
+            raise ConfigError(f"{where}.{field.name} is missing; a prior {name!r} needs it")
+    options = {key: value for key, value in given.items() if key != "name"}
+    try:
+        return _with_options(kind, options, where)
+    except ProblemError as error:
+        raise ConfigError(f"{where.removesuffix('prior')}{error}") from None
+
+
+Kind = TypeVar("Kind", bound=Method | Cost | Prior)
 
 
 def _with_options(kind: type[Kind], options: dict[str, Any], where: str) -> Kind:

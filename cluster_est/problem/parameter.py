@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from cluster_est.errors import ProblemError
+from cluster_est.priors import Prior
 from workers.messages.checks import (
     check_choice,
     check_flag,
+    check_kind,
     check_name,
     check_number,
     check_text,
@@ -51,6 +53,9 @@ class Parameter:
         searched for. Bounds that it has become constraints.
     auxiliary
         Not a variable of the FMU: only expressions and constraints use it.
+    prior
+        What is known of it before the measurements; with `per`, of each of its values. None for no
+        more than the bounds.
     """
 
     name: str
@@ -64,6 +69,7 @@ class Parameter:
     unit: str = ""
     expression: str = ""
     auxiliary: bool = False
+    prior: Prior | None = None
 
     def __post_init__(self) -> None:
         check_name(self.name, "parameters.name", ProblemError)
@@ -91,6 +97,20 @@ class Parameter:
             raise ProblemError(
                 f'{where}.per: must be "experiment" or "group:KEY" but is {self.per!r}'
             )
+
+        if self.prior is not None:
+            self._check_prior(where)
+
+    def _check_prior(self, where: str) -> None:
+        check_kind(self.prior, Prior, f"{where}.prior", ProblemError)
+        assert self.prior is not None
+        for key, used in (("fixed", self.fixed), ("expression", bool(self.expression))):
+            if used:
+                raise ProblemError(
+                    f"{where}.prior: must be left out where there is {key}, because the value is "
+                    "not estimated; remove one of the two"
+                )
+        self.prior.check(where, self.lower, self.upper)
 
     def _check_kinds(self, where: str) -> None:
         check_number(self.start, f"{where}.start", ProblemError)

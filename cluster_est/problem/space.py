@@ -23,6 +23,27 @@ from cluster_est.problem.unknown import Unknown
 from workers.messages import FloatArray, IntArray, Want
 
 _NONE = np.zeros(0)
+_PRIOR = object()
+"""Stands for the priors among the outputs."""
+
+
+@dataclass(frozen=True)
+class KnownPrior:
+    """The prior of an unknown that is fixed, which counts and does not move.
+
+    Attributes
+    ----------
+    before
+        The unknown before which it would stand.
+    experiment
+        Position of the experiment that it is counted with.
+    residual
+        Of the value at which it is fixed.
+    """
+
+    before: int
+    experiment: int
+    residual: float
 
 
 @dataclass(frozen=True)
@@ -45,6 +66,8 @@ class SearchSpace:
     reduced
         Whether nobody looks at single residuals, so that long experiments are answered with one
         number for each output in their place.
+    known_priors
+        Priors of unknowns that are fixed here, as along a profile: they still count.
     """
 
     problem: Problem
@@ -52,6 +75,7 @@ class SearchSpace:
     unknowns: tuple[Unknown, ...]
     base: FloatArray = field(repr=False)
     reduced: bool = False
+    known_priors: tuple[KnownPrior, ...] = ()
 
     @property
     def size(self) -> int:
@@ -91,9 +115,60 @@ class SearchSpace:
 
     @cached_property
     def _counts(self) -> list[tuple[int, ...]]:
-        """For each experiment how many residuals each output has, or what stands for them."""
-        pairs = zip(self.experiments, self.wants, strict=True)
-        return [self.problem.experiments[e].counts_in(want) for e, want in pairs]
+        """For each experiment how many residuals each output has, or what stands for them.
+
+        Behind those of its outputs stand those of the priors that are counted with it.
+        """
+        pairs = zip(self.experiments, self.wants, self.with_prior, strict=True)
+        return [
+            (*self.problem.experiments[e].counts_in(want), *([len(own)] if len(own) else []))
+            for e, want, own in pairs
+        ]
+
+    @cached_property
+    def with_prior(self) -> tuple[IntArray, ...]:
+        """For each experiment the unknowns whose priors are counted with it; -1 for known ones.
+
+        A prior counts once: with the first of the experiments that its unknown acts on. So it moves
+        with no other experiment than the unknown does, and a difference or a colour sees it.
+        """
+        own: list[tuple[float, int, int]] = [
+            (float(i), i, unknown.experiments[0])
+            for i, unknown in enumerate(self.unknowns)
+            if unknown.prior is not None and unknown.experiments
+        ]
+        own += [(known.before - 0.5, -1, known.experiment) for known in self.known_priors]
+        found: list[list[int]] = [[] for _ in self.experiments]
+        for _, i, e in sorted(own):
+            found[e].append(i)
+        return tuple(np.array(each, dtype=np.intp) for each in found)
+
+    def prior_residuals(self, e: int, x: FloatArray) -> FloatArray:
+        """(priors,): the residuals of the priors that are counted with an experiment."""
+        known = (each.residual for each in self.known_priors if each.experiment == e)
+        return np.array(
+            [
+                self.unknowns[i].prior_residual(float(x[i])) if i >= 0 else next(known)
+                for i in self.with_prior[e].tolist()
+            ],
+            np.float64,
+        )
+
+    def prior_jacobian(self, e: int, x: FloatArray) -> FloatArray:
+        """(priors, unknowns that act on the experiment): their derivatives."""
+        own, acting = self.with_prior[e], self.acting[e]
+        slopes = [
+            self.unknowns[i].prior_slope(float(x[i])) if i >= 0 else 0.0 for i in own.tolist()
+        ]
+        return np.where(own[:, None] == acting, np.array(slopes, np.float64)[:, None], 0.0)
+
+    @cached_property
+    def of_priors(self) -> npt.NDArray[np.bool_]:
+        """(residuals,): whether each is that of a prior."""
+        result = np.zeros(self.rows[-1].stop if self.rows else 0, dtype=bool)
+        for row, own in zip(self.rows, self.with_prior, strict=True):
+            result[row.stop - len(own) : row.stop] = True
+        return result
 
     @cached_property
     def rows(self) -> tuple[slice, ...]:
@@ -117,6 +192,7 @@ class SearchSpace:
                 return np.zeros(0, np.int64)
             names: list[object] = [output.variable for output in experiment.outputs]
             names += [experiment.curve.variables] if experiment.curve is not None else []
+            names += [_PRIOR] if len(counts) > len(names) else []
             for name, count in zip(names, counts, strict=True):
                 parts.append(np.full(count, known.setdefault(name, len(known))))
         return np.concatenate(parts)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from cluster_est.priors import Prior
 from cluster_est.problem.parameter import Parameter
 
 
@@ -48,6 +49,21 @@ class Unknown:
     @property
     def log(self) -> bool:
         return self.parameter.scale == "log"
+
+    @property
+    def prior(self) -> Prior | None:
+        return self.parameter.prior
+
+    def prior_residual(self, searched: float) -> float:
+        """Return how far a value in search coordinates lies from its prior, in its sigmas."""
+        return 0.0 if self.prior is None else self.prior.residual(self.to_physical(searched))
+
+    def prior_slope(self, searched: float) -> float:
+        """Return the derivative of `prior_residual`."""
+        if self.prior is None:
+            return 0.0
+        value = self.to_physical(searched)
+        return self.prior.slope(value) * (value if self.log else 1.0)
 
     def to_search(self, physical: float) -> float:
         if not self.log:

@@ -13,10 +13,11 @@ from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.results import rows
 from cluster_est.results.output_errors import Simulation, output_errors
 from cluster_est.results.result import Result
-from cluster_est.running.evaluation import assemble_evaluation
+from cluster_est.running.evaluation import assemble_evaluation, with_priors
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited
 from cluster_est.uncertainty import Uncertainty, assess, intervals
+from workers.messages import FloatArray
 
 BEFORE_BYTES = 2**28
 """Of all trajectories at the start values together: more are not kept until the end of a fit."""
@@ -75,8 +76,8 @@ def complete(
         estimates=tuple(estimates),
         solution=solution,
         test_solution=test_solution,
-        cost_before=_cost(problem, before),
-        cost=_cost(problem, after),
+        cost_before=_cost(train, train.start, before),
+        cost=_cost(train, solution.x, after),
         errors=output_errors(problem, before, after, units),
         simulations=tuple(after),
         evaluations=runner.evaluations,
@@ -125,17 +126,17 @@ def _whole(
     """The solution with every residual at its point, where its search was sent reduced ones."""
     if solution.at is None or suited(space, method).wants == space.wants:
         return solution
-    outcomes = tuple(replace(after[e].outcome, trajectory=None) for e in space.experiments)
+    bare = [replace(after[e].outcome, trajectory=None) for e in space.experiments]
+    outcomes = tuple(with_priors(space, solution.x, e, each) for e, each in enumerate(bare))
     at = assemble_evaluation(space, solution.x, outcomes, solution.at.index)
     return replace(solution, cost=at.cost, at=at) if at.ok else solution
 
 
-def _cost(problem: Problem, simulations: list[Simulation]) -> float:
-    """The cost of the training experiments; NaN if one of them failed."""
-    chosen = {s.experiment: s.outcome.residuals for s in simulations}
-    space = make_space(problem, problem.indices("train"))
-    residuals = [chosen[e] for e in space.experiments]
-    known = [r for r in residuals if r is not None]
-    if len(known) < len(residuals):
+def _cost(train: SearchSpace, x: FloatArray, simulations: list[Simulation]) -> float:
+    """The cost of the training experiments, with their priors at x; NaN if one of them failed."""
+    chosen = {s.experiment: s.outcome for s in simulations}
+    outcomes = [with_priors(train, x, i, chosen[e]) for i, e in enumerate(train.experiments)]
+    known = [outcome.residuals for outcome in outcomes if outcome.residuals is not None]
+    if len(known) < len(outcomes):
         return np.nan
-    return problem.cost.value(np.concatenate(known), space.outputs)
+    return train.problem.cost.value(np.concatenate(known), train.outputs)

@@ -104,11 +104,12 @@ def _basis(space: SearchSpace, solution: Solution, count: int) -> FloatArray:
     """Directions that the free unknowns have taken out of the residuals, orthonormal (n, rank)."""
     if not has_jacobian(solution) or count * space.size > MOST_ENTRIES:
         return np.zeros((count, 0))
-    blocks = jacobian_blocks(space, solution)
-    if blocks is None or blocks.row_count != count:
+    blocks, priors = jacobian_blocks(space, solution), space.of_priors
+    if blocks is None or blocks.row_count != count + int(priors.sum()):
         return np.zeros((count, 0))
     free = [i for i, bound in enumerate(active_bounds(space, solution.x)) if not bound]
     matrix = blocks.dense()[:, free]
+    matrix = matrix[~priors] if priors.any() else matrix
     if not np.isfinite(matrix).all():
         return np.zeros((count, 0))
     return OrthogonalProjection(matrix).basis

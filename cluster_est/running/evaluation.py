@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -20,7 +22,7 @@ def assemble_evaluation(
     space, x
         Where the point lies.
     outcomes
-        One for each experiment of the space.
+        One for each experiment of the space, with its priors.
     index
         The number of the point among all that its search has asked for.
     """
@@ -33,6 +35,17 @@ def assemble_evaluation(
     parts = [space.parameter_constraints(x), *(outcome.constraints for outcome in outcomes)]
     constraints = np.concatenate(parts)
     return Evaluation(outcomes, cost, constraints, violation(constraints, space.equality), index)
+
+
+def with_priors(space: SearchSpace, x: FloatArray, e: int, outcome: Outcome) -> Outcome:
+    """Return the outcome of an experiment with the residuals of the priors that count with it.
+
+    They stand in no log and come from no worker: they follow from the point alone.
+    """
+    if not outcome.ok or not len(space.with_prior[e]):
+        return outcome
+    known = np.zeros(0) if outcome.residuals is None else outcome.residuals
+    return replace(outcome, residuals=np.concatenate([known, space.prior_residuals(e, x)]))
 
 
 def violation(constraints: FloatArray, equality: npt.NDArray[np.bool_]) -> float:

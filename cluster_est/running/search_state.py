@@ -8,7 +8,7 @@ import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.problem.space import SearchSpace
-from cluster_est.running.evaluation import assemble_evaluation
+from cluster_est.running.evaluation import assemble_evaluation, with_priors
 from workers.messages import Effect, FloatArray, Outcome, Want
 
 MEMORY_BYTES = 256 * 2**20
@@ -88,7 +88,7 @@ class SearchState:
         point = self.pending.get(index)
         if point is None:  # dropped, or the search has ended
             return
-        point.outcomes[e] = outcome
+        point.outcomes[e] = with_priors(self.request.space, point.x, e, outcome)
         point.missing -= 1
         if point.missing == 0:
             del self.pending[index]

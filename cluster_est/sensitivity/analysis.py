@@ -14,6 +14,7 @@ import numpy as np
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.given_points import GivenPoints
+from cluster_est.problem.prior_weights import without_priors
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.arguments import check_problem, check_resources
@@ -161,7 +162,7 @@ def check_bounds(problem: Problem) -> SearchSpace:
     ProblemError
         If there is nothing to sample, or a bound is infinite.
     """
-    space = make_space(problem, problem.indices("train"))
+    space = make_space(without_priors(problem), problem.indices("train"))
     if space.size == 0:
         raise ProblemError(
             "parameters: at least one must be free to be analysed but all are fixed or known"

@@ -206,8 +206,15 @@ def check_bootstrap(space: SearchSpace) -> None:
     Raises
     ------
     ProblemError
-        If there are fewer than five.
+        If there are fewer than five, or priors, which no draw of experiments varies.
     """
+    named = next((u.label for u in space.unknowns if u.prior is not None), "")
+    if named:
+        raise ProblemError(
+            f"uncertainty.bootstrap: must be 0 with priors but {named} has one, which would be the "
+            "same in every draw, so that the intervals would be too narrow; take "
+            "uncertainty.profiles instead"
+        )
     count = len(set(space.experiments))
     if count < LEAST_EXPERIMENTS:
         raise ProblemError(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.space import KnownPrior, SearchSpace
 from cluster_est.problem.unknown import Unknown
 from workers.messages import FloatArray
 
@@ -22,7 +22,10 @@ def with_start(space: SearchSpace, x: FloatArray) -> SearchSpace:
 
 
 def with_fixed_unknown(space: SearchSpace, i: int, x: FloatArray) -> SearchSpace:
-    """Return the space in which unknown i is fixed at its value in x, and the others start at x."""
+    """Return the space in which unknown i is fixed at its value in x, and the others start at x.
+
+    Its prior still counts.
+    """
     unknown = space.unknowns[i]
     base = space.base.copy()
     # all experiments whose value is searched, so that their base values stay equal to each other
@@ -31,7 +34,12 @@ def with_fixed_unknown(space: SearchSpace, i: int, x: FloatArray) -> SearchSpace
             base[list(other.experiments), other.column] = unknown.to_physical(float(x[i]))
     columns = np.delete(np.arange(space.size), i)
     unknowns = tuple(space.unknowns[j] for j in columns)
-    return _made(space, unknowns, base, x, columns)
+    known = [replace(k, before=k.before - (k.before > i)) for k in space.known_priors]
+    if unknown.prior is not None and unknown.experiments:
+        residual = unknown.prior_residual(float(x[i]))
+        known.append(KnownPrior(i, unknown.experiments[0], residual))
+    fixed = replace(space, known_priors=tuple(sorted(known, key=lambda k: k.before)))
+    return _made(fixed, unknowns, base, x, columns)
 
 
 def resampled(space: SearchSpace, positions: Sequence[int], x: FloatArray) -> SearchSpace:
@@ -61,7 +69,8 @@ def _made(
     x: FloatArray,
     columns: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
 ) -> SearchSpace:
-    made = SearchSpace(space.problem, space.experiments, unknowns, base)
+    known = space.known_priors
+    made = SearchSpace(space.problem, space.experiments, unknowns, base, known_priors=known)
     return _started(made, space, x, columns)
 
 

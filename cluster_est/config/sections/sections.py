@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PrivateAttr, Strict
 
@@ -91,6 +91,12 @@ class ParameterSection(ConfigSection):
     )
     auxiliary: bool = Field(
         False, description="not in the FMU: for expressions and constraints alone"
+    )
+    prior: dict[str, Any] = Field(
+        default_factory=dict,
+        description='known before the measurements: { name = "normal", mean = 2.0, sd = 0.1 } or '
+        '{ name = "lognormal", median = 2.0, factor = 1.5 }; counts like a measurement, so every '
+        "output needs its sigma",
     )
 
 

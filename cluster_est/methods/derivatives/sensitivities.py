@@ -149,8 +149,9 @@ def forward_sensitivities(
             bad = used[np.flatnonzero(~np.isfinite(dr_dp).all(axis=0))[0]]
             name = space.problem.model.parameters[bad]
             return UnusableSensitivities(f"the model has no finite ones by {name!r}")
-        dr_dx, count = dr_dp @ dp_dx[used], at.rows[e].stop - at.rows[e].start
-        blocks.append(dr_dx[:count])
+        dr_dx, priors = dr_dp @ dp_dx[used], space.prior_jacobian(e, x)
+        count = at.rows[e].stop - at.rows[e].start - len(priors)
+        blocks.append(np.vstack([dr_dx[:count], priors]))
         constraints[space.constraint_rows[e], space.acting[e]] = dr_dx[count:]
     matrix = BlockMatrix(tuple(blocks), space.acting, space.size)
     steps = difference_steps(space, x, "central", 0.0)

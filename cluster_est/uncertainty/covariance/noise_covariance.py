@@ -23,6 +23,7 @@ from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import chdtrc
 
 from cluster_est.uncertainty.covariance.autoregression import (
@@ -39,6 +40,8 @@ from workers.messages import FloatArray, IntArray
 
 FEW_EXPERIMENTS = 10
 """Below so many experiments their scatter is reported, but no interval rests on it."""
+KNOWN = AutoregressiveNoise(np.zeros(0), np.ones(1), 0.0)
+"""Of priors: a variance of 1, that nothing was estimated for."""
 CHANCE = 0.01
 """Probability of as much scatter of the experiments, over that of the noise, by chance."""
 
@@ -72,11 +75,14 @@ class WeightedResiduals:
         The output of each.
     rows
         Of each experiment.
+    priors : (n,)
+        Whether each is that of a prior, whose standard deviation is 1.
     """
 
     values: FloatArray
     outputs: IntArray
     rows: tuple[slice, ...]
+    priors: npt.NDArray[np.bool_]
 
 
 def white_covariance(
@@ -98,7 +104,10 @@ def coloured_covariances(
     if not len(residuals.values) or not white.degrees > 0:
         return ()
     records = _records(factors, residuals)
-    noise = fit_noise(records, _basis(factors).shape[1])
+    of_priors = set(residuals.outputs[residuals.priors].tolist())
+    measured = [record for record in records if record.output not in of_priors]
+    noise = fit_noise(measured, _basis(factors).shape[1])
+    noise |= dict.fromkeys(of_priors, KNOWN)
     coloured = any(len(each.coefficients) for each in noise.values())
     found = [_autoregressive(white, factors, records, noise)] if coloured else []
     scatter = _scatter(found[0] if found else white, factors, residuals)
@@ -166,9 +175,10 @@ def _scatter(
     """Return the covariance from the scatter of the experiments; None where it says nothing.
 
     What the noise alone says of unknowns that one experiment has stays; they follow the others.
+    Priors pull all experiments one way, so that with them the scatter is no error.
     """
     count, unknowns = len(factors.parts), len(factors.inverse)
-    if not unknowns or count <= unknowns + 1:
+    if not unknowns or count <= unknowns + 1 or residuals.priors.any():
         return None
     shared = np.zeros_like(factors.inverse)
     for part, rows in zip(factors.parts, residuals.rows, strict=True):

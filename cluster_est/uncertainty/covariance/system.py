@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -206,7 +206,10 @@ def _weighting(
     """Return row weights, and the rows of each experiment."""
     if solution.at is not None:
         rows, cost = solution.at.rows, space.problem.cost
-        return row_weighting(cost, solution.at.residuals, space.outputs, rows), rows
+        weighting = row_weighting(cost, solution.at.residuals, space.outputs, rows)
+        if any(len(own) for own in space.with_prior):
+            weighting = replace(weighting, priors=space.of_priors)
+        return weighting, rows
     # a sum of squares needs no more than its value
     squares = np.full(count, solution.cost / max(count, 1))
     return RowWeighting(np.ones(count), squares=squares), list(space.rows)
@@ -218,7 +221,8 @@ def _weighted_residuals(
     """Return the residuals as the Jacobian is weighted, none where they are not known."""
     values = np.zeros(0) if weighting.residuals is None else weighting.residuals
     outputs = space.outputs if len(space.outputs) == len(values) else np.zeros(len(values), int)
-    return WeightedResiduals(values, outputs, tuple(rows))
+    priors = np.zeros(len(values), bool) if weighting.priors is None else weighting.priors
+    return WeightedResiduals(values, outputs, tuple(rows), priors)
 
 
 def _limits(

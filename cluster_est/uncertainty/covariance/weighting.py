@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from cluster_est.costs.base import Cost
 from workers.messages import FloatArray, IntArray
@@ -69,6 +70,9 @@ class RowWeighting:
         w r^2; of a robust cost psi^2, psi' and the output of each residual.
     residuals : (residuals,)
         sqrt(w) r, or psi over `factor`: what J'J and the rows of J make the estimates' errors of.
+    priors : (residuals,)
+        Whether each is that of a prior, whose standard deviation is known: it scatters by 1, also
+        where the measurements scatter by more than their sigmas. None where there are none.
     """
 
     factor: FloatArray
@@ -78,6 +82,7 @@ class RowWeighting:
     psi_derivatives: FloatArray | None = None
     groups: IntArray | None = None
     residuals: FloatArray | None = None
+    priors: npt.NDArray[np.bool_] | None = None
 
     def scatter(self, rank: int) -> ResidualScatter:
         """Return the scatter of the residuals after `rank` directions were fitted."""
@@ -87,7 +92,10 @@ class RowWeighting:
         if self.problem or degrees <= 0 or squares is None:
             return ResidualScatter(np.nan, degrees, None)
         if self.groups is None or self.psi_derivatives is None:
-            return ResidualScatter(float(np.add.reduce(squares)) / degrees, degrees, None)
+            variance = float(np.add.reduce(squares)) / degrees
+            if self.priors is None or not variance > 0.0:
+                return ResidualScatter(variance, degrees, None)
+            return ResidualScatter(variance, degrees, np.where(self.priors, 1.0 / variance, 1.0))
         spread = np.empty(count)
         for group in np.unique(self.groups):
             inside = self.groups == group

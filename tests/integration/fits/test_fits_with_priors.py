@@ -1,0 +1,120 @@
+"""Fits with priors from a config: every method, both kinds of derivatives, and what is said."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from support.problems.springs import ROOT
+
+from cluster_est.cli import main
+
+CONFIG = str(ROOT / "configs" / "mass_spring_damper.toml")
+PRIORS = [
+    "experiment_defaults.sigma.y=0.002",
+    "parameters.m.prior={name='normal', mean=1.21, sd=0.003}",
+    "parameters.c.prior={name='lognormal', median=0.6, factor=1.2}",
+    "parameters.x0.prior={name='normal', mean=0.0, sd=0.1}",
+]
+METHODS = {
+    "central": ["method.options.differences=central"],
+    "sensitivities": ["method.options.differences=sensitivities"],
+    "scipy": ["method.name=scipy_least_squares", "method.options.xtol=1e-12"],
+    "sqp": ["method.name=sqp"],
+    "pattern_search": ["method.name=pattern_search", "method.options.mesh_tolerance=1e-7"],
+    "processes": ["executor.name=processes", "executor.workers=2"],
+}
+
+
+def fitted(folder: Path, *arguments: str) -> tuple[dict[str, float], float, list[str]]:
+    assert main(["fit", CONFIG, "--out", str(folder), *PRIORS, *arguments]) == 0
+    facts = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    rows = pq.read_table(folder / "parameters.parquet").to_pylist()
+    return {row["label"]: row["value"] for row in rows}, facts["cost"], facts["notes"]
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory) -> tuple[dict[str, float], float, list[str]]:
+    return fitted(tmp_path_factory.mktemp("usual") / "run")
+
+
+def test_a_fit_says_what_its_priors_cost_and_which_of_them_it_contradicts(usual):
+    values, cost, notes = usual
+    assert values["m"] == pytest.approx(1.2, abs=1e-3)  # which the measurements say
+    (added,) = [note for note in notes if "priors" in note]
+    assert added.startswith("the cost has ")
+    assert added.endswith(" of 3 priors, which count like measurements")
+    assert 4.0 < float(added.split()[3]) < cost
+    (far,) = [note for note in notes if "its prior" in note]
+    assert far.startswith("m = 1.2 lies 3.4 standard deviations below its prior")
+    assert "(normal, 1.21 \u00b1 0.003): the measurements say another value" in far
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_finds_the_same_minimum(method, usual, tmp_path):
+    values, cost, _ = fitted(tmp_path / "run", *METHODS[method])
+    assert cost == pytest.approx(usual[1], rel=1e-5)
+    for label, value in usual[0].items():
+        assert values[label] == pytest.approx(value, rel=2e-3, abs=1e-4)
+
+
+def test_a_run_that_is_taken_up_again_has_the_same_bits(usual, tmp_path):
+    run = tmp_path / "run"
+    first = fitted(run)
+    facts = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    facts |= {"status": "running", "verdict": None}
+    (run / "run.json").write_text(json.dumps(facts), encoding="utf-8")
+    assert main(["fit", CONFIG, "--out", str(run), "--resume", *PRIORS]) == 0
+    rows = pq.read_table(run / "parameters.parquet").to_pylist()
+    assert {row["label"]: row["value"] for row in rows} == first[0] == usual[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            "parameters.m.prior={mean=1.0, sd=0.1}",
+            "parameters.m.prior.name: must be one of normal, lognormal but is missing",
+        ),
+        (
+            "parameters.m.prior={name='norml', mean=1.0, sd=0.1}",
+            "but is 'norml'; did you mean 'normal'?",
+        ),
+        (
+            "parameters.m.prior={name='normal', mean=1.0}",
+            "parameters.m.prior.sd is missing; a prior 'normal' needs it",
+        ),
+        (
+            "parameters.m.prior={name='normal', mean=1.0, sd=0.0}",
+            "parameters.m.prior.sd: must be greater than 0 but is 0",
+        ),
+        (
+            "parameters.m.prior={name='normal', mean=1.0, sd='1'}",
+            "parameters.m.prior.sd: must be a number but is '1'",
+        ),
+        (
+            "parameters.m.prior={name='normal', mean=1.0, sd=0.1, bias=2}",
+            "parameters.m.prior.bias: normal has no such option",
+        ),
+        (
+            "parameters.m.prior={name='normal', mean=20.0, sd=0.1}",
+            "parameters.m.prior: must have its centre within the bounds [0.1, 10]",
+        ),
+        ("cost.name=huber", 'must go with the cost "sse"'),
+        ("experiment_defaults.sigma={}", "sigma.y is missing; the prior of parameter m is weighed"),
+    ],
+)
+def test_a_mistake_is_met_with_a_sentence(given, said, tmp_path, capsys):
+    out = str(tmp_path / "run")
+    assert main(["fit", CONFIG, "--out", out, *PRIORS, given]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "Traceback" not in error
+
+
+def test_the_closed_loop_does_not_take_a_prior_for_a_measurement(tmp_path, capsys):
+    out = str(tmp_path / "run")
+    assert main(["close-loop", CONFIG, "--out", out, *PRIORS]) == 2
+    assert "parameters.m.prior must be left out, because its tests" in capsys.readouterr().err

@@ -1,0 +1,186 @@
+"""Fits with priors, against the posterior of linear Gaussian problems, which is known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.problems.curves import Curves
+
+from cluster_est.costs.robust import HuberCost
+from cluster_est.errors import ProblemError
+from cluster_est.fit import FitPlan, check_search
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.priors import LogNormalPrior, NormalPrior
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.prior_weights import check_priors, without_priors
+from cluster_est.uncertainty import UncertaintySettings, examine, linearise, profiles
+from cluster_est.uncertainty.spaces import with_fixed_unknown
+
+TIMES = np.linspace(0.0, 1.0, 400)
+MEANS, SDS = np.array([1.5, -0.4]), np.array([0.02, 0.05])
+
+
+def line(times, values, experiment):
+    return values[0] + values[1] * times
+
+
+def parameters(**changes):
+    return (
+        Parameter("a", 1.0, -10.0, 10.0, prior=NormalPrior(MEANS[0], SDS[0]), **changes),
+        Parameter("b", 0.0, -10.0, 10.0, prior=NormalPrior(MEANS[1], SDS[1]), **changes),
+    )
+
+
+def measured(count=1, seed=0):
+    generator = np.random.default_rng(seed)
+    return [1.4 - 0.5 * TIMES + generator.normal(size=len(TIMES)) for _ in range(count)]
+
+
+def posterior(records):
+    """Mean and covariance of the two coefficients under noise of 1 and their priors."""
+    columns = np.vstack([np.column_stack([np.ones(len(TIMES)), TIMES]) for _ in records])
+    precision = columns.T @ columns + np.diag(SDS**-2)
+    mean = np.linalg.solve(precision, columns.T @ np.concatenate(records) + MEANS / SDS**2)
+    return mean, np.linalg.inv(precision)
+
+
+@pytest.mark.parametrize("method", [LeastSquares(), LeastSquares(differences="central")])
+@pytest.mark.parametrize("count", [1, 3])
+def test_the_minimum_and_its_intervals_are_those_of_the_posterior(method, count):
+    records = measured(count)
+    runner, space, solution = Curves(line, parameters(), TIMES, records).solve(method)
+    mean, covariance = posterior(records)
+    assert solution.x == pytest.approx(mean, abs=1e-6)
+    found = examine(runner, space, linearise(runner, space, solution))
+    errors = [interval.std_error for interval in found.intervals]
+    assert errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=0.02)
+
+
+def test_noise_larger_than_sigma_widens_what_the_measurements_say_and_not_the_priors():
+    records = [
+        line(TIMES, (1.4, -0.5), 0) + 3.0 * (each - 1.4 + 0.5 * TIMES) for each in measured()
+    ]
+    runner, space, solution = Curves(line, parameters(), TIMES, records).solve()
+    found = examine(runner, space, linearise(runner, space, solution))
+    columns = np.column_stack([np.ones(len(TIMES)), TIMES])
+    inverse = np.linalg.inv(columns.T @ columns + np.diag(SDS**-2))
+    middle = found.variance * columns.T @ columns + np.diag(SDS**-2)
+    expected = np.sqrt(np.diag(inverse @ middle @ inverse))
+    assert [each.std_error for each in found.intervals] == pytest.approx(expected, rel=1e-3)
+    assert found.variance == pytest.approx(9.0, rel=0.15)
+
+
+def test_a_log_scale_moves_no_minimum():
+    prior = LogNormalPrior(2.0, 1.1)
+    found = []
+    for scale in ("linear", "log"):
+        own = (
+            Parameter("a", 1.0, 0.01, 10.0, scale, prior=prior),
+            Parameter("b", 0.0, -10.0, 10.0),
+        )
+        _, space, solution = Curves(line, own, TIMES, measured()).solve()
+        found.append(space.estimates(solution.x))
+    assert found[0]["a"] == pytest.approx(found[1]["a"], rel=1e-5)
+    _, _, free = Curves(line, tuple(replace(p, prior=None) for p in own), TIMES, measured()).solve()
+    assert abs(found[0]["a"] - 2.0) < abs(np.exp(free.x[0]) - 2.0)
+
+
+def test_a_prior_of_a_value_for_each_experiment_counts_once_for_each():
+    records = measured(3)
+    own = (replace(parameters()[0], per="experiment"), parameters()[1])
+    _, space, solution = Curves(line, own, TIMES, records).solve()
+    assert [len(each) for each in space.with_prior] == [2, 1, 1]
+    assert int(space.of_priors.sum()) == 4
+    columns = np.zeros((3 * len(TIMES), 4))
+    for e in range(3):
+        columns[e * len(TIMES) : (e + 1) * len(TIMES), e] = 1.0
+    columns[:, 3] = np.tile(TIMES, 3)
+    weights = np.array([SDS[0]] * 3 + [SDS[1]]) ** -2
+    means = np.array([MEANS[0]] * 3 + [MEANS[1]])
+    precision = columns.T @ columns + np.diag(weights)
+    mean = np.linalg.solve(precision, columns.T @ np.concatenate(records) + weights * means)
+    values = space.estimates(solution.x)
+    assert [values[f"a[e{e}]"] for e in range(3)] == pytest.approx(mean[:3], abs=1e-6)
+    assert values["b"] == pytest.approx(mean[3], abs=1e-6)
+
+
+def test_a_wide_prior_is_no_prior():
+    wide = tuple(replace(p, prior=NormalPrior(0.0, 1e6)) for p in parameters())
+    _, _, known = Curves(line, wide, TIMES, measured()).solve()
+    _, _, free = Curves(
+        line, tuple(replace(p, prior=None) for p in wide), TIMES, measured()
+    ).solve()
+    assert known.x == pytest.approx(free.x, abs=1e-6)
+
+
+def test_what_no_measurement_tells_is_as_the_prior_says():
+    def flat(times, values, experiment):
+        return values[0] + 0.0 * values[1] * times
+
+    runner, space, solution = Curves(flat, parameters(), TIMES, measured()).solve()
+    assert solution.x[1] == pytest.approx(MEANS[1], abs=1e-9)
+    found = examine(runner, space, linearise(runner, space, solution))
+    assert found.intervals[1].std_error == pytest.approx(SDS[1], rel=1e-6)
+    assert found.directions == ()
+
+
+@pytest.mark.parametrize("method", [LeastSquares(), LeastSquares(differences="central")])
+def test_a_profile_keeps_the_prior_of_the_value_that_it_holds(method):
+    runner, space, solution = Curves(line, parameters(), TIMES, measured()).solve(method)
+    settings = UncertaintySettings(profiles=("a", "b"))
+    _, covariance = posterior(measured())
+    found = profiles(runner, space, solution, method, settings)
+    assert len(found) == 2
+    for profile, i in zip(found, (0, 1), strict=True):
+        half = 0.5 * (profile.upper - profile.lower)
+        assert half == pytest.approx(1.96 * np.sqrt(covariance[i, i]), rel=0.05)
+    fixed = with_fixed_unknown(space, 0, solution.x + 0.1)
+    assert [k.residual for k in fixed.known_priors] == [
+        pytest.approx((solution.x[0] + 0.1 - MEANS[0]) / SDS[0])
+    ]
+    assert fixed.prior_residuals(0, fixed.start) == pytest.approx(
+        [fixed.known_priors[0].residual, (solution.x[1] + 0.1 - MEANS[1]) / SDS[1]]
+    )
+    assert fixed.prior_jacobian(0, fixed.start).tolist() == [[0.0], [1.0 / SDS[1]]]
+
+
+def test_the_jacobian_of_the_priors_is_that_of_their_residuals():
+    own = (
+        Parameter("a", 1.0, 0.01, 10.0, "log", prior=NormalPrior(1.5, 0.2)),
+        Parameter("b", 0.5, 0.0, 10.0, per="experiment", prior=LogNormalPrior(1.0, 3.0)),
+    )
+    space = Curves(line, own, TIMES, measured(2)).space()
+    x, step = space.start + 0.1, 1e-6
+    for e, acting in enumerate(space.acting):
+        jacobian = space.prior_jacobian(e, x)
+        for j, i in enumerate(acting):
+            moved = np.eye(space.size)[i] * step
+            change = space.prior_residuals(e, x + moved) - space.prior_residuals(e, x - moved)
+            assert jacobian[:, j] == pytest.approx(change / (2.0 * step), rel=1e-6, abs=1e-9)
+
+
+class TestWhatIsRefused:
+    def test_another_cost(self):
+        problem = replace(Curves(line, parameters(), TIMES, measured()).problem(), cost=HuberCost())
+        with pytest.raises(
+            ProblemError, match=r"parameters.a.prior: must go with the cost \"sse\""
+        ):
+            check_priors(problem)
+
+    def test_measurements_without_a_sigma(self):
+        problem = Curves(line, parameters(), TIMES, measured()).problem()
+        with pytest.raises(ProblemError, match=r"experiment 'e0': sigma.y0 is missing; the prior"):
+            check_priors(problem)
+        check_priors(without_priors(problem))
+
+    def test_a_bootstrap(self):
+        problem = Curves(line, parameters(), TIMES, measured(6)).problem()
+        runs = tuple(
+            replace(e, outputs=tuple(replace(o, sigma=1.5) for o in e.outputs))
+            for e in problem.experiments
+        )
+        plan = FitPlan(uncertainty=UncertaintySettings(bootstrap=10))
+        with pytest.raises(ProblemError, match=r"uncertainty.bootstrap: must be 0 with priors"):
+            check_search(replace(problem, experiments=runs), plan)
