@@ -1,0 +1,97 @@
+"""The pictures of three pages are what the library makes of costs, limits and a held input."""
+
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from docs.cost_picture import NAMED, TIMES, cost_curve, limits
+from docs.page_pictures import DOCS, PICTURES
+from docs.step_picture import LARGE, SMALL, TRUE, experiment, held, reference
+from scipy.signal import lsim
+
+from cluster_est.costs import COSTS
+from workers.residuals.base import SimulatedOutputs
+from workers.residuals.bounds import SignalBounds
+
+POINT = re.compile(r"-?\d+\.\d+")
+PAGES = {
+    "costs_and_limits": "costs_and_constraints.md",
+    "cluster_layout": "on_a_cluster.md",
+    "held_input": "exported_fmus.md",
+}
+AT_SIX = {
+    "sse": 36.0,
+    "sae": 6.0,
+    "huber": 2.0 * 6.0 - 1.0,
+    "soft_l1": 2.0 * (np.sqrt(37.0) - 1.0),
+    "cauchy": np.log(37.0),
+}
+"""The cost of a residual of 6 sigma, with a scale of 1."""
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_the_picture_is_that_of_the_library_today(name):
+    shown, drawn = (DOCS / f"{name}.svg").read_text(encoding="utf-8"), PICTURES[name]()
+    assert POINT.sub("#", shown) == POINT.sub("#", drawn)
+    numbers = [[float(n) for n in POINT.findall(each)] for each in (shown, drawn)]
+    assert numbers[0] == pytest.approx(numbers[1], abs=0.2)
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_the_page_shows_the_picture_and_says_what_is_in_it(name):
+    page = (DOCS / PAGES[name]).read_text(encoding="utf-8")
+    (said,) = re.findall(rf"!\[(.+)\]\({name}\.svg\)", page)
+    assert len(said) > 50
+    text = (DOCS / f"{name}.svg").read_text(encoding="utf-8")
+    assert len(text) < 60_000
+    assert "prefers-color-scheme: dark" in text
+    assert ElementTree.fromstring(text)[0].text
+
+
+def test_a_cost_is_drawn_as_it_is():
+    assert set(NAMED) == set(COSTS) - {"likelihood", "total"}  # those are of many residuals
+    for name, value in AT_SIX.items():
+        residuals, costs = cost_curve(name)
+        ends = residuals[[0, -1]], costs[[0, -1]]
+        assert np.concatenate(ends) == pytest.approx([-6.0, 6.0, value, value])
+
+
+@pytest.mark.parametrize("limit", limits(), ids=lambda limit: limit.key)
+def test_the_violation_in_the_picture_is_what_a_worker_finds(limit):
+    bound = limit.bound
+    signal = np.interp(bound.times, TIMES, limit.simulated)[None, :, None]
+    simulated = SimulatedOutputs(bound.times, (bound.variable,), signal, np.zeros((1, 0)))
+    found = SignalBounds((bound,)).compare(simulated).values.max()
+    _, allowed, reached = limit.worst
+    assert found * bound.scale == pytest.approx(abs(reached - allowed))
+    assert abs(reached - allowed) > 0.02  # to be seen
+
+
+def exact(times, force, linear):
+    """The position of the mass under a force that is linear between its samples, or held."""
+    system = ([1.0], [TRUE["m"], TRUE["c"], TRUE["k"]])
+    return lsim(system, force, times, interp=linear)[1]
+
+
+@pytest.mark.parametrize("step", [LARGE, SMALL])
+def test_a_tool_that_holds_the_force_moves_the_mass_so(step):
+    found = held(step)
+    assert found.position == pytest.approx(exact(found.times, found.force, False), abs=1e-6)
+
+
+def test_what_it_is_compared_with_is_moved_by_a_force_without_stairs():
+    (force,) = experiment().inputs
+    assert reference().values == pytest.approx(exact(force.times, force.values, True), abs=1e-6)
+
+
+def test_the_page_says_how_large_the_difference_is():
+    (measured,) = experiment().outputs
+    noise = np.std(measured.values - reference().values)
+    page = (DOCS / "exported_fmus.md").read_text(encoding="utf-8")
+    assert f"a difference of {1e3 * held(SMALL).rms:.1f} mm" in page
+    assert f"the noise of the measured position is {1e3 * noise:.1f} mm" in page
+    assert "five times as large" in page
+    assert held(LARGE).rms / held(SMALL).rms == pytest.approx(5.0, rel=0.05)
