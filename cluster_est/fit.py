@@ -36,12 +36,17 @@ from cluster_est.uncertainty import (
     UncertaintySettings,
     bootstrap,
     check_bootstrap,
+    check_posterior,
     check_profiles,
     examine,
     linearise,
     profiles,
+    sample_posterior,
 )
 from workers.messages.checks import check_kind, check_number
+
+POSTERIOR = 3
+"""Stream of the random generator of the posterior."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +219,7 @@ def with_shapes(runner: Runner, train: SearchSpace, result: Result) -> Result:
 
 
 def refine(runner: Runner, train: SearchSpace, result: Result, plan: FitPlan) -> Result:
-    """Add the intervals that take refits: profiles and bootstrap."""
+    """Add the intervals that take more simulations: profiles, bootstrap and posterior."""
     solution, method, settings = result.solution, plan.method, plan.uncertainty
     local = method if method.needs_residuals else LeastSquares()
     if not _accepts(local, train):
@@ -224,7 +229,12 @@ def refine(runner: Runner, train: SearchSpace, result: Result, plan: FitPlan) ->
     if settings.bootstrap:
         generator = np.random.default_rng(plan.seed)
         drawn = bootstrap(runner, train, solution, local, settings, generator)
-    return replace(result, profiles=profiled, bootstrap=drawn)
+    posterior = None
+    if settings.posterior and result.uncertainty is not None:
+        generator = np.random.default_rng((plan.seed, POSTERIOR))
+        around = result.uncertainty.intervals
+        posterior = sample_posterior(runner, train, solution, around, settings, generator)
+    return replace(result, profiles=profiled, bootstrap=drawn, posterior=posterior)
 
 
 def simulate(
@@ -261,6 +271,8 @@ def check_search(problem: Problem, plan: FitPlan) -> SearchSpace:
     check_profiles(train, plan.uncertainty)
     if plan.uncertainty.bootstrap:
         check_bootstrap(train)
+    if plan.uncertainty.posterior:
+        check_posterior(train, plan.uncertainty.walkers)
     return train
 
 

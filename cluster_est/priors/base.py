@@ -12,9 +12,8 @@ from cluster_est.plug_in import check_class_attributes
 class Prior(ABC):
     """What is known of a parameter before the measurements.
 
-    A prior is a density p(value) whose logarithm is -residual(value)^2 / 2, but for a constant, so
-    that it counts in a sum of squares like a measurement of the value: the minimum is the one of
-    the largest posterior probability. The derivatives of its residual need no simulation.
+    A prior is normal in some function of the value, so that it counts in a sum of squares like a
+    measurement of that: by residual(value)^2. The derivatives of its residual need no simulation.
 
     A subclass is a frozen dataclass whose fields are the keys of a config.
     """
@@ -37,6 +36,10 @@ class Prior(ABC):
     @abstractmethod
     def slope(self, value: float) -> float:
         """Return d residual / d value."""
+
+    @abstractmethod
+    def log_density(self, value: float) -> float:
+        """Return ln p(value), but for a constant: of the value itself, whatever is normal."""
 
     @abstractmethod
     def said(self) -> str:

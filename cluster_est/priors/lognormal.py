@@ -55,6 +55,10 @@ class LogNormalPrior(Prior):
         return 1.0 / (max(value, SMALLEST) * math.log(self.factor))
 
     @override
+    def log_density(self, value: float) -> float:
+        return -0.5 * self.residual(value) ** 2 - math.log(max(value, SMALLEST))
+
+    @override
     def said(self) -> str:
         return f"lognormal, {self.median:g} within a factor of {self.factor:g}"
 

@@ -48,5 +48,9 @@ class NormalPrior(Prior):
         return 1.0 / self.sd
 
     @override
+    def log_density(self, value: float) -> float:
+        return -0.5 * self.residual(value) ** 2
+
+    @override
     def said(self) -> str:
         return f"normal, {self.mean:g} \u00b1 {self.sd:g}"

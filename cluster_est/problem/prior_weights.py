@@ -29,13 +29,34 @@ def check_priors(problem: Problem) -> None:
             f'parameters.{name}.prior: must go with the cost "sse", in which it counts like a '
             f"measurement, but cost.name is {problem.cost.name!r}; change one of the two"
         )
+    need_sigmas(
+        problem, f"the prior of parameter {name} is weighed against it by its standard deviation"
+    )
+
+
+def need_sigmas(problem: Problem, why: str) -> None:
+    """Refuse training experiments with an output whose noise is not declared.
+
+    Parameters
+    ----------
+    problem
+        Whose experiments are looked at.
+    why
+        What a standard deviation is needed for.
+
+    Raises
+    ------
+    ProblemError
+        With what to add.
+    """
     for e in problem.indices("train"):
-        for output in problem.experiments[e].outputs:
+        experiment = problem.experiments[e]
+        for output in experiment.outputs:
             if len(output.times) and not output.has_sigma:
-                where = f"experiment {problem.experiments[e].id!r}: sigma.{output.variable}"
                 raise ProblemError(
-                    f"{where} is missing; the prior of parameter {name} is weighed against the "
-                    "measurements by their standard deviations, so give each output its own"
+                    f"experiment {experiment.id!r}: sigma.{output.variable} is missing; {why}; "
+                    "give every output its own, and write 1.000001 where it is 1, which stands "
+                    "for none"
                 )
 
 

@@ -56,6 +56,8 @@ def fit_notes(result: Result) -> tuple[str, ...]:
         notes += profile.sentences
     if result.bootstrap is not None:
         notes += result.bootstrap.sentences
+    if result.posterior is not None:
+        notes += result.posterior.sentences
     return (*notes, *fitted_to_held_out(result.estimates), *worse_than_constants(result.errors))
 
 

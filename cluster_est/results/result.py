@@ -30,12 +30,18 @@ from cluster_est.results.row_types import (
 from cluster_est.results.shapes.effect_table import curve_table
 from cluster_est.results.solver_error.measure import SolverError
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
-from cluster_est.uncertainty import BootstrapResult, ProfileResult, Uncertainty
+from cluster_est.uncertainty import (
+    BootstrapResult,
+    PosteriorResult,
+    ProfileResult,
+    Uncertainty,
+)
 from cluster_est.uncertainty.rows import (
     bootstrap_rows,
     correlation_rows,
     direction_rows,
     interval_rows,
+    posterior_rows,
     profile_rows,
 )
 from workers.fmu.description import nearest
@@ -81,7 +87,7 @@ class Result:
         Of a method with several objectives: the points none of which is better in all.
     uncertainty
         Correlations and directions that the data do not determine, besides the intervals.
-    profiles, bootstrap
+    profiles, bootstrap, posterior
         Intervals that took refits, where they were asked for.
     diagnostics
         Whether the training residuals are white and as large as sigma says; None where that means
@@ -116,6 +122,7 @@ class Result:
     uncertainty: Uncertainty | None = field(default=None, repr=False)
     profiles: tuple[ProfileResult, ...] = field(default=(), repr=False)
     bootstrap: BootstrapResult | None = field(default=None, repr=False)
+    posterior: PosteriorResult | None = field(default=None, repr=False)
     diagnostics: ResidualDiagnostics | None = field(default=None, repr=False)
     solver_error: SolverError | None = field(default=None, repr=False)
     shapes: tuple[EffectCurve, ...] = field(default=(), repr=False)
@@ -315,7 +322,8 @@ class Result:
             "directions": [] if uncertainty is None else direction_rows(uncertainty),
             "profiles": profile_rows(self.profiles),
             "bootstrap": [] if drawn is None else bootstrap_rows(drawn),
-            "intervals": interval_rows(self.profiles, drawn),
+            "posterior": [] if self.posterior is None else posterior_rows(self.posterior),
+            "intervals": interval_rows(self.profiles, drawn, self.posterior),
         }
 
     def rmse(self, role: Role) -> float:

@@ -271,15 +271,18 @@ TABLES = (
     ),
     TableMeaning(
         "intervals",
-        "interval that took refits",
-        "with uncertainty.profiles or uncertainty.bootstrap",
+        "interval that took refits or draws",
+        "with uncertainty.profiles, uncertainty.bootstrap or uncertainty.posterior",
         (
             _LABEL,
             ColumnDescription(
-                "source", TEXT, "", '"profile", "bootstrap", "bootstrap percentile" or "... basic"'
+                "source",
+                TEXT,
+                "",
+                '"profile", "bootstrap", "bootstrap percentile", "... basic" or "posterior"',
             ),
             ColumnDescription("confidence", NUMBER, "", "0.95 for 95 %"),
-            ColumnDescription("value", NUMBER, OWN, "the estimate"),
+            ColumnDescription("value", NUMBER, OWN, "the estimate; of a posterior the median"),
             ColumnDescription("lower", NUMBER, OWN, "lower end"),
             ColumnDescription("upper", NUMBER, OWN, "upper end"),
             ColumnDescription("open_lower", TEXT, "", "why a profile has no lower end; else empty"),
@@ -311,6 +314,20 @@ TABLES = (
             _COST,
             _ENDING,
             ColumnDescription("experiments", TEXT, "", "those that were drawn"),
+        ),
+    ),
+    TableMeaning(
+        "posterior",
+        "parameter in each draw, of draws that are nearly independent",
+        "with uncertainty.posterior",
+        (
+            ColumnDescription("draw", WHOLE, "", "its number"),
+            ColumnDescription("walker", WHOLE, "", "the walker that drew it"),
+            _LABEL,
+            ColumnDescription("value", NUMBER, OWN, "that was drawn"),
+            ColumnDescription(
+                "log_density", NUMBER, "", "logarithm of the posterior density, but for a constant"
+            ),
         ),
     ),
     TableMeaning(

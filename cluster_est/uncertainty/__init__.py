@@ -2,7 +2,8 @@
 
 `assess` needs no simulation: covariance, intervals, correlations and the directions that the data
 do not determine, from the Jacobian at the solution. `examine` simulates a few points for it
-where that tells more. `profiles` and `bootstrap` refit, on the same queue as any search.
+where that tells more. `profiles` and `bootstrap` refit, on the same queue as any search, and
+`sample_posterior` draws there.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from cluster_est.uncertainty.covariance.result import (
     DerivedInterval,
     Uncertainty,
 )
+from cluster_est.uncertainty.posterior.density import check_posterior
+from cluster_est.uncertainty.posterior.posterior import sample_posterior
+from cluster_est.uncertainty.posterior.result import PosteriorInterval, PosteriorResult
 from cluster_est.uncertainty.profiles.profile import check_profiles, profiles, select
 from cluster_est.uncertainty.profiles.result import ProfilePoint, ProfileResult
 from cluster_est.uncertainty.settings import UncertaintySettings
@@ -30,6 +34,8 @@ __all__ = [
     "BootstrapResult",
     "ConfidenceInterval",
     "DerivedInterval",
+    "PosteriorInterval",
+    "PosteriorResult",
     "ProfilePoint",
     "ProfileResult",
     "Uncertainty",
@@ -38,11 +44,13 @@ __all__ = [
     "assess",
     "bootstrap",
     "check_bootstrap",
+    "check_posterior",
     "check_profiles",
     "examine",
     "intervals",
     "linearise",
     "profiles",
+    "sample_posterior",
     "select",
     "sharpen",
 ]

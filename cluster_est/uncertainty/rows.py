@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from cluster_est.uncertainty.bootstrap import BootstrapResult
 from cluster_est.uncertainty.covariance.result import Uncertainty
+from cluster_est.uncertainty.posterior.result import PosteriorResult
 from cluster_est.uncertainty.profiles.result import ProfileResult
 
 
@@ -66,11 +67,22 @@ class BootstrapRow:
 
 
 @dataclass(frozen=True)
-class IntervalRow:
-    """Of intervals.parquet: an interval that took refits.
+class PosteriorRow:
+    """Of posterior.parquet: one unknown in one of the nearly independent draws."""
 
-    `source` is "profile", "bootstrap", "bootstrap percentile" or "bootstrap basic"; `open_lower`
-    and `open_upper` say why a profile has no end there.
+    draw: int
+    walker: int
+    label: str
+    value: float
+    log_density: float
+
+
+@dataclass(frozen=True)
+class IntervalRow:
+    """Of intervals.parquet: an interval that took refits, or draws.
+
+    `source` is "profile", "bootstrap", "bootstrap percentile", "bootstrap basic" or "posterior";
+    `open_lower` and `open_upper` say why a profile has no end there.
     """
 
     label: str
@@ -126,10 +138,23 @@ def bootstrap_rows(found: BootstrapResult) -> list[BootstrapRow]:
     ]
 
 
+def posterior_rows(found: PosteriorResult) -> list[PosteriorRow]:
+    """Return one row for each unknown in each draw, of draws that are nearly independent."""
+    values, densities, _ = found.thinned
+    return [
+        PosteriorRow(draw, walker, label, float(values[draw, walker, i]), float(density))
+        for draw in range(len(values))
+        for walker, density in enumerate(densities[draw].tolist())
+        for i, label in enumerate(found.labels)
+    ]
+
+
 def interval_rows(
-    profiles: Sequence[ProfileResult], bootstrap: BootstrapResult | None
+    profiles: Sequence[ProfileResult],
+    bootstrap: BootstrapResult | None,
+    posterior: PosteriorResult | None = None,
 ) -> list[IntervalRow]:
-    """Return all intervals that took refits."""
+    """Return all intervals that took refits or draws."""
     rows = [
         IntervalRow(
             p.label,
@@ -143,6 +168,12 @@ def interval_rows(
         )
         for p in profiles
     ]
+    if posterior is not None:
+        level = posterior.confidence
+        rows += [
+            IntervalRow(each.label, "posterior", level, each.median, each.lower, each.upper)
+            for each in posterior.intervals
+        ]
     if bootstrap is None:
         return rows
     level = bootstrap.confidence

@@ -23,8 +23,13 @@ class UncertaintySettings:
         Number of draws of experiments, each fitted again; 0 for not at all. Take at least 200, and
         1000 where there are fewer than 10 experiments: the ends of the intervals are then rare
         draws.
+    posterior
+        Steps of each walker that draws from the posterior; 0 for not at all. Some thousands: the
+        chains must be 50 times as long as their draws stay alike, or no interval is given.
+    walkers
+        Their number; 0 for four times that of the unknowns, and 16 at least.
     confidence
-        Of profiles and bootstrap.
+        Of profiles, bootstrap and posterior.
     steps
         Refits, at least, from the optimum to the end of an interval on one side of a profile. More
         draw a smoother curve; the end itself is found to a thousandth in any case.
@@ -45,6 +50,8 @@ class UncertaintySettings:
 
     profiles: tuple[str, ...] = ()
     bootstrap: int = field(default=0, metadata={"least": 0})
+    posterior: int = field(default=0, metadata={"least": 0})
+    walkers: int = field(default=0, metadata={"least": 0})
     confidence: float = field(default=0.95, metadata={"least": 0.5})
     steps: int = field(default=4, metadata={"least": 1})
     max_steps: int = field(default=20, metadata={"least": 2})

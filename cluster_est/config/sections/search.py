@@ -171,8 +171,15 @@ class UncertaintySection(ConfigSection):
     bootstrap: Count = Field(
         _REFITS.bootstrap, description="draws of experiments with a refit each; 0: none"
     )
+    posterior: Count = Field(
+        _REFITS.posterior,
+        description="steps of each walker that draws from the posterior, some thousands; 0: none",
+    )
+    walkers: Count = Field(
+        _REFITS.walkers, description="their number; 0: four times the unknowns, and 16 at least"
+    )
     confidence: Finite = Field(
-        _REFITS.confidence, ge=0.5, lt=1.0, description="of profiles and bootstrap"
+        _REFITS.confidence, ge=0.5, lt=1.0, description="of profiles, bootstrap and posterior"
     )
     steps: Positive = Field(_REFITS.steps, description="refits at least on each side of a profile")
     max_steps: int = Field(

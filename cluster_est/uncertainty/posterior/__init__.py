@@ -1,0 +1,1 @@
+"""Draws from the posterior of the unknowns, and whether they can be trusted."""

@@ -1,0 +1,139 @@
+"""The result of drawing from a posterior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from workers.messages import FloatArray
+
+LONGEST = 50.0
+"""Autocorrelation times that a chain must be long, or the time itself is not known (the advice of
+D. Foreman-Mackey et al., doi:10.1086/670067, and of emcee's documentation)."""
+SHRINKS = 1.05
+"""Largest shrink factor of chains that have mixed; Vehtari et al. advise 1.01 for four long chains,
+which halves of walkers of a few autocorrelation times cannot reach by chance alone."""
+
+
+@dataclass(frozen=True)
+class PosteriorInterval:
+    """What the draws say of one unknown, in physical units.
+
+    Attributes
+    ----------
+    label, value
+        Its label, and its estimate by the fit.
+    mean, std_error, median, lower, upper
+        Of the draws, with the ends of the interval that holds the central part of them; NaN where
+        the chains have not mixed.
+    autocorrelation_time
+        In steps.
+    shrink_factor
+        See `split_shrink_factors`.
+    effective
+        Number of independent draws that are worth as much.
+    """
+
+    label: str
+    value: float
+    mean: float
+    std_error: float
+    median: float
+    lower: float
+    upper: float
+    autocorrelation_time: float
+    shrink_factor: float
+    effective: float
+
+    @property
+    def mixed(self) -> bool:
+        return self.shrink_factor <= SHRINKS
+
+
+@dataclass(frozen=True)
+class PosteriorResult:
+    """Draws from the posterior of all unknowns.
+
+    Attributes
+    ----------
+    labels
+        Of the unknowns.
+    values : (steps, walkers, unknowns)
+        Physical values, without the steps before the walkers had forgotten their starts.
+    log_densities : (steps, walkers)
+        In search coordinates, but for a constant.
+    intervals
+        Of all unknowns.
+    confidence
+        Of the intervals.
+    steps, discarded
+        Of each walker: in all, and those that are left out.
+    failures, asked
+        Points that could not be simulated, and that were asked for.
+    why_not
+        The reason why there are no draws; "" if there are some.
+    """
+
+    labels: tuple[str, ...]
+    values: FloatArray = field(repr=False)
+    log_densities: FloatArray = field(repr=False)
+    intervals: tuple[PosteriorInterval, ...]
+    confidence: float
+    steps: int
+    discarded: int
+    failures: int
+    asked: int
+    why_not: str = ""
+
+    @property
+    def slowest(self) -> float:
+        """The longest autocorrelation time, in steps."""
+        return max((each.autocorrelation_time for each in self.intervals), default=np.inf)
+
+    @property
+    def mixed(self) -> bool:
+        """The chains are long enough, and all tell the same."""
+        return is_mixed(len(self.values), self.intervals)
+
+    @property
+    def thinned(self) -> tuple[FloatArray, FloatArray, int]:
+        """Nearly independent draws: values, log densities, and how many steps lie between them."""
+        step = int(max(1.0, self.slowest / 2.0)) if np.isfinite(self.slowest) else 1
+        return self.values[::step], self.log_densities[::step], step
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Sentences on how it went, and why there is no interval."""
+        if self.why_not:
+            return (f"posterior: there are no draws, because {self.why_not}",)
+        walkers, kept = self.values.shape[1], len(self.values)
+        said = f"posterior: {walkers} walkers of {self.steps:,} steps, {self.discarded:,} left out"
+        if self.failures:
+            said += f"; {self.failures:,} of {self.asked:,} points could not be simulated"
+        if self.mixed:
+            least = min(each.effective for each in self.intervals)
+            return (f"{said}; at least {least:,.0f} independent draws of each unknown",)
+        worst = max(self.intervals, key=lambda each: each.autocorrelation_time)
+        if not np.isfinite(self.slowest):
+            return (f"{said}; no interval, because {worst.label} never moved",)
+        if kept < LONGEST * self.slowest:
+            wanted = int(np.ceil(1.2 * LONGEST * self.slowest * self.steps / kept))
+            return (
+                f"{said}; no interval, because the chains are too short to have mixed: draws of "
+                f"{worst.label} are alike over {self.slowest:.0f} of {kept:,} steps, and "
+                f"{LONGEST:.0f} times as many are needed: at least uncertainty.posterior = "
+                f"{wanted}",
+            )
+        apart = max(self.intervals, key=lambda each: each.shrink_factor)
+        return (
+            f"{said}; no interval, because the walkers have not mixed: they disagree on "
+            f"{apart.label} (shrink factor {apart.shrink_factor:.2f}, at most {SHRINKS:g} is "
+            "wanted), as where there are several minima; more steps, or narrower bounds",
+        )
+
+
+def is_mixed(kept: int, intervals: tuple[PosteriorInterval, ...]) -> bool:
+    """Return whether so many steps tell of all unknowns, and all walkers tell the same."""
+    slowest = max((each.autocorrelation_time for each in intervals), default=np.inf)
+    return bool(kept >= LONGEST * slowest and all(each.mixed for each in intervals))

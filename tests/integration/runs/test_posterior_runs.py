@@ -1,0 +1,91 @@
+"""A posterior of a run: the same bits wherever it is drawn, taken up again, and cut short."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support.problems.springs import ROOT
+
+from cluster_est.cli import main
+
+CONFIG = str(ROOT / "configs" / "mass_spring_damper.toml")
+SHORT = ["experiment_defaults.sigma.y=0.002", "uncertainty.posterior=40"]
+
+
+def fit(folder: Path, *arguments: str) -> dict[str, object]:
+    assert main(["fit", CONFIG, "--out", str(folder), *SHORT, *arguments]) in (0, 1)
+    facts: dict[str, object] = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    return facts
+
+
+def draws(folder: Path) -> list[dict[str, object]]:
+    return pq.read_table(folder / "posterior.parquet").to_pylist()
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("posterior") / "run"
+    fit(folder)
+    return folder
+
+
+def test_every_draw_is_a_row_and_what_has_not_mixed_has_no_interval(usual):
+    rows = draws(usual)
+    labels = {row["label"] for row in rows}
+    assert labels == {"m", "k", "c", "x0[exp5]"}
+    assert {row["walker"] for row in rows} == set(range(16))
+    values = [row["value"] for row in rows if row["label"] == "m"]
+    assert np.mean(values) == pytest.approx(1.2, abs=2e-3)
+    intervals = pq.read_table(usual / "intervals.parquet").to_pylist()
+    own = [row for row in intervals if row["source"] == "posterior"]
+    assert len(own) == 4
+    assert all(np.isnan(row["lower"]) for row in own)
+    facts = json.loads((usual / "run.json").read_text(encoding="utf-8"))
+    (said,) = [note for note in facts["notes"] if note.startswith("posterior: 16 walkers")]
+    assert "no interval, because the chains are too short to have mixed" in said
+
+
+def test_two_processes_draw_the_same_bits(usual, tmp_path):
+    fit(tmp_path / "run", "executor.name=processes", "executor.workers=2")
+    assert draws(tmp_path / "run") == draws(usual)
+
+
+def test_a_run_that_is_taken_up_again_draws_the_same_bits_and_simulates_nothing(usual, tmp_path):
+    run = tmp_path / "run"
+    fit(run)
+    facts = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    facts |= {"status": "running", "verdict": None}
+    (run / "run.json").write_text(json.dumps(facts), encoding="utf-8")
+    fit(run, "--resume")
+    assert draws(run) == draws(usual)
+
+
+def test_a_budget_that_ends_it_leaves_no_draws_and_says_so(tmp_path):
+    facts = fit(tmp_path / "run", "budget.evaluations=300")
+    assert not (tmp_path / "run" / "posterior.parquet").exists()
+    notes = facts["notes"]
+    assert isinstance(notes, list)
+    (said,) = [note for note in notes if note.startswith("posterior:")]
+    assert said.startswith("posterior: there are no draws, because it was cut short after ")
+    assert said.endswith(" of 40 steps")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("experiment_defaults.sigma={}", "sigma.y is missing; uncertainty.posterior makes"),
+        ("cost.name=huber", 'uncertainty.posterior: must go with the cost "sse" or "likelihood"'),
+        ("parameters.m.bounds=[0.1, inf]", "parameters.m: must have finite bounds or a prior"),
+        ("uncertainty.walkers=5", "uncertainty.walkers: must be at least 8"),
+    ],
+)
+def test_a_mistake_is_met_with_a_sentence(given, said, tmp_path, capsys):
+    out = str(tmp_path / "run")
+    assert main(["fit", CONFIG, "--out", out, *SHORT, given]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "Traceback" not in error

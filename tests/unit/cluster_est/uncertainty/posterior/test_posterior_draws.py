@@ -1,0 +1,227 @@
+"""Draws from posteriors that are known exactly, and what is said of chains that have not mixed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from support.problems.curves import Curves
+
+from cluster_est.costs.likelihood import GaussianLikelihood
+from cluster_est.costs.sum_absolute import SumAbsolute
+from cluster_est.errors import ProblemError
+from cluster_est.priors import LogNormalPrior, NormalPrior
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.space import make_space
+from cluster_est.uncertainty import UncertaintySettings, examine, linearise
+from cluster_est.uncertainty.posterior.density import check_posterior
+from cluster_est.uncertainty.posterior.diagnostics import (
+    autocorrelation_times,
+    split_shrink_factors,
+)
+from cluster_est.uncertainty.posterior.posterior import sample_posterior
+
+TIMES = np.linspace(0.0, 1.0, 60)
+
+
+def line(times, values, experiment):
+    return values[0] + values[1] * times
+
+
+SIGMA = 1.0 + 1e-9
+"""1 itself stands for none."""
+
+
+class DeclaredCurves(Curves):
+    """Curves whose noise has a declared sigma."""
+
+    def problem(self):
+        problem = super().problem()
+        runs = tuple(
+            replace(e, outputs=tuple(replace(o, sigma=SIGMA) for o in e.outputs))
+            for e in problem.experiments
+        )
+        return replace(problem, experiments=runs)
+
+
+def drawn(curves, steps=2500, seed=0, walkers=0):
+    runner, space, solution = curves.solve()
+    around = examine(runner, space, linearise(runner, space, solution)).intervals
+    settings = UncertaintySettings(posterior=steps, walkers=walkers)
+    generator = np.random.default_rng(seed)
+    return sample_posterior(runner, space, solution, around, settings, generator)
+
+
+def measured(seed=0):
+    return [1.4 - 0.5 * TIMES + np.random.default_rng(seed).normal(size=len(TIMES))]
+
+
+def test_a_linear_gaussian_problem_has_the_posterior_of_linear_algebra():
+    means, sds = np.array([1.5, -0.4]), np.array([0.2, 0.3])
+    own = tuple(
+        Parameter(name, 1.0, -50.0, 50.0, prior=NormalPrior(float(m), float(s)))
+        for name, m, s in zip("ab", means, sds, strict=True)
+    )
+    records = measured()
+    found = drawn(DeclaredCurves(line, own, TIMES, records))
+    columns = np.column_stack([np.ones(len(TIMES)), TIMES])
+    precision = columns.T @ columns + np.diag(sds**-2)
+    mean = np.linalg.solve(precision, columns.T @ records[0] + means / sds**2)
+    covariance = np.linalg.inv(precision)
+    assert found.mixed
+    for i, interval in enumerate(found.intervals):
+        error = np.sqrt(covariance[i, i])
+        assert interval.mean == pytest.approx(mean[i], abs=0.05 * error)
+        assert interval.std_error == pytest.approx(error, rel=0.05)
+        assert interval.lower == pytest.approx(mean[i] - 1.96 * error, abs=0.15 * error)
+        assert interval.upper == pytest.approx(mean[i] + 1.96 * error, abs=0.15 * error)
+        assert interval.effective > 500
+    draws = found.values.reshape(-1, 2)
+    correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+    assert np.corrcoef(draws.T)[0, 1] == pytest.approx(correlation, abs=0.05)
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+@pytest.mark.parametrize(
+    ("prior", "distribution"),
+    [
+        (NormalPrior(2.0, 0.4), norm(2.0, 0.4)),
+        (LogNormalPrior(2.0, 1.3), None),
+    ],
+)
+def test_what_no_measurement_tells_is_drawn_from_its_prior_on_either_scale(
+    prior, distribution, scale
+):
+    def flat(times, values, experiment):
+        return values[0] + 0.0 * values[1] * times
+
+    own = (
+        Parameter("a", 1.0, -10.0, 10.0),
+        Parameter("b", 1.5, 0.001, 50.0, scale, prior=prior),
+    )
+    found = drawn(DeclaredCurves(flat, own, TIMES, measured()), steps=3000)
+    assert found.mixed
+    draws = found.values[:, :, 1].ravel()
+    if distribution is None:
+        draws, distribution = np.log(draws), norm(np.log(2.0), np.log(1.3))
+    shares = np.linspace(0.05, 0.95, 10)
+    assert distribution.cdf(np.quantile(draws, shares)) == pytest.approx(shares, abs=0.04)
+
+
+def test_draws_stay_within_the_bounds():
+    own = (Parameter("a", 1.3, 1.25, 1.35), Parameter("b", 0.0, -10.0, 10.0))
+    found = drawn(DeclaredCurves(line, own, TIMES, measured()))
+    assert found.mixed
+    assert found.values[:, :, 0].min() >= 1.25
+    assert found.values[:, :, 0].max() <= 1.35
+    assert np.histogram(found.values[:, :, 0], 4)[0].min() > 0.2 * found.values[:, :, 0].size
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_one_others():
+    own = (Parameter("a", 1.0, -10.0, 10.0), Parameter("b", 0.0, -10.0, 10.0))
+    curves = DeclaredCurves(line, own, TIMES, measured())
+    first, again, other = (drawn(curves, steps=50, seed=s) for s in (1, 1, 2))
+    assert np.array_equal(first.values, again.values)
+    assert not np.array_equal(first.values, other.values)
+
+
+def test_chains_that_are_too_short_have_no_interval_and_say_how_long_they_must_be():
+    own = (Parameter("a", 1.0, -10.0, 10.0), Parameter("b", 0.0, -10.0, 10.0))
+    found = drawn(DeclaredCurves(line, own, TIMES, measured()), steps=60)
+    assert not found.mixed
+    assert all(np.isnan([each.lower, each.upper, each.mean]).all() for each in found.intervals)
+    (said,) = found.sentences
+    assert "no interval, because the chains are too short to have mixed" in said
+    assert int(said.rpartition("at least uncertainty.posterior = ")[2]) > 100
+
+
+def test_walkers_in_two_minima_have_no_interval():
+    def either(times, values, experiment):
+        return values[0] ** 2 + 0.0 * times
+
+    own = (Parameter("a", 3.0, -10.0, 10.0),)
+    generator = np.random.default_rng(0)
+    records = [9.0 + 0.5 * generator.normal(size=len(TIMES))]
+    runner, space, solution = DeclaredCurves(either, own, TIMES, records).solve()
+    around = examine(runner, space, linearise(runner, space, solution)).intervals
+    wide = [replace(around[0], std_error=4.0)]
+    found = sample_posterior(
+        runner, space, solution, wide, UncertaintySettings(posterior=400), np.random.default_rng(0)
+    )
+    assert not found.mixed
+    assert "no interval" in found.sentences[0]
+
+
+def test_points_that_cannot_be_simulated_have_no_density_and_are_counted():
+    def sometimes(times, values, experiment):
+        return values[0] + np.sqrt(values[1]) * times
+
+    own = (Parameter("a", 1.0, -10.0, 10.0), Parameter("b", 0.1, -1.0, 10.0))
+    found = drawn(DeclaredCurves(sometimes, own, TIMES, measured()))
+    assert found.failures > 0
+    assert found.values[:, :, 1].min() >= 0.0
+    assert (
+        f"{found.failures:,} of {found.asked:,} points could not be simulated" in found.sentences[0]
+    )
+
+
+class TestDiagnostics:
+    def test_the_autocorrelation_time_of_an_autoregression(self):
+        """(1 + a) / (1 - a) for x' = a x + noise."""
+        generator = np.random.default_rng(1)
+        chain = np.zeros((8000, 8, 2))
+        for n in range(1, len(chain)):
+            step = generator.normal(size=(8, 2))
+            chain[n] = np.array([0.0, 0.9]) * chain[n - 1] + step
+        assert autocorrelation_times(chain) == pytest.approx([1.0, 19.0], rel=0.1)
+
+    def test_what_never_moves_has_no_time(self):
+        chain = np.ones((100, 8, 1))
+        assert np.isinf(autocorrelation_times(chain)).all()
+        assert np.isinf(split_shrink_factors(chain)).all()
+
+    def test_the_shrink_factor_is_one_for_chains_that_tell_the_same(self):
+        chain = np.random.default_rng(2).normal(size=(2000, 8, 1))
+        assert split_shrink_factors(chain) == pytest.approx([1.0], abs=0.002)
+        chain[:, :4] += 2.0
+        assert split_shrink_factors(chain)[0] > 1.3
+        drifting = chain * 0.1 + np.linspace(0.0, 3.0, 2000)[:, None, None]
+        assert split_shrink_factors(drifting)[0] > 1.5
+
+
+class TestWhatIsRefused:
+    def space(self, cost=None, sigma=None, **bounds):
+        own = (Parameter("a", 1.0, **({"lower": -10.0, "upper": 10.0} | bounds)),)
+        curves = Curves(lambda t, v, e: v[0] + 0.0 * t, own, TIMES, measured())
+        problem = curves.problem()
+        if sigma is not None:
+            runs = tuple(
+                replace(e, outputs=tuple(replace(o, sigma=sigma) for o in e.outputs))
+                for e in problem.experiments
+            )
+            problem = replace(problem, experiments=runs)
+        if cost is not None:
+            problem = replace(problem, cost=cost)
+        return make_space(problem, (0,))
+
+    def test_a_cost_that_is_no_likelihood(self):
+        with pytest.raises(ProblemError, match='must go with the cost "sse" or "likelihood"'):
+            check_posterior(self.space(SumAbsolute(), 1.5))
+        check_posterior(self.space(GaussianLikelihood()))
+
+    def test_squares_without_a_sigma(self):
+        with pytest.raises(ProblemError, match=r"sigma.y0 is missing; uncertainty.posterior makes"):
+            check_posterior(self.space())
+        check_posterior(self.space(sigma=1.5))
+
+    def test_a_parameter_without_bounds_or_prior(self):
+        with pytest.raises(ProblemError, match=r"parameters.a: must have finite bounds or a prior"):
+            check_posterior(self.space(sigma=1.5, upper=np.inf))
+        prior = NormalPrior(0.0, 3.0)
+        check_posterior(self.space(sigma=1.5, upper=np.inf, prior=prior))
+
+    def test_too_few_walkers(self):
+        with pytest.raises(ProblemError, match=r"uncertainty.walkers: must be at least 8"):
+            check_posterior(self.space(sigma=1.5), walkers=4)
