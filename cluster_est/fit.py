@@ -40,6 +40,7 @@ from cluster_est.uncertainty import (
     check_profiles,
     examine,
     linearise,
+    predicted_bands,
     profiles,
     sample_posterior,
 )
@@ -229,12 +230,15 @@ def refine(runner: Runner, train: SearchSpace, result: Result, plan: FitPlan) ->
     if settings.bootstrap:
         generator = np.random.default_rng(plan.seed)
         drawn = bootstrap(runner, train, solution, local, settings, generator)
-    posterior = None
-    if settings.posterior and result.uncertainty is not None:
-        generator = np.random.default_rng((plan.seed, POSTERIOR))
-        around = result.uncertainty.intervals
-        posterior = sample_posterior(runner, train, solution, around, settings, generator)
-    return replace(result, profiles=profiled, bootstrap=drawn, posterior=posterior)
+    result = replace(result, profiles=profiled, bootstrap=drawn)
+    if not settings.posterior or result.uncertainty is None:
+        return result
+    generator = np.random.default_rng((plan.seed, POSTERIOR))
+    around = result.uncertainty.intervals
+    posterior = sample_posterior(runner, train, solution, around, settings, generator)
+    own = {e.label: e.value for e in result.estimates if e.estimated_on == "test"}
+    bands = predicted_bands(runner, train.problem, posterior, own)
+    return replace(result, posterior=posterior, predictions=bands)
 
 
 def simulate(

@@ -38,7 +38,7 @@ class ReportedRun:
     tables
         The rows of each small table, by its name; a table that is not there has none. "progress"
         has the lines of all searches in the order in which they came.
-    residuals, trajectories
+    residuals, trajectories, predictions
         None if they are not there.
     activity
         What the log says of workers and failures.
@@ -51,6 +51,7 @@ class ReportedRun:
     residuals: pa.Table | None = field(repr=False)
     trajectories: pa.Table | None = field(repr=False)
     activity: LogActivity = field(repr=False)
+    predictions: pa.Table | None = field(default=None, repr=False)
 
     @property
     def status(self) -> str:
@@ -120,6 +121,7 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
         residuals=_table(path / "residuals.parquet") if curves else None,
         trajectories=_table(path / "trajectories.parquet") if curves else None,
         activity=activity or read_activity(path / "evaluations"),
+        predictions=_table(path / "predictions.parquet") if curves else None,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pyarrow as pa
 
 from cluster_est.problem.problem import Problem
 from cluster_est.results.output_errors import Simulation, curve_residuals, output_residuals
+from cluster_est.uncertainty import PredictedBand
 from workers.messages import Experiment, FloatArray, Trajectory
 
 
@@ -53,6 +55,21 @@ def residual_table(
     names = ["experiment", "role", "output", "time", "measured", "simulated", "residual"]
     table = pa.table({name: _joined(columns[name]) for name in names})
     return table if before is None else _with_before(table, columns)
+
+
+def prediction_table(problem: Problem, bands: Sequence[PredictedBand]) -> pa.Table:
+    """Where each output lies by the posterior, at each measured time."""
+    columns: dict[str, list[Any]] = defaultdict(list)
+    for band in bands:
+        experiment = problem.experiments[band.experiment]
+        columns["experiment"].append(np.full(len(band.times), experiment.id))
+        columns["role"].append(np.full(len(band.times), experiment.role))
+        columns["output"].append(np.full(len(band.times), band.output))
+        for name in ("lower", "median", "upper"):
+            columns[name].append(getattr(band, name))
+        columns["time"].append(band.times)
+    names = ["experiment", "role", "output", "time", "lower", "median", "upper"]
+    return pa.table({name: _joined(columns[name]) for name in names})
 
 
 def _add(

@@ -16,7 +16,7 @@ from cluster_est.methods.base import Solution
 from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
 from cluster_est.results import actions
-from cluster_est.results.curves import residual_table, trajectory_table
+from cluster_est.results.curves import prediction_table, residual_table, trajectory_table
 from cluster_est.results.display_tables import fit_tables
 from cluster_est.results.facts import fit_facts, fit_notes
 from cluster_est.results.output_errors import OutputError, Simulation
@@ -33,6 +33,7 @@ from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import (
     BootstrapResult,
     PosteriorResult,
+    PredictedBand,
     ProfileResult,
     Uncertainty,
 )
@@ -88,7 +89,9 @@ class Result:
     uncertainty
         Correlations and directions that the data do not determine, besides the intervals.
     profiles, bootstrap, posterior
-        Intervals that took refits, where they were asked for.
+        Intervals that took refits or draws, where they were asked for.
+    predictions
+        Where the outputs lie by the posterior.
     diagnostics
         Whether the training residuals are white and as large as sigma says; None where that means
         nothing, see `diagnose_residuals`.
@@ -123,6 +126,7 @@ class Result:
     profiles: tuple[ProfileResult, ...] = field(default=(), repr=False)
     bootstrap: BootstrapResult | None = field(default=None, repr=False)
     posterior: PosteriorResult | None = field(default=None, repr=False)
+    predictions: tuple[PredictedBand, ...] = field(default=(), repr=False)
     diagnostics: ResidualDiagnostics | None = field(default=None, repr=False)
     solver_error: SolverError | None = field(default=None, repr=False)
     shapes: tuple[EffectCurve, ...] = field(default=(), repr=False)
@@ -193,8 +197,8 @@ class Result:
     def tables(self) -> tuple[str, ...]:
         """Names of its tables, those of a run folder's files."""
         optional = (name for name, rows in self.optional_rows().items() if rows)
-        shapes = ("shapes",) if self.shapes else ()
-        return ("parameters", "errors", "residuals", "trajectories", *shapes, *optional)
+        wide = [name for name in ("shapes", "predictions") if getattr(self, name)]
+        return ("parameters", "errors", "residuals", "trajectories", *wide, *optional)
 
     @property
     def status(self) -> str:
@@ -300,6 +304,8 @@ class Result:
             return trajectory_table(self.problem, self.simulations, self.before)
         if name == "shapes" and self.shapes:
             return curve_table(self.shapes)
+        if name == "predictions" and self.predictions:
+            return prediction_table(self.problem, self.predictions)
         rows: dict[str, Sequence[Any]] = {"parameters": self.estimates, "errors": self.errors}
         rows |= self.optional_rows()
         if not rows.get(name) and name not in self.tables:

@@ -331,6 +331,22 @@ TABLES = (
         ),
     ),
     TableMeaning(
+        "predictions",
+        "measured time, of outputs by some 200 draws of the posterior",
+        "with uncertainty.posterior, where its chains have mixed",
+        (
+            _EXPERIMENT,
+            _ROLE,
+            _OUTPUT,
+            _TIME,
+            ColumnDescription(
+                "lower", NUMBER, OF_OUTPUT, "lower end of the band, without the noise of a sensor"
+            ),
+            ColumnDescription("median", NUMBER, OF_OUTPUT, "half of the draws lie below"),
+            ColumnDescription("upper", NUMBER, OF_OUTPUT, "upper end of the band"),
+        ),
+    ),
+    TableMeaning(
         "effects",
         "coefficient of each effect that was added",
         IN_LOOPS,

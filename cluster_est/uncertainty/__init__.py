@@ -24,6 +24,7 @@ from cluster_est.uncertainty.covariance.result import (
 )
 from cluster_est.uncertainty.posterior.density import check_posterior
 from cluster_est.uncertainty.posterior.posterior import sample_posterior
+from cluster_est.uncertainty.posterior.prediction import PredictedBand, predicted_bands
 from cluster_est.uncertainty.posterior.result import PosteriorInterval, PosteriorResult
 from cluster_est.uncertainty.profiles.profile import check_profiles, profiles, select
 from cluster_est.uncertainty.profiles.result import ProfilePoint, ProfileResult
@@ -36,6 +37,7 @@ __all__ = [
     "DerivedInterval",
     "PosteriorInterval",
     "PosteriorResult",
+    "PredictedBand",
     "ProfilePoint",
     "ProfileResult",
     "Uncertainty",
@@ -49,6 +51,7 @@ __all__ = [
     "examine",
     "intervals",
     "linearise",
+    "predicted_bands",
     "profiles",
     "sample_posterior",
     "select",

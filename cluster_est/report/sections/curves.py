@@ -18,7 +18,7 @@ from cluster_est.report.blocks import (
     TextBlock,
     with_unit,
 )
-from cluster_est.report.drawing import Chart, Dots, Line, Mark, Plot, Rules, Scale
+from cluster_est.report.drawing import Band, Chart, Dots, Line, Mark, Plot, Rules, Scale
 from cluster_est.report.drawing.decimate import extremes
 from cluster_est.report.drawing.time_unit import TimeUnit, time_unit
 from cluster_est.report.folder import ReportedRun, Row
@@ -42,7 +42,8 @@ Key = tuple[str, str]
 class OutputCurves:
     """One output of one experiment: what was measured and simulated, at the measured times.
 
-    `before` is NaN where it is not known; `fine` are the simulated curves with a time of their own.
+    `before` is NaN where it is not known; `fine` are the simulated curves with a time of their own;
+    `band` is where the output lies by the posterior.
     """
 
     time: FloatArray = field(repr=False)
@@ -51,6 +52,7 @@ class OutputCurves:
     before: FloatArray = field(repr=False)
     residual: FloatArray = field(repr=False)
     fine: tuple[FloatArray, FloatArray, FloatArray] | None = field(default=None, repr=False)
+    band: tuple[FloatArray, FloatArray] | None = field(default=None, repr=False)
 
 
 def curves(run: ReportedRun) -> ReportSection:
@@ -59,7 +61,10 @@ def curves(run: ReportedRun) -> ReportSection:
     if table is None or not table.num_rows:
         return ReportSection("curves", "Curves", ())
     measured, simulated = _parts(table), _parts(run.trajectories)
-    known = {key: _curves(part, simulated.get(key)) for key, part in measured.items()}
+    predicted = _parts(run.predictions)
+    known = {
+        key: _curves(part, simulated.get(key), predicted.get(key)) for key, part in measured.items()
+    }
     errors = {(row["experiment"], row["output"]): row for row in run.tables["errors"]}
     roles = {key: str(part["role"][0].as_py()) for key, part in measured.items()}
     first = _most_telling(errors, list(known))
@@ -95,6 +100,11 @@ def _how(run: ReportedRun, known: Mapping[Key, OutputCurves], shown: int, column
         )
     else:
         said += " Every sample is drawn."
+    if any(each.band is not None for each in known.values()):
+        said += (
+            " The shaded band is where the output lies by the posterior of the values; a "
+            "measurement has its noise besides."
+        )
     if shown < len(known):
         said += f" Of {count(len(known))} charts the {shown} with the largest errors are drawn."
     return said
@@ -141,9 +151,12 @@ def _chart(key: Key, each: OutputCurves, row: Row | None, unit: TimeUnit, column
     if not np.isfinite(each.time).any():
         return _distances(name, each, columns)
     time = each.time / unit.seconds
-    upper: list[Mark] = [_thinned("measured", time, each.measured, columns)]
-    if len(time) <= FEW_SAMPLES:
-        upper = [Dots("measured", "measured", time, each.measured)]
+    upper: list[Mark] = []
+    if each.band is not None:
+        upper.append(_band(time, each.band, columns))
+    few = len(time) <= FEW_SAMPLES
+    measured = Dots("measured", "measured", time, each.measured)
+    upper.append(measured if few else _thinned("measured", time, each.measured, columns))
     lower: list[Mark] = [Rules("", "faint", y=(0.0,))]
     fine_time, fine_after, fine_before = each.fine or (each.time, each.after, each.before)
     for label, curve, fine in (
@@ -163,6 +176,12 @@ def _chart(key: Key, each: OutputCurves, row: Row | None, unit: TimeUnit, column
              Scale.around(*rest, np.zeros(1)), lower, RESIDUAL_HEIGHT),
     )  # fmt: skip
     return Chart(plots, f"time ({unit.name})", legend=False, across=5)
+
+
+def _band(time: FloatArray, band: tuple[FloatArray, FloatArray], columns: int) -> Band:
+    """The band at evenly spaced measured times: it is smooth."""
+    kept = np.unique(np.linspace(0, len(time) - 1, min(len(time), columns)).astype(int))
+    return Band("posterior", "after", time[kept], band[0][kept], band[1][kept])
 
 
 def _distances(name: str, each: OutputCurves, columns: int) -> Chart:
@@ -190,7 +209,7 @@ def _span(time: FloatArray) -> float:
     return float(np.ptp(known)) if len(known) else 0.0
 
 
-def _curves(table: pa.Table, finer: pa.Table | None) -> OutputCurves:
+def _curves(table: pa.Table, finer: pa.Table | None, predicted: pa.Table | None) -> OutputCurves:
     """The rows of one output of one experiment as curves."""
     time, measured, after, before, residual = (
         _column(table, name)
@@ -201,7 +220,10 @@ def _curves(table: pa.Table, finer: pa.Table | None) -> OutputCurves:
         own, *both = (_column(finer, n) for n in ("time", "simulated", "simulated_before"))
         if np.isfinite(both[0]).any():
             fine = own, both[0], both[1]
-    return OutputCurves(time, measured, after, before, residual, fine)
+    band = None
+    if predicted is not None and predicted.num_rows == len(time):
+        band = _column(predicted, "lower"), _column(predicted, "upper")
+    return OutputCurves(time, measured, after, before, residual, fine, band)
 
 
 def _parts(table: pa.Table | None) -> dict[Key, pa.Table]:

@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from support.problems.springs import ROOT
 
+import cluster_est as ce
 from cluster_est.cli import main
 
 CONFIG = str(ROOT / "configs" / "mass_spring_damper.toml")
@@ -47,6 +48,36 @@ def test_every_draw_is_a_row_and_what_has_not_mixed_has_no_interval(usual):
     facts = json.loads((usual / "run.json").read_text(encoding="utf-8"))
     (said,) = [note for note in facts["notes"] if note.startswith("posterior: 16 walkers")]
     assert "no interval, because the chains are too short to have mixed" in said
+
+
+def test_a_posterior_predicts_bands_that_the_report_draws(tmp_path):
+    """Of one unknown whose posterior is narrow, so that the band is its slope times its error."""
+    folder = tmp_path / "run"
+    held = [f"parameters.{name}.fixed=true" for name in ("k", "c", "x0")]
+    found = {"k": 30.0, "c": 0.6, "x0": 0.15}
+    starts = [f"parameters.{name}.start={value}" for name, value in found.items()]
+    fit(folder, *held, *starts, "uncertainty.posterior=500", "uncertainty.walkers=8")
+    intervals = pq.read_table(folder / "intervals.parquet").to_pylist()
+    (own,) = [row for row in intervals if row["source"] == "posterior"]
+    rows = pq.read_table(folder / "predictions.parquet").to_pylist()
+    assert {row["experiment"] for row in rows} == {f"exp{i}" for i in range(1, 6)}
+    assert {row["role"] for row in rows} == {"train", "test"}
+    assert all(row["lower"] <= row["median"] <= row["upper"] for row in rows)
+    problem = ce.read_problem(CONFIG)
+    ends = []
+    for mass in (own["lower"], own["upper"]):
+        simulations = ce.simulate(problem, values={"m": mass, "k": 30.0, "c": 0.6})
+        trajectory = simulations[0].outcome.trajectory
+        assert trajectory is not None
+        ends.append(np.interp(problem.experiments[0].outputs[0].times, trajectory.times,
+                              trajectory.values[:, trajectory.variables.index("y")]))  # fmt: skip
+    first = [row for row in rows if row["experiment"] == "exp1"]
+    widths = np.array([row["upper"] - row["lower"] for row in first])
+    expected = np.abs(ends[1] - ends[0])
+    assert np.linalg.norm(widths) == pytest.approx(np.linalg.norm(expected), rel=0.25)
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "where the output lies by the posterior of the values" in page
+    assert 'class="band after"' in page
 
 
 def test_two_processes_draw_the_same_bits(usual, tmp_path):

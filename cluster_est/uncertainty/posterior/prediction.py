@@ -1,0 +1,106 @@
+"""Where the outputs lie by the posterior: bands of what its draws simulate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import make_space
+from cluster_est.running.runner import Runner
+from cluster_est.uncertainty.posterior.result import PosteriorResult
+from workers.messages import FloatArray, Outcome
+
+DRAWS = 200
+"""Whose simulations make a band: the ends of a 95 % band, of which 5 of them lie beyond each, are
+then known to about a tenth of its width."""
+FEWEST_DRAWS = 100
+MOST_VALUES = 20_000_000
+"""Simulated values that are kept at a time: 160 MB."""
+
+
+@dataclass(frozen=True)
+class PredictedBand:
+    """Where one output of an experiment lies, by the draws of a posterior.
+
+    It is the uncertainty of the values alone: a new measurement has its noise besides.
+
+    Attributes
+    ----------
+    experiment, output
+        The experiment's index and the output's name.
+    times, lower, median, upper : (n,)
+        At the measured times.
+    """
+
+    experiment: int
+    output: str
+    times: FloatArray = field(repr=False)
+    lower: FloatArray = field(repr=False)
+    median: FloatArray = field(repr=False)
+    upper: FloatArray = field(repr=False)
+
+
+def predicted_bands(
+    runner: Runner, problem: Problem, posterior: PosteriorResult, known: Mapping[str, float]
+) -> tuple[PredictedBand, ...]:
+    """Simulate all experiments at draws of a posterior, evenly spread over it.
+
+    Parameters
+    ----------
+    runner
+        For the simulations.
+    problem
+        Whose training experiments the posterior is of; held-out ones are predicted too.
+    posterior
+        With chains that have mixed.
+    known
+        Values by label of what only held-out experiments have; the same in every draw.
+
+    Returns
+    -------
+    tuple of PredictedBand
+        None of an experiment that cannot be simulated at every draw, and none at all where they
+        would be too large to be kept.
+    """
+    samples = sum(len(o.times) for e in problem.experiments for o in e.outputs)
+    count = min(DRAWS, MOST_VALUES // max(samples, 1))
+    flat = posterior.values.reshape(-1, len(posterior.labels))
+    if not posterior.mixed or count < FEWEST_DRAWS or len(flat) < count:
+        return ()
+    chosen = flat[np.linspace(0, len(flat) - 1, count).astype(int)]
+    simulated: dict[tuple[int, str], list[FloatArray]] = {}
+    everything = tuple(range(len(problem.experiments)))
+    for draw in chosen.tolist():
+        values = {**known, **dict(zip(posterior.labels, draw, strict=True))}
+        space = make_space(problem, everything, values)
+        outcomes = runner.simulate(
+            space.physical(space.start), everything, "trajectory", "posterior", problem.effects
+        )
+        if runner.interrupted:
+            return ()
+        for e, outcome in zip(everything, outcomes, strict=True):
+            for name, found in _at_measured_times(problem, e, outcome):
+                simulated.setdefault((e, name), []).append(found)
+    ends = (0.5 - 0.5 * posterior.confidence, 0.5, 0.5 + 0.5 * posterior.confidence)
+    times = {(e, o.variable): o.times for e in everything for o in problem.experiments[e].outputs}
+    return tuple(
+        PredictedBand(e, name, times[e, name], *np.quantile(np.array(found), ends, axis=0))
+        for (e, name), found in simulated.items()
+        if len(found) == count
+    )
+
+
+def _at_measured_times(problem: Problem, e: int, outcome: Outcome) -> list[tuple[str, FloatArray]]:
+    """What each output of an experiment was at its measured times; nothing where it failed."""
+    trajectory = outcome.trajectory
+    if not outcome.ok or trajectory is None:
+        return []
+    found = []
+    for output in problem.experiments[e].outputs:
+        rows = np.searchsorted(trajectory.times, output.times)
+        column = trajectory.variables.index(output.variable)
+        found.append((output.variable, trajectory.values[rows, column]))
+    return found
