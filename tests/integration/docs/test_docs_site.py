@@ -103,6 +103,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
             "rows": [0, 100],
             "inputs": {"F": "force"},
             "outputs": {"y": "position"},
+            "sigma": {"y": 0.002},
             "role": "test" if i == 5 else "train",
         }
         for i in range(6)
@@ -111,7 +112,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
     more = {
         "constraints": [{"expression": "m <= k"}],
         "multistart": {"n": 2},
-        "uncertainty": {"profiles": ["m"], "bootstrap": 10},
+        "uncertainty": {"profiles": ["m"], "bootstrap": 10, "posterior": 1000, "walkers": 8},
     }
     front = {
         "method": {
