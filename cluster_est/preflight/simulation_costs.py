@@ -15,6 +15,8 @@ SECONDS = 1.0
 """Time for the measurement."""
 SHORT = 2e-4
 """Seconds: shorter simulations are not worth the way to another process."""
+LONG = 1.0
+"""Seconds: so long a simulation is worth a plan that asks for few of them."""
 LEAST_COUNT = 100
 """Simulations from which on a leak can be told."""
 LEAK = 1024.0
@@ -31,7 +33,23 @@ def costs(subject: CheckSubject) -> list[CheckFinding]:
             if subject.simulation_seconds
             else []
         )
-    return [_time(subject, found.seconds, found.count), _memory(subject, found)]
+    return [
+        _time(subject, found.seconds, found.count),
+        *_few_simulations(found.seconds),
+        _memory(subject, found),
+    ]
+
+
+def _few_simulations(seconds: float) -> list[CheckFinding]:
+    """Recommend what asks for few simulations where each of them takes long."""
+    if seconds < LONG:
+        return []
+    said = (
+        "a simulation takes long, and least_squares asks for more of them than it must, so that "
+        "many workers have something to do: on the embedded example for 189 in place of 99"
+    )
+    do = 'with few workers method.options = { trials = 1, differences = "forward" }'
+    return [CheckFinding(CheckVerdict.OK, "few simulations", said, do)]
 
 
 def _one_measured(subject: CheckSubject) -> CheckFinding:

@@ -14,7 +14,7 @@ from cluster_est.preflight import bare_problem, run_checks
 from cluster_est.preflight.findings import CheckVerdict
 from cluster_est.preflight.parameters import corners
 from cluster_est.preflight.repeatability import _leftovers
-from cluster_est.preflight.simulation_costs import _memory
+from cluster_est.preflight.simulation_costs import _few_simulations, _memory
 from cluster_est.preflight.solver_checks import accuracy, derivatives
 from workers.probes.probes import SimulationCost
 from workers.process.trial import NoAnswer
@@ -99,3 +99,10 @@ def test_an_fmu_that_was_not_tried_is_said_to_be_that():
 def test_values_that_nobody_had_time_for_are_not_done():
     (found,) = _leftovers(Subject(NoAnswer("it would take about 5 s", late=True)))
     assert found.verdict is NOT_DONE
+
+
+def test_a_plan_for_few_simulations_where_each_takes_long():
+    assert _few_simulations(0.9) == []
+    (found,) = _few_simulations(1.1)
+    assert found.verdict is OK
+    assert "trials = 1" in found.do
