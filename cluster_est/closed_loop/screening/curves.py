@@ -14,7 +14,11 @@ from workers.effects.site import EffectSite
 
 
 def rank_curves(
-    workbench: LoopWorkbench, fitted: FittedModel, ranking: CandidateRanking
+    workbench: LoopWorkbench,
+    fitted: FittedModel,
+    ranking: CandidateRanking,
+    *,
+    variables: int = 1,
 ) -> CandidateRanking:
     """Rank the leading free curves at a fit against finer ones at the same places.
 
@@ -27,6 +31,9 @@ def rank_curves(
         The model that a curve is added to.
     ranking
         Of all candidates at that model.
+    variables
+        Curves of one, or of the switch by one with another: such a curve contains what any function
+        of the first may be, and would crowd out curves that say less.
 
     Returns
     -------
@@ -34,7 +41,11 @@ def rank_curves(
         Of these curves alone, against the residual as it is; the coarse ones come first.
     """
     thresholds = workbench.thresholds.screening
-    leaders = ranking.leaders(ranking.plain, thresholds.curves, free=True)
+    leaders = [
+        i
+        for i in ranking.leaders(ranking.plain, len(ranking.trials), free=True)
+        if max(ranking.trials[i].candidate.form.variables, 1) == variables
+    ][: thresholds.curves]
     coarse = [ranking.trials[i] for i in leaders]
     refined = len(coarse) if workbench.exchange else thresholds.probed_curves
     finer = [

@@ -42,8 +42,12 @@ from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkben
 
 
 def refit_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedCandidate]:
-    """Refit free curves at the leading places, from coarse to fine; the best comes first."""
-    coarse = coarse_curves(workbench, begun)
+    """Refit free curves at the leading places, from coarse to fine; the best comes first.
+
+    Those of a switch are among them, because no named effect passes here.
+    """
+    curves = [*coarse_curves(workbench, begun), *switched_curves(workbench, begun)]
+    coarse = _ordered(workbench, [curve.fitted for curve in curves])
     found = [*coarse, *finer_curves(workbench, begun, coarse)]
     return sorted(found, key=lambda c: c.criterion)
 
@@ -66,6 +70,26 @@ def coarse_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedC
     seen = _finished(workbench, brief)
     seen += _finished(workbench, _in_other_places(workbench, begun, curves, seen))
     return _ordered(workbench, seen)
+
+
+def switched_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedCandidate]:
+    """Refit the leading curve of a switch, such as a friction whose level depends on the place.
+
+    Only where nothing that may be claimed has been found: it contains what a switch alone does, and
+    follows what else there is besides.
+
+    Parameters
+    ----------
+    begun
+        The start of the round that it is tried in.
+    """
+    if not workbench.thresholds.refinement.curves:
+        return []
+    curves = rank_curves(workbench, begun.model, begun.screening.ranking, variables=2)
+    leaders = leading_places(curves)[:1]
+    starts = [step.start for step in first_steps(workbench, begun.model, curves, leaders)]
+    brief = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    return _ordered(workbench, _finished(workbench, brief))
 
 
 def finer_curves(

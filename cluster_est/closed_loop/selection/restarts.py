@@ -13,7 +13,6 @@ from cluster_est.closed_loop.selection.refinement.linear_step import (
     longest_step,
 )
 from cluster_est.closed_loop.selection.refinement.refits import SHORT, full_refit
-from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit, may_become_useful
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.problem.space import SearchSpace
@@ -27,8 +26,8 @@ def refit_from_other_starts(
 
     The declared parameters are those of the fitted model, and the user's own starts: what has to
     make room for a missing effect may have led the fit to where there is no way back. Every point
-    of a grid is simulated; the best are refitted a little, and the best of those and that from the
-    user's starts to convergence, where that may come to fit better.
+    of a grid is simulated; the best are refitted a little, and the best of those to convergence,
+    the user's starts in any case.
 
     Returns
     -------
@@ -51,8 +50,6 @@ def refit_from_other_starts(
         return grown
     best = min(brief, key=lambda fitted: fitted.sse)
     going = [best] if fits[0] is None or fits[0] is best else [best, fits[0]]
-    useful = UsefulFit(sse=grown.sse)
-    going = [fitted for fitted in going if may_become_useful(workbench, fitted, useful)]
     finished = workbench.fit(
         LoopStage.OTHER_STARTS, [fitted.start for fitted in going], full_refit(workbench)
     )

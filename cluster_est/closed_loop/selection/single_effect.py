@@ -11,9 +11,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.free_curves import coarse_curves, finer_curves, refit_named
+from cluster_est.closed_loop.selection.free_curves import (
+    coarse_curves,
+    finer_curves,
+    refit_named,
+    switched_curves,
+)
 from cluster_est.closed_loop.selection.gates import (
     best_that_passes,
+    can_be_claimed,
     leaves_more_than_noise,
     reason_to_stop,
 )
@@ -85,6 +91,7 @@ def single_effects(
 
     Curves are made finer only where they may be taken, see `single_instead`, and where there is
     something to be gained: one or two effects leave more than noise, or three look like patches.
+    The curve of a switch is among them where nothing found may be claimed.
 
     Parameters
     ----------
@@ -104,6 +111,9 @@ def single_effects(
     gains = len(current.added) > 2 or leaves_more_than_noise(workbench, current, first.floor)
     if known.fine or early or not gains:
         return known
+    if not whole and not can_be_claimed(workbench, first, current):
+        switched = switched_curves(workbench, first)
+        known = replace(known, curves=(*known.curves, *switched))
     useful = UsefulFit(criterion=current.criterion(workbench.records))
     finer = finer_curves(workbench, first, known.curves, useful)
     curves = sorted((*known.curves, *finer), key=lambda c: c.criterion)
