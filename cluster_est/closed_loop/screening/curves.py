@@ -32,8 +32,8 @@ def rank_curves(
     ranking
         Of all candidates at that model.
     variables
-        Curves of one, or of the switch by one with another: such a curve contains what any function
-        of the first may be, and would crowd out curves that say less.
+        1 for curves of one argument, 2 for those of a switch, which follow most of what the switch
+        alone does and would crowd out curves that say less.
 
     Returns
     -------
