@@ -52,7 +52,7 @@ def build_prior(given: dict[str, Any], where: str) -> Prior | None:
         return None
     name = given.get("name")
     if not isinstance(name, str) or name not in PRIORS:
-        said = f"is {shown(name)}{nearest(str(name), PRIORS)}" if "name" in given else "is missing"
+        said = f"is {shown(name)}" if "name" in given else "is missing"
         raise ConfigError(f"{where}.name: must be one of {', '.join(PRIORS)} but {said}")
     kind = PRIORS[name]
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]

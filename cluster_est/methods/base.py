@@ -144,7 +144,7 @@ class Evaluation:
 
     @property
     def residuals(self) -> FloatArray:
-        """All residuals, experiment after experiment; only where `ok`.
+        """All residuals, experiment after experiment, with their priors; only where `ok`.
 
         One number for each output instead, where the experiment is long and the method does not
         need every residual.

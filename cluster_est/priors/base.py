@@ -45,14 +45,15 @@ class Prior(ABC):
     def said(self) -> str:
         """Return it in words, for messages: "normal, 2 +- 0.1"."""
 
-    def check(self, where: str, lower: float, upper: float) -> None:
-        """Refuse a prior that does not go with the bounds of its parameter.
+    def check(self, where: str, start: float, lower: float, upper: float) -> None:
+        """Refuse a prior that does not go with the start and the bounds of its parameter.
 
         Raises
         ------
         ProblemError
             With what to change.
         """
+        del start  # a prior may ask more of it
         if not lower <= self.centre <= upper:
             raise ProblemError(
                 f"{where}.prior: must have its centre within the bounds [{lower:g}, {upper:g}] but "

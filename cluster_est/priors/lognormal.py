@@ -63,8 +63,13 @@ class LogNormalPrior(Prior):
         return f"lognormal, {self.median:g} within a factor of {self.factor:g}"
 
     @override
-    def check(self, where: str, lower: float, upper: float) -> None:
-        super().check(where, lower, upper)
+    def check(self, where: str, start: float, lower: float, upper: float) -> None:
+        super().check(where, start, lower, upper)
+        if not start > 0.0:
+            raise ProblemError(
+                f"{where}.start: must be above 0 with a log-normal prior, under which 0 is "
+                f"impossible, but is {start:g}; start from the median {self.median:g}"
+            )
         if not lower >= 0.0:
             raise ProblemError(
                 f"{where}.bounds: must not be below 0 with a log-normal prior but begin at "

@@ -110,7 +110,7 @@ class Parameter:
                     f"{where}.prior: must be left out where there is {key}, because the value is "
                     "not estimated; remove one of the two"
                 )
-        self.prior.check(where, self.lower, self.upper)
+        self.prior.check(where, self.start, self.lower, self.upper)
 
     def _check_kinds(self, where: str) -> None:
         check_number(self.start, f"{where}.start", ProblemError)

@@ -29,13 +29,43 @@ def check_priors(problem: Problem) -> None:
             f'parameters.{name}.prior: must go with the cost "sse", in which it counts like a '
             f"measurement, but cost.name is {problem.cost.name!r}; change one of the two"
         )
+    refuse_distances(problem, f"parameters.{name}.prior")
     need_sigmas(
         problem, f"the prior of parameter {name} is weighed against it by its standard deviation"
     )
 
 
+def refuse_distances(problem: Problem, where: str) -> None:
+    """Refuse curves and cost functions: what they return is in no measurement's sigmas.
+
+    Parameters
+    ----------
+    problem
+        Whose experiments are looked at.
+    where
+        Opens the message.
+
+    Raises
+    ------
+    ProblemError
+        With what to change.
+    """
+    for experiment in problem.experiments:
+        for key, there in (
+            ("curve", experiment.curve is not None),
+            ("cost.function", experiment.cost_function is not None),
+        ):
+            if there:
+                raise ProblemError(
+                    f"{where}: must go with outputs measured over time, each with its sigma, but "
+                    f"experiment {experiment.id!r} has a {key}; remove one of the two"
+                )
+
+
 def need_sigmas(problem: Problem, why: str) -> None:
-    """Refuse training experiments with an output whose noise is not declared.
+    """Refuse experiments with an output whose noise is not declared.
+
+    Held-out ones too: values that only they have are fitted to them.
 
     Parameters
     ----------
@@ -49,8 +79,7 @@ def need_sigmas(problem: Problem, why: str) -> None:
     ProblemError
         With what to add.
     """
-    for e in problem.indices("train"):
-        experiment = problem.experiments[e]
+    for experiment in problem.experiments:
         for output in experiment.outputs:
             if len(output.times) and not output.has_sigma:
                 raise ProblemError(

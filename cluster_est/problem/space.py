@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.problem.parameter_constraints import ConstraintSpec, evaluate, expand, label_of
+from cluster_est.problem.prior_rows import KnownPrior, PriorRows
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.reduction import want_of
 from cluster_est.problem.unknown import Unknown
@@ -25,25 +26,6 @@ from workers.messages import FloatArray, IntArray, Want
 _NONE = np.zeros(0)
 _PRIOR = object()
 """Stands for the priors among the outputs."""
-
-
-@dataclass(frozen=True)
-class KnownPrior:
-    """The prior of an unknown that is fixed, which counts and does not move.
-
-    Attributes
-    ----------
-    before
-        The unknown before which it would stand.
-    experiment
-        Position of the experiment that it is counted with.
-    residual
-        Of the value at which it is fixed.
-    """
-
-    before: int
-    experiment: int
-    residual: float
 
 
 @dataclass(frozen=True)
@@ -119,56 +101,16 @@ class SearchSpace:
 
         Behind those of its outputs stand those of the priors that are counted with it.
         """
-        pairs = zip(self.experiments, self.wants, self.with_prior, strict=True)
+        pairs = zip(self.experiments, self.wants, self.priors.places, strict=True)
         return [
             (*self.problem.experiments[e].counts_in(want), *([len(own)] if len(own) else []))
             for e, want, own in pairs
         ]
 
     @cached_property
-    def with_prior(self) -> tuple[IntArray, ...]:
-        """For each experiment the unknowns whose priors are counted with it; -1 for known ones.
-
-        A prior counts once: with the first of the experiments that its unknown acts on. So it moves
-        with no other experiment than the unknown does, and a difference or a colour sees it.
-        """
-        own: list[tuple[float, int, int]] = [
-            (float(i), i, unknown.experiments[0])
-            for i, unknown in enumerate(self.unknowns)
-            if unknown.prior is not None and unknown.experiments
-        ]
-        own += [(known.before - 0.5, -1, known.experiment) for known in self.known_priors]
-        found: list[list[int]] = [[] for _ in self.experiments]
-        for _, i, e in sorted(own):
-            found[e].append(i)
-        return tuple(np.array(each, dtype=np.intp) for each in found)
-
-    def prior_residuals(self, e: int, x: FloatArray) -> FloatArray:
-        """(priors,): the residuals of the priors that are counted with an experiment."""
-        known = (each.residual for each in self.known_priors if each.experiment == e)
-        return np.array(
-            [
-                self.unknowns[i].prior_residual(float(x[i])) if i >= 0 else next(known)
-                for i in self.with_prior[e].tolist()
-            ],
-            np.float64,
-        )
-
-    def prior_jacobian(self, e: int, x: FloatArray) -> FloatArray:
-        """(priors, unknowns that act on the experiment): their derivatives."""
-        own, acting = self.with_prior[e], self.acting[e]
-        slopes = [
-            self.unknowns[i].prior_slope(float(x[i])) if i >= 0 else 0.0 for i in own.tolist()
-        ]
-        return np.where(own[:, None] == acting, np.array(slopes, np.float64)[:, None], 0.0)
-
-    @cached_property
-    def of_priors(self) -> npt.NDArray[np.bool_]:
-        """(residuals,): whether each is that of a prior."""
-        result = np.zeros(self.rows[-1].stop if self.rows else 0, dtype=bool)
-        for row, own in zip(self.rows, self.with_prior, strict=True):
-            result[row.stop - len(own) : row.stop] = True
-        return result
+    def priors(self) -> PriorRows:
+        """The residuals of priors, which stand behind those of the experiments' outputs."""
+        return PriorRows(self.unknowns, self.known_priors, len(self.experiments))
 
     @cached_property
     def rows(self) -> tuple[slice, ...]:

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from cluster_est.problem.problem import Problem
 from cluster_est.results.output_errors import Simulation, curve_residuals, output_residuals
-from cluster_est.uncertainty import PredictedBand
+from cluster_est.uncertainty import PosteriorResult, PredictedBand
 from workers.messages import Experiment, FloatArray, Trajectory
 
 
@@ -55,6 +55,21 @@ def residual_table(
     names = ["experiment", "role", "output", "time", "measured", "simulated", "residual"]
     table = pa.table({name: _joined(columns[name]) for name in names})
     return table if before is None else _with_before(table, columns)
+
+
+def posterior_table(posterior: PosteriorResult) -> pa.Table:
+    """Each unknown in each draw: nearly independent draws, where the chains have mixed."""
+    values, densities, _ = posterior.thinned
+    draw, walker, unknown = np.indices(values.shape).reshape(3, -1)
+    return pa.table(
+        {
+            "draw": draw,
+            "walker": walker,
+            "label": pa.array(np.array(posterior.labels)[unknown]),
+            "value": values.ravel(),
+            "log_density": np.repeat(densities.ravel(), len(posterior.labels)),
+        }
+    )
 
 
 def prediction_table(problem: Problem, bands: Sequence[PredictedBand]) -> pa.Table:

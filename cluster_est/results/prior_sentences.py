@@ -28,8 +28,15 @@ def prior_sentences(problem: Problem, estimates: Sequence[Estimate]) -> tuple[st
         return ()
     train = [prior.residual(each.value) for each, prior, on in known if on == "train"]
     added = sum(residual**2 for residual in train)
-    count = f"{len(train)} prior{'' if len(train) == 1 else 's'}"
-    said = [f"the cost has {added:.3g} of {count}, which count like measurements"]
+    said = []
+    if train:
+        one = len(train) == 1
+        named = (
+            "a prior, which counts like a measurement, adds"
+            if one
+            else (f"{len(train)} priors, which count like measurements, add")
+        )
+        said = [f"{named} {added:.3g} to the cost"]
     for each, prior, _ in known:
         residual = prior.residual(each.value)
         if abs(residual) > FAR:

@@ -104,7 +104,7 @@ def _basis(space: SearchSpace, solution: Solution, count: int) -> FloatArray:
     """Directions that the free unknowns have taken out of the residuals, orthonormal (n, rank)."""
     if not has_jacobian(solution) or count * space.size > MOST_ENTRIES:
         return np.zeros((count, 0))
-    blocks, priors = jacobian_blocks(space, solution), space.of_priors
+    blocks, priors = jacobian_blocks(space, solution), space.priors.among(space.rows)
     if blocks is None or blocks.row_count != count + int(priors.sum()):
         return np.zeros((count, 0))
     free = [i for i, bound in enumerate(active_bounds(space, solution.x)) if not bound]

@@ -16,7 +16,12 @@ from cluster_est.methods.base import Solution
 from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
 from cluster_est.results import actions
-from cluster_est.results.curves import prediction_table, residual_table, trajectory_table
+from cluster_est.results.curves import (
+    posterior_table,
+    prediction_table,
+    residual_table,
+    trajectory_table,
+)
 from cluster_est.results.display_tables import fit_tables
 from cluster_est.results.facts import fit_facts, fit_notes
 from cluster_est.results.output_errors import OutputError, Simulation
@@ -42,7 +47,6 @@ from cluster_est.uncertainty.rows import (
     correlation_rows,
     direction_rows,
     interval_rows,
-    posterior_rows,
     profile_rows,
 )
 from workers.fmu.description import nearest
@@ -154,6 +158,8 @@ class Result:
     def fun(self) -> FloatArray | None:
         """Residuals of the training experiments at the estimates, one after the other, over sigma.
 
+        Behind those of an experiment stand those of the priors that count with it.
+
         None where a simulation failed.
         """
         at = self.solution.at
@@ -197,7 +203,7 @@ class Result:
     def tables(self) -> tuple[str, ...]:
         """Names of its tables, those of a run folder's files."""
         optional = (name for name, rows in self.optional_rows().items() if rows)
-        wide = [name for name in ("shapes", "predictions") if getattr(self, name)]
+        wide = [name for name in ("shapes", "posterior", "predictions") if getattr(self, name)]
         return ("parameters", "errors", "residuals", "trajectories", *wide, *optional)
 
     @property
@@ -304,6 +310,8 @@ class Result:
             return trajectory_table(self.problem, self.simulations, self.before)
         if name == "shapes" and self.shapes:
             return curve_table(self.shapes)
+        if name == "posterior" and self.posterior:
+            return posterior_table(self.posterior)
         if name == "predictions" and self.predictions:
             return prediction_table(self.problem, self.predictions)
         rows: dict[str, Sequence[Any]] = {"parameters": self.estimates, "errors": self.errors}
@@ -328,7 +336,6 @@ class Result:
             "directions": [] if uncertainty is None else direction_rows(uncertainty),
             "profiles": profile_rows(self.profiles),
             "bootstrap": [] if drawn is None else bootstrap_rows(drawn),
-            "posterior": [] if self.posterior is None else posterior_rows(self.posterior),
             "intervals": interval_rows(self.profiles, drawn, self.posterior),
         }
 

@@ -318,7 +318,7 @@ TABLES = (
     ),
     TableMeaning(
         "posterior",
-        "parameter in each draw, of draws that are nearly independent",
+        "parameter in each draw; nearly independent draws, where the chains have mixed",
         "with uncertainty.posterior",
         (
             ColumnDescription("draw", WHOLE, "", "its number"),

@@ -42,10 +42,10 @@ def with_priors(space: SearchSpace, x: FloatArray, e: int, outcome: Outcome) -> 
 
     They stand in no log and come from no worker: they follow from the point alone.
     """
-    if not outcome.ok or not len(space.with_prior[e]):
+    if not outcome.ok or not len(space.priors.places[e]):
         return outcome
     known = np.zeros(0) if outcome.residuals is None else outcome.residuals
-    return replace(outcome, residuals=np.concatenate([known, space.prior_residuals(e, x)]))
+    return replace(outcome, residuals=np.concatenate([known, space.priors.residuals(e, x)]))
 
 
 def violation(constraints: FloatArray, equality: npt.NDArray[np.bool_]) -> float:

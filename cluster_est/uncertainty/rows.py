@@ -67,17 +67,6 @@ class BootstrapRow:
 
 
 @dataclass(frozen=True)
-class PosteriorRow:
-    """Of posterior.parquet: one unknown in one of the nearly independent draws."""
-
-    draw: int
-    walker: int
-    label: str
-    value: float
-    log_density: float
-
-
-@dataclass(frozen=True)
 class IntervalRow:
     """Of intervals.parquet: an interval that took refits, or draws.
 
@@ -138,17 +127,6 @@ def bootstrap_rows(found: BootstrapResult) -> list[BootstrapRow]:
     ]
 
 
-def posterior_rows(found: PosteriorResult) -> list[PosteriorRow]:
-    """Return one row for each unknown in each draw, of draws that are nearly independent."""
-    values, densities, _ = found.thinned
-    return [
-        PosteriorRow(draw, walker, label, float(values[draw, walker, i]), float(density))
-        for draw in range(len(values))
-        for walker, density in enumerate(densities[draw].tolist())
-        for i, label in enumerate(found.labels)
-    ]
-
-
 def interval_rows(
     profiles: Sequence[ProfileResult],
     bootstrap: BootstrapResult | None,
@@ -173,6 +151,7 @@ def interval_rows(
         rows += [
             IntervalRow(each.label, "posterior", level, each.median, each.lower, each.upper)
             for each in posterior.intervals
+            if posterior.mixed
         ]
     if bootstrap is None:
         return rows

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.problem.space import KnownPrior, SearchSpace
+from cluster_est.problem.prior_rows import KnownPrior
+from cluster_est.problem.space import SearchSpace
 from cluster_est.problem.unknown import Unknown
 from workers.messages import FloatArray
 

@@ -84,6 +84,10 @@ def test_sixty_eight_percent_of_a_log_normal_lie_within_its_factor():
             "parameters.k.prior: must be left out where there is fixed",
         ),
         (
+            lambda: Parameter("k", 0.0, 0.0, 5.0, prior=LogNormalPrior(1.0, 2.0)),
+            "parameters.k.start: must be above 0 with a log-normal prior",
+        ),
+        (
             lambda: Parameter("k", 1.0, -1.0, 5.0, prior=LogNormalPrior(1.0, 2.0)),
             "parameters.k.bounds: must not be below 0 with a log-normal prior but begin at -1",
         ),

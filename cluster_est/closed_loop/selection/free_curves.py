@@ -75,8 +75,8 @@ def coarse_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedC
 def switched_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedCandidate]:
     """Refit the leading curve of a switch, such as a friction whose level depends on the place.
 
-    Only where nothing that may be claimed has been found: it contains what a switch alone does, and
-    follows what else there is besides.
+    Only where no named effect passes, or nothing that was found may be claimed: it contains what a
+    switch alone does, and follows what else there is besides.
 
     Parameters
     ----------

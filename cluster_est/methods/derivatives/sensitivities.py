@@ -149,7 +149,7 @@ def forward_sensitivities(
             bad = used[np.flatnonzero(~np.isfinite(dr_dp).all(axis=0))[0]]
             name = space.problem.model.parameters[bad]
             return UnusableSensitivities(f"the model has no finite ones by {name!r}")
-        dr_dx, priors = dr_dp @ dp_dx[used], space.prior_jacobian(e, x)
+        dr_dx, priors = dr_dp @ dp_dx[used], space.priors.jacobian(e, x, space.acting[e])
         count = at.rows[e].stop - at.rows[e].start - len(priors)
         blocks.append(np.vstack([dr_dx[:count], priors]))
         constraints[space.constraint_rows[e], space.acting[e]] = dr_dx[count:]

@@ -71,6 +71,11 @@ class Nsga2(PopulationMethod):
     @override
     def check(self, space: SearchSpace) -> None:
         super().check(space)
+        if space.priors:
+            raise ProblemError(
+                f"method.name: {self.name} keeps the costs of outputs or experiments apart, and a "
+                "prior belongs to none of them; remove the priors, or take another method"
+            )
         if self.objectives == "outputs" and any(
             space.problem.experiments[e].cost_function for e in space.experiments
         ):

@@ -167,7 +167,7 @@ def _chart(key: Key, each: OutputCurves, row: Row | None, unit: TimeUnit, column
             upper.append(_thinned(label, fine_time / unit.seconds, fine, columns))
             lower.append(_thinned(label, time, each.measured - curve, columns))
     x = Scale.around(time, fine_time / unit.seconds, margin=0.0)
-    values = (each.measured, fine_after, fine_before)
+    values = (each.measured, fine_after, fine_before, *(each.band or ()))
     rest = (each.measured - each.after, each.measured - each.before)
     plots = (
         Plot(f"{name}: measured and simulated over time", with_unit(key[1], quantity), x,

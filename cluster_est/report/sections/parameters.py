@@ -109,7 +109,7 @@ def _intervals(run: ReportedRun) -> list[Block]:
         )
         for row in rows
     )
-    return [TableBlock(names, lines, "Intervals that took refits")]
+    return [TableBlock(names, lines, "Intervals that took refits or draws")]
 
 
 def _constraints(run: ReportedRun) -> list[Block]:

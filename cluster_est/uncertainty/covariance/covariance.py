@@ -16,6 +16,7 @@ whose gradient is projected out. Active constraints on signals are ignored.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -119,6 +120,9 @@ def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncert
         each.basis: np.sqrt(_diagonal(space, system, each.blocks)) / system.scale
         for each in covariances
     }
+    uniform = np.full(space.size, np.nan)
+    if system.uniform is not None:
+        uniform = np.sqrt(_diagonal(space, system, system.uniform.blocks)) / system.scale
     shared, local = layout.shared, np.array([*chain(*layout.local)], dtype=np.intp)
     within = system.coordinates @ chosen.blocks.shared @ system.coordinates.T
     crossed = [part @ system.coordinates.T for part in chosen.blocks.cross]
@@ -128,7 +132,9 @@ def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncert
         mixed = across / np.outer(scaled[local], scaled[shared])
     return Uncertainty(
         intervals=tuple(
-            _interval(space, x, i, errors, basis=chosen.basis, width=width, at_bound=at_bound)
+            _interval(
+                space, x, i, errors, uniform, basis=chosen.basis, width=width, at_bound=at_bound
+            )
             for i, at_bound in enumerate(layout.active_bounds)
         ),
         derived=_derived(space, x, system, chosen.blocks, width),
@@ -165,6 +171,7 @@ def _interval(
     x: FloatArray,
     i: int,
     errors: Mapping[NoiseBasis, FloatArray],
+    uniform: FloatArray,
     *,
     basis: NoiseBasis,
     width: float,
@@ -176,7 +183,8 @@ def _interval(
     high = unknown.to_physical(float(x[i] + width * error)) if finite else np.nan
     unit = unknown.to_physical(float(x[i])) if unknown.log else 1.0
     physical = [unit * float(errors[b][i]) if b in errors else np.nan for b in NoiseBasis]
-    return ConfidenceInterval(unit * error, low, high, at_bound, *physical)
+    found = ConfidenceInterval(unit * error, low, high, at_bound, *physical)
+    return replace(found, error_uniform=unit * float(uniform[i]))
 
 
 def _derived(

@@ -24,6 +24,9 @@ class ConfidenceInterval:
     error_white, error_autoregression, error_experiments
         The standard error if the noise is white, if it is an autoregression, and from the scatter
         of the experiments; NaN for what was not taken into account.
+    error_uniform
+        What `error_white` would be if priors scattered as the measurements do: the curvature of the
+        cost alone says it. NaN where there are no priors.
     """
 
     std_error: float
@@ -33,6 +36,7 @@ class ConfidenceInterval:
     error_white: float = np.nan
     error_autoregression: float = np.nan
     error_experiments: float = np.nan
+    error_uniform: float = np.nan
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,8 @@ class ScaledJacobian:
         The eliminated blocks.
     covariance
         Of the estimates, for white noise.
+    uniform
+        The same if priors scattered as the measurements do; None where there are none.
     residuals
         For what else the noise may be taken for.
     combinations
@@ -76,6 +78,7 @@ class ScaledJacobian:
     coordinates: FloatArray
     factors: BlockFactors
     covariance: EstimateCovariance
+    uniform: EstimateCovariance | None
     residuals: WeightedResiduals
     scatter: ResidualScatter
     combinations: tuple[UndeterminedCombination, ...]
@@ -127,6 +130,9 @@ def factorised_jacobian(
         coordinates=coordinates,
         factors=factors,
         covariance=white_covariance(factors, spread, scatter.variance, scatter.degrees),
+        uniform=None
+        if weighting.priors is None
+        else white_covariance(factors, None, scatter.variance, scatter.degrees),
         residuals=_weighted_residuals(space, weighting, rows),
         scatter=scatter,
         combinations=combinations,
@@ -207,8 +213,8 @@ def _weighting(
     if solution.at is not None:
         rows, cost = solution.at.rows, space.problem.cost
         weighting = row_weighting(cost, solution.at.residuals, space.outputs, rows)
-        if any(len(own) for own in space.with_prior):
-            weighting = replace(weighting, priors=space.of_priors)
+        if space.priors:
+            weighting = replace(weighting, priors=space.priors.among(rows))
         return weighting, rows
     # a sum of squares needs no more than its value
     squares = np.full(count, solution.cost / max(count, 1))
@@ -235,7 +241,10 @@ def _limits(
     """Return the relative error of each column."""
     x = solution.x
     sensitivity = norms * accuracy.relative_sizes(space, x)
-    measured = accuracy.output_norm(space, weighting.factor)
+    factor = weighting.factor
+    measured = accuracy.output_norm(
+        space, factor if weighting.priors is None else factor[~weighting.priors]
+    )
     outputs = max(measured, float(sensitivity.max(initial=0.0)))
     if measured_step > 0.0:
         return accuracy.measured_errors(space, sensitivity, outputs, measured_step)

@@ -10,7 +10,7 @@ from cluster_est.costs.likelihood import GaussianLikelihood
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation
-from cluster_est.problem.prior_weights import check_priors, need_sigmas
+from cluster_est.problem.prior_weights import check_priors, need_sigmas, refuse_distances
 from cluster_est.problem.space import SearchSpace
 from cluster_est.problem.unknown import Unknown
 from workers.messages import FloatArray
@@ -69,7 +69,14 @@ def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
             f"uncertainty.walkers: must be at least {least}, twice the unknowns and no fewer than "
             f"{LEAST_WALKERS}, but is {walkers}; 0 takes as many as are needed"
         )
+    if space.equality.any():
+        name = space.constraint_names[int(np.argmax(space.equality))]
+        raise ProblemError(
+            f"uncertainty.posterior: no draw satisfies the equality {name!r} exactly; make the "
+            "parameter follow from the others by an expression, or take uncertainty.profiles"
+        )
     check_priors(problem)
+    refuse_distances(problem, "uncertainty.posterior")
     if isinstance(problem.cost, SumSquared):
         need_sigmas(
             problem,

@@ -21,11 +21,11 @@ def autocorrelation_times(chain: FloatArray) -> FloatArray:
     Returns
     -------
     (unknowns,)
-        At least 1; infinite for an unknown that never moved.
+        At least 1; infinite for an unknown that some walker never moved.
     """
     from emcee.autocorr import integrated_time  # only a posterior needs it
 
-    moves = np.ptp(chain, axis=(0, 1)) > 0.0
+    moves = (np.ptp(chain, axis=0) > 0.0).all(axis=0)
     times = np.full(chain.shape[2], np.inf)
     if moves.any() and len(chain) > 1:
         times[moves] = integrated_time(chain[:, :, moves], tol=0, quiet=True)

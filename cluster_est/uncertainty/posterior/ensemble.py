@@ -1,10 +1,9 @@
 """An ensemble of walkers that draws from a posterior, as a search on the queue.
 
-Half of the walkers move at a time, along differences of the others, so that each request is a batch
-of simulations and no step size has to be chosen: the moves of C. J. F. ter Braak, Stat. Comput. 16
-(2006) 239-249, doi:10.1007/s11222-006-8769-1, and C. J. F. ter Braak, J. A. Vrugt, Stat. Comput. 18
-(2008) 435-446, doi:10.1007/s11222-008-9104-9, in the package emcee (D. Foreman-Mackey, D. W. Hogg,
-D. Lang, J. Goodman, PASP 125 (2013) 306-312, doi:10.1086/670067).
+Half of the walkers move at a time, along differences of two others, so that each request is a batch
+of simulations and no step size has to be chosen (C. J. F. ter Braak, Stat. Comput. 16 (2006)
+239-249, doi:10.1007/s11222-006-8769-1), by the package emcee (D. Foreman-Mackey, D. W. Hogg, D.
+Lang, J. Goodman, PASP 125 (2013) 306-312, doi:10.1086/670067).
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ from cluster_est.problem.space import SearchSpace
 from cluster_est.uncertainty.posterior.density import log_density
 from workers.messages import FloatArray
 
-SNOOKER = 0.2
-"""Share of the moves towards another walker, which reach other modes (ter Braak and Vrugt)."""
+WHOLE = 0.1
+"""Share of the moves by a whole difference, which lead from one mode to another (ter Braak)."""
 
 
 @dataclass
@@ -70,7 +69,7 @@ class EnsembleSampling(Method):
         import emcee  # only a posterior needs it
 
         density = _Density(space, ask, self.chain)
-        moves = [(emcee.moves.DEMove(), 1.0 - SNOOKER), (emcee.moves.DESnookerMove(), SNOOKER)]
+        moves = [(emcee.moves.DEMove(), 1.0 - WHOLE), (emcee.moves.DEMove(gamma0=1.0), WHOLE)]
         sampler = emcee.EnsembleSampler(
             len(self.starts), space.size, density, vectorize=True, moves=moves
         )
@@ -79,14 +78,20 @@ class EnsembleSampling(Method):
         steps = sampler.sample(
             self.starts, iterations=self.steps, store=False, skip_initial_state_check=True
         )
-        with np.errstate(invalid="ignore"):  # from one point without a density to another
-            for state in steps:
-                self.chain.add(state.coords, state.log_prob)
-                density.progress = Progress(len(self.chain.states), density.best_cost)
-        best = density.best
-        if best is None:
+        try:
+            with np.errstate(invalid="ignore"):  # from one point without a density to another
+                for state in steps:
+                    self.chain.add(state.coords, state.log_prob)
+                    density.progress = Progress(len(self.chain.states), density.best_cost)
+        except _NoDensityError:
             return Solution(space.start, np.nan, Ending.START_FAILED, "no walker has a density")
+        best = density.best
+        assert best is not None
         return Solution(best[0], best[1].cost, Ending.CONVERGED, iterations=self.steps, at=best[1])
+
+
+class _NoDensityError(Exception):
+    """No walker begins at a point with a density: moves would lead nowhere."""
 
 
 class _Density:
@@ -96,6 +101,7 @@ class _Density:
         self._space, self._ask, self._chain = space, ask, chain
         self.progress = Progress(0, np.nan)
         self.best: tuple[FloatArray, Evaluation] | None = None
+        self._begun = False
 
     @property
     def best_cost(self) -> float:
@@ -105,7 +111,7 @@ class _Density:
         space = self._space
         found = np.full(len(points), -np.inf)
         inside = ((points >= space.lower) & (points <= space.upper)).all(axis=1)
-        if not inside.any():
+        if not inside.any() and self._begun:
             return found
         asked = points[inside]
         answers = self._ask(Points(asked.copy(), "posterior", self.progress))
@@ -115,4 +121,7 @@ class _Density:
         for x, at in zip(asked, answers, strict=True):
             if at.ok and (self.best is None or at.rank < self.best[1].rank):
                 self.best = x.copy(), at
+        if not self._begun and not np.isfinite(found).any():
+            raise _NoDensityError
+        self._begun = True
         return found

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.methods.base import Solution
+from cluster_est.methods.base import Ending, Solution
 from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
@@ -29,6 +29,8 @@ FORGOTTEN = 10.0
 """Autocorrelation times after which a walker has forgotten its start."""
 MOST_DISCARDED = 0.5
 """Of the steps."""
+WIDEST = 0.25
+"""Of the range between the bounds: as wide as nearly uniform walkers are."""
 SPREAD = 0.1
 """Of a typical size, where no standard error is known."""
 
@@ -62,7 +64,10 @@ def sample_posterior(
     starts = _starts(space, solution.x, intervals, count, generator)
     method = EnsembleSampling(starts, settings.posterior, chain)
     seed = int(generator.integers(2**32))
-    runner.run([SearchRequest("posterior", method, space, seed)])
+    (solved,) = runner.run([SearchRequest("posterior", method, space, seed)])
+    if solved.ending is Ending.START_FAILED:
+        why = f"none of {count} walkers began at a point with a density"
+        return _nothing(space, chain, settings, why)
     if len(chain.states) < settings.posterior:
         done = f"{len(chain.states):,} of {settings.posterior:,} steps"
         return _nothing(space, chain, settings, f"it was cut short after {done}")
@@ -107,15 +112,20 @@ def _starts(
     known = np.isfinite(errors) & (errors > 0.0)
     ranges = np.where(np.isfinite(space.upper - space.lower), space.upper - space.lower, np.inf)
     sizes = np.where(known, errors, SPREAD * np.minimum(space.typical, ranges))
+    sizes = np.minimum(sizes, WIDEST * ranges)
     drawn = x + sizes * generator.normal(size=(count, space.size))
-    return _reflected(drawn, space.lower, space.upper)
+    return _folded(drawn, space.lower, space.upper)
 
 
-def _reflected(points: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Points that lie beyond a bound, at the other side of it: no two walkers on one bound."""
-    points = np.where(points < lower, 2.0 * lower - points, points)
-    points = np.where(points > upper, 2.0 * upper - points, points)
-    return np.asarray(np.clip(points, lower, upper))
+def _folded(points: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Points beyond a bound, folded back as often as it takes: no two walkers on one bound."""
+    both = np.isfinite(lower) & np.isfinite(upper)
+    width = np.where(both, upper - lower, 1.0)
+    from_lower = np.where(both, points - lower, 0.0) % (2.0 * width)
+    folded = lower + np.minimum(from_lower, 2.0 * width - from_lower)
+    one = np.where(points < lower, 2.0 * lower - points, points)
+    one = np.where(one > upper, 2.0 * upper - one, one)
+    return np.asarray(np.clip(np.where(both, folded, one), lower, upper))
 
 
 def _summed_up(

@@ -17,6 +17,8 @@ DRAWS = 200
 """Whose simulations make a band: the ends of a 95 % band, of which 5 of them lie beyond each, are
 then known to about a tenth of its width."""
 FEWEST_DRAWS = 100
+AT_ONCE = 20
+"""Draws whose simulations are asked for together."""
 MOST_VALUES = 20_000_000
 """Simulated values that are kept at a time: 160 MB."""
 
@@ -72,16 +74,22 @@ def predicted_bands(
         return ()
     chosen = flat[np.linspace(0, len(flat) - 1, count).astype(int)]
     simulated: dict[tuple[int, str], list[FloatArray]] = {}
-    everything = tuple(range(len(problem.experiments)))
-    for draw in chosen.tolist():
-        values = {**known, **dict(zip(posterior.labels, draw, strict=True))}
-        space = make_space(problem, everything, values)
+    everything, labels = tuple(range(len(problem.experiments))), posterior.labels
+    for first in range(0, count, AT_ONCE):
+        spaces = [
+            make_space(problem, everything, {**known, **dict(zip(labels, draw, strict=True))})
+            for draw in chosen[first : first + AT_ONCE].tolist()
+        ]
         outcomes = runner.simulate(
-            space.physical(space.start), everything, "trajectory", "posterior", problem.effects
+            np.concatenate([space.physical(space.start) for space in spaces]),
+            everything * len(spaces),
+            "trajectory",
+            "posterior",
+            problem.effects,
         )
         if runner.interrupted:
             return ()
-        for e, outcome in zip(everything, outcomes, strict=True):
+        for e, outcome in zip(everything * len(spaces), outcomes, strict=True):
             for name, found in _at_measured_times(problem, e, outcome):
                 simulated.setdefault((e, name), []).append(found)
     ends = (0.5 - 0.5 * posterior.confidence, 0.5, 0.5 + 0.5 * posterior.confidence)

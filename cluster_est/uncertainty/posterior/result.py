@@ -86,6 +86,10 @@ class PosteriorResult:
     asked: int
     why_not: str = ""
 
+    def __bool__(self) -> bool:
+        """There are draws."""
+        return bool(self.values.size)
+
     @property
     def slowest(self) -> float:
         """The longest autocorrelation time, in steps."""
@@ -116,7 +120,7 @@ class PosteriorResult:
             return (f"{said}; at least {least:,.0f} independent draws of each unknown",)
         worst = max(self.intervals, key=lambda each: each.autocorrelation_time)
         if not np.isfinite(self.slowest):
-            return (f"{said}; no interval, because {worst.label} never moved",)
+            return (f"{said}; no interval, because some walker never moved: too few steps",)
         if kept < LONGEST * self.slowest:
             wanted = int(np.ceil(1.2 * LONGEST * self.slowest * self.steps / kept))
             return (

@@ -149,14 +149,17 @@ def check_profiles(space: SearchSpace, settings: UncertaintySettings) -> None:
 def _rise(linear: Uncertainty, i: int, settings: UncertaintySettings) -> float:
     """Return by how much the cost rises to the ends of an unknown's interval.
 
-    Where the noise is not white, by as much more as the square of its standard error is larger.
+    Where the noise is not white, by as much more as the square of its standard error is larger; and
+    where priors keep their own widths, by as much less or more as that makes it.
     """
     if settings.rise > 0.0:
         return settings.rise
     if not (linear.degrees > 0 and linear.variance > 0.0):
         return np.nan
     interval = linear.intervals[i]
-    larger = (interval.std_error / interval.error_white) ** 2
+    uniform = interval.error_uniform
+    of_curvature = uniform if np.isfinite(uniform) else interval.error_white
+    larger = (interval.std_error / of_curvature) ** 2
     if not np.isfinite(larger):
         return linear.variance * float(fdtri(1, linear.degrees, settings.confidence))
     return linear.variance * larger * float(fdtri(1, linear.basis_degrees, settings.confidence))

@@ -187,6 +187,8 @@ def _direction(
     0 where it is neither. Over the range of the data, or around zero where no range is known. Of
     what begins at a threshold the distance from there counts.
     """
+    if curve is None and law is Law.SWITCH_BY_MAGNITUDE:
+        return -1  # its strength is bounded so that it takes energy out
     if curve is not None:
         x, y = curve.x, curve.y
         if candidate.site.kind == "parameter" and len(values):

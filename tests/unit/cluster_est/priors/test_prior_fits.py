@@ -11,6 +11,7 @@ from support.problems.curves import Curves
 from cluster_est.costs.robust import HuberCost
 from cluster_est.errors import ProblemError
 from cluster_est.fit import FitPlan, check_search
+from cluster_est.methods import METHODS
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.priors import LogNormalPrior, NormalPrior
 from cluster_est.problem.parameter import Parameter
@@ -91,8 +92,8 @@ def test_a_prior_of_a_value_for_each_experiment_counts_once_for_each():
     records = measured(3)
     own = (replace(parameters()[0], per="experiment"), parameters()[1])
     _, space, solution = Curves(line, own, TIMES, records).solve()
-    assert [len(each) for each in space.with_prior] == [2, 1, 1]
-    assert int(space.of_priors.sum()) == 4
+    assert [len(each) for each in space.priors.places] == [2, 1, 1]
+    assert int(space.priors.among(space.rows).sum()) == 4
     columns = np.zeros((3 * len(TIMES), 4))
     for e in range(3):
         columns[e * len(TIMES) : (e + 1) * len(TIMES), e] = 1.0
@@ -140,10 +141,45 @@ def test_a_profile_keeps_the_prior_of_the_value_that_it_holds(method):
     assert [k.residual for k in fixed.known_priors] == [
         pytest.approx((solution.x[0] + 0.1 - MEANS[0]) / SDS[0])
     ]
-    assert fixed.prior_residuals(0, fixed.start) == pytest.approx(
+    assert fixed.priors.residuals(0, fixed.start) == pytest.approx(
         [fixed.known_priors[0].residual, (solution.x[1] + 0.1 - MEANS[1]) / SDS[1]]
     )
-    assert fixed.prior_jacobian(0, fixed.start).tolist() == [[0.0], [1.0 / SDS[1]]]
+    slopes = fixed.priors.jacobian(0, fixed.start, fixed.acting[0])
+    assert slopes.tolist() == [[0.0], [1.0 / SDS[1]]]
+
+
+@pytest.mark.parametrize("noise", [0.3, 3.0])
+def test_a_profile_of_what_no_measurement_tells_is_as_wide_as_its_prior(noise):
+    """Also where the measurements scatter by less or more than their sigmas."""
+
+    def flat(times, values, experiment):
+        return values[0] + 0.0 * values[1] * times
+
+    records = [1.4 + noise * np.random.default_rng(0).normal(size=len(TIMES))]
+    runner, space, solution = Curves(flat, parameters(), TIMES, records).solve()
+    (found,) = profiles(
+        runner, space, solution, LeastSquares(), UncertaintySettings(profiles=("b",))
+    )
+    assert 0.5 * (found.upper - found.lower) == pytest.approx(1.96 * SDS[1], rel=0.02)
+
+
+def test_a_prior_on_one_value_hides_no_other_that_the_measurements_do_not_tell():
+    def flat(times, values, experiment):
+        noise = 1e-9 * np.sin(1e6 * values[1])  # of a simulation
+        return 300.0 + values[0] * times + noise
+
+    own = (
+        Parameter("a", 1.0, -10.0, 10.0, prior=NormalPrior(0.5, 100.0)),
+        Parameter("b", 1.0, -10.0, 10.0),
+    )
+    records = [flat(TIMES, (0.7, 1.0), 0) + np.random.default_rng(0).normal(size=len(TIMES))]
+    sentences = []
+    for known in (True, False):
+        given = own if known else tuple(replace(p, prior=None) for p in own)
+        runner, space, solution = Curves(flat, given, TIMES, records).solve()
+        found = examine(runner, space, linearise(runner, space, solution))
+        sentences.append([each.labels for each in found.directions])
+    assert sentences[0] == sentences[1]
 
 
 def test_the_jacobian_of_the_priors_is_that_of_their_residuals():
@@ -154,10 +190,10 @@ def test_the_jacobian_of_the_priors_is_that_of_their_residuals():
     space = Curves(line, own, TIMES, measured(2)).space()
     x, step = space.start + 0.1, 1e-6
     for e, acting in enumerate(space.acting):
-        jacobian = space.prior_jacobian(e, x)
+        jacobian = space.priors.jacobian(e, x, acting)
         for j, i in enumerate(acting):
             moved = np.eye(space.size)[i] * step
-            change = space.prior_residuals(e, x + moved) - space.prior_residuals(e, x - moved)
+            change = space.priors.residuals(e, x + moved) - space.priors.residuals(e, x - moved)
             assert jacobian[:, j] == pytest.approx(change / (2.0 * step), rel=1e-6, abs=1e-9)
 
 
@@ -174,6 +210,19 @@ class TestWhatIsRefused:
         with pytest.raises(ProblemError, match=r"experiment 'e0': sigma.y0 is missing; the prior"):
             check_priors(problem)
         check_priors(without_priors(problem))
+
+    def test_a_held_out_record_without_a_sigma(self):
+        problem = Curves(line, parameters(), TIMES, measured(2)).problem()
+        first, last = problem.experiments
+        declared = replace(first, outputs=tuple(replace(o, sigma=1.5) for o in first.outputs))
+        runs = (declared, replace(last, role="test"))
+        with pytest.raises(ProblemError, match=r"experiment 'e1': sigma.y0 is missing"):
+            check_priors(replace(problem, experiments=runs))
+
+    def test_a_front_of_several_outputs(self):
+        space = Curves(line, parameters(), TIMES, measured(2)).space()
+        with pytest.raises(ProblemError, match="a prior belongs to none of them"):
+            METHODS["nsga2"]().check(space)
 
     def test_a_bootstrap(self):
         problem = Curves(line, parameters(), TIMES, measured(6)).problem()

@@ -83,6 +83,34 @@ def test_a_linear_gaussian_problem_has_the_posterior_of_linear_algebra():
     assert np.corrcoef(draws.T)[0, 1] == pytest.approx(correlation, abs=0.05)
 
 
+@pytest.mark.parametrize("size", [1e-3, 1.0])
+def test_ten_unknowns_of_any_size_have_their_own_spread(size):
+    """Of a standard normal in each direction, which moves along differences must not change."""
+    times = np.arange(10.0)
+    own = tuple(Parameter(f"p{i}", 0.0, -10.0 * size, 10.0 * size) for i in range(10))
+
+    def each(times, values, experiment):
+        return np.asarray(values) / size
+
+    found = drawn(DeclaredCurves(each, own, times, [np.zeros(10)]), steps=2500)
+    spread = found.values.std(axis=(0, 1)) / size
+    assert spread == pytest.approx(np.ones(10), abs=0.08)
+    assert spread.mean() == pytest.approx(1.0, abs=0.02)
+
+
+def test_walkers_of_a_value_that_the_bounds_alone_hold_are_spread_between_them():
+    own = (Parameter("a", 0.5, 0.0, 1.0),)
+
+    def faint(times, values, experiment):
+        return 1.4 + 0.002 * values[0] * times
+
+    for seed in range(4):
+        found = drawn(DeclaredCurves(faint, own, TIMES, measured()), steps=600, seed=seed)
+        assert found.mixed
+        shares = np.histogram(found.values, 4, (0.0, 1.0))[0] / found.values.size
+        assert shares == pytest.approx(np.full(4, 0.25), abs=0.05)
+
+
 @pytest.mark.parametrize("scale", ["linear", "log"])
 @pytest.mark.parametrize(
     ("prior", "distribution"),
@@ -154,6 +182,26 @@ def test_walkers_in_two_minima_have_no_interval():
     assert "no interval" in found.sentences[0]
 
 
+def test_walkers_without_a_density_end_at_once_and_say_so():
+    own = (Parameter("a", 1.0, -10.0, 10.0),)
+    curves = DeclaredCurves(line_of_one, own, TIMES, measured())
+    runner, space, solution = curves.solve()
+    around = examine(runner, space, linearise(runner, space, solution)).intervals
+    failing = replace(curves, formula=lambda times, values, experiment: np.nan * times)
+    settings = UncertaintySettings(posterior=1000)
+    found = sample_posterior(
+        failing.runner(), space, solution, around, settings, np.random.default_rng(0)
+    )
+    assert found.asked == 16
+    assert found.sentences == (
+        "posterior: there are no draws, because none of 16 walkers began at a point with a density",
+    )
+
+
+def line_of_one(times, values, experiment):
+    return values[0] + 0.0 * times
+
+
 def test_points_that_cannot_be_simulated_have_no_density_and_are_counted():
     def sometimes(times, values, experiment):
         return values[0] + np.sqrt(values[1]) * times
@@ -178,6 +226,9 @@ class TestDiagnostics:
         assert autocorrelation_times(chain) == pytest.approx([1.0, 19.0], rel=0.1)
 
     def test_what_never_moves_has_no_time(self):
+        chain = np.random.default_rng(0).normal(size=(100, 8, 1))
+        chain[:, 3] = 0.5  # one of the walkers is enough
+        assert np.isinf(autocorrelation_times(chain)).all()
         chain = np.ones((100, 8, 1))
         assert np.isinf(autocorrelation_times(chain)).all()
         assert np.isinf(split_shrink_factors(chain)).all()
@@ -221,6 +272,12 @@ class TestWhatIsRefused:
             check_posterior(self.space(sigma=1.5, upper=np.inf))
         prior = NormalPrior(0.0, 3.0)
         check_posterior(self.space(sigma=1.5, upper=np.inf, prior=prior))
+
+    def test_an_equality_that_no_draw_satisfies(self):
+        own = (Parameter("a", 1.0, -9.0, 9.0), Parameter("b", 1.0, -9.0, 9.0))
+        curves = DeclaredCurves(line, own, TIMES, measured(), constraints=("a + b = 1",))
+        with pytest.raises(ProblemError, match="no draw satisfies the equality 'a \\+ b = 1'"):
+            check_posterior(make_space(curves.problem(), (0,)))
 
     def test_too_few_walkers(self):
         with pytest.raises(ProblemError, match=r"uncertainty.walkers: must be at least 8"):
