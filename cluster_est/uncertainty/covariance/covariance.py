@@ -184,7 +184,8 @@ def _interval(
     unit = unknown.to_physical(float(x[i])) if unknown.log else 1.0
     physical = [unit * float(errors[b][i]) if b in errors else np.nan for b in NoiseBasis]
     found = ConfidenceInterval(unit * error, low, high, at_bound, *physical)
-    return replace(found, error_uniform=unit * float(uniform[i]))
+    known = np.isfinite(uniform[i])
+    return replace(found, error_uniform=unit * float(uniform[i])) if known else found
 
 
 def _derived(
