@@ -80,9 +80,7 @@ def output_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
     trajectory = outcome.trajectory
     if trajectory is None:
         return None
-    column = trajectory.variables.index(output.variable)
-    rows = np.searchsorted(trajectory.times, output.times)
-    simulated: FloatArray = trajectory.values[rows, column]
+    simulated = trajectory.at(output.variable, output.times)
     return (output.values - simulated) / output.sigmas
 
 

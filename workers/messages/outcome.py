@@ -32,6 +32,11 @@ class Trajectory:
     times: FloatArray
     values: FloatArray
 
+    def at(self, variable: str, times: FloatArray) -> FloatArray:
+        """Return what an output was at times that are among those of the simulation."""
+        rows = np.searchsorted(self.times, times)
+        return np.asarray(self.values[rows, self.variables.index(variable)])
+
 
 @dataclass(frozen=True, slots=True)
 class Linearisation:

@@ -64,10 +64,7 @@ def coarse_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedC
         The start of the round that they are tried in.
     """
     curves = rank_curves(workbench, begun.model, begun.screening.ranking)
-    leaders = leading_places(curves)[: workbench.thresholds.refinement.curves]
-    starts = [step.start for step in first_steps(workbench, begun.model, curves, leaders)]
-    brief = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
-    seen = _finished(workbench, brief)
+    seen = _leading(workbench, begun, curves, workbench.thresholds.refinement.curves)
     seen += _finished(workbench, _in_other_places(workbench, begun, curves, seen))
     return _ordered(workbench, seen)
 
@@ -86,10 +83,17 @@ def switched_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[Refitte
     if not workbench.thresholds.refinement.curves:
         return []
     curves = rank_curves(workbench, begun.model, begun.screening.ranking, variables=2)
-    leaders = leading_places(curves)[:1]
+    return _ordered(workbench, _leading(workbench, begun, curves, 1))
+
+
+def _leading(
+    workbench: LoopWorkbench, begun: RoundStart, curves: CandidateRanking, most: int
+) -> list[FittedModel]:
+    """Refit the curves of few values at the leading places to convergence."""
+    leaders = leading_places(curves)[:most]
     starts = [step.start for step in first_steps(workbench, begun.model, curves, leaders)]
     brief = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
-    return _ordered(workbench, _finished(workbench, brief))
+    return _finished(workbench, brief)
 
 
 def finer_curves(

@@ -18,7 +18,12 @@ from cluster_est.uncertainty.posterior.diagnostics import (
     split_shrink_factors,
 )
 from cluster_est.uncertainty.posterior.ensemble import EnsembleSampling, WalkerChain
-from cluster_est.uncertainty.posterior.result import PosteriorInterval, PosteriorResult, is_mixed
+from cluster_est.uncertainty.posterior.result import (
+    PosteriorInterval,
+    PosteriorResult,
+    central,
+    is_mixed,
+)
 from cluster_est.uncertainty.settings import UncertaintySettings
 from workers.messages import FloatArray
 
@@ -166,8 +171,7 @@ def _intervals(
     """The central intervals; without numbers where the chains have not mixed."""
     times, factors = autocorrelation_times(kept), split_shrink_factors(kept)
     estimates, draws = space.estimates(solution.x), kept.shape[0] * kept.shape[1]
-    ends = (0.5 - 0.5 * confidence, 0.5, 0.5 + 0.5 * confidence)
-    found = []
+    ends, found = central(confidence), []
     for i, unknown in enumerate(space.unknowns):
         own = values[:, :, i].ravel()
         low, middle, high = np.quantile(own, ends).tolist()

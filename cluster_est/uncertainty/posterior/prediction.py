@@ -10,8 +10,8 @@ import numpy as np
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import make_space
 from cluster_est.running.runner import Runner
-from cluster_est.uncertainty.posterior.result import PosteriorResult
-from workers.messages import FloatArray, Outcome
+from cluster_est.uncertainty.posterior.result import PosteriorResult, central
+from workers.messages import FloatArray
 
 DRAWS = 200
 """Whose simulations make a band: the ends of a 95 % band, of which 5 of them lie beyond each, are
@@ -90,25 +90,14 @@ def predicted_bands(
         if runner.interrupted:
             return ()
         for e, outcome in zip(everything * len(spaces), outcomes, strict=True):
-            for name, found in _at_measured_times(problem, e, outcome):
-                simulated.setdefault((e, name), []).append(found)
-    ends = (0.5 - 0.5 * posterior.confidence, 0.5, 0.5 + 0.5 * posterior.confidence)
+            if outcome.ok and outcome.trajectory is not None:
+                for output in problem.experiments[e].outputs:
+                    found = outcome.trajectory.at(output.variable, output.times)
+                    simulated.setdefault((e, output.variable), []).append(found)
+    ends = central(posterior.confidence)
     times = {(e, o.variable): o.times for e in everything for o in problem.experiments[e].outputs}
     return tuple(
-        PredictedBand(e, name, times[e, name], *np.quantile(np.array(found), ends, axis=0))
-        for (e, name), found in simulated.items()
-        if len(found) == count
+        PredictedBand(e, name, times[e, name], *np.quantile(np.array(drawn), ends, axis=0))
+        for (e, name), drawn in simulated.items()
+        if len(drawn) == count
     )
-
-
-def _at_measured_times(problem: Problem, e: int, outcome: Outcome) -> list[tuple[str, FloatArray]]:
-    """What each output of an experiment was at its measured times; nothing where it failed."""
-    trajectory = outcome.trajectory
-    if not outcome.ok or trajectory is None:
-        return []
-    found = []
-    for output in problem.experiments[e].outputs:
-        rows = np.searchsorted(trajectory.times, output.times)
-        column = trajectory.variables.index(output.variable)
-        found.append((output.variable, trajectory.values[rows, column]))
-    return found

@@ -137,6 +137,11 @@ class PosteriorResult:
         )
 
 
+def central(confidence: float) -> tuple[float, float, float]:
+    """Return the quantiles of the lower end, the median and the upper end of a central interval."""
+    return 0.5 - 0.5 * confidence, 0.5, 0.5 + 0.5 * confidence
+
+
 def is_mixed(kept: int, intervals: tuple[PosteriorInterval, ...]) -> bool:
     """Return whether so many steps tell of all unknowns, and all walkers tell the same."""
     slowest = max((each.autocorrelation_time for each in intervals), default=np.inf)
