@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from cluster_est.config.build import build_problem, read_problem
     from cluster_est.config.reader import read_config
     from cluster_est.errors import ClusterEstError
+    from cluster_est.experiment_design.design import design
     from cluster_est.fit import fit, simulate
     from cluster_est.methods.least_squares.method import LeastSquares
     from cluster_est.problem.fmu_file import read_model
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from cluster_est.problem.tables.files import read_table
     from cluster_est.residual_function import residuals
     from cluster_est.results.result import Result
-    from cluster_est.results.row_types import Estimate
     from cluster_est.running.multistart import Multistart
     from cluster_est.running.records import Budget
     from cluster_est.running.resources import Resources
@@ -38,7 +38,6 @@ __all__ = [
     "Budget",
     "ClusterEstError",
     "Effect",
-    "Estimate",
     "Experiment",
     "Input",
     "LeastSquares",
@@ -56,6 +55,7 @@ __all__ = [
     "add_effect",
     "build_problem",
     "close_loop",
+    "design",
     "detect",
     "fit",
     "locate",
@@ -75,6 +75,7 @@ _MODULES = {
     "cluster_est.config.build": ("build_problem", "read_problem"),
     "cluster_est.config.reader": ("read_config",),
     "cluster_est.errors": ("ClusterEstError",),
+    "cluster_est.experiment_design.design": ("design",),
     "cluster_est.fit": ("fit", "simulate"),
     "cluster_est.methods.least_squares.method": ("LeastSquares",),
     "cluster_est.problem.fmu_file": ("read_model",),

@@ -29,6 +29,7 @@ from cluster_est.fit import FitPlan, check_search, fit_in
 from cluster_est.problem.space import make_space
 from cluster_est.results.result import Result
 from cluster_est.run_folder.context import Existing, RunContext
+from cluster_est.run_folder.folder import RunResult
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.run_folder.run_status import RunStatus
 from cluster_est.running.environment import RunEnvironment, WorkerSource
@@ -63,7 +64,7 @@ class ConfiguredRun(ABC):
     config: Config
 
     @abstractmethod
-    def compute(self, environment: RunEnvironment) -> Result | LoopResult | SensitivityResult:
+    def compute(self, environment: RunEnvironment) -> RunResult:
         """Do what the config asks for.
 
         Raises

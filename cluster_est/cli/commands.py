@@ -11,6 +11,7 @@ COMMANDS = {
     "fit": "estimate",
     "close-loop": "estimate",
     "sensitivity": "estimate",
+    "design": "next_experiment",
     "simulate": "simulation",
     "show": "inspection",
     "report": "inspection",

@@ -63,17 +63,9 @@ def make_parser() -> argparse.ArgumentParser:
     )
     for command in (fit, loop, ranked):
         command.add_argument("--out", type=Path, required=True, help="folder to write the run to")
-        present = command.add_mutually_exclusive_group()
-        present.add_argument(
-            "--overwrite", action="store_true", help="replace the run in that folder"
-        )
-        present.add_argument(
-            "--resume",
-            action="store_true",
-            help="resume the run in that folder where it was interrupted; begin if there is none",
-        )
-        command.add_argument("--no-report", action="store_true", help="write no report.html")
+        _add_existing(command)
 
+    _add_design(commands)
     simulate = _command(
         commands,
         "simulate",
@@ -134,6 +126,41 @@ def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "run_folder", metavar="RUN", type=Path, help="folder of the run or of the sweep"
     )
     report.add_argument("--out", type=Path, help="file to write; without: RUN/report.html")
+
+
+def _add_design(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    summary = "choose the input of the next experiment, which tells rivals apart or narrows values"
+    design = commands.add_parser(
+        "design", help=summary, description=summary[0].upper() + summary[1:]
+    )
+    design.add_argument(
+        "run_folder", metavar="RUN", type=Path, help="folder of a fit or a closed loop"
+    )
+    design.add_argument(
+        "--limits", type=Path, required=True, help="TOML file of what the experiment must keep"
+    )
+    design.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        help="table to write the input to (.csv); its run folder has the same name without .csv",
+    )
+    _add_existing(design)
+    design.add_argument(
+        "--config", type=Path, help="the config that the run was made from, if it has moved"
+    )
+    _add_allow_code(design)
+
+
+def _add_existing(command: argparse.ArgumentParser) -> None:
+    present = command.add_mutually_exclusive_group()
+    present.add_argument("--overwrite", action="store_true", help="replace the run in that folder")
+    present.add_argument(
+        "--resume",
+        action="store_true",
+        help="resume the run in that folder where it was interrupted; begin if there is none",
+    )
+    command.add_argument("--no-report", action="store_true", help="write no report.html")
 
 
 def _add_watch(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

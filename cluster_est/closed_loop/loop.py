@@ -16,6 +16,7 @@ from functools import partial
 
 import numpy as np
 
+from cluster_est.closed_loop.findings.competing_models import competing_models
 from cluster_est.closed_loop.findings.confirmation import confirmed
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
 from cluster_est.closed_loop.findings.effects import Verdict
@@ -210,6 +211,7 @@ def _report(
         structures=with_choices(_compared(workbench, judgement.verdict, found), choices),
         resampled="" if choices is None else choices.sentence,
         unexplained=unexplained,
+        competing=competing_models(workbench, found) if keep else (),
     )
 
 

@@ -60,11 +60,12 @@ def _message(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel]) 
         return f"unknown key {_path(parts, raw)}{nearest(str(parts[-1]), known)}"
     hint, meaning = _walk(root, parts)
     parent, _ = _walk(root, parts[:-1])
-    if get_origin(parent) is tuple:  # one number of a pair: show both
+    one_of_pair = get_origin(parent) is tuple
+    if one_of_pair:  # one number of a pair: show both
         parts, hint = parts[:-1], parent
         value = _at(raw, parts)
     path = _path(parts, raw)
-    if get_origin(hint) is tuple:
+    if get_origin(hint) is tuple and (one_of_pair or kind != "missing"):
         whole = _bare(get_args(hint)[0]) is int
         must = "two whole numbers from 0" if whole else "two numbers"
         finite = " that are finite" if kind == "finite_number" else ""

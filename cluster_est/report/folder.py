@@ -19,7 +19,8 @@ RUNNING = "running"
 SMALL = (
     "parameters", "errors", "constraints", "starts", "minima", "front", "correlations",
     "directions", "profiles", "intervals", "searches", "workers", "findings", "structures",
-    "shapes", "ranking", "indices",
+    "shapes", "ranking", "indices", "probabilities", "evidence", "precision", "next_input",
+    "expected",
 )  # fmt: skip
 
 
@@ -71,6 +72,11 @@ class ReportedRun:
     def is_sensitivity(self) -> bool:
         """True for a sensitivity analysis that has ended."""
         return bool(self.facts.get("sensitivity"))
+
+    @property
+    def is_design(self) -> bool:
+        """True for a design that has ended."""
+        return bool(self.facts.get("design"))
 
     @property
     def is_loop(self) -> bool:

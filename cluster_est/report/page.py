@@ -9,6 +9,7 @@ from cluster_est.report.error_sizes import error_picture
 from cluster_est.report.folder import ReportedRun, read_run
 from cluster_est.report.html_file import rendered, write_page
 from cluster_est.report.sections.curves import curves
+from cluster_est.report.sections.design import design
 from cluster_est.report.sections.effects import candidates, effects
 from cluster_est.report.sections.errors import errors
 from cluster_est.report.sections.parameters import parameters
@@ -20,7 +21,8 @@ from cluster_est.report.summary import summarise
 
 REPORT = "report.html"
 SECTIONS = (
-    sensitivity, errors, curves, effects, candidates, parameters, search, workers, provenance,
+    design, sensitivity, errors, curves, effects, candidates, parameters, search, workers,
+    provenance,
 )  # fmt: skip
 """In the order of the page."""
 

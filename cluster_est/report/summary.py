@@ -52,13 +52,16 @@ def summarise(run: ReportedRun) -> ReportSummary:
     verdict, tone = VERDICTS.get(str(known), (str(known), ""))
     if run.is_sensitivity:
         verdict, tone = "The parameters are ranked by what they move", ""
+    if run.is_design:
+        verdict, tone = "The next experiment", ""
     if run.too_narrow and not run.is_loop:
         verdict, tone = f"{verdict}; its intervals are too narrow", "" if tone == "good" else tone
     sentences = [
         *_fitted(run), *_ranked(run), *_opening(run), *_costs(run), *_errors(run), *_bounds(run),
         *_failed(run),
     ]  # fmt: skip
-    notes = tuple(_sentence(note) for note in run.facts.get("notes") or ())
+    said = run.facts.get("notes") or ()
+    notes = tuple(_sentence(note) for note in said[1 if run.is_design else 0 :])
     return ReportSummary(verdict, tone, tuple(sentences), _figures(run), notes)
 
 
@@ -100,6 +103,8 @@ def _opening(run: ReportedRun) -> list[str]:
     facts = run.facts
     if run.is_sensitivity:
         return []
+    if run.is_design:
+        return [_sentence(facts["design"]["summary"])]
     if run.is_loop:
         effects = facts.get("effects") or []
         named = ", ".join(_named(effect) for effect in effects)

@@ -32,6 +32,7 @@ TEXT, WHOLE, NUMBER, TRUTH = "string", "int64", "double", "bool"
 TEXTS, NUMBERS = "list<item: string>", "list<item: double>"
 ALWAYS, IN_LOOPS = "always", "in runs of close-loop"
 IN_ANALYSES = "in runs of sensitivity"
+IN_DESIGNS = "in runs of design"
 OWN = "the parameter's"
 OF_OUTPUT = "the output's"
 
@@ -94,6 +95,12 @@ PARAMETERS = TableMeaning(
             "estimated_on", TEXT, "", '"train", "test", "known" (fixed) or "derived"'
         ),
     ),
+)
+_REFERENCES = (
+    ColumnDescription(
+        "random", NUMBER, "", "the same with a random input within the limits: the median one"
+    ),
+    ColumnDescription("recorded", NUMBER, "", "the same with the best input that was recorded"),
 )
 BEFORE = (
     ColumnDescription("value_before", NUMBER, OWN, "the estimate without the effects; NaN if new"),
@@ -572,6 +579,83 @@ TABLES = (
                 "value", NUMBER, "", "for mu* and sigma in the unit of the output or the cost"
             ),
             ColumnDescription("half_width", NUMBER, "", "of its 95 % interval"),
+        ),
+    ),
+    TableMeaning(
+        "candidates",
+        "input that was looked at",
+        IN_DESIGNS,
+        (
+            ColumnDescription("candidate", TEXT, "", "its name"),
+            ColumnDescription("waveform", TEXT, "", "its family"),
+            ColumnDescription("origin", TEXT, "", '"random", "recorded" or "improved"'),
+            ColumnDescription("duration", NUMBER, "s", "of the experiment"),
+            ColumnDescription(
+                "value", NUMBER, "", "what the criterion says of it; NaN where it was put aside"
+            ),
+            ColumnDescription(
+                "violation", NUMBER, "", "of its limits, in their range; NaN if it failed"
+            ),
+            ColumnDescription("why", TEXT, "", "the limit that it leaves, or why it failed"),
+            ColumnDescription("chosen", TRUTH, "", "whether it is the next experiment"),
+        ),
+    ),
+    TableMeaning(
+        "probabilities",
+        "model that may be the right one, the one that was found first",
+        IN_DESIGNS,
+        (
+            ColumnDescription("model", TEXT, "", "labels of its effects"),
+            ColumnDescription("before", NUMBER, "", "its probability among these, so far"),
+            ColumnDescription("after", NUMBER, "", "expected after the experiment, if it is right"),
+            *_REFERENCES,
+        ),
+    ),
+    TableMeaning(
+        "evidence",
+        "pair of such models",
+        IN_DESIGNS,
+        (
+            ColumnDescription("true_model", TEXT, "", "the one that is right"),
+            ColumnDescription("rival", TEXT, "", "the other"),
+            ColumnDescription(
+                "evidence", NUMBER, "", "expected difference of their log likelihoods"
+            ),
+            *_REFERENCES,
+            ColumnDescription("best", NUMBER, "", "the largest with any input looked at"),
+        ),
+    ),
+    TableMeaning(
+        "precision",
+        "parameter that counts",
+        IN_DESIGNS,
+        (
+            _LABEL,
+            ColumnDescription("unit", TEXT, "", "of the parameter"),
+            ColumnDescription("value", NUMBER, "the FMU's", "its estimate"),
+            ColumnDescription("std_error_before", NUMBER, "the FMU's", "its standard error so far"),
+            ColumnDescription("std_error_after", NUMBER, "the FMU's", "with the experiment"),
+            *_REFERENCES,
+        ),
+    ),
+    TableMeaning(
+        "next_input",
+        "sample of the next experiment",
+        "in runs of design; with a column for each input, and an empty one for each output",
+        (ColumnDescription("time", NUMBER, "s", "from its beginning"),),
+    ),
+    TableMeaning(
+        "expected",
+        "sample of an output, for each model",
+        IN_DESIGNS,
+        (
+            ColumnDescription("model", TEXT, "", "labels of its effects"),
+            ColumnDescription("output", TEXT, "", "of the FMU"),
+            ColumnDescription("time", NUMBER, "s", "from the beginning"),
+            ColumnDescription("expected", NUMBER, "the FMU's", "what the model predicts"),
+            ColumnDescription(
+                "std_error", NUMBER, "the FMU's", "what the uncertainty of its parameters adds"
+            ),
         ),
     ),
     TableMeaning(

@@ -7,6 +7,7 @@ import math
 from cluster_est.closed_loop.stages import stage_title
 
 FIT_TITLES = {
+    "candidates": "simulating inputs",
     "before": "simulating at the start values",
     "sample": "simulating between the bounds",
     "train": "searching",

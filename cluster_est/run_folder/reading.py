@@ -16,6 +16,8 @@ from cluster_est.run_folder.lock import is_left
 from cluster_est.run_folder.run_status import RunStatus
 
 Rows = list[dict[str, Any]]
+WITHOUT_ESTIMATES = {"sensitivity": "sensitivity analysis", "design": "design"}
+"""Runs that estimate nothing, by the key of run.json that they have."""
 
 
 @dataclass(frozen=True)
@@ -80,13 +82,14 @@ def check_has_estimates(run_folder: Path) -> None:
     Raises
     ------
     RunFolderError
-        If it is a sensitivity analysis.
+        If it is of another kind.
     """
-    if read_facts(run_folder).get("sensitivity"):
-        raise RunFolderError(
-            f"{run_folder}: must be the folder of a fit or a closed loop but is that of a "
-            "sensitivity analysis, which has no estimates"
-        )
+    for key, kind in WITHOUT_ESTIMATES.items():
+        if read_facts(run_folder).get(key):
+            raise RunFolderError(
+                f"{run_folder}: must be the folder of a fit or a closed loop but is that of a "
+                f"{kind}, which has no estimates"
+            )
 
 
 def read_facts(run_folder: Path) -> dict[str, Any]:

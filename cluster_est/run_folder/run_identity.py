@@ -31,11 +31,12 @@ LATER_MODEL = ("environment", "working_folder")
 
 
 class RunKind(enum.Enum):
-    """The kinds of runs from a config, each of which leaves some sections of it unused."""
+    """The kinds of runs, each of which leaves some sections of its config unused."""
 
     FIT = "fit"
     CLOSED_LOOP = "close-loop"
     SENSITIVITY = "sensitivity"
+    DESIGN = "design"
 
     @property
     def unused_sections(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from pydantic_core import PydanticUndefined
 import cluster_est as ce
 from cluster_est.cli.parser import make_parser
 from cluster_est.config.reader import Config
+from cluster_est.config.sections.design import LimitsSections
 from cluster_est.config.sections.sweep import SweepSections
 from cluster_est.results.table_columns import BEFORE, TABLES, ColumnDescription
 from cluster_est.toml import inline
@@ -37,6 +38,9 @@ def keys_page() -> str:
         f"```toml\n{REFERENCE.read_text(encoding='utf-8').strip()}\n```",
         "## Keys of a sweep",
         *_section("", SweepSections, "###", "At the top of a sweep"),
+        "## Limits of the next experiment",
+        "",
+        *_section("", LimitsSections, "###", "At the top of a file of limits"),
     ]
     return "\n\n".join(parts) + "\n"
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
+from cluster_est.cli.display.design import print_design
 from cluster_est.cli.display.run import SHOWN, interval, number, print_run, print_table, say, tell
 from cluster_est.cli.display.sensitivity import print_sensitivity
 from cluster_est.closed_loop.findings.words.numbers import NO_ALTERNATIVE
@@ -33,6 +34,8 @@ def print_any_run(console: Console, run_folder: Path) -> None:
     run = read_stored_run(run_folder, SHOWN)
     if run.facts.get("sensitivity"):
         print_sensitivity(console, run)
+    elif run.facts.get("design"):
+        print_design(console, run)
     elif run.facts.get("verdict"):
         print_loop(console, run)
     else:

@@ -14,7 +14,10 @@ from rich.console import Console
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.reading import StoredRun, left_alone, read_stored_run
 
-SHOWN = ("parameters", "errors", "constraints", "intervals", "front", "starts", "minima", "ranking")
+SHOWN = (
+    "parameters", "errors", "constraints", "intervals", "front", "starts", "minima", "ranking",
+    "probabilities", "evidence", "precision",
+)  # fmt: skip
 """Tables of a run that its summary is printed from."""
 
 

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from cluster_est.closed_loop.findings.competing_models import leading_models
 from cluster_est.closed_loop.findings.structure_probabilities import (
     DECLARED,
     best_rows,
 )
 from cluster_est.closed_loop.findings.words.numbers import in_a_row, percent
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.statistics.choice_shares import LinearFit, choice_shares
 from workers.messages import IntArray
 
@@ -70,7 +71,7 @@ def resampled_choices(workbench: LoopWorkbench, found: SelectionResult) -> Resam
     """
     if not found.current.added:
         return None
-    leading = _leading(workbench, found)
+    leading = leading_models(workbench, found, LEADING)
     if max(len(fit.x) for fit in leading) > MOST_UNKNOWNS:
         return None
     choice = workbench.thresholds.selection.choice_price * np.log(found.steps[0].screening.count)
@@ -94,19 +95,6 @@ def with_choices(
     return tuple(
         replace(each, chosen=known.get(number, np.nan)) for number, each in enumerate(path)
     )
-
-
-def _leading(workbench: LoopWorkbench, found: SelectionResult) -> list[FittedModel]:
-    """The sets of effects with the best criterion, what was added among them, each once."""
-    fits = [found.current, found.base]
-    fits += [each.fitted for step in found.steps for each in step.contenders]
-    fits += [each.fitted for _, rivals in found.rivals.values() for each in rivals]
-    best: dict[frozenset[str], FittedModel] = {}
-    for fit in sorted(fits, key=lambda each: each.criterion(workbench.records)):
-        best.setdefault(fit.structure, fit)
-    best[found.current.structure] = found.current
-    others = [fit for key, fit in best.items() if key != found.current.structure]
-    return [found.current, *others[: LEADING - 1]]
 
 
 def _pieces(workbench: LoopWorkbench, *, whole: bool) -> tuple[IntArray, IntArray]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import pyarrow as pa
 
 from cluster_est.closed_loop.findings import tables
+from cluster_est.closed_loop.findings.competing_models import CompetingModel
 from cluster_est.closed_loop.findings.effects import (
     ErrorChange,
     NamedEffect,
@@ -27,6 +28,7 @@ from cluster_est.closed_loop.findings.structure_probabilities import (
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display
+from cluster_est.problem.problem import Problem
 from cluster_est.results import actions
 from cluster_est.results.display_tables import fit_tables
 from cluster_est.results.facts import fit_facts
@@ -90,6 +92,9 @@ class LoopResult:
     resampled
         How often the effects are chosen where the training experiments are drawn anew, in a
         sentence; "" where that is not known.
+    competing
+        What was found and the rivals that the data do not rule out, as they fit: what `design`
+        plans an experiment for. Empty where nothing was added.
     """
 
     verdict: Verdict
@@ -114,6 +119,7 @@ class LoopResult:
     unexplained: tuple[UnexplainedResidual, ...] = ()
     failures_in_search: int = 0
     resampled: str = ""
+    competing: tuple[CompetingModel, ...] = field(default=(), repr=False)
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
         """Root mean square of the normalised errors before or after; NaN without any.
@@ -130,6 +136,11 @@ class LoopResult:
         "found": what else is missing would change their order.
         """
         return likely_structures(self.structures)
+
+    @property
+    def problem(self) -> Problem:
+        """With the effects that were added."""
+        return self.after.problem
 
     @property
     def success(self) -> bool:
@@ -224,6 +235,7 @@ class LoopResult:
             "effects": [tables.effect_facts(effect) for effect in self.effects],
             "likely": likely_sentence(self.structures),
             "resampled": self.resampled,
+            "competing": [model.facts() for model in self.competing],
             "unexplained": [dataclasses.asdict(each) for each in self.unexplained],
             "rejected": [tables.effect_facts(effect) for effect in self.rejected],
             "errors": {

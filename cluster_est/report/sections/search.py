@@ -44,7 +44,7 @@ PATH_NOTE = "The best way down is steep and then level; one that still falls has
 
 def search(run: ReportedRun) -> ReportSection:
     """Everything about the search that the folder holds."""
-    if run.is_sensitivity:  # which searches nothing
+    if run.is_sensitivity or run.is_design:  # which searches nothing
         return ReportSection("search", "How the search went", ())
     blocks = [*_steps(run), *_convergence(run), *_starts(run), *_profiles(run), *_front(run)]
     return ReportSection("search", "How the search went", tuple(blocks))

@@ -14,6 +14,7 @@ from support.problems.springs import ROOT
 
 from cluster_est.cli import main
 from cluster_est.config.reader import Config
+from cluster_est.config.sections.design import LimitsSections
 from cluster_est.config.sections.sweep import SweepSections
 from cluster_est.results.table_columns import BEFORE, TABLES
 from cluster_est.run_folder.evaluation_log import read_log
@@ -79,7 +80,7 @@ def keys(section: type[BaseModel], seen: set[type[BaseModel]]) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("section", [Config, SweepSections])
+@pytest.mark.parametrize("section", [Config, SweepSections, LimitsSections])
 def test_every_key_is_described(section):
     page = keys_page()
     lines = keys(section, set())
@@ -132,6 +133,12 @@ def runs(tmp_path_factory) -> dict[str, Path]:
         code = main([command, str(folder / f"{name}.toml"), "--out", str(folder / name)])
         assert code in (0, 1)  # the front is cut short
         found[name] = folder / name
+    limits = {"duration": 4.0, "sample_time": 0.1, "candidates": 10}
+    limits |= {"inputs": {"F": {"lower": -1.0, "upper": 1.0}}}
+    (folder / "limits.toml").write_text(to_toml(limits))
+    given = ["--limits", str(folder / "limits.toml"), "--out", str(folder / "designed.csv")]
+    assert main(["design", str(folder / "fit"), *given]) == 0
+    found["designed"] = folder / "designed"
     sweep = {"configs": ["loop.toml"], "axes": [{"name": "start", "key": "parameters.m.start",
              "values": [1.0]}]}  # fmt: skip
     (folder / "sweep.toml").write_text(to_toml(sweep))
@@ -159,12 +166,14 @@ def plain(type_: str) -> str:
 DESCRIBED = {table.name: {c.name: plain(c.type) for c in table.columns} for table in TABLES}
 
 
-@pytest.mark.parametrize("name", ["fit", "front", "loop", "ranked"])
+@pytest.mark.parametrize("name", ["fit", "front", "loop", "ranked", "designed"])
 def test_every_column_that_a_run_writes_is_described(runs, name):
     for table, found in columns(runs[name]).items():
         described = dict(DESCRIBED[table])
         if name == "loop" and table == "parameters":
             described |= {c.name: plain(c.type) for c in BEFORE}
+        if table == "next_input":
+            described |= dict.fromkeys(("F", "y"), "double")  # inputs and outputs of this model
         if found:  # a table without rows has no columns
             assert {key: plain(type_) for key, type_ in found.items()} == described, table
 

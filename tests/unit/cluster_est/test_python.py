@@ -20,9 +20,9 @@ from cluster_est.errors import ProblemError, RunFolderError
 
 CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
 NAMES = """
-    Budget ClusterEstError Effect Estimate Experiment Input LeastSquares LoopResult LoopSettings
+    Budget ClusterEstError Effect Experiment Input LeastSquares LoopResult LoopSettings
     Model Multistart Output Parameter Problem Resources Result Solver UncertaintySettings
-    add_effect build_problem close_loop detect fit locate read_config read_model read_problem
+    add_effect build_problem close_loop design detect fit locate read_config read_model read_problem
     read_table residuals simulate
 """
 

@@ -1,0 +1,151 @@
+"""A design from a run's folder and a file of limits, ready to be made."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cluster_est.config.build import build_problem
+from cluster_est.config.limits_file import read_limits
+from cluster_est.config.reader import Config, EffectSection, read_config
+from cluster_est.configured_run import ConfiguredRun
+from cluster_est.errors import RunFolderError
+from cluster_est.experiment_design.design import make_design
+from cluster_est.experiment_design.models import CandidateModel
+from cluster_est.experiment_design.request import (
+    ALONE,
+    DesignRequest,
+    check_design,
+    chosen_models,
+)
+from cluster_est.experiment_design.result import DesignResult
+from cluster_est.problem.problem import Problem
+from cluster_est.run_folder.evaluation_log import LogSettings
+from cluster_est.run_folder.reading import check_has_estimates, read_facts, read_run_table
+from cluster_est.run_folder.replay import config_base
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind
+from cluster_est.running.environment import RunEnvironment
+from workers.messages import Experiment, content_hash
+
+ADDED = ("found", "partial")
+"""Verdicts with which a loop has added effects."""
+
+
+@dataclass(frozen=True)
+class ConfiguredDesign(ConfiguredRun):
+    """The design of the next experiment; `request` says of which."""
+
+    request: DesignRequest
+
+    def compute(self, environment: RunEnvironment) -> DesignResult:
+        """Choose an input."""
+        return make_design(environment, self.request)
+
+
+def read_design(
+    run_folder: Path, limits: Path, config: Path | None, *, allow_code: bool
+) -> ConfiguredDesign:
+    """Read a run and the limits of the next experiment, and check them against each other.
+
+    Parameters
+    ----------
+    run_folder
+        Of a fit or a closed loop that has ended.
+    limits
+        The file of limits.
+    config
+        The config that the run was made from, if it has moved.
+    allow_code
+        Whether Python functions that it names may run.
+
+    Raises
+    ------
+    ClusterEstError
+        If something is missing or does not fit together.
+    """
+    wanted = read_limits(limits)
+    facts = read_facts(run_folder)
+    check_has_estimates(run_folder)
+    resolved = read_config(run_folder / "config.toml")
+    base = config_base(run_folder, config)
+    models = _models(run_folder, facts, resolved, base, allow_code=allow_code)
+    models = chosen_models(models, wanted.settings)
+    request = DesignRequest(models, wanted.limits, wanted.settings, wanted.seed)
+    check_design(request)
+    parts = [str(facts["config_hash"]), wanted.text, json.dumps([m.name for m in models])]
+    parts += [json.dumps({k: float(v) for k, v in m.values.items()}) for m in models]
+    log = resolved.log
+    identity = RunIdentity(
+        RunKind.DESIGN,
+        request.problem,
+        (run_folder / "config.toml").read_text(encoding="utf-8"),
+        content_hash(list(parts)),
+        wanted.seed,
+        base,
+        LogSettings(log.residuals, log.keep_residuals, log.max_megabytes),
+    )
+    return ConfiguredDesign(identity, resolved, request)
+
+
+def _models(
+    run_folder: Path,
+    facts: Mapping[str, Any],
+    config: Config,
+    base: Path,
+    *,
+    allow_code: bool,
+) -> tuple[CandidateModel, ...]:
+    """The models that a run leaves room for, the one that it has chosen first."""
+    if facts.get("verdict") in ADDED:
+        if not facts.get("competing"):
+            raise RunFolderError(
+                f"{run_folder}: must say which models its data leave room for but does not, as "
+                "runs of earlier versions; run the closed loop again"
+            )
+        return tuple(
+            _model(each, config, base, facts, allow_code=allow_code) for each in facts["competing"]
+        )
+    path = run_folder / "parameters.parquet"
+    if not path.is_file():
+        raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
+    rows = [row for row in read_run_table(path) if row["estimated_on"] == "train"]
+    values = {row["label"]: float(row["value"]) for row in rows}
+    problem = build_problem(config, base, allow_code=allow_code)
+    return (CandidateModel(ALONE, _with_noise(problem, facts), values),)
+
+
+def _model(
+    known: Mapping[str, Any],
+    config: Config,
+    base: Path,
+    facts: Mapping[str, Any],
+    *,
+    allow_code: bool,
+) -> CandidateModel:
+    """One of the models of a closed loop, made again from what its run.json says."""
+    blocks = tomllib.loads(known["config"]).get("effects", [])
+    added = [EffectSection.model_validate(block) for block in blocks]
+    changed = config.model_copy(update={"effects": [*config.effects, *added]})
+    problem = build_problem(changed, base, allow_code=allow_code)
+    values = {label: float(value) for label, value in known["values"].items()}
+    return CandidateModel(known["name"], _with_noise(problem, facts), values, known["weight"])
+
+
+def _with_noise(problem: Problem, facts: Mapping[str, Any]) -> Problem:
+    """With the noise that a closed loop has estimated, where an output has no sigma."""
+    noise: Mapping[str, float] = facts.get("noise") or {}
+    return replace(problem, experiments=tuple(_weighted(e, noise) for e in problem.experiments))
+
+
+def _weighted(experiment: Experiment, noise: Mapping[str, float]) -> Experiment:
+    outputs: Sequence[Any] = [
+        replace(output, sigma=float(noise[output.variable]))
+        if not output.has_sigma and (noise.get(output.variable) or 0.0) > 0.0
+        else output
+        for output in experiment.outputs
+    ]
+    return replace(experiment, outputs=tuple(outputs))

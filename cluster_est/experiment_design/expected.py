@@ -1,0 +1,201 @@
+"""What an experiment is expected to tell: evidence, probabilities, standard errors, outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from cluster_est.experiment_design.criteria import (
+    covariances,
+    evidence_table,
+    expected_probabilities,
+)
+from cluster_est.experiment_design.models import FittedCandidate
+from cluster_est.experiment_design.search import CandidateScorer, ScoredCandidate, ranked
+from workers.messages import FloatArray
+
+REFERENCES = ("random", "recorded")
+"""Origins that the chosen input is compared with."""
+
+
+@dataclass(frozen=True)
+class ExpectedEvidence:
+    """What an experiment is expected to say for a model against a rival.
+
+    Attributes
+    ----------
+    true_model, rival
+        If the first is the true one.
+    evidence
+        Expected difference of their log likelihoods.
+    random, recorded
+        The same for a random input within the same limits (the median of those that were looked
+        at) and for the best one of those that were recorded; NaN without any.
+    """
+
+    true_model: str
+    rival: str
+    evidence: float
+    random: float
+    recorded: float
+    best: float
+
+
+@dataclass(frozen=True)
+class ExpectedProbability:
+    """The probability that a model is expected to have after an experiment, if it is true.
+
+    Attributes
+    ----------
+    model
+        Which.
+    before, after
+        So far, and with the experiment.
+    random, recorded
+        With a random input or a recorded one, see `ExpectedEvidence`.
+    """
+
+    model: str
+    before: float
+    after: float
+    random: float
+    recorded: float
+
+
+@dataclass(frozen=True)
+class ExpectedPrecision:
+    """What an experiment is expected to do to a parameter.
+
+    Attributes
+    ----------
+    label, unit, value
+        The parameter, and its estimate.
+    std_error_before, std_error_after
+        Its standard error so far, and with the experiment.
+    random, recorded
+        Standard errors with a random input or a recorded one, see `ExpectedEvidence`.
+    """
+
+    label: str
+    unit: str
+    value: float
+    std_error_before: float
+    std_error_after: float
+    random: float
+    recorded: float
+
+
+def expected_table(models: Sequence[FittedCandidate], best: ScoredCandidate) -> pa.Table:
+    """What each model predicts of each output, with the error that its parameters make of it."""
+    experiment = best.candidate.experiment
+    columns: dict[str, list[Any]] = {
+        name: [] for name in ("model", "output", "time", "expected", "std_error")
+    }
+    for fitted, predicted in zip(models, best.predicted, strict=True):
+        errors = np.sqrt(np.sum(predicted.factor**2, axis=1))
+        first = 0
+        for output in experiment.outputs:
+            count = len(output.times)
+            rows = slice(first, first + count)
+            columns["model"] += [fitted.model.name] * count
+            columns["output"] += [output.variable] * count
+            columns["time"] += output.times.tolist()
+            columns["expected"] += (output.sigma * predicted.outputs[rows]).tolist()
+            columns["std_error"] += (output.sigma * errors[rows]).tolist()
+            first += count
+    return pa.table(columns)
+
+
+def expected_evidence(
+    scorer: CandidateScorer, found: Sequence[ScoredCandidate], best: ScoredCandidate
+) -> tuple[ExpectedEvidence, ...]:
+    """Return the evidence for every pair of models; none where there is one model."""
+    if len(scorer.models) < 2:
+        return ()
+    names = [fitted.model.name for fitted in scorer.models]
+    own, random, recorded = _compared(found, best, lambda each: evidence_table(each.predicted))
+    most = np.max([evidence_table(each.predicted) for each in ranked(found)], axis=0)
+    return tuple(
+        ExpectedEvidence(
+            names[i],
+            names[j],
+            *(float(each[i, j]) for each in (own, random, recorded, most)),
+        )
+        for i in range(len(names))
+        for j in range(len(names))
+        if i != j
+    )
+
+
+def expected_probability(
+    scorer: CandidateScorer, found: Sequence[ScoredCandidate], best: ScoredCandidate
+) -> tuple[ExpectedProbability, ...]:
+    """Return the probability of every model, if it is right; none where there is one model."""
+    if len(scorer.models) < 2:
+        return ()
+    weights = np.array([fitted.model.weight for fitted in scorer.models])
+
+    def expected(each: ScoredCandidate) -> FloatArray:
+        return expected_probabilities(evidence_table(each.predicted), weights)
+
+    columns = (weights / np.add.reduce(weights), *_compared(found, best, expected))
+    return tuple(
+        ExpectedProbability(fitted.model.name, *(float(column[i]) for column in columns))
+        for i, fitted in enumerate(scorer.models)
+    )
+
+
+def expected_precision(
+    scorer: CandidateScorer, found: Sequence[ScoredCandidate], best: ScoredCandidate
+) -> tuple[ExpectedPrecision, ...]:
+    """Return the standard error of every parameter that counts, before and after."""
+    fitted, labels = scorer.models[0], scorer.parameters
+
+    def errors(each: ScoredCandidate) -> FloatArray:
+        after = covariances(fitted, each.predicted[0], labels)[1]
+        return np.sqrt(np.diag(after))
+
+    before = np.sqrt(np.diag(covariances(fitted, best.predicted[0], labels)[0]))
+    after, random, recorded = _compared(found, best, errors)
+    rows = []
+    for place, label in enumerate(labels):
+        i = fitted.labels.index(label)
+        unknown, searched = fitted.space.unknowns[i], float(fitted.x[i])
+        unit = _physical_change(unknown.to_physical, searched)
+        rows.append(
+            ExpectedPrecision(
+                label,
+                unknown.parameter.unit,
+                unknown.to_physical(searched),
+                *(unit * float(each[place]) for each in (before, after, random, recorded)),
+            )
+        )
+    return tuple(rows)
+
+
+def _physical_change(to_physical: Callable[[float], float], searched: float) -> float:
+    """The derivative of a physical value by the one that is searched."""
+    step = 1e-6 * max(abs(searched), 1.0)
+    return abs(to_physical(searched + step) - to_physical(searched - step)) / (2.0 * step)
+
+
+def _compared(
+    found: Sequence[ScoredCandidate],
+    best: ScoredCandidate,
+    measure: Callable[[ScoredCandidate], FloatArray],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A measure of the best input, of the median random one, and of the best recorded one.
+
+    NaN where there is none.
+    """
+    own = measure(best)
+    others = []
+    for origin in REFERENCES:
+        known = ranked([each for each in found if each.candidate.origin == origin])
+        place = len(known) // 2 if origin == "random" else 0
+        others.append(measure(known[place]) if known else np.full(own.shape, np.nan))
+    return own, others[0], others[1]

@@ -1,0 +1,196 @@
+"""The search for an input: many at random, then changes of the best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cluster_est.errors import BudgetError, ProblemError
+from cluster_est.experiment_design.candidates import CandidateInput, CandidateMaker
+from cluster_est.experiment_design.criteria import DesignCriterion
+from cluster_est.experiment_design.models import FittedCandidate
+from cluster_est.experiment_design.prediction import (
+    PredictedExperiment,
+    keeping_limits,
+    predictions,
+)
+from cluster_est.experiment_design.queue import DesignQueue
+from cluster_est.methods.base import TOLERANCE
+from cluster_est.running.runner import Runner
+
+FIRST = 0.5
+"""Share of the candidates that are drawn at random; changes of the best are the others."""
+ROUNDS = ((0.2, 6), (0.1, 4), (0.05, 3))
+"""Of changes: their size, and how many of the best are changed."""
+SHRINKING = (0.3, 0.1, 0.03)
+"""Amplitudes that are tried where no candidate keeps the limits."""
+FEWEST_KEPT = 3
+
+
+@dataclass(frozen=True)
+class ScoredCandidate:
+    """A candidate and what it is worth.
+
+    Attributes
+    ----------
+    candidate
+        Which.
+    value
+        Of the criterion; NaN where it leaves its limits or cannot be simulated.
+    violation
+        By how much it leaves them.
+    why
+        What it leaves, or why it cannot be simulated; "" if neither.
+    predicted
+        What each model predicts of it; empty where it has no value.
+    """
+
+    candidate: CandidateInput
+    value: float
+    violation: float = 0.0
+    why: str = ""
+    predicted: tuple[PredictedExperiment, ...] = field(default=(), repr=False)
+
+    @property
+    def ok(self) -> bool:
+        return bool(np.isfinite(self.value))
+
+
+@dataclass(frozen=True)
+class CandidateScorer:
+    """Simulates candidates and says what they are worth.
+
+    Attributes
+    ----------
+    models, criterion, parameters
+        See `DesignCriterion.value`.
+    queue
+        Where candidates are simulated.
+    """
+
+    models: Sequence[FittedCandidate]
+    criterion: DesignCriterion
+    parameters: tuple[str, ...]
+    queue: DesignQueue
+
+    def score(self, candidates: Sequence[CandidateInput]) -> list[ScoredCandidate]:
+        """Return what each candidate is worth, in their order."""
+        if not candidates:
+            return []
+        return self.queue.use(
+            [candidate.experiment for candidate in candidates],
+            "simulating candidates",
+            lambda runner: self._scored(runner, candidates),
+        )
+
+    def _scored(
+        self, runner: Runner, candidates: Sequence[CandidateInput]
+    ) -> list[ScoredCandidate]:
+        limits = keeping_limits(runner, self.models, candidates)
+        kept = [number for number, (violation, _) in enumerate(limits) if violation <= TOLERANCE]
+        known = dict(zip(kept, predictions(runner, self.models, candidates, kept), strict=True))
+        found = []
+        for number, candidate in enumerate(candidates):
+            predicted, (violation, why) = known.get(number), limits[number]
+            if predicted is None:
+                reason = why or "derivatives could not be simulated"
+                found.append(ScoredCandidate(candidate, np.nan, violation, reason))
+                continue
+            value = self.criterion.value(self.models, predicted, self.parameters)
+            found.append(ScoredCandidate(candidate, value, predicted=predicted))
+        return found
+
+
+def search(
+    scorer: CandidateScorer,
+    maker: CandidateMaker,
+    recorded: Sequence[CandidateInput],
+    count: int,
+    generator: np.random.Generator,
+) -> list[ScoredCandidate]:
+    """Look at some candidates; all of them with what they are worth, in their order.
+
+    Half of them are drawn at random, beside what was recorded. Then the best are changed a little
+    at a time: an evolution strategy without recombination (H.-G. Beyer, H.-P. Schwefel, Nat.
+    Comput. 1 (2002) 3-52, doi:10.1023/A:1015059928466).
+
+    Parameters
+    ----------
+    scorer, maker
+        Say what candidates are worth, and make them.
+    recorded
+        Those of the inputs of earlier experiments.
+    count
+        Candidates besides these.
+    generator
+        Of all that is random.
+
+    Raises
+    ------
+    ProblemError
+        If none keeps its limits.
+    """
+    first = max(1, round(FIRST * count)) if maker.waveforms else 0
+    drawn = [maker.draw(number, generator) for number in range(first)]
+    found = scorer.score([*recorded, *drawn])
+    if maker.waveforms:
+        found += _shrunk(scorer, maker, found, first)
+    if not any(each.ok for each in found):
+        raise _none_keeps_limits(found)
+    left = count - first
+    for number, (size, parents) in enumerate(ROUNDS if maker.waveforms else ()):
+        most = left // (len(ROUNDS) - number)
+        left -= most
+        best = [each for each in ranked(found) if len(each.candidate.point)][:parents]
+        if not best:
+            break
+        begin = len(found)
+        children = [
+            maker.changed(best[i % len(best)].candidate, begin + i, size, generator)
+            for i in range(most)
+        ]
+        try:
+            found += scorer.score(children)
+        except BudgetError:  # what has been looked at is a design already
+            break
+    return found
+
+
+def ranked(scored: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
+    """Return those with a value, the best first."""
+    return sorted((each for each in scored if each.ok), key=lambda each: -each.value)
+
+
+def _shrunk(
+    scorer: CandidateScorer,
+    maker: CandidateMaker,
+    found: Sequence[ScoredCandidate],
+    number: int,
+) -> list[ScoredCandidate]:
+    """Smaller candidates, where hardly any keeps the limits."""
+    more: list[ScoredCandidate] = []
+    for factor in SHRINKING:
+        kept = sum(each.ok for each in (*found, *more) if len(each.candidate.point))
+        if kept >= FEWEST_KEPT:
+            break
+        large = [each.candidate for each in found if len(each.candidate.point)]
+        more += scorer.score(
+            [maker.shrunk(each, number + len(more) + i, factor) for i, each in enumerate(large)]
+        )
+    return more
+
+
+def _none_keeps_limits(found: Sequence[ScoredCandidate]) -> ProblemError:
+    closest = min(found, key=lambda each: each.violation)
+    if np.isfinite(closest.violation):
+        return ProblemError(
+            f"limits: {closest.why} must be kept but none of {len(found)} inputs keeps it, with "
+            "any model, not the smallest either: the closest leaves it by "
+            f"{100.0 * closest.violation:.2g} % of the range; widen it, narrow the inputs or "
+            "begin elsewhere"
+        )
+    return ProblemError(
+        f"limits: none of {len(found)} inputs could be simulated ({closest.why}); narrow the inputs"
+    )

@@ -1,0 +1,133 @@
+"""The section on a design: the input, what each model predicts of it, and what it will tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from cluster_est.closed_loop.findings.words.numbers import percent
+from cluster_est.experiment_design.sentences import times
+from cluster_est.report.blocks import (
+    Block,
+    FigureBlock,
+    ReportSection,
+    TableBlock,
+    TableCell,
+    columns,
+)
+from cluster_est.report.drawing import Band, Chart, Line, Mark, Plot, Scale
+from cluster_est.report.folder import ReportedRun, Row
+from cluster_est.report.numbers import digits
+
+MOST_MODELS = 5
+"""Whose predictions are drawn."""
+COVERED = 1.96
+INPUT_NOTE = "It is in the table beside the run's folder, to be fed in as it is."
+OUTPUT_NOTE = (
+    "What each model predicts; the bands are the uncertainty of its parameters (95 %), without the "
+    "noise of the sensors. Where curves part, the measurement will tell."
+)
+
+
+def design(run: ReportedRun) -> ReportSection:
+    """Everything that a design has found; nothing for other runs."""
+    rows = run.tables["next_input"]
+    blocks: list[Block] = []
+    if rows and run.is_design:
+        blocks = [*_inputs(rows), *_outputs(run), *_models(run), *_parameters(run)]
+    return ReportSection("design", "The next experiment", tuple(blocks))
+
+
+def _inputs(rows: Sequence[Row]) -> list[Block]:
+    time = np.array([row["time"] for row in rows])
+    plots = []
+    for name in rows[0]:
+        if name == "time" or rows[0][name] is None:
+            continue
+        line = Line(name, "after", time, np.array([row[name] for row in rows]))
+        plots.append(Plot(name, name, Scale.around(time), Scale.around(line.y), [line], 170))
+    if not plots:
+        return []
+    chart = Chart(tuple(plots), "time in s", legend=False)
+    return [FigureBlock("next-input", "What is fed in", chart, INPUT_NOTE)]
+
+
+def _outputs(run: ReportedRun) -> list[Block]:
+    rows = run.tables["expected"]
+    plots = []
+    for output in dict.fromkeys(row["output"] for row in rows):
+        own = [row for row in rows if row["output"] == output]
+        marks: list[Mark] = []
+        for number, model in enumerate(dict.fromkeys(row["model"] for row in own)):
+            if number == MOST_MODELS:
+                break
+            part = [row for row in own if row["model"] == model]
+            time, expected, error = (
+                np.array([row[key] for row in part]) for key in ("time", "expected", "std_error")
+            )
+            ink = f"series-{number}"
+            band = COVERED * error
+            marks.append(Band("", ink, time, expected - band, expected + band))
+            marks.append(Line(model, ink, time, expected))
+        lines = [mark for mark in marks if isinstance(mark, Line)]
+        across = Scale.around(*(line.x for line in lines))
+        upright = Scale.around(*(line.y for line in lines))
+        plots.append(Plot(output, output, across, upright, marks))
+    chart = Chart(tuple(plots), "time in s")
+    return [FigureBlock("expected", "What is expected", chart, OUTPUT_NOTE)] if plots else []
+
+
+def _models(run: ReportedRun) -> list[Block]:
+    models, evidence = run.tables["probabilities"], run.tables["evidence"]
+    if not models:
+        return []
+    first = models[0]["model"]
+    return [
+        TableBlock(
+            columns("if this is right", "#now", "#after it", "#a random input", "#a recorded one"),
+            tuple(
+                (
+                    TableCell(row["model"], code=True),
+                    *(
+                        TableCell("" if math.isnan(row[key]) else percent(row[key]))
+                        for key in ("before", "after", "random", "recorded")
+                    ),
+                )
+                for row in models
+            ),
+            "The probability that each model is expected to have if it is the right one",
+        ),
+        TableBlock(
+            columns("rival", "#after it", "#a random input", "#at best"),
+            tuple(
+                (
+                    TableCell(row["rival"], code=True),
+                    *(TableCell(times(row[key])) for key in ("evidence", "random", "best")),
+                )
+                for row in evidence
+                if row["true_model"] == first
+            ),
+            f"How many times less likely each rival will be, if {first} is right",
+        ),
+    ]
+
+
+def _parameters(run: ReportedRun) -> list[Block]:
+    return [
+        TableBlock(
+            columns("parameter", "#value", "#standard error now", "#after it", "#a random input"),
+            tuple(
+                (
+                    TableCell(row["label"], code=True),
+                    *(
+                        TableCell(digits(row[key]))
+                        for key in ("value", "std_error_before", "std_error_after", "random")
+                    ),
+                )
+                for row in run.tables["precision"]
+            ),
+            "What the experiment is expected to do to the parameters",
+        )
+    ]

@@ -1,0 +1,216 @@
+"""Runs of `cluster-est design`: what is printed and written, resumed and refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support.problems.springs import ROOT
+
+import cluster_est as ce
+from cluster_est.cli import main
+from cluster_est.config.limits_file import read_limits
+from cluster_est.errors import ProblemError
+from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits
+from cluster_est.experiment_design.settings import DesignSettings
+
+CONFIG = str(ROOT / "configs" / "mass_with_friction.toml")
+SPRING = str(ROOT / "configs" / "mass_spring_damper.toml")
+TABLES = ("candidates", "probabilities", "evidence", "precision", "next_input", "expected")
+LIMITS = """
+duration = 10.0
+sample_time = 0.05
+candidates = 24
+[inputs.F]
+lower = -8.0
+upper = 8.0
+[signals.y]
+lower = -1.0
+upper = 1.0
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A closed loop, and the design of its next experiment."""
+    found = tmp_path_factory.mktemp("designs")
+    (found / "limits.toml").write_text(LIMITS, encoding="utf-8")
+    assert main(["close-loop", CONFIG, "--out", str(found / "loop"), "--no-report"]) == 0
+    assert designed(found, found / "next.csv") == 0
+    return found
+
+
+def designed(folder: Path, out: Path, *arguments: str, limits: str = "limits.toml") -> int:
+    loop = str(folder / "loop")
+    given = ["--limits", str(folder / limits), "--out", str(out), *arguments]
+    return main(["design", loop, *given])
+
+
+def rows(run: Path) -> dict[str, str]:
+    """The tables as text: NaN is not equal to itself."""
+    return {name: repr(pq.read_table(run / f"{name}.parquet").to_pylist()) for name in TABLES}
+
+
+def test_a_loop_keeps_the_rivals_of_its_finding(folder):
+    facts = json.loads((folder / "loop" / "run.json").read_text(encoding="utf-8"))
+    names = [each["name"] for each in facts["competing"]]
+    assert names[0] == "coulomb at der(v)"
+    assert len(names) > 1
+    assert sum(each["weight"] for each in facts["competing"]) == pytest.approx(1.0)
+
+
+def test_it_says_what_the_experiment_will_tell_before_anybody_measures(folder, capsys):
+    assert main(["show", str(folder / "next")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "if coulomb at der(v) is right, its probability among the models" in printed
+    assert "after a random input within the same limits" in printed
+    assert "rests on the models being exact" in printed
+
+
+def test_the_chosen_input_is_worth_more_than_a_random_one(folder):
+    (first, *_) = pq.read_table(folder / "next" / "probabilities.parquet").to_pylist()
+    assert first["after"] > first["random"] > first["before"] - 1e-9
+
+
+def test_the_table_of_the_next_experiment_keeps_the_limits(folder):
+    with (folder / "next.csv").open(encoding="utf-8") as file:
+        table = list(csv.DictReader(file))
+    assert list(table[0]) == ["time", "F", "y"]
+    force = np.array([float(row["F"]) for row in table])
+    assert len(force) == 201
+    assert -8.0 <= force.min() < force.max() <= 8.0
+    assert {row["y"] for row in table} == {""}
+
+
+def test_init_reads_the_table_once_it_has_been_measured(folder, tmp_path):
+    with (folder / "next.csv").open(encoding="utf-8") as file:
+        table = list(csv.reader(file))
+    measured = tmp_path / "measured.csv"
+    with measured.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows(
+            [table[0], *([*row[:2], 0.1 * i % 1.0] for i, row in enumerate(table[1:]))]
+        )
+    fmu = next((ROOT / "configs" / "models").glob("mass_*.fmu"))
+    config = ROOT / "configs" / "mass_with_friction.toml"
+    fmu = config.parent / ce.read_config(config).model.fmu
+    out = tmp_path / "next.toml"
+    assert main(["init", str(fmu), str(measured), "--out", str(out)]) == 0
+    (experiment,) = ce.read_config(out).experiments
+    assert set(experiment.inputs) == {"F"}
+    assert len(experiment.outputs) == 1
+
+
+def test_its_report_shows_the_input_and_what_is_expected(folder):
+    page = (folder / "next" / "report.html").read_text(encoding="utf-8")
+    for text in ("The next experiment", "What is fed in", "What is expected", "coulomb at der(v)"):
+        assert text in page
+
+
+def test_the_number_of_workers_changes_no_bit(folder, tmp_path):
+    path = folder / "loop" / "config.toml"
+    text = path.read_text(encoding="utf-8")
+    two = tmp_path / "loop"
+    two.mkdir()
+    for each in (folder / "loop").iterdir():
+        if each.is_file():
+            (two / each.name).write_bytes(each.read_bytes())
+    (two / "config.toml").write_text(
+        text.replace("[executor]", "[executor]\nworkers = 2", 1).replace("workers = 1", "", 1),
+        encoding="utf-8",
+    )
+    given = ["--limits", str(folder / "limits.toml"), "--out", str(tmp_path / "two.csv")]
+    assert main(["design", str(two), *given, "--no-report"]) == 0
+    assert rows(tmp_path / "two") == rows(folder / "next")
+
+
+def test_a_design_is_resumed_from_its_log(folder, tmp_path, capsys):
+    out = tmp_path / "cut.csv"
+    assert designed(folder, out, "--no-report") == 0
+    facts = json.loads((tmp_path / "cut" / "run.json").read_text(encoding="utf-8"))
+    facts["status"] = "interrupted"
+    (tmp_path / "cut" / "run.json").write_text(json.dumps(facts), encoding="utf-8")
+    capsys.readouterr()
+    assert designed(folder, out, "--resume", "--no-report") == 0
+    assert "simulations stand in its log" in capsys.readouterr().err
+    assert rows(tmp_path / "cut") == rows(folder / "next")
+
+
+def test_a_table_that_is_there_is_not_overwritten(folder, capsys):
+    assert designed(folder, folder / "next.csv") == 2
+    assert "is there already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("[inputs.F]", "[inputs.G]", "inputs.G: must be an input of experiment"),
+        ("[signals.y]", "[signals.q]", "signals.q: must be a variable of the FMU"),
+        ("duration", 'like = "exp9"\nduration', "like: must be an experiment of the run but is"),
+        ("duration", 'rivals = ["viscous"]\nduration', "rivals: must be of the models that the run"),
+        ("duration", 'parameters = ["K"]\nduration', "parameters: must be of what the run has"),
+        ("lower = -1.0\nupper = 1.0", "lower = 5.0\nupper = 6.0", "limits: signals.y.lower must be"),
+    ],
+)
+def test_what_does_not_fit_the_run_is_refused_in_a_sentence(
+    folder, tmp_path, capsys, old, new, sentence
+):
+    (folder / "other.toml").write_text(LIMITS.replace(old, new), encoding="utf-8")
+    code = designed(folder, tmp_path / "never.csv", "--no-report", limits="other.toml")
+    said = " ".join(capsys.readouterr().err.split())
+    assert code in (1, 2)
+    assert sentence in said
+    assert not (tmp_path / "never.csv").exists()
+
+
+def test_a_fit_has_no_rivals_and_its_parameters_are_narrowed(tmp_path):
+    limits = tmp_path / "limits.toml"
+    limits.write_text(LIMITS, encoding="utf-8")
+    wanted = read_limits(limits)
+    result = ce.fit(ce.read_problem(SPRING))
+    found = ce.design(result, wanted.limits, settings=wanted.settings)
+    assert found.criterion[0] == "d"
+    assert [row.label for row in found.precision] == ["m", "k", "c"]
+    assert all(row.std_error_after < row.std_error_before for row in found.precision)
+    again = ce.design(result, wanted.limits, settings=wanted.settings)
+    np.testing.assert_array_equal(
+        again.experiment.inputs[0].values, found.experiment.inputs[0].values
+    )
+    with pytest.raises(ProblemError, match="must have at least two models to tell apart"):
+        ce.design(result, wanted.limits, settings=DesignSettings(criterion="discriminate"))
+
+
+def test_the_standard_errors_that_come_are_those_that_were_expected(tmp_path):
+    """Against a fit to the new experiment, simulated with noise that the design has not seen."""
+    problem = ce.read_problem(SPRING)
+    result = ce.fit(problem)
+    limits = ExperimentLimits({"F": InputLimits(-8.0, 8.0)}, 10.0, 0.02)
+    found = ce.design(result, limits, settings=DesignSettings(criterion="d", candidates=24))
+    experiment = found.experiment
+    truth = ce.simulate(
+        ce.Problem(problem.model, problem.parameters, (experiment,)),
+        values={name: result.x[name] for name in ("m", "k", "c")},
+    )
+    assert truth[0].outcome.ok
+    generator = np.random.default_rng(4)
+    outputs = tuple(
+        ce.Output(
+            o.variable,
+            o.times,
+            truth[0].outcome.trajectory.at(o.variable, o.times) + o.sigma * generator.standard_normal(len(o.times)),
+            problem.experiments[0].outputs[0].sigma,
+        )
+        for o in experiment.outputs
+    )
+    measured = ce.Experiment(
+        "next", experiment.start, experiment.stop, experiment.inputs, outputs, experiment.values
+    )
+    both = ce.fit(
+        ce.Problem(problem.model, problem.parameters, (*problem.experiments, measured))
+    )
+    errors = {each.label: each.std_error for each in both.estimates}
+    for row in found.precision:
+        assert errors[row.label] == pytest.approx(row.std_error_after, rel=0.15)
