@@ -55,12 +55,15 @@ class FittedCandidate:
         Its unknowns on the training experiments, and the estimates in search coordinates.
     information : (unknowns, unknowns)
         Inverse of the covariance of the estimates, with what is known of them without data.
+    squares
+        Sum of the squared residuals, over the variance of the noise.
     """
 
     model: CandidateModel
     space: SearchSpace = field(repr=False)
     x: FloatArray = field(repr=False)
     information: FloatArray = field(repr=False)
+    squares: float = 0.0
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -128,7 +131,7 @@ def fit_candidates(
             )
     noise = _noise(spaces[0], solutions[0])
     fitted = [
-        FittedCandidate(model, space, solution.x, _information(space, solution, noise))
+        _fitted(model, space, solution, noise)
         for model, space, solution in zip(models, spaces, solutions, strict=True)
     ]
     return fitted, noise
@@ -166,10 +169,15 @@ def widths(space: SearchSpace) -> FloatArray:
     return np.where(bounded, np.where(bounded, span, 0.0) / np.sqrt(12.0), wide)
 
 
-def _information(space: SearchSpace, solution: Solution, noise: Mapping[str, float]) -> FloatArray:
+def _fitted(
+    model: CandidateModel, space: SearchSpace, solution: Solution, noise: Mapping[str, float]
+) -> FittedCandidate:
     assert solution.jacobian is not None
+    assert solution.at is not None
     sizes = np.ones(len(solution.jacobian))
     for name, rows in _rows(space):
-        sizes[rows] = noise[name]
-    tall = solution.jacobian / np.maximum(sizes, 1e-12)[:, None]
-    return np.asarray(tall.T @ tall + np.diag(1.0 / widths(space) ** 2))
+        sizes[rows] = max(noise[name], 1e-12)
+    tall = solution.jacobian / sizes[:, None]
+    information = tall.T @ tall + np.diag(1.0 / widths(space) ** 2)
+    squares = float(np.add.reduce((solution.at.residuals / sizes) ** 2))
+    return FittedCandidate(model, space, solution.x, np.asarray(information), squares)

@@ -93,11 +93,12 @@ def check_design(request: DesignRequest) -> None:
         Saying what to change.
     """
     problem, limits = request.problem, request.limits
-    if not problem.plain:
-        raise ProblemError(
-            "design: must plan for outputs at measured times but the run has a curve, a cost "
-            "function or constraints; make one without them"
-        )
+    for experiment in problem.experiments:
+        if experiment.curve is not None or experiment.cost_function is not None:
+            raise ProblemError(
+                f"experiment {experiment.id!r}: must have outputs at measured times alone for a "
+                "design but has a curve or a cost function; make the run without them"
+            )
     description = problem.describe()
     like = experiment_like(request)
     known = [given.variable for given in like.inputs]

@@ -18,10 +18,11 @@ def has_probabilities(score: Score) -> bool:
 
 def holds_truth(score: Score) -> bool:
     """Tell whether the truth is among the likely sets, by a name or an algebraic alias."""
-    return any(_is_true(names, _accepted()[score.name]) for names in score.likely or [])
+    return any(is_true(names, accepted_names()[score.name]) for names in score.likely or [])
 
 
-def _is_true(named: Sequence[str], accepted: Sequence[Sequence[str]]) -> bool:
+def is_true(named: Sequence[str], accepted: Sequence[Sequence[str]]) -> bool:
+    """Tell whether a set of effects is the true one, each by one of its accepted names."""
     if len(named) != len(accepted):
         return False
     return any(
@@ -31,8 +32,8 @@ def _is_true(named: Sequence[str], accepted: Sequence[Sequence[str]]) -> bool:
 
 
 @cache
-def _accepted() -> dict[str, list[list[str]]]:
-    """For each case, the names of each true effect, in words."""
+def accepted_names() -> dict[str, list[list[str]]]:
+    """Return, for each case, the names of each true effect, in words."""
     return {
         case.name: [
             [in_words(normal(n.form, n.site, (n.variable,))) for n in names]

@@ -150,9 +150,17 @@ def test_a_table_that_is_there_is_not_overwritten(folder, capsys):
         ("[inputs.F]", "[inputs.G]", "inputs.G: must be an input of experiment"),
         ("[signals.y]", "[signals.q]", "signals.q: must be a variable of the FMU"),
         ("duration", 'like = "exp9"\nduration', "like: must be an experiment of the run but is"),
-        ("duration", 'rivals = ["viscous"]\nduration', "rivals: must be of the models that the run"),
+        (
+            "duration",
+            'rivals = ["viscous"]\nduration',
+            "rivals: must be of the models that the run",
+        ),
         ("duration", 'parameters = ["K"]\nduration', "parameters: must be of what the run has"),
-        ("lower = -1.0\nupper = 1.0", "lower = 5.0\nupper = 6.0", "limits: signals.y.lower must be"),
+        (
+            "lower = -1.0\nupper = 1.0",
+            "lower = 5.0\nupper = 6.0",
+            "limits: signals.y.lower must be",
+        ),
     ],
 )
 def test_what_does_not_fit_the_run_is_refused_in_a_sentence(
@@ -200,7 +208,8 @@ def test_the_standard_errors_that_come_are_those_that_were_expected(tmp_path):
         ce.Output(
             o.variable,
             o.times,
-            truth[0].outcome.trajectory.at(o.variable, o.times) + o.sigma * generator.standard_normal(len(o.times)),
+            truth[0].outcome.trajectory.at(o.variable, o.times)
+            + o.sigma * generator.standard_normal(len(o.times)),
             problem.experiments[0].outputs[0].sigma,
         )
         for o in experiment.outputs
@@ -208,9 +217,7 @@ def test_the_standard_errors_that_come_are_those_that_were_expected(tmp_path):
     measured = ce.Experiment(
         "next", experiment.start, experiment.stop, experiment.inputs, outputs, experiment.values
     )
-    both = ce.fit(
-        ce.Problem(problem.model, problem.parameters, (*problem.experiments, measured))
-    )
+    both = ce.fit(ce.Problem(problem.model, problem.parameters, (*problem.experiments, measured)))
     errors = {each.label: each.std_error for each in both.estimates}
     for row in found.precision:
         assert errors[row.label] == pytest.approx(row.std_error_after, rel=0.15)
