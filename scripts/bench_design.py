@@ -18,7 +18,6 @@ import argparse
 import json
 import multiprocessing
 import os
-import sys
 import time
 import traceback
 from collections.abc import Sequence
@@ -26,10 +25,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
-
 from closed_loop_benchmark.data import Data, draw_noise, make
 from closed_loop_benchmark.likely import accepted_names, is_true
 from closed_loop_benchmark.naming import normal
@@ -43,13 +38,14 @@ from scipy.stats import spearmanr
 import cluster_est as ce
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.experiment_design.design import design
-from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits
+from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
 from cluster_est.experiment_design.models import CandidateModel, fit_candidates
 from cluster_est.experiment_design.queue import DesignQueue
 from cluster_est.experiment_design.request import models_of
 from cluster_est.experiment_design.result import DesignResult
-from cluster_est.experiment_design.search import ScoredCandidate, ranked
+from cluster_est.experiment_design.search import ranked
 from cluster_est.experiment_design.sentences import TOLD_APART
+from cluster_est.experiment_design.settings import DesignSettings
 from cluster_est.problem.problem import Problem
 from cluster_est.running.environment import RunEnvironment
 from workers.messages import Experiment
@@ -57,6 +53,9 @@ from workers.messages import Experiment
 NEAR = 10.0
 """Difference of the criterion within which models are rivals: less than very strong evidence."""
 WIDER = 0.25
+CANDIDATES = 120
+PRECISION = ("mass_spring_damper", "dc_motor", "thermal_two_node")
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 KINDS = ("single", "coloured", "textbook")
 
 
@@ -66,8 +65,9 @@ class RivalsScore:
 
     `before`, `designed` and `random` hold the names of the models within `NEAR` of the best;
     `alone` says whether the truth is the only one of them, `told` whether all others are such that
-    the design said that no input tells them apart. `predicted` and `came` are evidence for the true
-    model against each rival.
+    the design said that no input tells them apart, `simplest` whether all others are such, or have
+    more coefficients, so that they may hold the truth as a special case. `predicted` and `came` are
+    evidence for the true model against each rival.
     """
 
     name: str
@@ -76,8 +76,10 @@ class RivalsScore:
     random: list[str] = field(default_factory=list)
     alone: bool = False
     told: bool = False
+    simplest: bool = False
     random_alone: bool = False
     random_told: bool = False
+    random_simplest: bool = False
     predicted: list[float] = field(default_factory=list)
     came: list[float] = field(default_factory=list)
     seconds: float = 0.0
@@ -114,6 +116,8 @@ def run(options: argparse.Namespace) -> None:
     ][:: options.every]
     cases = [case for case in cases if case.name not in done]
     print(f"{len(cases)} cases to run", flush=True)
+    for variable in ONE_THREAD:  # of the processes that are started now
+        os.environ.setdefault(variable, "1")
     with (
         multiprocessing.get_context("spawn").Pool(options.processes, maxtasksperchild=5) as pool,
         options.out.open("a", encoding="utf-8") as file,
@@ -155,7 +159,8 @@ def _rivals_of(case: Scenario) -> RivalsScore:
     random = ranked([c for c in found.candidates if c.candidate.origin == "random"])
     designed = measured(data, found.experiment, 1)
     drawn = measured(data, random[len(random) // 2].candidate.experiment, 2)
-    after = [near(again(problem, experiment)) for experiment in (designed, drawn)]
+    loops = [again(problem, each) for each in (designed, drawn)]
+    after, random_after = map(near, loops)
     same = {
         row.rival for row in found.evidence if row.true_model in truth and row.best < TOLD_APART
     }
@@ -163,11 +168,14 @@ def _rivals_of(case: Scenario) -> RivalsScore:
     return RivalsScore(
         case.name,
         before,
-        *after,
-        alone=only(after[0], case, set()),
-        told=only(after[0], case, same),
-        random_alone=only(after[1], case, set()),
-        random_told=only(after[1], case, same),
+        after,
+        random_after,
+        alone=only(after, case, set()),
+        told=only(after, case, same),
+        simplest=only(after, case, same | larger(loops[0], case)),
+        random_alone=only(random_after, case, set()),
+        random_told=only(random_after, case, same),
+        random_simplest=only(random_after, case, same | larger(loops[1], case)),
         predicted=predicted,
         came=came,
         simulations=found.simulated,
@@ -200,6 +208,13 @@ def only(names: Sequence[str], case: Scenario, same: set[str]) -> bool:
     """Whether the true model is near, and nothing else but it and `same`."""
     true = [name for name in names if is_true_name(name, case)]
     return bool(true) and all(name in true or name in same for name in names)
+
+
+def larger(loop: LoopResult, case: Scenario) -> set[str]:
+    """Names of the models that have more coefficients than the true one."""
+    sizes = {model.name: len(model.values) for model in loop.competing}
+    true = [size for name, size in sizes.items() if is_true_name(name, case)]
+    return {name for name, size in sizes.items() if true and size > min(true)}
 
 
 def limits_of(data: Data, problem: Problem) -> ExperimentLimits:
@@ -291,8 +306,10 @@ def summarise(scores: Sequence[RivalsScore]) -> None:
     for key, what in (
         ("alone", "truth named alone after the designed experiment"),
         ("told", "the same but for rivals that no input tells apart, as the design said"),
+        ("simplest", "the same, and for models with more coefficients"),
         ("random_alone", "truth named alone after a random experiment"),
         ("random_told", "the same but for those rivals"),
+        ("random_simplest", "the same, and for models with more coefficients"),
     ):
         right = sum(getattr(score, key) for score in rivals)
         print(f"{what}: {right} of {len(rivals)} ({100.0 * right / count:.1f} %)")
@@ -310,8 +327,81 @@ def summarise(scores: Sequence[RivalsScore]) -> None:
 
 
 def precision() -> None:
-    """Compare the standard errors of D-optimal inputs with predicted ones and a multisine's."""
-    sys.exit("not written yet")
+    """Compare the standard errors of D-optimal inputs with predicted ones and a multisine's.
+
+    So far there is one short record, so that the new experiment decides; the input alone is
+    limited, as its power is what is compared.
+    """
+    for name in PRECISION:
+        case = next(c for c in all_scenarios() if c.system == name and c.kind == "clean")
+        data = make(replace(case, noise=replace(case.noise, correlation=0.0)))
+        problem = make_problem(data)
+        alone = replace(problem, experiments=(shortened(problem.experiments[0]),))
+        result = ce.fit(alone, method=ce.LeastSquares(max_iterations=60))
+        limits = limits_of(data, problem)
+        signals = dict.fromkeys(data.system.outputs, SignalLimits(-1e6, 1e6))
+        found = design(
+            result,
+            replace(limits, signals=signals),
+            settings=DesignSettings(criterion="d", candidates=CANDIDATES),
+        )
+        came = errors_with(alone, measured(data, found.experiment, 1))
+        ratios = [came[row.label] / row.std_error_after for row in found.precision]
+        over = {}
+        for kind in ("power", "limits"):
+            sines = []
+            for seed in range(5):
+                wave = multisine(found.experiment, limits, np.random.default_rng(seed), kind)
+                own = errors_with(alone, measured(data, wave, 3 + seed))
+                sines.append([came[row.label] / own[row.label] for row in found.precision])
+            over[kind] = np.exp(np.mean(np.log(np.median(np.array(sines), axis=0))))
+        print(
+            f"{name}: {found.summary}; what came over what was expected "
+            f"{min(ratios):.3f} to {max(ratios):.3f}; standard errors over those of a multisine, "
+            f"geometric means: of equal power {over['power']:.2f}, within the same limits "
+            f"{over['limits']:.2f}",
+            flush=True,
+        )
+
+
+def shortened(experiment: Experiment) -> Experiment:
+    """The first fifth of a record."""
+    stop = experiment.start + 0.2 * (experiment.stop - experiment.start)
+    outputs = []
+    for output in experiment.outputs:
+        kept = output.times <= stop
+        outputs.append(replace(output, times=output.times[kept], values=output.values[kept]))
+    return replace(experiment, stop=stop, outputs=tuple(outputs))
+
+
+def errors_with(problem: Problem, experiment: Experiment) -> dict[str, float]:
+    """The standard errors of a fit with one experiment more, by label."""
+    both = replace(problem, experiments=(*problem.experiments, experiment))
+    result = ce.fit(both, method=ce.LeastSquares(max_iterations=60))
+    return {estimate.label: estimate.std_error for estimate in result.estimates}
+
+
+def multisine(
+    experiment: Experiment, limits: ExperimentLimits, random: np.random.Generator, kind: str
+) -> Experiment:
+    """The same experiment, driven by a multisine of equal power, or one as large as limits allow.
+
+    A flat spectrum of all harmonics of the record up to an eighth of the rate of the samples.
+    """
+    inputs = []
+    for given in experiment.inputs:
+        times = given.times - given.times[0]
+        count = int(times[-1] / (8.0 * (times[1] - times[0])))
+        frequencies = np.arange(1, count + 1) / times[-1]
+        phases = random.uniform(0.0, 2.0 * np.pi, count)
+        wave = np.sin(2.0 * np.pi * np.outer(times, frequencies) + phases).sum(axis=1)
+        own = limits.inputs[given.variable]
+        if kind == "power":
+            values = given.values.mean() + (wave - wave.mean()) * given.values.std() / wave.std()
+        else:
+            values = own.lower + (own.upper - own.lower) * (wave - wave.min()) / np.ptp(wave)
+        inputs.append(replace(given, values=values))
+    return replace(experiment, inputs=tuple(inputs))
 
 
 if __name__ == "__main__":

@@ -10,13 +10,16 @@ import numpy as np
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.experiment_design.candidates import CandidateInput
 from cluster_est.experiment_design.models import FittedCandidate
+from cluster_est.methods.base import Evaluation
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.prior_weights import without_priors
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from cluster_est.uncertainty.covariance.derivatives import StartJacobian
 from workers.messages import FloatArray
+
+FARTHEST = 0.1
+"""Of an unknown, or of a noticeable change of it where that is more, by which it is moved."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,11 @@ def predictions(
 ) -> list[tuple[PredictedExperiment, ...] | None]:
     """Return what each model predicts of each chosen candidate; None where one cannot say.
 
+    Derivatives are differences over a standard deviation of the estimates to either side, as in an
+    unscented transform (S. J. Julier, J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422,
+    doi:10.1109/JPROC.2003.823141): where a mass sticks or a valve closes, what a small change does
+    says nothing of a likely one.
+
     Parameters
     ----------
     runner
@@ -110,30 +118,77 @@ def predictions(
         Numbers of those that are predicted.
     """
     each = [candidate_spaces(model, candidates, chosen) for model in fitted]
-    spaces = list(zip(*each, strict=True))
-    method = StartJacobian(derivatives=True, scheme="forward")
-    requests = [SearchRequest("candidates", method, space) for own in spaces for space in own]
-    solutions = iter(runner.run(requests))
-    found: list[tuple[PredictedExperiment, ...] | None] = []
-    for own in spaces:
-        parts = []
-        for model, space in zip(fitted, own, strict=True):
-            solution = next(solutions)
-            if solution.at is None or not solution.at.ok or solution.jacobian is None:
-                continue
-            if solution.frozen is not None and solution.frozen.any():
-                continue
-            labels = tuple(unknown.label for unknown in space.unknowns)
-            parts.append(
-                PredictedExperiment(
-                    -solution.at.residuals,
-                    -solution.jacobian,
-                    model.prior_information(space),
-                    labels,
-                )
-            )
-        found.append(tuple(parts) if len(parts) == len(fitted) else None)
-    return found
+    pairs = [
+        (model, space) for own in zip(*each, strict=True)
+        for model, space in zip(fitted, own, strict=True)
+    ]  # fmt: skip
+    points = [sigma_points(space, model.prior_information(space)) for model, space in pairs]
+    requests = [
+        SearchRequest("candidates", GivenPoints(x, "candidate"), space)
+        for x, (_, space) in zip(points, pairs, strict=True)
+    ]
+    solutions = runner.run(requests)
+    found = [
+        _predicted(model, space, x, solution.evaluations)
+        for (model, space), x, solution in zip(pairs, points, solutions, strict=True)
+    ]
+    whole: list[tuple[PredictedExperiment, ...] | None] = []
+    for first in range(0, len(found), len(fitted)):
+        known = [one for one in found[first : first + len(fitted)] if one is not None]
+        whole.append(tuple(known) if len(known) == len(fitted) else None)
+    return whole
+
+
+def sigma_points(space: SearchSpace, information: FloatArray) -> FloatArray:
+    """Return the estimates, and points a standard deviation to either side along each axis.
+
+    The axes are those of a root of the covariance; steps are no longer than noticeable changes
+    where little is known.
+
+    Parameters
+    ----------
+    space
+        Its start are the estimates.
+    information : (unknowns, unknowns)
+        What is known of them.
+
+    Returns
+    -------
+    (1 + 2 unknowns, unknowns)
+        Within the bounds.
+    """
+    steps = np.linalg.cholesky(np.linalg.inv(information)).T
+    most = FARTHEST * np.maximum(space.typical, np.abs(space.start))
+    longest = np.max(np.abs(steps) / most, axis=1, initial=0.0)
+    steps = steps / np.maximum(longest, 1.0)[:, None]
+    points = np.vstack([space.start, space.start + steps, space.start - steps])
+    return np.asarray(np.clip(points, space.lower, space.upper))
+
+
+def _predicted(
+    model: FittedCandidate,
+    space: SearchSpace,
+    points: FloatArray,
+    evaluations: Sequence[Evaluation],
+) -> PredictedExperiment | None:
+    """The prediction of sigma points; one-sided where one of two could not be simulated."""
+    if not evaluations[0].ok:
+        return None
+    count = space.size
+    changes, moves = [], []
+    for i in range(1, 1 + count):
+        ends = [k for k in (i, i + count) if evaluations[k].ok]
+        if not ends:
+            return None
+        first, last = ends[0], ends[1] if len(ends) > 1 else 0
+        changes.append(evaluations[first].residuals - evaluations[last].residuals)
+        moves.append(points[first] - points[last])
+    jacobian = np.zeros((len(evaluations[0].residuals), count))
+    if count:
+        jacobian = np.linalg.lstsq(np.array(moves), np.array(changes))[0].T
+    labels = tuple(unknown.label for unknown in space.unknowns)
+    outputs = -evaluations[0].residuals
+    return PredictedExperiment(outputs, -jacobian, model.prior_information(space), labels)
 
 
 def candidate_spaces(

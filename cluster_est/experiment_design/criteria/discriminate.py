@@ -1,8 +1,9 @@
 """Telling models apart: the probability that the true one is expected to have afterwards.
 
 With the outputs y of a model i distributed as N(f_i, S_i), S_i the noise and what the uncertainty
-of its parameters adds, a rival j that is fitted again to all data leaves (y - f_j)' S_j^-1 (y - f_j)
-of the new ones. If i is the true one, the log likelihood of j is expected to fall behind by
+of its parameters adds, a rival j that is fitted again to all data leaves a sum of squares of
+(y - f_j)' S_j^-1 (y - f_j) more. If i is the true one, the log likelihood of j is expected to fall
+behind by
 
     E_ij = (d' S_j^-1 d + tr(S_j^-1 S_i) - n) / 2,    d = f_i - f_j,
 

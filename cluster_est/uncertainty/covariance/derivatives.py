@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Search, Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.derivatives.differences import Scheme, jacobian, relative_noise
+from cluster_est.methods.derivatives.differences import jacobian, relative_noise
 from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
@@ -69,7 +69,7 @@ def linearise(runner: Runner, space: SearchSpace, solution: Solution) -> Solutio
         return solution
     if has_jacobian(solution) and solution.at is not None:
         return solution
-    asked = StartJacobian(not has_jacobian(solution))
+    asked = _CentralJacobian(not has_jacobian(solution))
     start_space = with_start(space, solution.x)
     (found,) = runner.run([SearchRequest("derivatives", asked, start_space)])
     if not found.ending.success:
@@ -173,14 +173,13 @@ def _corrected(
 
 
 @dataclass(frozen=True)
-class StartJacobian(Method):
-    """Evaluate the start and, if asked, the Jacobian there by finite differences."""
+class _CentralJacobian(Method):
+    """Evaluate the start and, if asked, a central Jacobian there."""
 
     name: ClassVar[str] = "derivatives"
     needs_residuals: ClassVar[bool] = False
 
     derivatives: bool
-    scheme: Scheme = "central"
 
     @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
@@ -190,7 +189,7 @@ class StartJacobian(Method):
             return Solution(x, np.nan, Ending.START_FAILED, at.reason)
         if not self.derivatives:
             return Solution(x, at.cost, Ending.CONVERGED, at=at)
-        found = yield from jacobian(space, x, at, self.scheme, 0.0, None)
+        found = yield from jacobian(space, x, at, "central", 0.0, None)
         ending = Ending.DERIVATIVES_FAILED if found.frozen.all() else Ending.CONVERGED
         return Solution(
             x,

@@ -29,7 +29,8 @@ def test_a_file_says_what_the_experiment_may_be(tmp_path):
     found = read(
         tmp_path,
         PLAIN.replace("10.0", "[5.0, 20.0]")
-        + "rate = 100.0\nstart = 0.0\n[signals.x]\nupper = 1.0\n[start.x0]\nlower = 0.0\nupper = 2.0\n",
+        + "rate = 100.0\nstart = 0.0\n[signals.x]\nupper = 1.0\n"
+        + "[start.x0]\nlower = 0.0\nupper = 2.0\n",
     )
     limits = found.limits
     assert limits.duration == (5.0, 20.0)
