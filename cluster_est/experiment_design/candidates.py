@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.experiment_design.limits import ExperimentLimits, SignalLimits
+from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
 from cluster_est.experiment_design.waveforms import LEVELS, WAVEFORMS
 from workers.messages import Experiment, FloatArray, Input, Output, SignalBound
 
@@ -144,7 +144,7 @@ class CandidateMaker:
         for variable, one in limits.inputs.items():
             given = known[variable]
             values = np.interp(times, given.times - earlier.start, given.values)
-            if values.min() < one.lower or values.max() > one.upper:
+            if not _keeps(values, limits.sample_time, one):
                 return None
             inputs.append(Input(variable, times, values))
         own = dict(earlier.values)
@@ -190,6 +190,14 @@ class CandidateMaker:
             bounds=tuple(_bounds(self.signals, times)),
             constraint_functions=(),
         )
+
+
+def _keeps(values: FloatArray, step: float, limits: InputLimits) -> bool:
+    """Whether a signal keeps the limits of its input."""
+    fastest = float(np.abs(np.diff(values)).max(initial=0.0)) / step
+    begins = limits.start is None or bool(np.isclose(values[0], limits.start))
+    inside = limits.lower <= values.min() and values.max() <= limits.upper
+    return bool(inside and begins and fastest <= limits.rate * (1.0 + 1e-9))
 
 
 def _bounds(signals: Mapping[str, SignalLimits], times: FloatArray) -> Sequence[SignalBound]:

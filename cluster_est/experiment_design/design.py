@@ -69,7 +69,7 @@ def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignRe
             request.settings.candidates,
             np.random.default_rng(request.seed),
         )
-    result = make_result(scorer, found)
+    result = make_result(scorer, found, tuple(request.limits.start))
     return replace(
         result,
         evaluations=queue.evaluations,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,79 +13,18 @@ from cluster_est.experiment_design.criteria import (
     evidence_table,
     expected_probabilities,
 )
+from cluster_est.experiment_design.expected_rows import (
+    TOLD_APART,
+    ExpectedEvidence,
+    ExpectedPrecision,
+    ExpectedProbability,
+)
 from cluster_est.experiment_design.models import FittedCandidate
 from cluster_est.experiment_design.search import CandidateScorer, ScoredCandidate, ranked
 from workers.messages import FloatArray
 
 REFERENCES = ("random", "recorded")
 """Origins that the chosen input is compared with."""
-
-
-@dataclass(frozen=True)
-class ExpectedEvidence:
-    """What an experiment is expected to say for a model against a rival.
-
-    Attributes
-    ----------
-    true_model, rival
-        If the first is the true one.
-    evidence
-        Expected difference of their log likelihoods.
-    random, recorded
-        The same for a random input within the same limits (the median of those that were looked
-        at) and for the best one of those that were recorded; NaN without any.
-    """
-
-    true_model: str
-    rival: str
-    evidence: float
-    random: float
-    recorded: float
-    best: float
-
-
-@dataclass(frozen=True)
-class ExpectedProbability:
-    """The probability that a model is expected to have after an experiment, if it is true.
-
-    Attributes
-    ----------
-    model
-        Which.
-    before, after
-        So far, and with the experiment.
-    random, recorded
-        With a random input or a recorded one, see `ExpectedEvidence`.
-    """
-
-    model: str
-    before: float
-    after: float
-    random: float
-    recorded: float
-
-
-@dataclass(frozen=True)
-class ExpectedPrecision:
-    """What an experiment is expected to do to a parameter.
-
-    Attributes
-    ----------
-    label, unit, value
-        The parameter, and its estimate.
-    std_error_before, std_error_after
-        Its standard error so far, and with the experiment.
-    random, recorded
-        Standard errors with a random input or a recorded one, see `ExpectedEvidence`.
-    """
-
-    label: str
-    unit: str
-    value: float
-    std_error_before: float
-    std_error_after: float
-    random: float
-    recorded: float
 
 
 def expected_table(models: Sequence[FittedCandidate], best: ScoredCandidate) -> pa.Table:
@@ -118,7 +56,7 @@ def expected_evidence(
         return ()
     names = [fitted.model.name for fitted in scorer.models]
     own, random, recorded = _compared(found, best, lambda each: evidence_table(each.predicted))
-    most = np.max([evidence_table(each.predicted) for each in ranked(found)], axis=0)
+    most = _largest_evidence(found)
     return tuple(
         ExpectedEvidence(
             names[i],
@@ -139,10 +77,13 @@ def expected_probability(
         return ()
     weights = np.array([fitted.model.weight for fitted in scorer.models])
 
-    def expected(each: ScoredCandidate) -> FloatArray:
-        return expected_probabilities(evidence_table(each.predicted), weights)
+    told = _largest_evidence(found) >= TOLD_APART
 
-    columns = (weights / np.add.reduce(weights), *_compared(found, best, expected))
+    def expected(each: ScoredCandidate) -> FloatArray:
+        return expected_probabilities(evidence_table(each.predicted), weights, told)
+
+    now = expected_probabilities(np.zeros(told.shape), weights, told)
+    columns = (now, *_compared(found, best, expected))
     return tuple(
         ExpectedProbability(fitted.model.name, *(float(column[i]) for column in columns))
         for i, fitted in enumerate(scorer.models)
@@ -181,6 +122,11 @@ def _physical_change(to_physical: Callable[[float], float], searched: float) -> 
     """The derivative of a physical value by the one that is searched."""
     step = 1e-6 * max(abs(searched), 1.0)
     return abs(to_physical(searched + step) - to_physical(searched - step)) / (2.0 * step)
+
+
+def _largest_evidence(found: Sequence[ScoredCandidate]) -> FloatArray:
+    """(true model, rival): the largest evidence that any input is expected to give."""
+    return np.asarray(np.max([evidence_table(each.predicted) for each in ranked(found)], axis=0))
 
 
 def _compared(

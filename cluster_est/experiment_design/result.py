@@ -13,19 +13,21 @@ import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
 from cluster_est.experiment_design.expected import (
-    ExpectedEvidence,
-    ExpectedPrecision,
-    ExpectedProbability,
     expected_evidence,
     expected_precision,
     expected_probability,
     expected_table,
 )
+from cluster_est.experiment_design.expected_rows import (
+    ExpectedEvidence,
+    ExpectedPrecision,
+    ExpectedProbability,
+)
 from cluster_est.experiment_design.search import CandidateScorer, ScoredCandidate, ranked
 from cluster_est.experiment_design.sentences import (
     alike_sentences,
+    evidence_sentence,
     narrowed_sentence,
-    probability_sentence,
 )
 from workers.fmu.description import nearest
 from workers.messages import Experiment, FloatArray
@@ -40,6 +42,8 @@ class DesignResult:
     ----------
     experiment
         To be made: its inputs, and when its outputs are to be measured (their values are 0).
+    chosen_starts
+        Start values that were chosen, by the FMU's names.
     chosen
         The candidate that it is.
     criterion
@@ -57,6 +61,7 @@ class DesignResult:
     """
 
     experiment: Experiment
+    chosen_starts: Mapping[str, float]
     chosen: ScoredCandidate
     criterion: tuple[str, str]
     candidates: tuple[ScoredCandidate, ...] = field(repr=False)
@@ -140,9 +145,9 @@ class DesignResult:
                 "of the models, or could not be simulated, and were not looked at further"
             )
         found.append(
-            "what is expected rests on the models being exact, on their derivatives at the "
-            "estimates and on noise as the run has found it, white; repeat the fit with the new "
-            "data to know"
+            "what is expected rests on the models being exact, on what the uncertainty of "
+            "their parameters does to the outputs being linear, and on noise as the run has found "
+            "it, white; repeat the fit with the new data to know"
         )
         return tuple(found)
 
@@ -150,9 +155,13 @@ class DesignResult:
     def summary(self) -> str:
         """What was chosen, and what it is expected to tell, in a sentence."""
         how = self.chosen.candidate
-        made = f"{how.waveform} of {self.duration:.4g} s"
+        called = how.name if how.origin == "recorded" else how.waveform
+        made = f"{called} of {self.duration:.4g} s"
+        if self.chosen_starts:
+            starts = [f"{name} = {value:.4g}" for name, value in self.chosen_starts.items()]
+            made += f", beginning at {', '.join(starts)}"
         if self.evidence and self.criterion[0] == "discriminate":
-            return f"{made}: {probability_sentence(self.probabilities[0], self.evidence)}"
+            return f"{made}: {evidence_sentence(self.evidence)}"
         return f"{made}: {narrowed_sentence(self.precision)}"
 
     def facts(self) -> Mapping[str, Any]:
@@ -168,7 +177,7 @@ class DesignResult:
                 "candidate": how.name,
                 "waveform": how.waveform,
                 "duration": self.duration,
-                "start": dict(self.experiment.values),
+                "start": dict(self.chosen_starts),
             },
             "notes": list(self.notes),
             "evaluations": self.evaluations,
@@ -178,12 +187,24 @@ class DesignResult:
         }
 
 
-def make_result(scorer: CandidateScorer, found: Sequence[ScoredCandidate]) -> DesignResult:
-    """Put what a search has found into words and tables; its cost is added by the caller."""
+def make_result(
+    scorer: CandidateScorer, found: Sequence[ScoredCandidate], starts: Sequence[str]
+) -> DesignResult:
+    """Put what a search has found into words and tables; its cost is added by the caller.
+
+    Parameters
+    ----------
+    scorer, found
+        The scorer, and what it has scored.
+    starts
+        Names of the start values that were to be chosen.
+    """
     best = ranked(found)[0]
     experiment = best.candidate.experiment
+    known = dict(experiment.values)
     return DesignResult(
         experiment=experiment,
+        chosen_starts={name: float(known[name]) for name in starts},
         chosen=best,
         criterion=(scorer.criterion.name, scorer.criterion.called),
         candidates=tuple(found),

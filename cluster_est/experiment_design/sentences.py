@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from cluster_est.closed_loop.findings.words.numbers import in_a_row, percent
-
-if TYPE_CHECKING:
-    from cluster_est.experiment_design.expected import (
-        ExpectedEvidence,
-        ExpectedPrecision,
-        ExpectedProbability,
-    )
+from cluster_est.closed_loop.findings.words.numbers import in_a_row
+from cluster_est.experiment_design.expected_rows import (
+    TOLD_APART,
+    ExpectedEvidence,
+    ExpectedPrecision,
+)
 
 LARGEST = 1e6
 """Times less likely beyond which no number is said."""
-
-
-TOLD_APART = 2.0
-"""Expected difference of log likelihoods below which nothing is told apart: a factor of 7."""
 
 
 def times(evidence: float) -> str:
@@ -29,30 +22,29 @@ def times(evidence: float) -> str:
         return "unknown"
     if evidence > math.log(LARGEST):
         return "more than a million times"
-    return f"{math.exp(max(evidence, 0.0)):.2g} times".replace("e+0", "e")
+    factor = math.exp(max(evidence, 0.0))
+    if factor < 10.0:
+        return f"{factor:.1f} times"
+    return f"{float(f'{factor:.2g}'):,.0f} times"
 
 
-def probability_sentence(first: ExpectedProbability, evidence: Sequence[ExpectedEvidence]) -> str:
-    """Say how likely the first model is expected to be, and its nearest rival."""
-    own = [row for row in evidence if row.true_model == first.model and row.best >= TOLD_APART]
+def evidence_sentence(evidence: Sequence[ExpectedEvidence]) -> str:
+    """Say how clearly an experiment is expected to tell the first model from its nearest rival."""
+    first = evidence[0].true_model
+    own = [row for row in evidence if row.true_model == first and row.best >= TOLD_APART]
+    if not own:
+        return f"no input that was looked at tells {first} from its rivals"
+    nearest = min(own, key=lambda row: row.evidence)
     said = (
-        f"if {first.model} is right, its probability among the models that were kept is expected "
-        f"to rise from {percent(first.before)} to {percent(first.after)}"
+        f"if {first} is right, {nearest.rival}, its rival that is hardest to tell, will be "
+        f"{times(nearest.evidence)} less likely after this experiment"
     )
     others = []
-    if not math.isnan(first.random):
-        others.append(f"{percent(first.random)} after a random input within the same limits")
-    if not math.isnan(first.recorded):
-        others.append(f"{percent(first.recorded)} after a recorded one, repeated")
-    if others:
-        said += f" ({', '.join(others)})"
-    if not own:
-        return said
-    nearest = min(own, key=lambda row: row.evidence)
-    return (
-        f"{said}; {nearest.rival}, the hardest to tell from it, will be "
-        f"{times(nearest.evidence)} less likely"
-    )
+    if not math.isnan(nearest.random):
+        others.append(f"{times(nearest.random)} after a random input within the same limits")
+    if not math.isnan(nearest.recorded):
+        others.append(f"{times(nearest.recorded)} after the best recorded one, repeated")
+    return f"{said} ({', '.join(others)})" if others else said
 
 
 def alike_sentences(evidence: Sequence[ExpectedEvidence]) -> list[str]:
@@ -65,7 +57,7 @@ def alike_sentences(evidence: Sequence[ExpectedEvidence]) -> list[str]:
         return []
     return [
         f"if {first} is right, no input that was looked at tells it from {in_a_row(alike)}: "
-        "within these limits they predict the same, or the one holds the other as a special case"
+        "within these limits they predict the same, or one holds the other as a special case"
     ]
 
 

@@ -606,7 +606,12 @@ TABLES = (
         IN_DESIGNS,
         (
             ColumnDescription("model", TEXT, "", "labels of its effects"),
-            ColumnDescription("before", NUMBER, "", "its probability among these, so far"),
+            ColumnDescription(
+                "before",
+                NUMBER,
+                "",
+                "its probability so far, among itself and the rivals that some input tells from it",
+            ),
             ColumnDescription("after", NUMBER, "", "expected after the experiment, if it is right"),
             *_REFERENCES,
         ),

@@ -4,7 +4,8 @@
     cluster-est fit configs/mass_spring_damper.toml --out runs/spring
     cluster-est sensitivity configs/mass_with_friction.toml --out runs/ranked
     cluster-est sweep configs/sweep.toml --out runs/sweep
-    python scripts/docs/report_pictures.py runs/friction runs/spring runs/ranked runs/sweep
+    cluster-est design runs/friction --limits configs/mass_with_friction_limits.toml --out next.csv
+    python scripts/docs/report_pictures.py runs/friction runs/spring runs/ranked runs/sweep next
 
 Writes cluster_est/docs/*.svg from the tables of those runs, with the reports' own charts and
 colours, for a light and for a dark page.
@@ -24,6 +25,7 @@ from cluster_est.report.drawing import Chart
 from cluster_est.report.error_sizes import error_picture
 from cluster_est.report.folder import ReportedRun, read_run
 from cluster_est.report.sections.curves import curves
+from cluster_est.report.sections.design import design
 from cluster_est.report.sections.effects import effects
 from cluster_est.report.sections.search import search
 from cluster_est.report.sections.sensitivity import sensitivity
@@ -72,10 +74,23 @@ def pictures(folder: Path) -> Iterator[tuple[str, str]]:
     if run.is_sensitivity:
         figure = first_figure(sensitivity(run))
         yield "sensitivity_ranking", drawn(figure.title, figure.chart)
+    elif run.is_design:
+        yield "next_experiment", of_design(run)
     elif run.is_loop:
         yield from of_closed_loop(run)
     else:
         yield "first_fit", first_panel(run)
+
+
+def of_design(run: ReportedRun) -> str:
+    """The input, and what each model predicts of it, in one picture."""
+    plots = [
+        plot
+        for block in design(run).blocks
+        if isinstance(block, FigureBlock)
+        for plot in block.chart.plots
+    ]
+    return drawn("The next experiment", Chart(tuple(plots), "time in s"))
 
 
 def of_closed_loop(run: ReportedRun) -> Iterator[tuple[str, str]]:

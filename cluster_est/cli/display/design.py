@@ -28,7 +28,7 @@ def print_design(console: Console, run: StoredRun) -> None:
     if models:
         print_table(
             console,
-            ["if this is right", "probability now", "after it", "after a random input"],
+            ["if this is right, its probability", "now", "after it", "after a random input"],
             [
                 (row["model"], *(_percent(row[name]) for name in ("before", "after", "random")))
                 for row in models

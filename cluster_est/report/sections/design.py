@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -20,10 +20,12 @@ from cluster_est.report.blocks import (
 from cluster_est.report.drawing import Band, Chart, Line, Mark, Plot, Scale
 from cluster_est.report.folder import ReportedRun, Row
 from cluster_est.report.numbers import digits
+from workers.messages import FloatArray
 
 MOST_MODELS = 5
 """Whose predictions are drawn."""
 COVERED = 1.96
+Curve = tuple[FloatArray, FloatArray, FloatArray]
 INPUT_NOTE = "It is in the table beside the run's folder, to be fed in as it is."
 OUTPUT_NOTE = (
     "What each model predicts; the bands are the uncertainty of its parameters (95 %), without the "
@@ -58,25 +60,43 @@ def _outputs(run: ReportedRun) -> list[Block]:
     rows = run.tables["expected"]
     plots = []
     for output in dict.fromkeys(row["output"] for row in rows):
-        own = [row for row in rows if row["output"] == output]
-        marks: list[Mark] = []
-        for number, model in enumerate(dict.fromkeys(row["model"] for row in own)):
-            if number == MOST_MODELS:
-                break
-            part = [row for row in own if row["model"] == model]
-            time, expected, error = (
-                np.array([row[key] for row in part]) for key in ("time", "expected", "std_error")
-            )
-            ink = f"series-{number}"
-            band = COVERED * error
-            marks.append(Band("", ink, time, expected - band, expected + band))
-            marks.append(Line(model, ink, time, expected))
-        lines = [mark for mark in marks if isinstance(mark, Line)]
-        across = Scale.around(*(line.x for line in lines))
-        upright = Scale.around(*(line.y for line in lines))
-        plots.append(Plot(output, output, across, upright, marks))
+        models = _curves([row for row in rows if row["output"] == output])
+        first, reference = next(iter(models.items()))
+        plots.append(_plot(output, models))
+        if len(models) > 1:
+            others = {
+                name: (time, expected - reference[1], error)
+                for name, (time, expected, error) in models.items()
+                if name != first and len(time) == len(reference[0])
+            }
+            plots.append(_plot(f"{output}, less that of {first}", others, begin=1))
     chart = Chart(tuple(plots), "time in s")
     return [FigureBlock("expected", "What is expected", chart, OUTPUT_NOTE)] if plots else []
+
+
+def _curves(rows: Sequence[Row]) -> dict[str, Curve]:
+    """Time, what is expected and its error, for each of the leading models."""
+    found = {}
+    for model in list(dict.fromkeys(row["model"] for row in rows))[:MOST_MODELS]:
+        own = [row for row in rows if row["model"] == model]
+        time, expected, error = (
+            np.array([row[key] for row in own]) for key in ("time", "expected", "std_error")
+        )
+        found[model] = (time, expected, error)
+    return found
+
+
+def _plot(label: str, models: Mapping[str, Curve], begin: int = 0) -> Plot:
+    """Curves with their bands, in inks that are counted from `begin`."""
+    marks: list[Mark] = []
+    for number, (model, (time, expected, error)) in enumerate(models.items(), begin):
+        ink, band = f"series-{number}", COVERED * error
+        marks.append(Band("", ink, time, expected - band, expected + band))
+        marks.append(Line(model, ink, time, expected))
+    lines = [mark for mark in marks if isinstance(mark, Line)]
+    across = Scale.around(*(line.x for line in lines))
+    upright = Scale.around(*(line.y for line in lines), np.zeros(1) if begin else lines[0].y)
+    return Plot(label, label, across, upright, marks, 150 if begin else 220)
 
 
 def _models(run: ReportedRun) -> list[Block]:
@@ -97,7 +117,8 @@ def _models(run: ReportedRun) -> list[Block]:
                 )
                 for row in models
             ),
-            "The probability that each model is expected to have if it is the right one",
+            "The probability that each model is expected to have if it is the right one, among "
+            "itself and the rivals that some input tells from it",
         ),
         TableBlock(
             columns("rival", "#after it", "#a random input", "#at best"),

@@ -21,6 +21,7 @@ from cluster_est.cli.commands import COMMANDS as KNOWN
 from cluster_est.cli.parser import parse
 from cluster_est.config.options import build_method
 from cluster_est.config.reader import parse_config
+from cluster_est.config.sections.design import LimitsSections
 from cluster_est.config.sections.sweep import SweepSections
 from cluster_est.costs import COSTS
 from cluster_est.methods import METHODS
@@ -96,6 +97,8 @@ def test_a_config_is_one(block, folder, extended):
     tree = tomllib.loads(block.text)
     if "configs" in tree:
         SweepSections.model_validate(tree)
+    elif "duration" in tree:
+        LimitsSections.model_validate(tree)
     elif complete(block):
         problem = ce.build_problem(parse_config(tree, str(block)), folder)
         assert problem.experiments[0].size > 100

@@ -66,14 +66,23 @@ def test_a_loop_keeps_the_rivals_of_its_finding(folder):
 def test_it_says_what_the_experiment_will_tell_before_anybody_measures(folder, capsys):
     assert main(["show", str(folder / "next")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "if coulomb at der(v) is right, its probability among the models" in printed
-    assert "after a random input within the same limits" in printed
+    facts = json.loads((folder / "next" / "run.json").read_text(encoding="utf-8"))
+    assert f"next experiment: {facts['design']['summary']}" in printed
+    assert "rival of coulomb at der(v)" in printed
     assert "rests on the models being exact" in printed
 
 
 def test_the_chosen_input_is_worth_more_than_a_random_one(folder):
-    (first, *_) = pq.read_table(folder / "next" / "probabilities.parquet").to_pylist()
-    assert first["after"] > first["random"] > first["before"] - 1e-9
+    rows = pq.read_table(folder / "next" / "evidence.parquet").to_pylist()
+    (clear,) = (
+        row
+        for row in rows
+        if (row["true_model"], row["rival"]) == ("stribeck at der(v)", "coulomb at der(v)")
+    )
+    assert clear["evidence"] > clear["random"]
+    candidates = pq.read_table(folder / "next" / "candidates.parquet").to_pylist()
+    (chosen,) = (row for row in candidates if row["chosen"])
+    assert chosen["value"] == max(r["value"] for r in candidates if np.isfinite(r["value"]))
 
 
 def test_the_table_of_the_next_experiment_keeps_the_limits(folder):
