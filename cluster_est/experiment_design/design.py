@@ -35,6 +35,7 @@ from cluster_est.running.arguments import check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.running.shared_pools import SharedPools
 from workers.messages.checks import check_kind, check_number
 
 if TYPE_CHECKING:  # it needs SymPy, which is slow
@@ -119,6 +120,8 @@ def design(
     check_kind(settings, DesignSettings, "settings", ProblemError)
     check_resources(resources)
     check_number(seed, "design.seed", ProblemError, least=0, whole=True)
-    environment = RunEnvironment(resources, Monitor(record, show, note))
     models = chosen_models(models_of(result), settings)
-    return make_design(environment, DesignRequest(models, limits, settings, seed))
+    request = DesignRequest(models, limits, settings, seed)
+    with SharedPools() as pools:  # a cluster is joined once
+        environment = RunEnvironment(resources, Monitor(record, show, note), source=pools)
+        return make_design(environment, request)

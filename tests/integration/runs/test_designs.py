@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from cluster_est.config.limits_file import read_limits
 from cluster_est.errors import ProblemError
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits
 from cluster_est.experiment_design.settings import DesignSettings
+from cluster_est.toml import to_toml
 
 CONFIG = str(ROOT / "configs" / "mass_with_friction.toml")
 SPRING = str(ROOT / "configs" / "mass_spring_damper.toml")
@@ -119,20 +121,20 @@ def test_its_report_shows_the_input_and_what_is_expected(folder):
         assert text in page
 
 
-def test_the_number_of_workers_changes_no_bit(folder, tmp_path):
-    path = folder / "loop" / "config.toml"
-    text = path.read_text(encoding="utf-8")
-    two = tmp_path / "loop"
-    two.mkdir()
+@pytest.mark.parametrize(
+    "executor", ["local", "processes", pytest.param("ray", marks=pytest.mark.slow)]
+)
+def test_where_it_runs_changes_no_bit(folder, tmp_path, executor):
+    loop = tmp_path / "loop"
+    loop.mkdir()
     for each in (folder / "loop").iterdir():
         if each.is_file():
-            (two / each.name).write_bytes(each.read_bytes())
-    (two / "config.toml").write_text(
-        text.replace("[executor]", "[executor]\nworkers = 2", 1).replace("workers = 1", "", 1),
-        encoding="utf-8",
-    )
+            (loop / each.name).write_bytes(each.read_bytes())
+    tree = tomllib.loads((loop / "config.toml").read_text(encoding="utf-8"))
+    tree["executor"] |= {"name": executor, "workers": 2}
+    (loop / "config.toml").write_text(to_toml(tree), encoding="utf-8")
     given = ["--limits", str(folder / "limits.toml"), "--out", str(tmp_path / "two.csv")]
-    assert main(["design", str(two), *given, "--no-report"]) == 0
+    assert main(["design", str(loop), *given, "--no-report"]) == 0
     assert rows(tmp_path / "two") == rows(folder / "next")
 
 
