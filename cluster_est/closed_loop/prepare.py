@@ -168,6 +168,15 @@ def _check_shape(problem: Problem, settings: LoopSettings) -> None:
             "because its tests are made for those, but has something else; remove it, and fit "
             "with it before or after"
         )
+    for experiment in problem.experiments:
+        for output in experiment.outputs:
+            if not output.is_plain:
+                raise ProblemError(
+                    f"closed loop: experiment {experiment.id!r}: output {output.variable} must be "
+                    "compared as it is, because its tests take residuals for differences, but has "
+                    "free_scale, free_offset or a detection_limit; an effect gain or bias at the "
+                    "output is a scale or offset that all experiments share"
+                )
     for parameter in problem.parameters:
         if parameter.prior is not None:
             raise ProblemError(

@@ -137,6 +137,12 @@ def _compared(
 ) -> tuple[Output, ...]:
     """Outputs on their time base, in their windows, with their weights."""
     cost = config.cost
+    for output in measured:
+        if output.detection_limit is not None and cost.time_base != "measured":
+            raise ConfigError(
+                f"cost.time_base: must be 'measured' where an output has a detection_limit, as "
+                f"{output.variable} in experiment {section.id!r}, but is {cost.time_base!r}"
+            )
     inside = [counted(output, start, stop, ()) for output in measured]
     hows = [section.outputs[output.variable].interpolation for output in measured]
     found = compared_at(inside, hows, cost.time_base, _simulated(config, start, stop))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from cluster_est.config.reader import ExperimentSection, InputSection
@@ -79,7 +80,14 @@ class ExperimentReader:
         column = self._section.outputs[variable].column
         sigma = self._section.sigma.get(variable, 1.0)
         relative = self._section.relative_sigma.get(variable, 0.0)
-        return self._columns.output(times, variable, column, sigma, relative)
+        output = self._columns.output(times, variable, column, sigma, relative)
+        how = self._section.outputs[variable]
+        return replace(
+            output,
+            free_scale=how.free_scale,
+            free_offset=how.free_offset,
+            detection_limit=how.detection_limit,
+        )
 
     def points(self, columns: dict[str, str]) -> FloatArray:
         """(n, d): the points of a curve, without those of which a part was not measured."""

@@ -93,12 +93,7 @@ def check_design(request: DesignRequest) -> None:
         Saying what to change.
     """
     problem, limits = request.problem, request.limits
-    for experiment in problem.experiments:
-        if experiment.curve is not None or experiment.cost_function is not None:
-            raise ProblemError(
-                f"experiment {experiment.id!r}: must have outputs at measured times alone for a "
-                "design but has a curve or a cost function; make the run without them"
-            )
+    _check_comparable(problem)
     description = problem.describe()
     like = experiment_like(request)
     known = [given.variable for given in like.inputs]
@@ -121,6 +116,23 @@ def check_design(request: DesignRequest) -> None:
             f"criterion: {criterion.name!r} must have at least two models to tell apart but the "
             'run leaves one; take "d" or "a", which narrow its parameters'
         )
+
+
+def _check_comparable(problem: Problem) -> None:
+    """Refuse experiments whose residuals are not differences of outputs."""
+    for experiment in problem.experiments:
+        if experiment.curve is not None or experiment.cost_function is not None:
+            raise ProblemError(
+                f"experiment {experiment.id!r}: must have outputs at measured times alone for a "
+                "design but has a curve or a cost function; make the run without them"
+            )
+        for output in experiment.outputs:
+            if not output.is_plain:
+                raise ProblemError(
+                    f"experiment {experiment.id!r}: output {output.variable} must be compared as "
+                    "it is for a design but has free_scale, free_offset or a detection_limit; make "
+                    "the run without it"
+                )
 
 
 def criterion_of(request: DesignRequest) -> DesignCriterion:

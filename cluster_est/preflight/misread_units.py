@@ -68,8 +68,10 @@ def _outputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[C
         seen = each.outcome.trajectory
         table = SimulatedVariant(seen.times, seen.values)
         experiment = subject.problem.experiments[each.experiment]
+        free = {o.variable for o in experiment.outputs if o.free_scale or o.free_offset}
         for name, pair in _pairs(experiment, table, seen.variables).items():
-            pairs.setdefault(name, []).append(pair)
+            if name not in free:
+                pairs.setdefault(name, []).append(pair)
     lines = []
     for name, both in pairs.items():
         measured = np.concatenate([one for one, _ in both])

@@ -120,6 +120,12 @@ class SearchSpace:
         """
         return _slices([sum(counts) for counts in self._counts])
 
+    @property
+    def free_observations(self) -> int:
+        """The number of scales and offsets of outputs that are estimated along, in closed form."""
+        found = [o for e in self.experiments for o in self.problem.experiments[e].outputs]
+        return sum(o.free_scale + o.free_offset for o in found if len(o.times))
+
     @cached_property
     def outputs(self) -> IntArray:
         """(residuals,): which output each residual is of, counted over all experiments.

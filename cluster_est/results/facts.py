@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from cluster_est.problem.idle_inputs import silent_notes
 from cluster_est.results.initial_errors import initial_notes
+from cluster_est.results.observation import observation_notes
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.prior_sentences import prior_sentences
 from cluster_est.results.residual_sentences import residual_facts, residual_sentences
@@ -47,6 +48,7 @@ def fit_notes(result: Result) -> tuple[str, ...]:
     notes += initial_notes(problem, result.simulations)
     if result.diagnostics is not None:
         notes += residual_sentences(result.diagnostics)
+    notes += observation_notes(problem, result.simulations)
     notes += prior_sentences(problem, result.estimates)
     if result.solver_error is not None:
         notes += result.solver_error.sentences

@@ -9,6 +9,7 @@ import numpy as np
 
 from cluster_est.problem.problem import Problem
 from workers.messages import Experiment, FloatArray, Outcome, Output, Role
+from workers.residuals.observed import observed_residuals
 
 
 @dataclass(frozen=True)
@@ -75,13 +76,14 @@ def output_errors(
 def output_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
     """(measured - simulated) / sigma of one output at its measured times; None if it failed.
 
-    From the trajectory, whatever the cost makes of it.
+    From the trajectory, whatever the cost makes of it; with the best scale and offset, where those
+    are free, and as a detection limit has it.
     """
     trajectory = outcome.trajectory
     if trajectory is None:
         return None
     simulated = trajectory.at(output.variable, output.times)
-    return (output.values - simulated) / output.sigmas
+    return observed_residuals(output, simulated)
 
 
 def curve_residuals(experiment: Experiment, outcome: Outcome) -> FloatArray | None:

@@ -9,6 +9,7 @@ import numpy as np
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.problem.space import SearchSpace
+from cluster_est.results.observation import has_censored_values
 from cluster_est.results.output_errors import Simulation, output_residuals
 from cluster_est.statistics.projection import OrthogonalProjection
 from cluster_est.statistics.records import StackedRecords, make_records
@@ -62,6 +63,8 @@ def diagnose_residuals(
         for output in experiment.outputs
     ]
     known = [part for part in parts if part is not None]
+    if has_censored_values(space.problem, space.experiments):
+        return None
     if not known or len(known) < len(parts):
         return None
     residuals, records = np.concatenate(known), make_records(experiments)

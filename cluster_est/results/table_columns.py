@@ -582,6 +582,18 @@ TABLES = (
         ),
     ),
     TableMeaning(
+        "scales",
+        "output of an experiment that is compared up to scale or offset",
+        "where outputs have free_scale or free_offset",
+        (
+            ColumnDescription("experiment", TEXT, "", "its id"),
+            ColumnDescription("role", TEXT, "", '"train" or "test"'),
+            ColumnDescription("output", TEXT, "", "of the FMU"),
+            ColumnDescription("scale", NUMBER, "", "the factor of what was simulated"),
+            ColumnDescription("offset", NUMBER, "the output's", "what was added to it"),
+        ),
+    ),
+    TableMeaning(
         "candidates",
         "input that was looked at",
         IN_DESIGNS,

@@ -122,6 +122,7 @@ def _residuals_are_outputs(space: SearchSpace, samples: int) -> bool:
     plain = all(
         space.problem.experiments[e].cost_function is None
         and space.problem.experiments[e].curve is None
+        and all(output.is_plain for output in space.problem.experiments[e].outputs)
         for e in space.experiments
     )
     return plain and not space.reduced and space.rows[-1].stop == samples

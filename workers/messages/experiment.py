@@ -165,6 +165,9 @@ class Experiment:
         for output in self.outputs:
             relative = (output.relative_sigma,) if output.relative_sigma else ()
             signals += [output.variable, repr(output.sigma), *map(repr, relative)]
+            if not output.is_plain:
+                how = (output.free_scale, output.free_offset, output.detection_limit)
+                signals += ["observed", repr(how)]
             signals += [output.times.tobytes(), output.values.tobytes()]
         if self.curve is not None:
             signals += ["curve", repr(self.curve.variables), repr(self.curve.tolerances)]

@@ -8,7 +8,7 @@ from typing import Any, get_args
 import numpy as np
 
 from workers.errors import DataError
-from workers.messages.checks import check_choice, check_name, check_number
+from workers.messages.checks import check_choice, check_flag, check_name, check_number
 from workers.messages.signals import check_finite, check_length, check_times, kept_floats
 from workers.messages.types import FloatArray, Interpolation
 
@@ -58,6 +58,11 @@ class Output:
     relative_sigma
         Of a sensor or an assay whose noise grows with what it measures: the part of each measured
         value that its noise has besides `sigma`.
+    free_scale, free_offset
+        Whether what is simulated may be multiplied by any factor, and shifted by any amount, before
+        it is compared: the best ones, in each experiment.
+    detection_limit
+        Measured values at or below it say no more than that; None where there is none.
 
     Raises
     ------
@@ -70,9 +75,21 @@ class Output:
     values: FloatArray = field(repr=False)
     sigma: float = 1.0
     relative_sigma: float = 0.0
+    free_scale: bool = False
+    free_offset: bool = False
+    detection_limit: float | None = None
 
     def __post_init__(self) -> None:
         where = _check_samples(self, "output")
+        check_flag(self.free_scale, f"{where}.free_scale", DataError)
+        check_flag(self.free_offset, f"{where}.free_offset", DataError)
+        if self.detection_limit is not None:
+            check_number(self.detection_limit, f"{where}.detection_limit", DataError)
+            if self.free_scale or self.free_offset:
+                raise DataError(
+                    f"{where}.detection_limit: must not go with free_scale or free_offset, whose "
+                    "values would depend on what was not measured; remove one of the two"
+                )
         check_number(self.sigma, f"{where}.sigma", DataError, above=0.0)
         check_number(self.relative_sigma, f"{where}.relative_sigma", DataError, least=0.0)
 
@@ -82,6 +99,11 @@ class Output:
         if self.relative_sigma == 0.0:
             return np.full(len(self.times), self.sigma)
         return np.hypot(self.sigma, self.relative_sigma * self.values)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether its residuals are (measured - simulated) / sigma."""
+        return not (self.free_scale or self.free_offset) and self.detection_limit is None
 
     @property
     def has_sigma(self) -> bool:

@@ -14,6 +14,7 @@ from workers.residuals.curve import CurveDistances, CurveTolerances
 from workers.residuals.functions import FunctionComparison
 from workers.residuals.jacobian import comparison_jacobian
 from workers.residuals.measured_times import MeasuredTimes
+from workers.residuals.observed import ObservedOutputs
 
 
 class BatchComparison(NamedTuple):
@@ -69,7 +70,8 @@ def _residuals(
         return [FunctionComparison(experiment.cost_function, experiment, parameters, single=False)]
     found: list[Comparison] = []
     if experiment.outputs or experiment.curve is None:
-        found.append(MeasuredTimes(grid))
+        plain = all(output.is_plain for output in experiment.outputs)
+        found.append(MeasuredTimes(grid) if plain else ObservedOutputs(grid, experiment))
     if experiment.curve is not None:
         found.append(CurveDistances(experiment.curve))
     return found

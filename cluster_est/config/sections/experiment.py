@@ -33,6 +33,16 @@ class OutputSection(ConfigSection):
         "linear", description="between samples, where the time base asks for other times"
     )
     weight: Finite = Field(1.0, gt=0.0, description="of its squares in the cost")
+    free_scale: bool = Field(
+        False,
+        description="known up to a factor: the best one in each experiment is found in closed form",
+    )
+    free_offset: bool = Field(
+        False, description="known up to a constant that is added, found likewise"
+    )
+    detection_limit: Finite | None = Field(
+        None, description="measured values at or below it say no more than that"
+    )
 
 
 class ColumnSection(ConfigSection):
@@ -83,8 +93,8 @@ class _ExperimentKeys(ConfigSection):
     )
     outputs: dict[str, Annotated[OutputSection, BeforeValidator(as_column)]] = Field(
         default_factory=dict,
-        description="FMU output = column, or { column, interpolation, weight }; empty cells: not "
-        "measured",
+        description="FMU output = column, or { column, interpolation, weight, free_scale, "
+        "free_offset, detection_limit }; empty cells: not measured",
     )
     curve: CurveSection | None = Field(
         None, description="measured points without times, such as force over displacement"

@@ -239,7 +239,8 @@ def _notes(layout: UnknownLayout, system: ScaledJacobian) -> tuple[str, ...]:
     if system.weighting.problem:
         notes.append(f"there are no intervals, because {system.weighting.problem}; use bootstrap")
     elif system.scatter.degrees <= 0:
-        count, rank = len(system.weighting.factor), system.factors.rank
+        count = len(system.weighting.factor)
+        rank = system.factors.rank
         notes.append(
             f"there are no intervals, because {count} residuals determine {rank} directions and "
             "none are left to estimate their scatter from"

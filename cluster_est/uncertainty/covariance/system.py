@@ -118,7 +118,7 @@ def factorised_jacobian(
     if any(layout.active_bounds):
         basis = _coordinates(unbounded, scale)
         combinations = _factorise(matrix, unbounded, basis, limits, weak).combinations
-    scatter = weighting.scatter(factors.rank)
+    scatter = weighting.scatter(factors.rank + space.free_observations)
     spread = None if scatter.spread is None else [scatter.spread[row] for row in rows]
     chosen = [c for c in combinations if c.undetermined]
     tolerance = max([NEGLIGIBLE, *(c.limit for c in chosen)])

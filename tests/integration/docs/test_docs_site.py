@@ -121,6 +121,8 @@ def runs(tmp_path_factory) -> dict[str, Path]:
             "options": {"population": 8, "max_generations": 3, "objectives": "experiments"},
         },
     }
+    free = {"y": {"column": "position", "free_scale": True}}
+    scaled = experiments[0] | {"outputs": free}
     loop = {"closed_loop": {"effects": ["bias"], "sites": ["output y"], "max_effects": 1}}
     found = {}
     for name, extra, command in (
@@ -128,6 +130,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
         ("front", front, "fit"),
         ("loop", loop, "close-loop"),
         ("ranked", {"sensitivity": {"groups": 4}}, "sensitivity"),
+        ("scaled", {"experiments": [scaled]}, "fit"),
     ):
         (folder / f"{name}.toml").write_text(to_toml(base | extra))
         code = main([command, str(folder / f"{name}.toml"), "--out", str(folder / name)])
@@ -166,7 +169,7 @@ def plain(type_: str) -> str:
 DESCRIBED = {table.name: {c.name: plain(c.type) for c in table.columns} for table in TABLES}
 
 
-@pytest.mark.parametrize("name", ["fit", "front", "loop", "ranked", "designed"])
+@pytest.mark.parametrize("name", ["fit", "front", "loop", "ranked", "scaled", "designed"])
 def test_every_column_that_a_run_writes_is_described(runs, name):
     for table, found in columns(runs[name]).items():
         described = dict(DESCRIBED[table])
