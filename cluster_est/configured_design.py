@@ -13,7 +13,7 @@ from cluster_est.config.build import build_problem
 from cluster_est.config.limits_file import read_limits
 from cluster_est.config.reader import Config, EffectSection, read_config
 from cluster_est.configured_run import ConfiguredRun
-from cluster_est.errors import RunFolderError
+from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.experiment_design.design import make_design
 from cluster_est.experiment_design.models import CandidateModel
 from cluster_est.experiment_design.request import (
@@ -27,7 +27,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.evaluation_log import LogSettings
 from cluster_est.run_folder.reading import check_has_estimates, read_facts, read_run_table
 from cluster_est.run_folder.replay import config_base
-from cluster_est.run_folder.run_identity import RunIdentity, RunKind
+from cluster_est.run_folder.run_identity import UNHASHED, RunIdentity, RunKind
 from cluster_est.running.environment import RunEnvironment
 from workers.messages import Experiment, content_hash
 
@@ -47,7 +47,12 @@ class ConfiguredDesign(ConfiguredRun):
 
 
 def read_design(
-    run_folder: Path, limits: Path, config: Path | None, *, allow_code: bool
+    run_folder: Path,
+    limits: Path,
+    config: Path | None,
+    overrides: Sequence[str] = (),
+    *,
+    allow_code: bool,
 ) -> ConfiguredDesign:
     """Read a run and the limits of the next experiment, and check them against each other.
 
@@ -59,6 +64,8 @@ def read_design(
         The file of limits.
     config
         The config that the run was made from, if it has moved.
+    overrides
+        "key=value" of where it runs and for how long: executor, budget and log.
     allow_code
         Whether Python functions that it names may run.
 
@@ -70,7 +77,13 @@ def read_design(
     wanted = read_limits(limits)
     facts = read_facts(run_folder)
     check_has_estimates(run_folder)
-    resolved = read_config(run_folder / "config.toml")
+    for given in overrides:
+        if given.partition(".")[0] not in UNHASHED:
+            raise ConfigError(
+                f"{given}: must be a key of {', '.join(UNHASHED)} for a design, whose problem is "
+                "that of the run, but is another; leave it out"
+            )
+    resolved = read_config(run_folder / "config.toml", overrides)
     base = config_base(run_folder, config)
     models = _models(run_folder, facts, resolved, base, allow_code=allow_code)
     models = chosen_models(models, wanted.settings)

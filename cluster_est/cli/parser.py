@@ -137,6 +137,12 @@ def _add_design(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "run_folder", metavar="RUN", type=Path, help="folder of a fit or a closed loop"
     )
     design.add_argument(
+        "overrides",
+        metavar="KEY=VALUE",
+        nargs="*",
+        help="overrides of the run's keys of executor, budget and log",
+    )
+    design.add_argument(
         "--limits", type=Path, required=True, help="TOML file of what the experiment must keep"
     )
     design.add_argument(

@@ -9,13 +9,15 @@ import numpy as np
 
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
 from cluster_est.experiment_design.waveforms import LEVELS, WAVEFORMS
-from workers.messages import Experiment, FloatArray, Input, Output, SignalBound
+from workers.grid import values_at
+from workers.messages import Experiment, FloatArray, Input, Interpolation, Output, SignalBound
 
 FREE_AMPLITUDES = 0.5
 """Share of the first candidates whose amplitude is drawn; the others have the largest."""
-NEARLY = 0.9
-"""Of the shortest duration that a recorded experiment must have."""
-ORIGINS = ("random", "recorded", "improved")
+RANDOM, RECORDED, IMPROVED, SMALLER = "random", "recorded", "improved", "smaller"
+"""Where a candidate comes from."""
+NOTHING = "start values"
+"""What the waveform is called where no input is designed."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class CandidateInput:
     waveform
         Its name; "recorded" for the inputs of an earlier experiment.
     origin
-        "random", "recorded" or "improved".
+        "random", "smaller" for a random one that was shrunk, "recorded" or "improved".
     experiment
         To be simulated: its outputs have no measured values yet.
     point
@@ -60,6 +62,8 @@ class CandidateMaker:
     signals
         Limits of outputs and other variables: those that are given, and for the other outputs what
         the run has seen and a little more.
+    whole
+        Names of the inputs that take whole numbers alone.
     """
 
     limits: ExperimentLimits
@@ -67,20 +71,19 @@ class CandidateMaker:
     sigmas: dict[str, float]
     waveforms: tuple[str, ...]
     signals: Mapping[str, SignalLimits]
+    whole: frozenset[str] = frozenset()
 
     def size(self, waveform: str) -> int:
         """Coordinates of a point: of every input, then of start values, then the duration."""
-        each = LEVELS + WAVEFORMS[waveform].size
-        return each * len(self.limits.inputs) + len(self.limits.start) + 1
+        return self._each(waveform) * len(self.limits.inputs) + len(self.limits.start) + 1
 
     def draw(self, number: int, generator: np.random.Generator) -> CandidateInput:
         """Draw a candidate: its waveform in turn, its point at random."""
         waveform = self.waveforms[number % len(self.waveforms)]
         point = generator.random(self.size(waveform))
         if generator.random() > FREE_AMPLITUDES:
-            each = LEVELS + WAVEFORMS[waveform].size
-            point[: each * len(self.limits.inputs) : each] = 1.0
-        return self.make(f"candidate {number}", waveform, "random", point)
+            point[self._amplitudes(waveform)] = 1.0
+        return self.make(f"candidate {number}", waveform, RANDOM, point)
 
     def changed(
         self,
@@ -96,97 +99,95 @@ class CandidateMaker:
         point = np.where(moved, point + steps, point)
         point = 1.0 - np.abs(1.0 - np.abs(point))  # reflected at the cube's faces
         point = np.clip(point, 0.0, 1.0)
-        return self.make(f"candidate {number}", candidate.waveform, "improved", point)
+        return self.make(f"candidate {number}", candidate.waveform, IMPROVED, point)
 
     def shrunk(self, candidate: CandidateInput, number: int, factor: float) -> CandidateInput:
         """The same with smaller amplitudes."""
         point = candidate.point.copy()
-        each = LEVELS + WAVEFORMS[candidate.waveform].size
-        point[: each * len(self.limits.inputs) : each] *= factor
-        return self.make(f"candidate {number}", candidate.waveform, "random", point)
+        point[self._amplitudes(candidate.waveform)] *= factor
+        return self.make(f"candidate {number}", candidate.waveform, SMALLER, point)
 
     def make(self, name: str, waveform: str, origin: str, point: FloatArray) -> CandidateInput:
         """Make the candidate of a point."""
         limits = self.limits
         shortest, longest = limits.duration
-        samples = 1 + round(
-            (shortest + float(point[-1]) * (longest - shortest)) / limits.sample_time
-        )
-        times: FloatArray = limits.sample_time * np.arange(samples, dtype=np.float64)
-        each = LEVELS + WAVEFORMS[waveform].size
-        inputs = tuple(
-            Input(
-                variable,
-                times,
-                WAVEFORMS[waveform].signal(point[i * each : (i + 1) * each], times, one),
-            )
-            for i, (variable, one) in enumerate(limits.inputs.items())
-        )
+        times = self._times(shortest + float(point[-1]) * (longest - shortest))
+        each = self._each(waveform)
+        inputs = []
+        for i, (variable, one) in enumerate(limits.inputs.items()):
+            own = point[i * each : (i + 1) * each]
+            values = WAVEFORMS[waveform].signal(own, times - times[0], one)
+            values = np.rint(values) if variable in self.whole else values
+            inputs.append(Input(variable, times, values, self._interpolation(variable)))
         own = point[each * len(limits.inputs) : -1]
-        values = {
+        starts = {
             variable: one.lower + float(share) * (one.upper - one.lower)
             for share, (variable, one) in zip(own, limits.start.items(), strict=True)
         }
-        return CandidateInput(
-            name, waveform, origin, self._experiment(name, times, inputs, values), point
-        )
+        made = self._experiment(name, times, inputs, starts)
+        return CandidateInput(name, waveform if inputs else NOTHING, origin, made, point)
 
     def recorded(self, earlier: Experiment) -> CandidateInput | None:
         """Return the inputs of an earlier experiment as a candidate; None if they break limits."""
         limits = self.limits
-        duration = min(earlier.stop - earlier.start, limits.duration[1])
-        samples = 1 + int(duration / limits.sample_time + 1e-9)
-        times: FloatArray = limits.sample_time * np.arange(samples, dtype=np.float64)
+        shortest, longest = limits.duration
+        times = self._times(min(earlier.stop - earlier.start, longest))
         known = {given.variable: given for given in earlier.inputs}
-        if not set(limits.inputs) <= set(known) or duration < NEARLY * limits.duration[0]:
+        missing = not limits.inputs or not set(limits.inputs) <= set(known)
+        if missing or times[-1] - times[0] < shortest - 1.5 * limits.sample_time:
             return None
         inputs = []
         for variable, one in limits.inputs.items():
             given = known[variable]
-            values = np.interp(times, given.times - earlier.start, given.values)
+            values = values_at(given, times - self.like.start + earlier.start)
             if not _keeps(values, limits.sample_time, one):
                 return None
-            inputs.append(Input(variable, times, values))
+            inputs.append(Input(variable, times, values, given.interpolation))
         own = dict(earlier.values)
-        values_chosen = {
-            name: float(own[name])
-            for name, one in limits.start.items()
-            if isinstance(own.get(name), float | int) and one.lower <= own[name] <= one.upper  # type: ignore[operator]
-        }
-        if len(values_chosen) < len(limits.start):
-            return None
+        starts = {}
+        for name, between in limits.start.items():
+            value = own.get(name)
+            if not isinstance(value, float | int) or not between.lower <= value <= between.upper:
+                return None
+            starts[name] = float(value)
         name = f"recorded {earlier.id}"
-        made = self._experiment(name, times, tuple(inputs), values_chosen)
-        return CandidateInput(name, "recorded", "recorded", made)
+        return CandidateInput(
+            name, RECORDED, RECORDED, self._experiment(name, times, inputs, starts)
+        )
+
+    def _each(self, waveform: str) -> int:
+        return LEVELS + WAVEFORMS[waveform].size
+
+    def _amplitudes(self, waveform: str) -> slice:
+        """The places of the amplitudes of all inputs in a point."""
+        each = self._each(waveform)
+        return slice(0, each * len(self.limits.inputs), each)
+
+    def _times(self, duration: float) -> FloatArray:
+        """Times of the samples, from the beginning of `like` on."""
+        samples = 1 + int(duration / self.limits.sample_time + 0.5)
+        times: FloatArray = np.arange(samples, dtype=np.float64)
+        return self.like.start + self.limits.sample_time * times
+
+    def _interpolation(self, variable: str) -> Interpolation:
+        return next(g.interpolation for g in self.like.inputs if g.variable == variable)
 
     def _experiment(
-        self,
-        name: str,
-        times: FloatArray,
-        inputs: tuple[Input, ...],
-        values: dict[str, float],
+        self, name: str, times: FloatArray, inputs: Sequence[Input], starts: Mapping[str, float]
     ) -> Experiment:
-        like = self.like
         designed = {given.variable for given in inputs}
-        kept = [
-            replace(given, times=given.times - like.start)
-            for given in like.inputs
-            if given.variable not in designed
-        ]
         nothing = np.zeros(len(times))
         return replace(
-            like,
+            self.like,
             id=name,
             record="",
             role="train",
-            start=0.0,
             stop=float(times[-1]),
-            inputs=(*inputs, *kept),
-            signals=tuple(replace(s, times=s.times - like.start) for s in like.signals),
+            inputs=(*inputs, *(g for g in self.like.inputs if g.variable not in designed)),
             outputs=tuple(
                 Output(variable, times, nothing, sigma) for variable, sigma in self.sigmas.items()
             ),
-            values=tuple((dict(like.values) | values).items()),
+            values=tuple({**dict(self.like.values), **starts}.items()),
             bounds=tuple(_bounds(self.signals, times)),
             constraint_functions=(),
         )

@@ -14,18 +14,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cluster_est.errors import ProblemError
+from cluster_est.experiment_design.first_candidates import candidate_maker, recorded_candidates
 from cluster_est.experiment_design.limits import ExperimentLimits
 from cluster_est.experiment_design.models import fit_candidates
 from cluster_est.experiment_design.queue import DesignQueue
 from cluster_est.experiment_design.request import (
     DesignRequest,
-    candidate_maker,
     check_design,
     chosen_models,
-    criterion_of,
     models_of,
     narrowed_labels,
-    recorded_candidates,
 )
 from cluster_est.experiment_design.result import DesignResult, make_result
 from cluster_est.experiment_design.search import CandidateScorer, search
@@ -59,9 +57,8 @@ def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignRe
             "fitting the models",
             lambda runner: fit_candidates(runner, request.models, request.seed),
         )
-        scorer = CandidateScorer(
-            fitted, criterion_of(request), narrowed_labels(fitted[0], request.settings), queue
-        )
+        labels = tuple(each for each in narrowed_labels(request) if each not in fitted[0].held)
+        scorer = CandidateScorer(fitted, request.criterion, labels, queue)
         maker = candidate_maker(request, noise)
         found = search(
             scorer,
@@ -70,7 +67,7 @@ def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignRe
             request.settings.candidates,
             np.random.default_rng(request.seed),
         )
-    result = make_result(scorer, found, tuple(request.limits.start))
+    result = make_result(scorer, found, maker)
     return replace(
         result,
         evaluations=queue.evaluations,

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from cluster_est.experiment_design.candidates import RANDOM, RECORDED, SMALLER
 from cluster_est.experiment_design.criteria import (
     covariances,
     evidence_table,
     expected_probabilities,
 )
 from cluster_est.experiment_design.expected_rows import (
-    TOLD_APART,
     ExpectedEvidence,
     ExpectedPrecision,
     ExpectedProbability,
@@ -22,9 +22,6 @@ from cluster_est.experiment_design.expected_rows import (
 from cluster_est.experiment_design.models import FittedCandidate
 from cluster_est.experiment_design.search import CandidateScorer, ScoredCandidate, ranked
 from workers.messages import FloatArray
-
-REFERENCES = ("random", "recorded")
-"""Origins that the chosen input is compared with."""
 
 
 def expected_table(models: Sequence[FittedCandidate], best: ScoredCandidate) -> pa.Table:
@@ -77,13 +74,10 @@ def expected_probability(
         return ()
     weights = np.array([fitted.model.weight for fitted in scorer.models])
 
-    told = _largest_evidence(found) >= TOLD_APART
-
     def expected(each: ScoredCandidate) -> FloatArray:
-        return expected_probabilities(evidence_table(each.predicted), weights, told)
+        return expected_probabilities(evidence_table(each.predicted), weights)
 
-    now = expected_probabilities(np.zeros(told.shape), weights, told)
-    columns = (now, *_compared(found, best, expected))
+    columns = (weights / np.add.reduce(weights), *_compared(found, best, expected))
     return tuple(
         ExpectedProbability(fitted.model.name, *(float(column[i]) for column in columns))
         for i, fitted in enumerate(scorer.models)
@@ -139,9 +133,11 @@ def _compared(
     NaN where there is none.
     """
     own = measure(best)
-    others = []
-    for origin in REFERENCES:
-        known = ranked([each for each in found if each.candidate.origin == origin])
-        place = len(known) // 2 if origin == "random" else 0
-        others.append(measure(known[place]) if known else np.full(own.shape, np.nan))
-    return own, others[0], others[1]
+    nothing = np.full(own.shape, np.nan)
+    random = ranked([each for each in found if each.candidate.origin in (RANDOM, SMALLER)])
+    recorded = ranked([each for each in found if each.candidate.origin == RECORDED])
+    return (
+        own,
+        measure(random[len(random) // 2]) if random else nothing,
+        measure(recorded[0]) if recorded else nothing,
+    )

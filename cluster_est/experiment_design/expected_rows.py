@@ -21,6 +21,8 @@ class ExpectedEvidence:
     random, recorded
         The same for a random input within the same limits (the median of those that were looked
         at) and for the best one of those that were recorded; NaN without any.
+    best
+        The largest that any input that was looked at is expected to give.
     """
 
     true_model: str
@@ -34,8 +36,6 @@ class ExpectedEvidence:
 @dataclass(frozen=True)
 class ExpectedProbability:
     """The probability that a model is expected to have after an experiment, if it is true.
-
-    Among itself and the rivals that some input tells from it.
 
     Attributes
     ----------

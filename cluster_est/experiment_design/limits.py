@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from cluster_est.errors import ProblemError
-from workers.messages.checks import check_kind, check_name, check_number
+from workers.messages.checks import check_kind, check_name, check_number, is_number, shown
 
 FEWEST_SAMPLES = 10
 MOST_SAMPLES = 200_000
@@ -44,10 +44,10 @@ class InputLimits:
     def check(self, where: str) -> None:
         """Refuse what no signal can keep; `where` opens the message."""
         _check_range(self.lower, self.upper, where)
-        if not self.rate > 0.0:
+        if not is_number(self.rate) or not self.rate > 0.0:
             raise ProblemError(
-                f"{where}.rate: must be greater than 0 but is {self.rate:g}; leave the input out "
-                "if it must not change"
+                f"{where}.rate: must be greater than 0 but is {shown(self.rate)}; leave the input "
+                "out if it must not change"
             )
         check_number(self.hold, f"{where}.hold", ProblemError, least=0.0)
         if self.start is not None:

@@ -8,17 +8,24 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.errors import ProblemError
+from cluster_est.experiment_design.linear_algebra import inverse
 from cluster_est.methods.base import Solution
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
+from cluster_est.uncertainty import Uncertainty, assess
 from workers.messages import FloatArray
 
-SETTLE = LeastSquares(trials=1, max_iterations=15, ftol=1e-8, xtol=1e-6, differences="central")
+SETTLE = LeastSquares(trials=1, max_iterations=30, ftol=1e-8, xtol=1e-6, differences="central")
 WIDE = 10.0
-"""Noticeable changes of an unknown that are its standard deviation where nothing is known of it."""
+"""Ranges between bounds, or noticeable changes, that are an unknown's standard deviation where
+nothing is known of it: so wide that what the data say is not changed by it."""
+HELD = 1e-6
+"""The same for an unknown at a bound, which a fit holds there."""
+MOVED = 0.5
+"""Of its standard error, by which a refit may move an estimate without saying so."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +61,13 @@ class FittedCandidate:
     space, x
         Its unknowns on the training experiments, and the estimates in search coordinates.
     information : (unknowns, unknowns)
-        Inverse of the covariance of the estimates, with what is known of them without data.
+        Inverse of the covariance of the estimates.
     squares
         Sum of the squared residuals, over the variance of the noise.
+    held
+        Labels of the unknowns that stand at a bound.
+    notes
+        Sentences on what the fit here made of the run's estimates.
     """
 
     model: CandidateModel
@@ -64,6 +75,8 @@ class FittedCandidate:
     x: FloatArray = field(repr=False)
     information: FloatArray = field(repr=False)
     squares: float = 0.0
+    held: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -72,7 +85,7 @@ class FittedCandidate:
     @property
     def covariance(self) -> FloatArray:
         """Of the estimates, (unknowns, unknowns)."""
-        return np.asarray(np.linalg.inv(self.information))
+        return inverse(self.information)
 
     def prior_information(self, space: SearchSpace) -> FloatArray:
         """What the data so far say of the unknowns of a new experiment, (unknowns, unknowns).
@@ -85,14 +98,34 @@ class FittedCandidate:
         found = np.diag(1.0 / widths(space) ** 2)
         if shared:
             there = [places[space.unknowns[i].label] for i in shared]
-            block = self.covariance[np.ix_(there, there)]
-            found[np.ix_(shared, shared)] = np.linalg.inv(block)
+            found[np.ix_(shared, shared)] = inverse(self.covariance[np.ix_(there, there)])
         return np.asarray(found)
+
+
+@dataclass(frozen=True)
+class NoiseOfOutputs:
+    """The noise that a new experiment will have.
+
+    Attributes
+    ----------
+    sizes
+        Standard deviation by output, over its sigma: what the first model leaves.
+    inflation
+        Factor by which standard errors are larger than if the noise were white, as the fit's own
+        intervals have it; 1 where it is white. All noise is taken for that much larger.
+    """
+
+    sizes: Mapping[str, float]
+    inflation: float
+
+    def over_sigma(self, output: str) -> float:
+        """The standard deviation that an output's noise is reckoned with, over its sigma."""
+        return max(self.sizes.get(output, 1.0) * self.inflation, 1e-12)
 
 
 def fit_candidates(
     runner: Runner, models: Sequence[CandidateModel], seed: int
-) -> tuple[list[FittedCandidate], dict[str, float]]:
+) -> tuple[list[FittedCandidate], NoiseOfOutputs]:
     """Fit models to the training experiments from their estimates, all in one queue.
 
     Parameters
@@ -108,8 +141,8 @@ def fit_candidates(
     -------
     list of FittedCandidate
         In the order of the models.
-    dict
-        Standard deviation of each output's noise over its sigma, from what the first model leaves.
+    NoiseOfOutputs
+        From what the first model leaves.
 
     Raises
     ------
@@ -117,10 +150,7 @@ def fit_candidates(
         If one cannot be simulated.
     """
     spaces = [make_space(m.problem, m.problem.indices("train"), starts=m.values) for m in models]
-    requests = [
-        SearchRequest(f"fit {model.name}", SETTLE, space, seed)
-        for model, space in zip(models, spaces, strict=True)
-    ]
+    requests = [SearchRequest("models", SETTLE, space, seed) for space in spaces]
     solutions = runner.run(requests)
     for model, solution in zip(models, solutions, strict=True):
         if solution.jacobian is None or solution.at is None or not solution.at.ok:
@@ -129,7 +159,9 @@ def fit_candidates(
                 f"{model.name}: must be simulated with the estimates of the run to plan an "
                 f"experiment but was not ({why})"
             )
-    noise = _noise(spaces[0], solutions[0])
+    noise = NoiseOfOutputs(
+        _sizes(spaces[0], solutions[0]), _inflation(assess(spaces[0], solutions[0]))
+    )
     fitted = [
         _fitted(model, space, solution, noise)
         for model, space, solution in zip(models, spaces, solutions, strict=True)
@@ -137,7 +169,7 @@ def fit_candidates(
     return fitted, noise
 
 
-def _noise(space: SearchSpace, solution: Solution) -> dict[str, float]:
+def _sizes(space: SearchSpace, solution: Solution) -> dict[str, float]:
     """Root mean square of each output's residuals, which are in units of its sigma."""
     assert solution.at is not None
     residuals = solution.at.residuals
@@ -152,6 +184,13 @@ def _noise(space: SearchSpace, solution: Solution) -> dict[str, float]:
     }
 
 
+def _inflation(uncertainty: Uncertainty) -> float:
+    """How many times larger standard errors are than for white noise, at the median."""
+    ratios = np.array([each.std_error / each.error_white for each in uncertainty.intervals])
+    known = ratios[np.isfinite(ratios)]
+    return max(float(np.median(known)), 1.0) if len(known) else 1.0
+
+
 def _rows(space: SearchSpace) -> Iterator[tuple[str, slice]]:
     """The rows of each output of each experiment; those of priors stand behind them."""
     for e, rows in zip(space.experiments, space.rows, strict=True):
@@ -162,22 +201,56 @@ def _rows(space: SearchSpace) -> Iterator[tuple[str, slice]]:
 
 
 def widths(space: SearchSpace) -> FloatArray:
-    """Standard deviation of each unknown before any data: of its range, else a wide one."""
+    """Standard deviation of each unknown before any data: many ranges, or noticeable changes."""
     span = space.upper - space.lower
     bounded = np.isfinite(span) & (span > 0.0)
-    wide = WIDE * np.maximum(space.typical, np.abs(space.start))
-    return np.where(bounded, np.where(bounded, span, 0.0) / np.sqrt(12.0), wide)
+    size = np.maximum(space.typical, np.abs(space.start))
+    return WIDE * np.where(bounded, np.where(bounded, span, 0.0), size)
 
 
 def _fitted(
-    model: CandidateModel, space: SearchSpace, solution: Solution, noise: Mapping[str, float]
+    model: CandidateModel, space: SearchSpace, solution: Solution, noise: NoiseOfOutputs
 ) -> FittedCandidate:
     assert solution.jacobian is not None
     assert solution.at is not None
-    sizes = np.ones(len(solution.jacobian))
+    sizes, plain = np.ones(len(solution.jacobian)), np.ones(len(solution.jacobian))
     for name, rows in _rows(space):
-        sizes[rows] = max(noise[name], 1e-12)
+        sizes[rows] = noise.over_sigma(name)
+        plain[rows] = max(noise.sizes[name], 1e-12)
     tall = solution.jacobian / sizes[:, None]
-    information = tall.T @ tall + np.diag(1.0 / widths(space) ** 2)
-    squares = float(np.add.reduce((solution.at.residuals / sizes) ** 2))
-    return FittedCandidate(model, space, solution.x, np.asarray(information), squares)
+    own = widths(space)
+    bounds = [each.at_bound for each in assess(space, solution).intervals]
+    held = [u.label for u, bound in zip(space.unknowns, bounds, strict=True) if bound]
+    own[[bool(bound) for bound in bounds]] *= HELD
+    information = tall.T @ tall + np.diag(1.0 / own**2)
+    squares = float(np.add.reduce((solution.at.residuals / plain) ** 2))
+    found = FittedCandidate(model, space, solution.x, np.asarray(information), squares, tuple(held))
+    return FittedCandidate(
+        model, space, solution.x, found.information, squares, found.held,
+        tuple(_notes(found, solution)),
+    )  # fmt: skip
+
+
+def _notes(found: FittedCandidate, solution: Solution) -> Iterator[str]:
+    """Say where the fit here is not that of the run."""
+    name = found.model.name
+    if not solution.ending.success:
+        yield f"the fit of {name} for the design did not converge ({solution.ending})"
+    moved = np.abs(found.x - found.space.start)
+    errors = np.sqrt(np.diag(found.covariance))
+    far = [
+        label
+        for label, step, error in zip(found.labels, moved, errors, strict=True)
+        if label not in found.held and step > MOVED * error
+    ]
+    if far:
+        yield (
+            f"fitted again for the design, {name} has other values than in the run: "
+            f"{', '.join(far[:3])}{' and others' if len(far) > 3 else ''} by more than half a "
+            "standard error; the run may not have converged, or have had constraints on signals"
+        )
+    if found.held:
+        yield (
+            f"{', '.join(found.held[:3])} of {name} stood at a bound and "
+            f"{'was' if len(found.held) == 1 else 'were'} held there"
+        )

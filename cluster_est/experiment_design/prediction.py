@@ -9,8 +9,9 @@ import numpy as np
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.experiment_design.candidates import CandidateInput
+from cluster_est.experiment_design.linear_algebra import inverse, root_of_inverse
 from cluster_est.experiment_design.models import FittedCandidate
-from cluster_est.methods.base import Evaluation
+from cluster_est.methods.base import TOLERANCE, Evaluation
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.prior_weights import without_priors
 from cluster_est.problem.space import SearchSpace, make_space
@@ -18,6 +19,9 @@ from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import FloatArray
 
+FLAT = 1e-9
+"""Singular value of the moves of all unknowns, in units of their sizes, that is none."""
+BROKEN = "derivatives could not be simulated"
 FARTHEST = 0.1
 """Of an unknown, or of a noticeable change of it where that is more, by which it is moved."""
 
@@ -46,13 +50,12 @@ class PredictedExperiment:
     @property
     def factor(self) -> FloatArray:
         """L with L L' the covariance that the unknowns give the outputs, (samples, unknowns)."""
-        root = np.linalg.cholesky(np.linalg.inv(self.information))
-        return np.asarray(self.jacobian @ root)
+        return np.asarray(self.jacobian @ root_of_inverse(self.information))
 
     @property
     def posterior(self) -> FloatArray:
         """Covariance of the unknowns after the experiment, (unknowns, unknowns)."""
-        return np.asarray(np.linalg.inv(self.information + self.jacobian.T @ self.jacobian))
+        return inverse(self.information + self.jacobian.T @ self.jacobian)
 
 
 def keeping_limits(
@@ -90,9 +93,14 @@ def keeping_limits(
                 worst = (np.inf, at.reason)
             elif at.violation > worst[0]:
                 name = spaces[own][number].constraint_names[int(np.argmax(at.constraints))]
-                worst = (at.violation, name.partition(" [")[0].replace(" ", "."))
+                worst = (at.violation, limit_name(name))
         found.append(worst)
     return found
+
+
+def limit_name(constraint: str) -> str:
+    """Return the key of a limit: "signals.y.upper", of the constraint "signals.y upper [exp]"."""
+    return constraint.partition(" [")[0].replace(" ", ".")
 
 
 def predictions(
@@ -100,13 +108,13 @@ def predictions(
     fitted: Sequence[FittedCandidate],
     candidates: Sequence[CandidateInput],
     chosen: Sequence[int],
-) -> list[tuple[PredictedExperiment, ...] | None]:
-    """Return what each model predicts of each chosen candidate; None where one cannot say.
+) -> list[tuple[PredictedExperiment, ...] | str]:
+    """Return what each model predicts of each chosen candidate, or why one cannot say.
 
     Derivatives are differences over a standard deviation of the estimates to either side, as in an
     unscented transform (S. J. Julier, J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422,
     doi:10.1109/JPROC.2003.823141): where a mass sticks or a valve closes, what a small change does
-    says nothing of a likely one.
+    says nothing of a likely one. What leaves its limits there is put aside too.
 
     Parameters
     ----------
@@ -132,10 +140,12 @@ def predictions(
         _predicted(model, space, x, solution.evaluations)
         for (model, space), x, solution in zip(pairs, points, solutions, strict=True)
     ]
-    whole: list[tuple[PredictedExperiment, ...] | None] = []
+    whole: list[tuple[PredictedExperiment, ...] | str] = []
     for first in range(0, len(found), len(fitted)):
-        known = [one for one in found[first : first + len(fitted)] if one is not None]
-        whole.append(tuple(known) if len(known) == len(fitted) else None)
+        own = found[first : first + len(fitted)]
+        reasons = [one for one in own if isinstance(one, str)]
+        known = tuple(one for one in own if not isinstance(one, str))
+        whole.append(reasons[0] if reasons else known)
     return whole
 
 
@@ -157,7 +167,7 @@ def sigma_points(space: SearchSpace, information: FloatArray) -> FloatArray:
     (1 + 2 unknowns, unknowns)
         Within the bounds.
     """
-    steps = np.linalg.cholesky(np.linalg.inv(information)).T
+    steps = root_of_inverse(information).T
     most = FARTHEST * np.maximum(space.typical, np.abs(space.start))
     longest = np.max(np.abs(steps) / most, axis=1, initial=0.0)
     steps = steps / np.maximum(longest, 1.0)[:, None]
@@ -165,27 +175,48 @@ def sigma_points(space: SearchSpace, information: FloatArray) -> FloatArray:
     return np.asarray(np.clip(points, space.lower, space.upper))
 
 
+def _derivatives(moves: FloatArray, changes: FloatArray) -> FloatArray | None:
+    """(samples, unknowns): J with moves J' = changes; None where the moves do not span all."""
+    sizes = np.abs(moves).max(axis=0)
+    scaled = moves / np.where(sizes > 0.0, sizes, 1.0)
+    lengths = np.linalg.norm(scaled, axis=1)
+    if not ((sizes > 0.0).all() and (lengths > 0.0).all()):
+        return None
+    scaled /= lengths[:, None]
+    if np.linalg.matrix_rank(scaled, tol=FLAT) < len(scaled):
+        return None
+    return np.asarray((np.linalg.solve(scaled, changes / lengths[:, None]) / sizes[:, None]).T)
+
+
 def _predicted(
     model: FittedCandidate,
     space: SearchSpace,
     points: FloatArray,
     evaluations: Sequence[Evaluation],
-) -> PredictedExperiment | None:
-    """The prediction of sigma points; one-sided where one of two could not be simulated."""
-    if not evaluations[0].ok:
-        return None
+) -> PredictedExperiment | str:
+    """The prediction of sigma points, or why there is none.
+
+    One-sided where one of two could not be simulated.
+    """
     count = space.size
+    leaving = [at for at in evaluations if at.ok and at.violation > TOLERANCE]
+    if leaving:
+        name = space.constraint_names[int(np.argmax(leaving[0].constraints))]
+        return f"{limit_name(name)} with parameters a standard deviation off"
     changes, moves = [], []
     for i in range(1, 1 + count):
         ends = [k for k in (i, i + count) if evaluations[k].ok]
         if not ends:
-            return None
+            return BROKEN
         first, last = ends[0], ends[1] if len(ends) > 1 else 0
         changes.append(evaluations[first].residuals - evaluations[last].residuals)
         moves.append(points[first] - points[last])
     jacobian = np.zeros((len(evaluations[0].residuals), count))
     if count:
-        jacobian = np.linalg.lstsq(np.array(moves), np.array(changes))[0].T
+        found = _derivatives(np.array(moves), np.array(changes))
+        if found is None:
+            return BROKEN
+        jacobian = found
     labels = tuple(unknown.label for unknown in space.unknowns)
     outputs = -evaluations[0].residuals
     return PredictedExperiment(outputs, -jacobian, model.prior_information(space), labels)

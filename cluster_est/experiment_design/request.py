@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.experiment_design.candidates import CandidateInput, CandidateMaker
 from cluster_est.experiment_design.criteria import CRITERIA, DesignCriterion
-from cluster_est.experiment_design.limits import ExperimentLimits, SignalLimits
-from cluster_est.experiment_design.models import CandidateModel, FittedCandidate
-from cluster_est.experiment_design.settings import RECORDED, DesignSettings
+from cluster_est.experiment_design.limits import ExperimentLimits
+from cluster_est.experiment_design.models import CandidateModel
+from cluster_est.experiment_design.settings import DesignSettings
 from cluster_est.problem.problem import Problem
-from cluster_est.results.result import Result
-from workers.fmu.description import nearest
+from cluster_est.problem.space import make_space
+from cluster_est.problem.unknown import Unknown
+from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment
 
-if TYPE_CHECKING:  # it needs SymPy, which is slow
-    from cluster_est.closed_loop.findings.result import LoopResult
-
 ALONE = "the fitted model"
-BEYOND = 0.5
-"""Of an output's range, by which an experiment may leave it where no limits are given."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +45,48 @@ class DesignRequest:
         """Of the first model."""
         return self.models[0].problem
 
+    @property
+    def like(self) -> Experiment:
+        """The experiment of the run that the next one begins like."""
+        problem, name = self.problem, self.limits.like
+        if not name:
+            return problem.experiments[problem.indices("train")[0]]
+        known = {experiment.id: experiment for experiment in problem.experiments}
+        if name not in known:
+            raise ProblemError(
+                f"like: must be an experiment of the run but is {name!r}{nearest(name, known)}"
+            )
+        return known[name]
 
-def models_of(result: Result | LoopResult) -> tuple[CandidateModel, ...]:
-    """Return the models that a result leaves room for, the chosen one first."""
+    @property
+    def criterion(self) -> DesignCriterion:
+        """What is asked for, or what suits the models."""
+        usual = "discriminate" if len(self.models) > 1 else "d"
+        return CRITERIA[self.settings.criterion or usual]
+
+
+def models_of(result: object) -> tuple[CandidateModel, ...]:
+    """Return the models that the result of a fit or a closed loop leaves room for.
+
+    The chosen one is first.
+
+    Raises
+    ------
+    ProblemError
+        If it is no result.
+    """
     competing = getattr(result, "competing", ())
     if competing:
         return tuple(
             CandidateModel(each.name, each.problem, each.values, each.weight) for each in competing
         )
-    return (CandidateModel(ALONE, result.problem, result.x),)
+    problem, x = getattr(result, "problem", None), getattr(result, "x", None)
+    if not isinstance(problem, Problem) or not isinstance(x, dict):
+        raise ProblemError(
+            "result: must be what fit or close_loop returned but is "
+            f"{type(result).__name__}; fit first"
+        )
+    return (CandidateModel(ALONE, problem, x),)
 
 
 def chosen_models(
@@ -92,25 +119,11 @@ def check_design(request: DesignRequest) -> None:
     ClusterEstError
         Saying what to change.
     """
-    problem, limits = request.problem, request.limits
+    problem = request.problem
     _check_comparable(problem)
-    description = problem.describe()
-    like = experiment_like(request)
-    known = [given.variable for given in like.inputs]
-    for name in limits.inputs:
-        if name not in known:
-            raise ProblemError(
-                f"inputs.{name}: must be an input of experiment {like.id!r} but is none"
-                f"{nearest(name, known)}"
-            )
-    for key, names in (("signals", limits.signals), ("start", limits.start)):
-        for name in names:
-            if name not in description.variables:
-                raise ProblemError(
-                    f"{key}.{name}: must be a variable of the FMU but there is none of that name"
-                    f"{nearest(name, description.variables)}"
-                )
-    criterion = criterion_of(request)
+    _check_variables(request, problem.describe())
+    narrowed_labels(request)
+    criterion = request.criterion
     if criterion.compares and len(request.models) < 2:
         raise ProblemError(
             f"criterion: {criterion.name!r} must have at least two models to tell apart but the "
@@ -118,8 +131,55 @@ def check_design(request: DesignRequest) -> None:
         )
 
 
+def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
+    """Return the labels of the first model's unknowns that count.
+
+    By default all that the next experiment shares with earlier ones.
+
+    Raises
+    ------
+    ProblemError
+        If a name is none of the run's.
+    """
+    problem, settings = request.problem, request.settings
+    unknowns = make_space(problem, problem.indices("train")).unknowns
+    labels = tuple(unknown.label for unknown in unknowns)
+    if not settings.parameters:
+        groups = dict(request.like.groups)
+        shared = tuple(unknown.label for unknown in unknowns if _is_shared(unknown, groups))
+        if not shared:
+            raise ProblemError(
+                "parameters: must share a value between experiments to be narrowed by another one "
+                "but each has its own in every experiment; make one shared"
+            )
+        return shared
+    found: list[str] = []
+    for name in settings.parameters:
+        own = [u.label for u in unknowns if name in (u.label, u.parameter.name)]
+        if not own:
+            raise ProblemError(
+                f"parameters: must be of what the run has estimated but has {name!r}"
+                f"{nearest(name, labels)}"
+            )
+        found += own
+    return tuple(dict.fromkeys(found))
+
+
+def _is_shared(unknown: Unknown, groups: dict[str, str]) -> bool:
+    """Whether a new experiment in these groups has the same value."""
+    per = unknown.parameter.per
+    if per is None:
+        return True
+    return per.startswith("group:") and groups.get(per.removeprefix("group:")) == unknown.scope
+
+
 def _check_comparable(problem: Problem) -> None:
-    """Refuse experiments whose residuals are not differences of outputs."""
+    """Refuse a cost without weights, and residuals that are not differences of outputs."""
+    if problem.cost.weights(np.zeros(1), np.zeros(1, np.int64)) is None:
+        raise ProblemError(
+            f"design: must plan with a cost that has weights, such as sse, but the run's is "
+            f"{problem.cost.name}; fit once more with sse and design from that"
+        )
     for experiment in problem.experiments:
         if experiment.curve is not None or experiment.cost_function is not None:
             raise ProblemError(
@@ -135,92 +195,37 @@ def _check_comparable(problem: Problem) -> None:
                 )
 
 
-def criterion_of(request: DesignRequest) -> DesignCriterion:
-    """Return the criterion that is asked for, or the one that suits the models."""
-    usual = "discriminate" if len(request.models) > 1 else "d"
-    return CRITERIA[request.settings.criterion or usual]
-
-
-def experiment_like(request: DesignRequest) -> Experiment:
-    """Return the experiment of the run that the next one begins like."""
-    problem, name = request.problem, request.limits.like
-    if not name:
-        return problem.experiments[problem.indices("train")[0]]
-    known = {experiment.id: experiment for experiment in problem.experiments}
-    if name not in known:
+def _check_variables(request: DesignRequest, description: ModelDescription) -> None:
+    """Refuse names that are none, or of something that cannot be chosen or limited."""
+    limits, like, variables = request.limits, request.like, description.variables
+    if not any(len(output.times) for output in like.outputs):
         raise ProblemError(
-            f"like: must be an experiment of the run but is {name!r}{nearest(name, known)}"
+            f"like: experiment {like.id!r} must have measured outputs but has none; choose another"
         )
-    return known[name]
-
-
-def candidate_maker(request: DesignRequest, noise: Mapping[str, float]) -> CandidateMaker:
-    """Return what makes experiments, with as much noise as the fit has found.
-
-    Parameters
-    ----------
-    request
-        With the limits.
-    noise
-        Standard deviation of each output's noise over its sigma.
-    """
-    like = experiment_like(request)
-    sigmas = {
-        output.variable: max(
-            float(np.sqrt(np.mean(output.sigmas**2))) * noise.get(output.variable, 1.0), 1e-12
-        )
-        for output in like.outputs
-        if len(output.times)
-    }
-    signals = {**seen_ranges(request.problem, tuple(sigmas)), **request.limits.signals}
-    return CandidateMaker(request.limits, like, sigmas, request.settings.families, signals)
-
-
-def seen_ranges(problem: Problem, outputs: Sequence[str]) -> dict[str, SignalLimits]:
-    """Return the range of each output over all experiments, and half as much on either side.
-
-    Further out nobody knows whether a model holds, nor whether the plant does.
-    """
-    found = {}
-    for name in outputs:
-        measured = np.concatenate(
-            [o.values for e in problem.experiments for o in e.outputs if o.variable == name]
-        )
-        low, high = float(measured.min()), float(measured.max())
-        room = BEYOND * max(high - low, 1e-9 * max(abs(low), abs(high), 1e-9))
-        found[name] = SignalLimits(low - room, high + room)
-    return found
-
-
-def recorded_candidates(
-    request: DesignRequest, maker: CandidateMaker
-) -> tuple[CandidateInput, ...]:
-    """Return the inputs of the run's experiments that keep the limits, where they may be chosen."""
-    wanted = request.settings.waveforms
-    if wanted and RECORDED not in wanted:
-        return ()
-    found = (maker.recorded(experiment) for experiment in request.problem.experiments)
-    return tuple(each for each in found if each is not None)
-
-
-def narrowed_labels(fitted: FittedCandidate, settings: DesignSettings) -> tuple[str, ...]:
-    """Return the labels of the unknowns that count.
-
-    Raises
-    ------
-    ProblemError
-        If a name is none of the run's.
-    """
-    shared = tuple(unknown.label for unknown in fitted.space.unknowns if not unknown.scope)
-    if not settings.parameters:
-        return shared or fitted.labels
-    found: list[str] = []
-    for name in settings.parameters:
-        own = [u.label for u in fitted.space.unknowns if name in (u.label, u.parameter.name)]
-        if not own:
+    known = [given.variable for given in like.inputs]
+    for name in limits.inputs:
+        _check_known(name, f"inputs.{name}", known, f"an input of experiment {like.id!r}")
+        if variables[name].type == "Boolean":
             raise ProblemError(
-                f"parameters: must be of what the run has estimated but has {name!r}"
-                f"{nearest(name, fitted.labels)}"
+                f"inputs.{name}: must take numbers to be designed but is true or false; leave it "
+                "out, so that it is that of the experiment like"
             )
-        found += own
-    return tuple(dict.fromkeys(found))
+    for key, names in (("signals", limits.signals), ("start", limits.start)):
+        for name in names:
+            _check_known(name, f"{key}.{name}", variables, "a variable of the FMU")
+    shared = {p.target for p in request.problem.parameters if p.per is None and not p.fixed}
+    measured = {output.variable for output in like.outputs if len(output.times)}
+    for name in limits.start:
+        what = "an input" if name in known else "estimated" if name in shared else ""
+        if not what and name in measured and name not in dict(like.values):
+            what = "a measured output"
+        if what:
+            raise ProblemError(
+                f"start.{name}: must be a start value that an experiment can choose but is {what}; "
+                "name an initial state"
+            )
+
+
+def _check_known(name: str, where: str, known: Collection[str], what: str) -> None:
+    if name not in known:
+        raise ProblemError(f"{where}: must be {what} but is none{nearest(name, known)}")

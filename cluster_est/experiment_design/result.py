@@ -6,12 +6,13 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
+from cluster_est.experiment_design.candidates import RECORDED, CandidateMaker
 from cluster_est.experiment_design.expected import (
     expected_evidence,
     expected_precision,
@@ -23,14 +24,21 @@ from cluster_est.experiment_design.expected_rows import (
     ExpectedPrecision,
     ExpectedProbability,
 )
-from cluster_est.experiment_design.search import CandidateScorer, ScoredCandidate, ranked
+from cluster_est.experiment_design.experiment_block import STEM, TABLE, experiment_block
+from cluster_est.experiment_design.search import (
+    CandidateScorer,
+    ScoredCandidate,
+    SearchedCandidates,
+    ranked,
+)
 from cluster_est.experiment_design.sentences import (
     alike_sentences,
     evidence_sentence,
     narrowed_sentence,
 )
 from workers.fmu.description import nearest
-from workers.messages import Experiment, FloatArray
+from workers.grid import values_at
+from workers.messages import Experiment
 from workers.messages.checks import check_text
 
 
@@ -42,8 +50,10 @@ class DesignResult:
     ----------
     experiment
         To be made: its inputs, and when its outputs are to be measured (their values are 0).
-    chosen_starts
-        Start values that were chosen, by the FMU's names.
+    designed, chosen_starts
+        Names of the inputs that were designed, and start values that were chosen.
+    like
+        The experiment of the run that it begins like.
     chosen
         The candidate that it is.
     criterion
@@ -56,12 +66,16 @@ class DesignResult:
         For every parameter that counts.
     expected
         What each model predicts of it: see `expected_table`.
+    remarks
+        Sentences on the fits that it rests on, and on the search.
     evaluations, simulated, failures, seconds
         Its cost.
     """
 
     experiment: Experiment
+    designed: tuple[str, ...]
     chosen_starts: Mapping[str, float]
+    like: Experiment = field(repr=False)
     chosen: ScoredCandidate
     criterion: tuple[str, str]
     candidates: tuple[ScoredCandidate, ...] = field(repr=False)
@@ -69,6 +83,7 @@ class DesignResult:
     evidence: tuple[ExpectedEvidence, ...]
     precision: tuple[ExpectedPrecision, ...]
     expected: pa.Table = field(repr=False)
+    remarks: tuple[str, ...] = ()
     evaluations: int = 0
     simulated: int = 0
     failures: int = 0
@@ -113,21 +128,27 @@ class DesignResult:
         )
 
     def input_table(self) -> pa.Table:
-        """The time, a column for each designed input, and an empty one for each output.
+        """The time, a column for each input and signal, and an empty one for each output.
 
-        It is what `init` reads once the outputs have been measured.
+        It is what a config reads once the outputs have been measured.
         """
-        designed = [given for given in self.experiment.inputs if self._is_designed(given.times)]
         times = self.experiment.outputs[0].times
         columns: dict[str, Any] = {"time": pa.array(times)}
-        for given in designed:
-            columns[given.variable] = pa.array(np.interp(times, given.times, given.values))
+        for given in (*self.experiment.inputs, *self.experiment.signals):
+            columns[given.variable] = pa.array(values_at(given, times))
         for output in self.experiment.outputs:
             columns[output.variable] = pa.nulls(len(times), pa.float64())
         return pa.table(columns)
 
-    def _is_designed(self, times: FloatArray) -> bool:
-        return np.array_equal(times, self.experiment.outputs[0].times)
+    def experiment_block(self, data: str) -> str:
+        """Return an entry of `[[experiments]]` for the table, to paste into the config.
+
+        Parameters
+        ----------
+        data
+            Path of the table, from the config's folder.
+        """
+        return experiment_block(self.experiment, data, Path(data).stem)
 
     @property
     def search_seconds(self) -> float:
@@ -137,31 +158,51 @@ class DesignResult:
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on what the experiment is expected to tell, and on what that rests."""
-        found = [self.summary, *alike_sentences(self.evidence)]
+        found = [self.summary]
+        if self._discriminates:
+            found += alike_sentences(self.evidence, len(self.candidates))
         broken = [each for each in self.candidates if not each.ok]
         if broken:
             found.append(
                 f"{len(broken)} of {len(self.candidates)} inputs would leave the limits with one "
-                "of the models, or could not be simulated, and were not looked at further"
+                "of the models, at its estimates or a standard deviation off, or could not be "
+                "simulated, and were not looked at further"
             )
+        found += self._repeated
         found.append(
             "what is expected rests on the models being exact, on what the uncertainty of "
             "their parameters does to the outputs being linear, and on noise as the run has found "
-            "it, white; repeat the fit with the new data to know"
+            "it; repeat the fit with the new data to know"
         )
-        return tuple(found)
+        return (*found, *self.remarks)
+
+    @property
+    def _repeated(self) -> list[str]:
+        """Say what is taken over from the experiment that it is like, and for how long."""
+        kept = [g.variable for g in self.experiment.inputs if g.variable not in self.designed]
+        kept += [g.variable for g in self.experiment.signals]
+        if not kept:
+            return []
+        longer = self.duration > (self.like.stop - self.like.start) * (1.0 + 1e-9)
+        end = ", and keep their last values beyond its end" if longer else ""
+        return [f"{', '.join(kept)}: taken for what they were in {self.like.id}{end}"]
+
+    @property
+    def _discriminates(self) -> bool:
+        return bool(self.evidence) and self.criterion[0] == "discriminate"
 
     @property
     def summary(self) -> str:
         """What was chosen, and what it is expected to tell, in a sentence."""
         how = self.chosen.candidate
-        called = how.name if how.origin == "recorded" else how.waveform
-        made = f"{called} of {self.duration:.4g} s"
+        called = how.name if how.origin == RECORDED else how.waveform
+        made = f"{called}, {self.duration:.4g} s"
         if self.chosen_starts:
             starts = [f"{name} = {value:.4g}" for name, value in self.chosen_starts.items()]
             made += f", beginning at {', '.join(starts)}"
-        if self.evidence and self.criterion[0] == "discriminate":
-            return f"{made}: {evidence_sentence(self.evidence)}"
+        if self._discriminates:
+            said = evidence_sentence(self.evidence, self.probabilities, len(self.candidates))
+            return f"{made}: {said}"
         return f"{made}: {narrowed_sentence(self.precision)}"
 
     def facts(self) -> Mapping[str, Any]:
@@ -178,6 +219,7 @@ class DesignResult:
                 "waveform": how.waveform,
                 "duration": self.duration,
                 "start": dict(self.chosen_starts),
+                "block": experiment_block(self.experiment, TABLE, STEM),
             },
             "notes": list(self.notes),
             "evaluations": self.evaluations,
@@ -188,30 +230,34 @@ class DesignResult:
 
 
 def make_result(
-    scorer: CandidateScorer, found: Sequence[ScoredCandidate], starts: Sequence[str]
+    scorer: CandidateScorer, found: SearchedCandidates, maker: CandidateMaker
 ) -> DesignResult:
     """Put what a search has found into words and tables; its cost is added by the caller.
 
     Parameters
     ----------
-    scorer, found
-        The scorer, and what it has scored.
-    starts
-        Names of the start values that were to be chosen.
+    scorer, found, maker
+        What scored candidates, all of them, and what made them.
     """
-    best = ranked(found)[0]
+    best = ranked(found.scored)[0]
     experiment = best.candidate.experiment
     known = dict(experiment.values)
+    remarks = [note for model in scorer.models for note in model.notes]
+    if len(found.scored) < found.wanted:
+        remarks.append(f"the budget was used up after {len(found.scored)} of {found.wanted} inputs")
     return DesignResult(
         experiment=experiment,
-        chosen_starts={name: float(known[name]) for name in starts},
+        designed=tuple(maker.limits.inputs),
+        chosen_starts={name: float(known[name]) for name in maker.limits.start},
+        like=maker.like,
         chosen=best,
         criterion=(scorer.criterion.name, scorer.criterion.called),
-        candidates=tuple(found),
-        probabilities=expected_probability(scorer, found, best),
-        evidence=expected_evidence(scorer, found, best),
-        precision=expected_precision(scorer, found, best),
+        candidates=found.scored,
+        probabilities=expected_probability(scorer, found.scored, best),
+        evidence=expected_evidence(scorer, found.scored, best),
+        precision=expected_precision(scorer, found.scored, best),
         expected=expected_table(scorer.models, best),
+        remarks=tuple(remarks),
     )
 
 

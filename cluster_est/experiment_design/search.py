@@ -40,7 +40,8 @@ class ScoredCandidate:
     value
         Of the criterion; NaN where it leaves its limits or cannot be simulated.
     violation
-        By how much it leaves them.
+        By how much it leaves them at the estimates; NaN where a simulation failed, or it does so
+        only with other parameters.
     why
         What it leaves, or why it cannot be simulated; "" if neither.
     predicted
@@ -93,14 +94,30 @@ class CandidateScorer:
         known = dict(zip(kept, predictions(runner, self.models, candidates, kept), strict=True))
         found = []
         for number, candidate in enumerate(candidates):
-            predicted, (violation, why) = known.get(number), limits[number]
-            if predicted is None:
-                reason = why or "derivatives could not be simulated"
-                found.append(ScoredCandidate(candidate, np.nan, violation, reason))
+            predicted, (violation, why) = known.get(number, ""), limits[number]
+            if isinstance(predicted, str):
+                off = violation if violation > TOLERANCE else np.nan
+                found.append(ScoredCandidate(candidate, np.nan, off, why or predicted))
                 continue
             value = self.criterion.value(self.models, predicted, self.parameters)
             found.append(ScoredCandidate(candidate, value, predicted=predicted))
         return found
+
+
+@dataclass(frozen=True)
+class SearchedCandidates:
+    """The candidates that a search has looked at.
+
+    Attributes
+    ----------
+    scored
+        All of them, in their order.
+    wanted
+        How many it should have looked at; more than these if the budget was used up.
+    """
+
+    scored: tuple[ScoredCandidate, ...]
+    wanted: int
 
 
 def search(
@@ -109,8 +126,8 @@ def search(
     recorded: Sequence[CandidateInput],
     count: int,
     generator: np.random.Generator,
-) -> list[ScoredCandidate]:
-    """Look at some candidates; all of them with what they are worth, in their order.
+) -> SearchedCandidates:
+    """Look at some candidates, and say what each is worth.
 
     Half of them are drawn at random, beside what was recorded. Then the best are changed a little
     at a time: an evolution strategy without recombination (H.-G. Beyer, H.-P. Schwefel, Nat.
@@ -131,31 +148,46 @@ def search(
     ------
     ProblemError
         If none keeps its limits.
+    BudgetError
+        If the budget is used up before one has been scored.
     """
     first = max(1, round(FIRST * count)) if maker.waveforms else 0
     drawn = [maker.draw(number, generator) for number in range(first)]
     found = scorer.score([*recorded, *drawn])
-    if maker.waveforms:
+    wanted = len(found) + (count - first if maker.waveforms else 0)
+    try:
         found += _shrunk(scorer, maker, found, first)
-    if not any(each.ok for each in found):
-        raise _none_keeps_limits(found)
-    left = count - first
-    for number, (size, parents) in enumerate(ROUNDS if maker.waveforms else ()):
-        most = left // (len(ROUNDS) - number)
-        left -= most
-        best = [each for each in ranked(found) if len(each.candidate.point)][:parents]
-        if not best:
-            break
-        begin = len(found)
-        children = [
-            maker.changed(best[i % len(best)].candidate, begin + i, size, generator)
+        if not any(each.ok for each in found):
+            raise none_keeps_limits(found)
+        left = count - first if maker.waveforms else 0
+        for number, (size, parents) in enumerate(ROUNDS):
+            most = left // (len(ROUNDS) - number)
+            left -= most
+            found += _improved(scorer, maker, found, (size, parents, most), generator)
+    except BudgetError:
+        if not any(each.ok for each in found):
+            raise
+    return SearchedCandidates(tuple(found), wanted)
+
+
+def _improved(
+    scorer: CandidateScorer,
+    maker: CandidateMaker,
+    found: Sequence[ScoredCandidate],
+    how: tuple[float, int, int],
+    generator: np.random.Generator,
+) -> list[ScoredCandidate]:
+    """Changes of the best so far; `how` is their size, of how many, and how many changes."""
+    size, parents, most = how
+    best = [each for each in ranked(found) if len(each.candidate.point)][:parents]
+    if not best:
+        return []
+    return scorer.score(
+        [
+            maker.changed(best[i % len(best)].candidate, len(found) + i, size, generator)
             for i in range(most)
         ]
-        try:
-            found += scorer.score(children)
-        except BudgetError:  # what has been looked at is a design already
-            break
-    return found
+    )
 
 
 def ranked(scored: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
@@ -171,26 +203,35 @@ def _shrunk(
 ) -> list[ScoredCandidate]:
     """Smaller candidates, where hardly any keeps the limits."""
     more: list[ScoredCandidate] = []
-    for factor in SHRINKING:
+    large = [each.candidate for each in found if len(each.candidate.point)]
+    for factor in SHRINKING if maker.limits.inputs else ():
         kept = sum(each.ok for each in (*found, *more) if len(each.candidate.point))
-        if kept >= FEWEST_KEPT:
+        if kept >= min(FEWEST_KEPT, len(large)):
             break
-        large = [each.candidate for each in found if len(each.candidate.point)]
         more += scorer.score(
             [maker.shrunk(each, number + len(more) + i, factor) for i, each in enumerate(large)]
         )
     return more
 
 
-def _none_keeps_limits(found: Sequence[ScoredCandidate]) -> ProblemError:
-    closest = min(found, key=lambda each: each.violation)
-    if np.isfinite(closest.violation):
+def none_keeps_limits(found: Sequence[ScoredCandidate]) -> ProblemError:
+    """Say that no input keeps its limits, and how far the closest is off."""
+    if not found:
         return ProblemError(
-            f"limits: {closest.why} must be kept but none of {len(found)} inputs keeps it, with "
-            "any model, not the smallest either: the closest leaves it by "
-            f"{100.0 * closest.violation:.2g} % of the range; widen it, narrow the inputs or "
-            "begin elsewhere"
+            "waveforms: must leave an input to look at, but none of the run's experiments keeps "
+            "the limits as it was recorded; name another family, or widen the limits"
         )
+    leaving = [each for each in found if np.isfinite(each.violation)]
+    if not leaving:
+        return ProblemError(
+            f"limits: none of {len(found)} inputs could be used ({found[0].why}); narrow the inputs"
+        )
+    closest = min(leaving, key=lambda each: each.violation)
+    name = closest.why.split()[0]
+    scales = {bound.name: bound.scale for bound in closest.candidate.experiment.bounds}
+    off = closest.violation * scales.get(name.rpartition(".")[0], 1.0)
     return ProblemError(
-        f"limits: none of {len(found)} inputs could be simulated ({closest.why}); narrow the inputs"
+        f"limits: {name} must be kept but none of {len(found)} inputs keeps it with every model, "
+        f"not the smallest either: the closest is {off:.3g} off; widen it, narrow the inputs or "
+        "begin elsewhere"
     )

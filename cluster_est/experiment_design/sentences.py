@@ -5,13 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from cluster_est.closed_loop.findings.words.numbers import in_a_row
+from cluster_est.closed_loop.findings.words.numbers import in_a_row, percent
 from cluster_est.experiment_design.expected_rows import (
     TOLD_APART,
     ExpectedEvidence,
     ExpectedPrecision,
+    ExpectedProbability,
 )
 
+WORTH_SAYING = 0.1
+"""Rise of a probability that is worth a sentence."""
+NO_CHANGE = 0.995
+"""Of a standard error, from which on it stays what it is."""
 LARGEST = 1e6
 """Times less likely beyond which no number is said."""
 
@@ -28,16 +33,23 @@ def times(evidence: float) -> str:
     return f"{float(f'{factor:.2g}'):,.0f} times"
 
 
-def evidence_sentence(evidence: Sequence[ExpectedEvidence]) -> str:
+def evidence_sentence(
+    evidence: Sequence[ExpectedEvidence],
+    probabilities: Sequence[ExpectedProbability],
+    looked_at: int,
+) -> str:
     """Say how clearly an experiment is expected to tell the first model from its nearest rival."""
     first = evidence[0].true_model
     own = [row for row in evidence if row.true_model == first and row.best >= TOLD_APART]
     if not own:
-        return f"no input that was looked at tells {first} from its rivals"
+        return (
+            f"if {first} is right, none of the {looked_at} inputs that were looked at tells it "
+            f"from its rivals{_of_others(probabilities)}"
+        )
     nearest = min(own, key=lambda row: row.evidence)
     said = (
-        f"if {first} is right, {nearest.rival}, its rival that is hardest to tell, will be "
-        f"{times(nearest.evidence)} less likely after this experiment"
+        f"if {first} is right, {nearest.rival}, its rival that is hardest to tell, is expected to "
+        f"be {times(nearest.evidence)} less likely after this experiment"
     )
     others = []
     if not math.isnan(nearest.random):
@@ -47,17 +59,27 @@ def evidence_sentence(evidence: Sequence[ExpectedEvidence]) -> str:
     return f"{said} ({', '.join(others)})" if others else said
 
 
-def alike_sentences(evidence: Sequence[ExpectedEvidence]) -> list[str]:
+def _of_others(probabilities: Sequence[ExpectedProbability]) -> str:
+    """Say which other model the experiment would make likely, if that is the right one."""
+    most = max(probabilities[1:], key=lambda row: row.after - row.before)
+    if most.after - most.before < WORTH_SAYING:
+        return ""
+    return (
+        f"; if {most.model} is, its probability is expected to rise from {percent(most.before)} to "
+        f"{percent(most.after)}"
+    )
+
+
+def alike_sentences(evidence: Sequence[ExpectedEvidence], looked_at: int) -> list[str]:
     """Name the rivals that no input that was looked at tells from the first model."""
-    if not evidence:
-        return []
     first = evidence[0].true_model
     alike = [r.rival for r in evidence if r.true_model == first and r.best < TOLD_APART]
     if not alike:
         return []
     return [
-        f"if {first} is right, no input that was looked at tells it from {in_a_row(alike)}: "
-        "within these limits they predict the same, or one holds the other as a special case"
+        f"if {first} is right, none of the {looked_at} inputs that were looked at tells it from "
+        f"{in_a_row(alike)}: they predict nearly the same, or one holds the other as a special "
+        "case; wider limits or more candidates may tell them"
     ]
 
 
@@ -73,6 +95,8 @@ def narrowed_sentence(rows: Sequence[ExpectedPrecision]) -> str:
             return math.nan
         return math.exp(sum(math.log(max(each, 1e-300)) for each in known) / len(known))
 
+    if not share("std_error_after") < NO_CHANGE:
+        return "it is expected to tell next to nothing of the parameters"
     said = (
         "the standard errors are expected to fall to "
         f"{share('std_error_after'):.2g} of what they are, as a geometric mean"

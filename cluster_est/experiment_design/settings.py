@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from cluster_est.errors import ProblemError
+from cluster_est.experiment_design.candidates import RECORDED
 from cluster_est.experiment_design.criteria import CRITERIA
 from cluster_est.experiment_design.waveforms import WAVEFORMS
 from cluster_est.problem.options import check_options
 from workers.fmu.description import nearest
 from workers.messages.checks import as_tuple
-
-RECORDED = "recorded"
 
 
 @dataclass(frozen=True)
@@ -63,8 +62,3 @@ class DesignSettings:
                     f"waveforms: must be of {', '.join(known_waveforms)} but has {name!r}"
                     f"{nearest(name, known_waveforms)}"
                 )
-
-    @property
-    def families(self) -> tuple[str, ...]:
-        """The waveforms that are drawn at random."""
-        return tuple(name for name in WAVEFORMS if not self.waveforms or name in self.waveforms)

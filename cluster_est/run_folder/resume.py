@@ -12,12 +12,15 @@ from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, RunIdentity, versions
 from cluster_est.run_folder.run_status import RunStatus
 
+ENDS = ("parameters", "ranking", "next_input")
+"""Tables of which every run that has ended has one."""
+
 
 def is_finished(out: Path) -> bool:
     """Return whether a folder holds a run that reached its end."""
     return (
         (out / "run.json").is_file()
-        and any((out / f"{name}.parquet").is_file() for name in ("parameters", "ranking"))
+        and any((out / f"{name}.parquet").is_file() for name in ENDS)
         and read_facts(out)["status"] == RunStatus.DONE
     )
 

@@ -18,7 +18,10 @@ def model(weight=0.5):
     """A model of two unknowns, known to 1 and 2."""
     information = np.diag([1.0, 0.25])
     return SimpleNamespace(
-        model=SimpleNamespace(weight=weight), labels=LABELS, information=information
+        model=SimpleNamespace(weight=weight),
+        labels=LABELS,
+        information=information,
+        covariance=np.linalg.inv(information),
     )
 
 

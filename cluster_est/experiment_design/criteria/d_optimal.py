@@ -9,6 +9,7 @@ import numpy as np
 from typing_extensions import override
 
 from cluster_est.experiment_design.criteria.base import DesignCriterion
+from cluster_est.experiment_design.linear_algebra import inverse, log_determinant
 from cluster_est.experiment_design.models import FittedCandidate
 from cluster_est.experiment_design.prediction import PredictedExperiment
 from workers.messages import FloatArray, IntArray
@@ -34,7 +35,7 @@ class DOptimality(DesignCriterion):
         parameters: Sequence[str],
     ) -> float:
         before, after = covariances(models[0], predicted[0], parameters)
-        return 0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
+        return 0.5 * (log_determinant(before) - log_determinant(after))
 
 
 def covariances(
@@ -45,16 +46,16 @@ def covariances(
     Each (parameters, parameters), in search coordinates, with whatever else is unknown estimated
     along.
     """
-    before = np.linalg.inv(fitted.information)
+    before = fitted.covariance
     there = _places(fitted.labels, parameters)
     shared = [label for label in predicted.labels if label in fitted.labels]
     own = _places(predicted.labels, shared)
-    gained = np.linalg.inv(predicted.posterior[np.ix_(own, own)])
-    gained -= np.linalg.inv(np.linalg.inv(predicted.information)[np.ix_(own, own)])
+    gained = inverse(predicted.posterior[np.ix_(own, own)])
+    gained -= inverse(inverse(predicted.information)[np.ix_(own, own)])
     information = fitted.information.copy()
     of_shared = _places(fitted.labels, shared)
     information[np.ix_(of_shared, of_shared)] += gained
-    after = np.linalg.inv(information)
+    after = inverse(information)
     return before[np.ix_(there, there)], after[np.ix_(there, there)]
 
 

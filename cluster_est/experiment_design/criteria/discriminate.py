@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 from typing_extensions import override
 
 from cluster_est.closed_loop.findings.structure_probabilities import TEMPERATURE
@@ -56,9 +55,7 @@ class Discrimination(DesignCriterion):
         return float(np.average(expected, weights=weights))
 
 
-def expected_probabilities(
-    evidence: FloatArray, weights: FloatArray, compared: npt.NDArray[np.bool_] | None = None
-) -> FloatArray:
+def expected_probabilities(evidence: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the probability of each model after an experiment, if it is the true one.
 
     Parameters
@@ -67,11 +64,8 @@ def expected_probabilities(
         Expected differences of log likelihoods.
     weights : (models,)
         Probabilities before.
-    compared : (true model, rival)
-        The rivals that count; all if None.
     """
     rivals = weights * np.exp(-np.maximum(evidence, 0.0) / TEMPERATURE)
-    rivals = rivals if compared is None else np.where(compared, rivals, 0.0)
     np.fill_diagonal(rivals, weights)
     return np.asarray(weights / np.add.reduce(rivals, axis=1))
 

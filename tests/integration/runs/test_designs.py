@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +94,7 @@ def test_the_table_of_the_next_experiment_keeps_the_limits(folder):
     assert list(table[0]) == ["time", "F", "y"]
     force = np.array([float(row["F"]) for row in table])
     assert len(force) == 201
-    assert -8.0 <= force.min() < force.max() <= 8.0
+    assert -8.0 <= force.min() <= force.max() <= 8.0
     assert {row["y"] for row in table} == {""}
 
 
@@ -141,6 +142,7 @@ def test_where_it_runs_changes_no_bit(folder, tmp_path, executor):
 def test_a_design_is_resumed_from_its_log(folder, tmp_path, capsys):
     out = tmp_path / "cut.csv"
     assert designed(folder, out, "--no-report") == 0
+    (tmp_path / "cut" / "next_input.parquet").unlink()
     facts = json.loads((tmp_path / "cut" / "run.json").read_text(encoding="utf-8"))
     facts["status"] = "interrupted"
     (tmp_path / "cut" / "run.json").write_text(json.dumps(facts), encoding="utf-8")
@@ -148,11 +150,54 @@ def test_a_design_is_resumed_from_its_log(folder, tmp_path, capsys):
     assert designed(folder, out, "--resume", "--no-report") == 0
     assert "simulations stand in its log" in capsys.readouterr().err
     assert rows(tmp_path / "cut") == rows(folder / "next")
+    assert designed(folder, out, "--resume", "--no-report") == 0
+    assert "holds a finished run" in capsys.readouterr().err
 
 
-def test_a_table_that_is_there_is_not_overwritten(folder, capsys):
+def test_what_is_there_is_not_overwritten(folder, tmp_path, capsys):
     assert designed(folder, folder / "next.csv") == 2
     assert "is there already" in capsys.readouterr().err
+    assert designed(folder, folder / "loop.csv", "--overwrite") == 2
+    assert "which holds or is the run that is read" in capsys.readouterr().err
+    assert (folder / "loop" / "effects.parquet").is_file()
+    measured = tmp_path / "measured.csv"
+    measured.write_text("time,F,y\n0.0,1.0,0.5\n", encoding="utf-8")
+    for how in ("--overwrite", "--resume"):
+        assert designed(folder, measured, how) == 2
+        assert "holds measurements already, which are kept" in capsys.readouterr().err
+    assert measured.read_text(encoding="utf-8").endswith("0.5\n")
+
+
+def test_the_block_that_is_printed_makes_it_one_more_experiment(folder, tmp_path, capsys):
+    out = tmp_path / "next.csv"
+    assert designed(folder, out, "--no-report") == 0
+    printed = capsys.readouterr().out
+    block = printed[printed.index("[[experiments]]") :]
+    with out.open(encoding="utf-8") as file:
+        table = list(csv.reader(file))
+    with out.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([table[0], *([*row[:2], 0.01] for row in table[1:])])
+    config = ROOT / "configs" / "with_next.toml"
+    try:
+        config.write_text(Path(CONFIG).read_text(encoding="utf-8") + "\n" + block, "utf-8")
+        (*_, last) = ce.read_problem(config).experiments
+    finally:
+        config.unlink()
+    assert last.id == "next"
+    assert [given.variable for given in last.inputs] == ["F"]
+    assert last.outputs[0].values == pytest.approx(0.01)
+
+
+def test_overrides_say_where_it_runs_and_for_how_long(folder, tmp_path, capsys):
+    loop = str(folder / "loop")
+    given = ["--limits", str(folder / "limits.toml"), "--out", str(tmp_path / "short.csv")]
+    assert main(["design", loop, "parameters.k.start=3", *given]) == 2
+    assert "must be a key of executor, budget, log" in capsys.readouterr().err
+    whole = json.loads((folder / "next" / "run.json").read_text(encoding="utf-8"))["evaluations"]
+    budget = f"budget.evaluations={int(0.8 * whole)}"
+    assert main(["design", loop, budget, *given, "--no-report"]) == 0
+    facts = json.loads((tmp_path / "short" / "run.json").read_text(encoding="utf-8"))
+    assert any("the budget was used up after" in note for note in facts["notes"])
 
 
 @pytest.mark.parametrize(
@@ -200,6 +245,51 @@ def test_a_fit_has_no_rivals_and_its_parameters_are_narrowed(tmp_path):
     )
     with pytest.raises(ProblemError, match="must have at least two models to tell apart"):
         ce.design(result, wanted.limits, settings=DesignSettings(criterion="discriminate"))
+
+
+def test_only_recorded_inputs_may_keep_no_limits():
+    result = ce.fit(ce.read_problem(SPRING))
+    limits = ExperimentLimits({"F": InputLimits(50.0, 60.0)}, (9.0, 9.0), 0.05)
+    with pytest.raises(ProblemError, match="waveforms: must leave an input to look at"):
+        ce.design(result, limits, settings=DesignSettings(waveforms=("recorded",)))
+
+
+def test_no_result_is_refused():
+    with pytest.raises(ProblemError, match="result: must be what fit or close_loop returned"):
+        ce.design(3, ExperimentLimits({"F": InputLimits(-1.0, 1.0)}, 4.0, 0.05))
+
+
+def test_an_input_that_is_held_is_designed_so():
+    problem = ce.read_problem(SPRING)
+    runs = tuple(
+        replace(e, inputs=tuple(replace(g, interpolation="hold") for g in e.inputs))
+        for e in problem.experiments
+    )
+    result = ce.fit(replace(problem, experiments=runs))
+    limits = ExperimentLimits({"F": InputLimits(-8.0, 8.0)}, 9.98, 0.05)
+    settings = DesignSettings(candidates=10, waveforms=("recorded", "steps"))
+    found = ce.design(result, limits, settings=settings)
+    assert {given.interpolation for given in found.experiment.inputs} == {"hold"}
+    assert 'F = { column = "F", interpolation = "hold" }' in found.experiment_block("next.csv")
+
+
+def test_standard_errors_begin_at_those_of_the_fit_where_noise_is_autocorrelated():
+    problem = ce.read_problem(SPRING)
+    generator, runs = np.random.default_rng(3), []
+    for experiment in problem.experiments:
+        (output,) = experiment.outputs
+        wave = generator.standard_normal(len(output.times))
+        for i in range(1, len(wave)):
+            wave[i] = 0.9 * wave[i - 1] + np.sqrt(1.0 - 0.81) * wave[i]
+        made = replace(output, values=output.values + 0.003 * wave, sigma=0.003)
+        runs.append(replace(experiment, outputs=(made,)))
+    result = ce.fit(replace(problem, experiments=tuple(runs)))
+    limits = ExperimentLimits({"F": InputLimits(-8.0, 8.0)}, 9.0, 0.02)
+    found = ce.design(result, limits, settings=DesignSettings(candidates=10))
+    own = {each.label: each.std_error for each in result.estimates}
+    for row in found.precision:
+        assert row.std_error_before == pytest.approx(own[row.label], rel=0.5)
+        assert row.std_error_after < row.std_error_before
 
 
 def test_the_standard_errors_that_come_are_those_that_were_expected(tmp_path):
