@@ -8,6 +8,7 @@ from pathlib import Path
 from cluster_est.config.constraints import check_signals, parameter_constraints
 from cluster_est.config.effects import build_effects
 from cluster_est.config.experiments import build_experiments, table_sources
+from cluster_est.config.maps import with_maps
 from cluster_est.config.options import build_cost, build_prior
 from cluster_est.config.reader import Config, ParameterSection, read_config
 from cluster_est.config.reading import find_file
@@ -72,6 +73,7 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     check_kind(config, Config, "config", ConfigError, advice)
     base = as_path(base, "base", ConfigError)
     check_flag(allow_code, "allow_code", ConfigError)
+    config = with_maps(config)
     sections = config.parameters.items()
     targets = [each.variable or name for name, each in sections if not each.auxiliary]
     model = _model(config, base, tuple(targets))

@@ -24,6 +24,7 @@ from cluster_est.config.sections.experiment import (
     InputSection,
     OutputSection,
 )
+from cluster_est.config.sections.maps import MapSection
 from cluster_est.config.sections.search import (
     ConstraintSection,
     CostSection,
@@ -74,6 +75,7 @@ __all__ = [
     "ExperimentSection",
     "InputSection",
     "LogSection",
+    "MapSection",
     "MethodSection",
     "ModelSection",
     "MultistartSection",

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.experiment_design.linear_algebra import inverse
 from cluster_est.methods.base import Solution
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
+from cluster_est.statistics.scaled_inverse import inverse
 from cluster_est.uncertainty import Uncertainty, assess
 from workers.messages import FloatArray
 

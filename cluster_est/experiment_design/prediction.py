@@ -9,7 +9,6 @@ import numpy as np
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.experiment_design.candidates import CandidateInput
-from cluster_est.experiment_design.linear_algebra import inverse, root_of_inverse
 from cluster_est.experiment_design.models import FittedCandidate
 from cluster_est.methods.base import TOLERANCE, Evaluation
 from cluster_est.methods.given_points import GivenPoints
@@ -17,6 +16,7 @@ from cluster_est.problem.prior_weights import without_priors
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
+from cluster_est.statistics.scaled_inverse import inverse, root_of_inverse
 from workers.messages import FloatArray
 
 FLAT = 1e-9

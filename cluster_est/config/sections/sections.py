@@ -9,6 +9,7 @@ from pydantic import Field, PrivateAttr, Strict
 
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.config.sections.experiment import ExperimentDefaultsSection, ExperimentSection
+from cluster_est.config.sections.maps import MapSection
 from cluster_est.config.sections.search import (
     ConstraintSection,
     CostSection,
@@ -269,6 +270,10 @@ class Config(ConfigSection):
     )
     parameters: dict[str, ParameterSection] = Field(
         default_factory=dict, description="what to estimate"
+    )
+    maps: dict[str, MapSection] = Field(
+        default_factory=dict,
+        description="tables of values over points, each as parameters that belong together",
     )
     values: dict[str, Known] = Field(
         default_factory=dict, description="known values of all experiments, by FMU name"

@@ -11,6 +11,7 @@ from cluster_est.methods.base import Ending, Solution
 from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
+from cluster_est.statistics.scaled_inverse import root_of_inverse
 from cluster_est.uncertainty.covariance.result import ConfidenceInterval
 from cluster_est.uncertainty.posterior.density import check_posterior
 from cluster_est.uncertainty.posterior.diagnostics import (
@@ -36,6 +37,8 @@ MOST_DISCARDED = 0.5
 """Of the steps."""
 WIDEST = 0.25
 """Of the range between the bounds: as wide as nearly uniform walkers are."""
+APART = 2.0
+"""Standard deviations of the likelihood as which walkers begin."""
 SPREAD = 0.1
 """Of a typical size, where no standard error is known."""
 
@@ -66,7 +69,7 @@ def sample_posterior(
     check_posterior(space, settings.walkers)
     count = settings.walkers or max(LEAST_WALKERS, PER_UNKNOWN * space.size)
     chain = WalkerChain()
-    starts = _starts(space, solution.x, intervals, count, generator)
+    starts = _starts(space, solution, intervals, count, generator)
     method = EnsembleSampling(starts, settings.posterior, chain)
     seed = int(generator.integers(2**32))
     (solved,) = runner.run([SearchRequest("posterior", method, space, seed)])
@@ -103,12 +106,17 @@ def _nothing(
 
 def _starts(
     space: SearchSpace,
-    x: FloatArray,
+    solution: Solution,
     intervals: Sequence[ConfidenceInterval],
     count: int,
     generator: np.random.Generator,
 ) -> FloatArray:
-    """(walkers, unknowns): normal around the optimum, within the bounds."""
+    """(walkers, unknowns): normal around the optimum, within the bounds.
+
+    With the covariance of the likelihood, where its derivatives are known: walkers that ignore how
+    unknowns make up for each other begin far from where the density is, and may stay there.
+    """
+    x = solution.x
     values = np.array(list(space.estimates(x).values()))
     errors = np.array([each.std_error for each in intervals])
     logarithmic = np.array([u.log for u in space.unknowns], dtype=bool)
@@ -118,7 +126,12 @@ def _starts(
     ranges = np.where(np.isfinite(space.upper - space.lower), space.upper - space.lower, np.inf)
     sizes = np.where(known, errors, SPREAD * np.minimum(space.typical, ranges))
     sizes = np.minimum(sizes, WIDEST * ranges)
-    drawn = x + sizes * generator.normal(size=(count, space.size))
+    normal = generator.normal(size=(count, space.size))
+    if solution.jacobian is None or not np.isfinite(solution.jacobian).all():
+        return _folded(x + sizes * normal, space.lower, space.upper)
+    tall = solution.jacobian / APART
+    root = root_of_inverse(tall.T @ tall + np.diag(1.0 / sizes**2))
+    drawn = x + normal @ root.T
     return _folded(drawn, space.lower, space.upper)
 
 

@@ -28,6 +28,7 @@ SECTIONS = {
     "": config.Config,
     "model": config.ModelSection,
     "parameters.m": config.ParameterSection,
+    "maps.torque": config.MapSection,
     "experiments": config.ExperimentSection,
     "experiments.inputs.F": config.InputSection,
     "experiments.outputs.y": config.OutputSection,
@@ -47,7 +48,17 @@ SECTIONS = {
     "budget": config.BudgetSection,
     "log": config.LogSection,
 }
-SHOWN = ("time", "effects", "form", "data", "expression", "outputs", "constraints", "start")
+SHOWN = (
+    "slope_change",
+    "time",
+    "effects",
+    "form",
+    "data",
+    "expression",
+    "outputs",
+    "constraints",
+    "start",
+)
 """Keys of which the reference has to show an example: one of several is needed."""
 
 
@@ -77,6 +88,7 @@ def test_defaults_are_those_of_the_code(path, section):
         "experiments.curve",
         "constraints.step_response",
         "constraints.tracking",
+        "maps.torque",
     )
     table = at(tree(everything=commented_out), path)
     for name, field in section.model_fields.items():
