@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cluster_est.errors import ProblemError
+from cluster_est.errors import BudgetError, ProblemError
 from cluster_est.experiment_design.first_candidates import candidate_maker, recorded_candidates
 from cluster_est.experiment_design.limits import ExperimentLimits
 from cluster_est.experiment_design.models import fit_candidates
 from cluster_est.experiment_design.queue import DesignQueue
+from cluster_est.experiment_design.refits import confirmed_choice
 from cluster_est.experiment_design.request import (
     DesignRequest,
     check_design,
@@ -26,7 +27,7 @@ from cluster_est.experiment_design.request import (
     narrowed_labels,
 )
 from cluster_est.experiment_design.result import DesignResult, make_result
-from cluster_est.experiment_design.search import CandidateScorer, search
+from cluster_est.experiment_design.search import CandidateScorer, ranked, search
 from cluster_est.experiment_design.settings import DesignSettings
 from cluster_est.results.result import Result
 from cluster_est.running.arguments import check_resources
@@ -38,6 +39,12 @@ from workers.messages.checks import check_kind, check_number
 
 if TYPE_CHECKING:  # it needs SymPy, which is slow
     from cluster_est.closed_loop.findings.result import LoopResult
+
+
+UNCONFIRMED = (
+    "the budget left no room to fit the rivals to what each model predicts of the best input: what "
+    "is expected of it rests on derivatives alone, and may be too much"
+)
 
 
 def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignResult:
@@ -67,9 +74,17 @@ def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignRe
             request.settings.candidates,
             np.random.default_rng(request.seed),
         )
-    result = make_result(scorer, found, maker)
+        leading, remarks = ranked(found.scored), ()
+        chosen = (leading[0], leading[0].evidence)
+        if request.criterion.compares:
+            try:
+                chosen = confirmed_choice(queue, fitted, leading, noise)
+            except BudgetError:
+                remarks = (UNCONFIRMED,)
+    result = make_result(scorer, found, maker, chosen)
     return replace(
         result,
+        remarks=(*result.remarks, *remarks),
         evaluations=queue.evaluations,
         simulated=queue.simulations,
         failures=queue.failures,

@@ -11,7 +11,6 @@ import pyarrow as pa
 from cluster_est.experiment_design.candidates import RANDOM, RECORDED, SMALLER
 from cluster_est.experiment_design.criteria import (
     covariances,
-    evidence_table,
     expected_probabilities,
 )
 from cluster_est.experiment_design.expected_rows import (
@@ -46,14 +45,17 @@ def expected_table(models: Sequence[FittedCandidate], best: ScoredCandidate) -> 
 
 
 def expected_evidence(
-    scorer: CandidateScorer, found: Sequence[ScoredCandidate], best: ScoredCandidate
+    scorer: CandidateScorer, found: Sequence[ScoredCandidate], own: FloatArray
 ) -> tuple[ExpectedEvidence, ...]:
-    """Return the evidence for every pair of models; none where there is one model."""
+    """Return the evidence for every pair of models; none where there is one model.
+
+    `own` is that of the chosen input, (true model, rival).
+    """
     if len(scorer.models) < 2:
         return ()
     names = [fitted.model.name for fitted in scorer.models]
-    own, random, recorded = _compared(found, best, lambda each: evidence_table(each.predicted))
-    most = _largest_evidence(found)
+    random, recorded = _compared(found, lambda each: each.evidence)
+    most = np.maximum(_largest_evidence(found), own)
     return tuple(
         ExpectedEvidence(
             names[i],
@@ -67,7 +69,7 @@ def expected_evidence(
 
 
 def expected_probability(
-    scorer: CandidateScorer, found: Sequence[ScoredCandidate], best: ScoredCandidate
+    scorer: CandidateScorer, found: Sequence[ScoredCandidate], own: FloatArray
 ) -> tuple[ExpectedProbability, ...]:
     """Return the probability of every model, if it is right; none where there is one model."""
     if len(scorer.models) < 2:
@@ -75,9 +77,10 @@ def expected_probability(
     weights = np.array([fitted.model.weight for fitted in scorer.models])
 
     def expected(each: ScoredCandidate) -> FloatArray:
-        return expected_probabilities(evidence_table(each.predicted), weights)
+        return expected_probabilities(each.evidence, weights)
 
-    columns = (weights / np.add.reduce(weights), *_compared(found, best, expected))
+    after = expected_probabilities(own, weights)
+    columns = (weights / np.add.reduce(weights), after, *_compared(found, expected))
     return tuple(
         ExpectedProbability(fitted.model.name, *(float(column[i]) for column in columns))
         for i, fitted in enumerate(scorer.models)
@@ -95,7 +98,8 @@ def expected_precision(
         return np.sqrt(np.diag(after))
 
     before = np.sqrt(np.diag(covariances(fitted, best.predicted[0], labels)[0]))
-    after, random, recorded = _compared(found, best, errors)
+    after = errors(best)
+    random, recorded = _compared(found, errors)
     rows = []
     for place, label in enumerate(labels):
         i = fitted.labels.index(label)
@@ -120,24 +124,17 @@ def _physical_change(to_physical: Callable[[float], float], searched: float) -> 
 
 def _largest_evidence(found: Sequence[ScoredCandidate]) -> FloatArray:
     """(true model, rival): the largest evidence that any input is expected to give."""
-    return np.asarray(np.max([evidence_table(each.predicted) for each in ranked(found)], axis=0))
+    return np.asarray(np.max([each.evidence for each in ranked(found)], axis=0))
 
 
 def _compared(
-    found: Sequence[ScoredCandidate],
-    best: ScoredCandidate,
-    measure: Callable[[ScoredCandidate], FloatArray],
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A measure of the best input, of the median random one, and of the best recorded one.
-
-    NaN where there is none.
-    """
-    own = measure(best)
-    nothing = np.full(own.shape, np.nan)
+    found: Sequence[ScoredCandidate], measure: Callable[[ScoredCandidate], FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """A measure of the median random input, and of the best recorded one; NaN without any."""
+    nothing = np.full(measure(ranked(found)[0]).shape, np.nan)
     random = ranked([each for each in found if each.candidate.origin in (RANDOM, SMALLER)])
     recorded = ranked([each for each in found if each.candidate.origin == RECORDED])
     return (
-        own,
         measure(random[len(random) // 2]) if random else nothing,
         measure(recorded[0]) if recorded else nothing,
     )

@@ -236,11 +236,19 @@ def candidate_spaces(
         cost=SumSquared(),
     )
     values = fitted.space.estimates(fitted.x)
+    for number in chosen:
+        values |= own_starts(fitted, candidates[number].name)
+    return [make_space(problem, (number,), starts=values) for number in chosen]
+
+
+def own_starts(fitted: FittedCandidate, experiment: str) -> dict[str, float]:
+    """Return the estimates by label, with starts of what a new experiment has of its own.
+
+    These are the means of what the earlier ones had.
+    """
+    values = fitted.space.estimates(fitted.x)
     own: dict[str, list[float]] = {}
     for unknown in fitted.space.unknowns:
         if unknown.scope:
             own.setdefault(unknown.parameter.name, []).append(values[unknown.label])
-    for number in chosen:
-        name = candidates[number].name
-        values |= {f"{each}[{name}]": float(np.mean(known)) for each, known in own.items()}
-    return [make_space(problem, (number,), starts=values) for number in chosen]
+    return values | {f"{name}[{experiment}]": float(np.mean(known)) for name, known in own.items()}

@@ -29,7 +29,6 @@ from cluster_est.experiment_design.search import (
     CandidateScorer,
     ScoredCandidate,
     SearchedCandidates,
-    ranked,
 )
 from cluster_est.experiment_design.sentences import (
     alike_sentences,
@@ -38,7 +37,7 @@ from cluster_est.experiment_design.sentences import (
 )
 from workers.fmu.description import nearest
 from workers.grid import values_at
-from workers.messages import Experiment
+from workers.messages import Experiment, FloatArray
 from workers.messages.checks import check_text
 
 
@@ -230,7 +229,10 @@ class DesignResult:
 
 
 def make_result(
-    scorer: CandidateScorer, found: SearchedCandidates, maker: CandidateMaker
+    scorer: CandidateScorer,
+    found: SearchedCandidates,
+    maker: CandidateMaker,
+    chosen: tuple[ScoredCandidate, FloatArray],
 ) -> DesignResult:
     """Put what a search has found into words and tables; its cost is added by the caller.
 
@@ -238,8 +240,10 @@ def make_result(
     ----------
     scorer, found, maker
         What scored candidates, all of them, and what made them.
+    chosen
+        The one that was chosen, and its evidence, (true model, rival).
     """
-    best = ranked(found.scored)[0]
+    best, evidence = chosen
     experiment = best.candidate.experiment
     known = dict(experiment.values)
     remarks = [note for model in scorer.models for note in model.notes]
@@ -253,8 +257,8 @@ def make_result(
         chosen=best,
         criterion=(scorer.criterion.name, scorer.criterion.called),
         candidates=found.scored,
-        probabilities=expected_probability(scorer, found.scored, best),
-        evidence=expected_evidence(scorer, found.scored, best),
+        probabilities=expected_probability(scorer, found.scored, evidence),
+        evidence=expected_evidence(scorer, found.scored, evidence),
         precision=expected_precision(scorer, found.scored, best),
         expected=expected_table(scorer.models, best),
         remarks=tuple(remarks),

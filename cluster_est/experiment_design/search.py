@@ -9,7 +9,7 @@ import numpy as np
 
 from cluster_est.errors import BudgetError, ProblemError
 from cluster_est.experiment_design.candidates import CandidateInput, CandidateMaker
-from cluster_est.experiment_design.criteria import DesignCriterion
+from cluster_est.experiment_design.criteria import DesignCriterion, evidence_table
 from cluster_est.experiment_design.models import FittedCandidate
 from cluster_est.experiment_design.prediction import (
     PredictedExperiment,
@@ -19,6 +19,7 @@ from cluster_est.experiment_design.prediction import (
 from cluster_est.experiment_design.queue import DesignQueue
 from cluster_est.methods.base import TOLERANCE
 from cluster_est.running.runner import Runner
+from workers.messages import FloatArray
 
 FIRST = 0.5
 """Share of the candidates that are drawn at random; changes of the best are the others."""
@@ -57,6 +58,11 @@ class ScoredCandidate:
     @property
     def ok(self) -> bool:
         return bool(np.isfinite(self.value))
+
+    @property
+    def evidence(self) -> FloatArray:
+        """What it is expected to say for each model against each rival, by derivatives."""
+        return evidence_table(self.predicted)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,9 @@ import math
 from cluster_est.closed_loop.stages import stage_title
 
 FIT_TITLES = {
+    "models": "fitting",
     "candidates": "simulating inputs",
+    "refits": "fitting rivals to what each model predicts",
     "before": "simulating at the start values",
     "sample": "simulating between the bounds",
     "train": "searching",

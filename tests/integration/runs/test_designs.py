@@ -17,8 +17,12 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.config.limits_file import read_limits
 from cluster_est.errors import ProblemError
+from cluster_est.experiment_design.design import make_design
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits
+from cluster_est.experiment_design.models import CandidateModel
+from cluster_est.experiment_design.request import DesignRequest
 from cluster_est.experiment_design.settings import DesignSettings
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.toml import to_toml
 
 CONFIG = str(ROOT / "configs" / "mass_with_friction.toml")
@@ -245,6 +249,17 @@ def test_a_fit_has_no_rivals_and_its_parameters_are_narrowed(tmp_path):
     )
     with pytest.raises(ProblemError, match="must have at least two models to tell apart"):
         ce.design(result, wanted.limits, settings=DesignSettings(criterion="discriminate"))
+
+
+def test_nothing_is_expected_to_tell_a_model_from_its_copy():
+    result = ce.fit(ce.read_problem(SPRING))
+    models = tuple(CandidateModel(name, result.problem, result.x, 0.5) for name in ("one", "other"))
+    limits = ExperimentLimits({"F": InputLimits(-8.0, 8.0)}, (9.0, 9.0), 0.05)
+    request = DesignRequest(models, limits, DesignSettings(candidates=10))
+    found = make_design(RunEnvironment(), request)
+    assert [row.evidence for row in found.evidence] == pytest.approx([0.0, 0.0], abs=0.05)
+    assert [row.after for row in found.probabilities] == pytest.approx([0.5, 0.5], abs=0.01)
+    assert "none of the" in found.summary
 
 
 def test_only_recorded_inputs_may_keep_no_limits():
