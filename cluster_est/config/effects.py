@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cluster_est.config.options import build_prior
 from cluster_est.config.reader import EffectSection
 from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.parameter import Parameter
@@ -41,6 +42,10 @@ def _declared(section: EffectSection) -> DeclaredEffect:
                 neutral=chosen.neutral,
                 per=chosen.per,
                 unit=chosen.unit,
+                prior=build_prior(
+                    chosen.prior,
+                    f"effects.{section.name or section.form}.parameters.{name}.prior",
+                ),
             )
             for name, chosen in section.parameters.items()
         },

@@ -74,7 +74,8 @@ def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignRe
             request.settings.candidates,
             np.random.default_rng(request.seed),
         )
-        leading, remarks = ranked(found.scored), ()
+        leading = ranked(found.scored)
+        remarks: tuple[str, ...] = ()
         chosen = (leading[0], leading[0].evidence)
         if request.criterion.compares:
             try:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from cluster_est.errors import ConfigError
+from cluster_est.priors import Prior
 from cluster_est.problem.parameter import Parameter
 from workers.effects.kinds import FormCoefficient
 from workers.fmu.description import nearest
@@ -33,7 +34,7 @@ class DeclaredCoefficient:
     scale
         See `Parameter`. None for a logarithm where the coefficient has a size, a start above 0 and
         no bound of 0 or below, and else for a linear scale.
-    fixed, per, unit
+    fixed, per, unit, prior
         See `Parameter`.
     neutral
         Of an equation of one's own: the value at which it does nothing.
@@ -46,6 +47,7 @@ class DeclaredCoefficient:
     neutral: float | None = None
     per: str | None = None
     unit: str = ""
+    prior: Prior | None = None
 
 
 @dataclass(frozen=True)
@@ -181,4 +183,5 @@ def _parameter(
         chosen.fixed,
         per=chosen.per,
         unit=chosen.unit,
+        prior=chosen.prior,
     )

@@ -123,6 +123,9 @@ class CoefficientSection(ConfigSection):
     )
     per: str | None = Field(None, description='"experiment" or "group:KEY"; default shared')
     unit: str = Field("", description="for tables")
+    prior: dict[str, Any] = Field(
+        default_factory=dict, description="known before the measurements, as of a parameter"
+    )
 
 
 class EffectSection(ConfigSection):

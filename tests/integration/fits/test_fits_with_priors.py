@@ -117,3 +117,26 @@ def test_the_closed_loop_does_not_take_a_prior_for_a_measurement(tmp_path, capsy
     out = str(tmp_path / "run")
     assert main(["close-loop", CONFIG, "--out", out, *PRIORS]) == 2
     assert "parameters.m.prior must be left out, because its tests" in capsys.readouterr().err
+
+
+def test_a_coefficient_of_an_effect_is_drawn_to_its_prior(tmp_path):
+    """By as much as two measurements with these standard errors are worth."""
+    friction = str(ROOT / "configs" / "mass_with_friction.toml")
+    sigma = "experiment_defaults.sigma.y=0.002"
+    rows = {}
+    for name, prior in (("free", ""), ("drawn", ", prior={name='normal', mean=0.51, sd=0.0005}")):
+        effect = (
+            "effects=[{form='coulomb', site='der(v)', "
+            f"parameters={{k={{start=0.4{prior}}}, width={{start=0.002, fixed=true}}}}}}]"
+        )
+        out = tmp_path / name
+        assert main(["fit", friction, "--out", str(out), sigma, effect, "--no-report"]) == 0
+        table = pq.read_table(out / "parameters.parquet").to_pylist()
+        rows[name] = next(row for row in table if row["parameter"] == "coulomb.k")
+    free, drawn = rows["free"], rows["drawn"]
+    facts = json.loads((tmp_path / "free" / "run.json").read_text(encoding="utf-8"))
+    scatter = facts["rmse_over_sigma"]["train"]  # which the standard error has, and the fit has not
+    measured, known = (scatter / free["std_error"]) ** 2, 0.0005**-2
+    expected = (measured * free["value"] + known * 0.51) / (measured + known)
+    assert drawn["value"] == pytest.approx(expected, abs=0.3 * free["std_error"])
+    assert drawn["std_error"] < free["std_error"]
