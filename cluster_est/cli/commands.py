@@ -5,6 +5,8 @@ from __future__ import annotations
 from argparse import Namespace
 from importlib import import_module
 
+from cluster_est.cli.arrow_start import start_arrow
+
 COMMANDS = {
     "init": "first_config",
     "check": "preparation",
@@ -28,6 +30,7 @@ def run_command(options: Namespace) -> int:
 
     Its module is imported now: who shows a run need not wait for what a fit needs.
     """
+    start_arrow()
     name: str = options.command
     module = import_module(f"cluster_est.cli.{COMMANDS[name]}")
     return int(getattr(module, name.replace("-", "_"))(options))
