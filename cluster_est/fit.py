@@ -11,6 +11,7 @@ import numpy as np
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method
 from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.observed_outputs import check_observed_outputs
 from cluster_est.problem.prior_weights import check_priors
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
@@ -269,6 +270,7 @@ def check_search(problem: Problem, plan: FitPlan) -> SearchSpace:
         If the method, the starts or the intervals do not suit the problem.
     """
     check_priors(problem)
+    check_observed_outputs(problem)
     train = make_space(problem, problem.indices("train"))
     check_method(plan.method, train)
     check_starts(train, plan.multistart)

@@ -13,6 +13,7 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.methods.derivatives.differences import Scheme, jacobian
+from cluster_est.problem.observed_outputs import check_observed_outputs
 from cluster_est.problem.prior_weights import check_priors
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
@@ -210,6 +211,7 @@ def _check(space: SearchSpace) -> None:
             f"{problem.cost.name!r}; choose that, or use fit"
         )
     check_priors(problem)
+    check_observed_outputs(problem)
     if space.constraint_names:
         raise ProblemError(
             "constraints: must be none for residuals, which cannot say them, but there is "

@@ -138,11 +138,8 @@ def _compared(
     """Outputs on their time base, in their windows, with their weights."""
     cost = config.cost
     for output in measured:
-        if output.detection_limit is not None and cost.time_base != "measured":
-            raise ConfigError(
-                f"cost.time_base: must be 'measured' where an output has a detection_limit, as "
-                f"{output.variable} in experiment {section.id!r}, but is {cost.time_base!r}"
-            )
+        if output.detection_limit is not None:
+            _check_limited(output.variable, section, config)
     inside = [counted(output, start, stop, ()) for output in measured]
     hows = [section.outputs[output.variable].interpolation for output in measured]
     found = compared_at(inside, hows, cost.time_base, _simulated(config, start, stop))
@@ -153,6 +150,21 @@ def _compared(
         kept = counted(output, start + section.warm_up, stop, section.windows)
         result.append(weighted(kept, cost.normalise, weight))
     return tuple(result)
+
+
+def _check_limited(output: str, section: ExperimentSection, config: Config) -> None:
+    """Refuse what would change the noise of an output with a detection limit, or its samples."""
+    weight = section.outputs[output].weight * section.weight * config.cost.weights.get(output, 1.0)
+    for key, value, usual in (
+        ("cost.time_base", config.cost.time_base, "measured"),
+        ("cost.normalise", config.cost.normalise, "sigma"),
+        ("weight", weight, 1.0),
+    ):
+        if value != usual:
+            raise ConfigError(
+                f"experiment {section.id!r}: output {output}: {key} must be {usual!r} where there "
+                f"is a detection_limit but is {value!r}; leave one of the two out"
+            )
 
 
 def _simulated(config: Config, start: float, stop: float) -> FloatArray:

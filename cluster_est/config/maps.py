@@ -38,7 +38,7 @@ def with_maps(config: Config) -> Config:
     parameters, constraints = dict(config.parameters), list(config.constraints)
     for name, section in config.maps.items():
         where = f"maps.{name}"
-        _check(section, where)
+        _check(name, section)
         for key, parameter in _parameters(name, section).items():
             if key in parameters:
                 raise ConfigError(
@@ -52,8 +52,14 @@ def with_maps(config: Config) -> Config:
     )
 
 
-def _check(section: MapSection, where: str) -> None:
+def _check(name: str, section: MapSection) -> None:
+    where = f"maps.{name}"
     count = len(section.points)
+    if not name.isidentifier():
+        raise ConfigError(
+            f"{where}: must have a name of letters, digits and _, because its values are called "
+            f"NAME_1, NAME_2, ..., but is {name!r}; rename it"
+        )
     if len(section.variables) != count:
         raise ConfigError(
             f"{where}.variables: must be as many as the points, {count}, but are "
@@ -71,6 +77,12 @@ def _check(section: MapSection, where: str) -> None:
         raise ConfigError(
             f"{where}.bounds: must be [lower, upper] but are {[low, high]}; swap them"
         )
+    for start in _starts(section):
+        if not low <= start <= high:
+            raise ConfigError(
+                f"{where}.start: must lie within the bounds {[low, high]} but has {start:g}; move "
+                "one of the two"
+            )
     if section.slope_change is not None and not (math.isfinite(low) and math.isfinite(high)):
         raise ConfigError(
             f"{where}.bounds: must be finite where slope_change says how smooth the map is, but "
@@ -97,7 +109,6 @@ def _parameters(name: str, section: MapSection) -> Mapping[str, ParameterSection
     for i, expression in enumerate(_expressions(name, section), 1):
         found[f"{name}_{i}"] = ParameterSection(
             expression=expression,
-            bounds=section.bounds,
             variable=section.variables[i - 1],
             unit=section.unit,
         )

@@ -76,23 +76,24 @@ def refitted_evidence(
     found = np.zeros((count, count))
     earlier = _weighted(models[0], noise)
     measured = [_as_measured(scored, i) for i in range(count)]
-    spaces, pairs = [], []
+    alone, spaces, pairs = [], [], []
     for j, rival in enumerate(models):
         problem = replace(rival.model.problem, experiments=(*earlier, *measured), cost=SumSquared())
+        first = tuple(range(len(earlier)))
+        alone.append(make_space(problem, first, starts=rival.space.estimates(rival.x)))
         for i in range(count):
             if i != j:
-                chosen = (*range(len(earlier)), len(earlier) + i)
                 starts = own_starts(rival, measured[i].id)
-                spaces.append(make_space(problem, chosen, starts=starts))
+                spaces.append(make_space(problem, (*first, len(earlier) + i), starts=starts))
                 pairs.append((i, j))
-    requests = [SearchRequest("refits", REFIT, space) for space in spaces]
+    requests = [SearchRequest("refits", REFIT, space) for space in (*alone, *spaces)]
     solutions = queue.use(
         (*earlier, *measured), "checking the best input", lambda runner: runner.run(requests)
     )
-    for (i, j), solution in zip(pairs, solutions, strict=True):
-        before = models[j].squares / noise.inflation**2
-        if np.isfinite(solution.cost):
-            found[i, j] = max(0.5 * (solution.cost - before), 0.0)
+    before = [solution.cost for solution in solutions[:count]]
+    for (i, j), solution in zip(pairs, solutions[count:], strict=True):
+        if np.isfinite([solution.cost, before[j]]).all():
+            found[i, j] = max(0.5 * (solution.cost - before[j]), 0.0)
         else:
             found[i, j] = scored.evidence[i, j]
     return found

@@ -126,6 +126,12 @@ class SearchSpace:
         found = [o for e in self.experiments for o in self.problem.experiments[e].outputs]
         return sum(o.free_scale + o.free_offset for o in found if len(o.times))
 
+    @property
+    def hidden_values(self) -> int:
+        """The number of measured values below a detection limit."""
+        found = [o for e in self.experiments for o in self.problem.experiments[e].outputs]
+        return sum(int(o.is_hidden.sum()) for o in found)
+
     @cached_property
     def outputs(self) -> IntArray:
         """(residuals,): which output each residual is of, counted over all experiments.

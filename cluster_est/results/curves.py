@@ -10,9 +10,14 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.problem.problem import Problem
-from cluster_est.results.output_errors import Simulation, curve_residuals, output_residuals
+from cluster_est.results.output_errors import (
+    Simulation,
+    compared_values,
+    curve_residuals,
+    output_residuals,
+)
 from cluster_est.uncertainty import PosteriorResult, PredictedBand
-from workers.messages import Experiment, FloatArray, Trajectory
+from workers.messages import Experiment, FloatArray, Outcome, Output, Trajectory
 
 
 def residual_table(
@@ -34,11 +39,9 @@ def residual_table(
             _add(columns, experiment, output.variable, part)
             columns["time"].append(output.times)
             columns["measured"].append(output.values)
-            columns["simulated"].append(output.values - part * output.sigmas)
-            outcome = earlier.get(simulation.experiment)
-            then = None if outcome is None else output_residuals(output, outcome)
+            columns["simulated"].append(_compared(output, simulation.outcome))
             columns["simulated_before"].append(
-                np.full(len(part), np.nan) if then is None else output.values - then * output.sigmas
+                _compared(output, earlier.get(simulation.experiment))
             )
         distances = curve_residuals(experiment, simulation.outcome)
         if experiment.curve is not None and distances is not None:
@@ -55,6 +58,12 @@ def residual_table(
     names = ["experiment", "role", "output", "time", "measured", "simulated", "residual"]
     table = pa.table({name: _joined(columns[name]) for name in names})
     return table if before is None else _with_before(table, columns)
+
+
+def _compared(output: Output, outcome: Outcome | None) -> FloatArray:
+    """What was simulated at the measured times, as it is compared; NaN where that failed."""
+    found = None if outcome is None else compared_values(output, outcome)
+    return np.full(len(output.times), np.nan) if found is None else found
 
 
 def posterior_table(posterior: PosteriorResult) -> pa.Table:

@@ -78,7 +78,7 @@ def observation_notes(problem: Problem, simulations: Sequence[Simulation]) -> tu
 def has_censored_values(problem: Problem, experiments: Sequence[int]) -> bool:
     """Whether a training value is hidden by a detection limit: its residual has no normal law."""
     return any(
-        output.detection_limit is not None and bool((output.values <= output.detection_limit).any())
+        bool(output.is_hidden.any())
         for e in experiments
         for output in problem.experiments[e].outputs
     )
@@ -91,6 +91,6 @@ def _hidden(problem: Problem) -> dict[str, tuple[int, int]]:
         for output in experiment.outputs:
             if output.detection_limit is not None:
                 hidden, count = found.get(output.variable, (0, 0))
-                hidden += int((output.values <= output.detection_limit).sum())
+                hidden += int(output.is_hidden.sum())
                 found[output.variable] = hidden, count + len(output.values)
     return found

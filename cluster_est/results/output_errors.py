@@ -9,7 +9,7 @@ import numpy as np
 
 from cluster_est.problem.problem import Problem
 from workers.messages import Experiment, FloatArray, Outcome, Output, Role
-from workers.residuals.observed import observed_residuals
+from workers.residuals.observed import observed_residuals, scale_and_offset
 
 
 @dataclass(frozen=True)
@@ -50,16 +50,21 @@ def output_errors(
     for old, new in zip(before, after, strict=True):
         experiment = problem.experiments[old.experiment]
         for output in experiment.outputs:
-            spread = float(np.std(output.values)) or np.nan
-            then, now = (output_residuals(output, each.outcome) for each in (old, new))
-            rmse_before, rmse_after = (_rmse(output, each) for each in (then, now))
+            seen = ~output.is_hidden
+            whole = bool(seen.all())  # of a part no spread is known
+            spread = (float(np.std(output.values)) or np.nan) if whole else np.nan
+            then, now = (_seen_residuals(output, each.outcome) for each in (old, new))
+            sigmas = output.sigmas[seen]
+            rmse_before, rmse_after = (
+                _rms(None if each is None else each * sigmas) for each in (then, now)
+            )
             rows.append(
                 OutputError(
                     experiment=experiment.id,
                     role=experiment.role,
                     output=output.variable,
                     unit=units.get(output.variable, ""),
-                    samples=len(output.times),
+                    samples=int(seen.sum()),
                     rmse_before=rmse_before,
                     rmse_after=rmse_after,
                     relative_before=rmse_before / spread,
@@ -84,6 +89,19 @@ def output_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
         return None
     simulated = trajectory.at(output.variable, output.times)
     return observed_residuals(output, simulated)
+
+
+def compared_values(output: Output, outcome: Outcome) -> FloatArray | None:
+    """What was simulated at an output's measured times, as it is compared; None if it failed.
+
+    With the best scale and offset, where those are free.
+    """
+    trajectory = outcome.trajectory
+    if trajectory is None:
+        return None
+    simulated = trajectory.at(output.variable, output.times)
+    scale, offset = scale_and_offset(output, simulated)
+    return scale * simulated + offset
 
 
 def curve_residuals(experiment: Experiment, outcome: Outcome) -> FloatArray | None:
@@ -115,9 +133,10 @@ def _curve_error(experiment: Experiment, old: Outcome, new: Outcome) -> OutputEr
     )
 
 
-def _rmse(output: Output, residuals: FloatArray | None) -> float:
-    """In the output's unit."""
-    return _rms(None if residuals is None else residuals * output.sigmas)
+def _seen_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
+    """The residuals of the values that are above a detection limit; None if it failed."""
+    residuals = output_residuals(output, outcome)
+    return None if residuals is None else residuals[~output.is_hidden]
 
 
 def _rms(residuals: FloatArray | None) -> float:

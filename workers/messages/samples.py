@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, get_args
 
 import numpy as np
+import numpy.typing as npt
 
 from workers.errors import DataError
 from workers.messages.checks import check_choice, check_flag, check_name, check_number
@@ -85,6 +86,8 @@ class Output:
         check_flag(self.free_offset, f"{where}.free_offset", DataError)
         if self.detection_limit is not None:
             check_number(self.detection_limit, f"{where}.detection_limit", DataError)
+            hidden = kept_floats(np.maximum(self.values, self.detection_limit), f"{where}.values")
+            object.__setattr__(self, "values", hidden)  # 0 and the limit say the same
             if self.free_scale or self.free_offset:
                 raise DataError(
                     f"{where}.detection_limit: must not go with free_scale or free_offset, whose "
@@ -104,6 +107,13 @@ class Output:
     def is_plain(self) -> bool:
         """Whether its residuals are (measured - simulated) / sigma."""
         return not (self.free_scale or self.free_offset) and self.detection_limit is None
+
+    @property
+    def is_hidden(self) -> npt.NDArray[np.bool_]:
+        """(n,): whether each value is at its detection limit, and says no more than that."""
+        if self.detection_limit is None:
+            return np.zeros(len(self.times), np.bool_)
+        return self.values <= self.detection_limit
 
     @property
     def has_sigma(self) -> bool:

@@ -48,10 +48,9 @@ def observed_residuals(output: Output, simulated: FloatArray) -> FloatArray:
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is said to be not finite
         scale, offset = scale_and_offset(output, simulated)
         residuals = (output.values - scale * simulated - offset) / output.sigmas
-    limit = output.detection_limit
-    if limit is None:
+    if output.detection_limit is None:
         return np.asarray(residuals)
-    return np.asarray(np.where(output.values <= limit, _censored(output, simulated), residuals))
+    return np.asarray(np.where(output.is_hidden, _censored(output, simulated), residuals))
 
 
 def scale_and_offset(output: Output, simulated: FloatArray) -> tuple[float, float]:
@@ -71,6 +70,8 @@ def scale_and_offset(output: Output, simulated: FloatArray) -> tuple[float, floa
     centre, middle = (mean, measured) if output.free_offset else (0.0, 0.0)
     moved = simulated - centre
     square = float(np.add.reduce(weights * moved**2))
+    if not np.isfinite(square):
+        return np.nan, np.nan
     if not square > 1e-24 * float(np.add.reduce(weights * simulated**2)):
         return 0.0, middle
     scale = float(np.add.reduce(weights * moved * (output.values - middle))) / square

@@ -22,7 +22,9 @@ class MapSection(ConfigSection):
         description="where the estimation starts: a number, or one for each point"
     )
     bounds: Annotated[tuple[float, float], Strict(False)] = Field(
-        (float("-inf"), float("inf")), description="[lower, upper] of every value"
+        (float("-inf"), float("inf")),
+        description="[lower, upper] of every value; with slope_change of the first one, and of "
+        "what the others may differ from it by in one interval",
     )
     slope_change: Finite | None = Field(
         None,

@@ -112,7 +112,10 @@ def _nothing(space: SearchSpace, solution: Solution) -> Uncertainty:
 
 def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncertainty:
     white = system.covariance
-    covariances = (white, *coloured_covariances(white, system.factors, system.residuals))
+    coloured = (
+        () if space.hidden_values else coloured_covariances(white, system.factors, system.residuals)
+    )
+    covariances = (white, *coloured)
     layout, chosen = system.layout, most_honest(covariances)
     width = float(stdtrit(chosen.degrees, 0.975)) if chosen.degrees > 0 else np.nan
     scaled = np.sqrt(_diagonal(space, system, chosen.blocks))

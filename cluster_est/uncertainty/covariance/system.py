@@ -215,7 +215,7 @@ def _weighting(
         weighting = row_weighting(cost, solution.at.residuals, space.outputs, rows)
         if space.priors:
             weighting = replace(weighting, priors=space.priors.among(rows))
-        return weighting, rows
+        return replace(weighting, hidden=space.hidden_values), rows
     # a sum of squares needs no more than its value
     squares = np.full(count, solution.cost / max(count, 1))
     return RowWeighting(np.ones(count), squares=squares), list(space.rows)

@@ -73,6 +73,9 @@ class RowWeighting:
     priors : (residuals,)
         Whether each is that of a prior, whose standard deviation is known: it scatters by 1, also
         where the measurements scatter by more than their sigmas. None where there are none.
+    hidden
+        Number of values below a detection limit, whose residuals have no scatter of their own: the
+        noise is then taken for what it was said to be.
     """
 
     factor: FloatArray
@@ -83,6 +86,7 @@ class RowWeighting:
     groups: IntArray | None = None
     residuals: FloatArray | None = None
     priors: npt.NDArray[np.bool_] | None = None
+    hidden: int = 0
 
     def scatter(self, rank: int) -> ResidualScatter:
         """Return the scatter of the residuals after `rank` directions were fitted."""
@@ -91,6 +95,8 @@ class RowWeighting:
         squares = self.squares
         if self.problem or degrees <= 0 or squares is None:
             return ResidualScatter(np.nan, degrees, None)
+        if self.hidden:
+            return ResidualScatter(1.0, degrees, None)
         if self.groups is None or self.psi_derivatives is None:
             variance = float(np.add.reduce(squares)) / degrees
             if self.priors is None or not variance > 0.0:

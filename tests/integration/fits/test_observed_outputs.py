@@ -9,6 +9,7 @@ import pytest
 from support.problems.springs import TRUE, spring_problem
 
 import cluster_est as ce
+from cluster_est.costs.robust import HuberCost
 from cluster_est.errors import ProblemError
 
 SCALES, OFFSETS = (3.7, 0.5, 2.0), (0.4, -1.0, 0.0)
@@ -120,3 +121,51 @@ def test_values_below_a_detection_limit_pull_nothing_towards_it():
 def test_the_closed_loop_takes_outputs_as_they_are(how):
     with pytest.raises(ProblemError, match="output y must be compared as it is"):
         ce.close_loop(observed(**how))
+
+
+def hidden_springs(seed, limit, **how):
+    problem = spring_problem(3, noise=0.0).problem
+    generator, runs = np.random.default_rng(seed), []
+    for experiment in problem.experiments:
+        (output,) = experiment.outputs
+        values = output.values + 0.01 * generator.standard_normal(len(output.times))
+        made = replace(output, values=np.where(values > limit, values, 0.0), sigma=0.01, **how)
+        runs.append(replace(experiment, outputs=(made,)))
+    return replace(problem, experiments=tuple(runs))
+
+
+def test_standard_errors_are_those_that_the_estimates_scatter_by():
+    """Two thirds of the values are hidden, and say nothing of how large the noise is."""
+    found = []
+    for seed in range(12):
+        result = ce.fit(hidden_springs(seed, 0.02, detection_limit=0.02))
+        own = {each.label: each for each in result.estimates}
+        found.append([(own[n].value - TRUE[n]) / own[n].std_error for n in ("m", "k", "c")])
+    scatter = np.sqrt(np.mean(np.square(found), axis=0))
+    assert (scatter > 0.6).all()
+    assert (scatter < 1.5).all()
+
+
+def test_the_limit_and_0_say_the_same(tmp_path):
+    one, other = (hidden_springs(1, limit, detection_limit=0.02) for limit in (0.02, 0.02))
+    for a, b in zip(one.experiments, other.experiments, strict=True):
+        assert a.key == b.key
+    result = ce.fit(one)
+    table = result.residuals.to_pydict()
+    hidden = np.array(table["measured"]) <= 0.02
+    assert np.array(table["simulated"])[hidden].min() < -0.02  # and not the limit
+    assert not any("a constant would follow" in note for note in result.notes)
+
+
+def test_a_limit_without_a_sigma_and_another_cost_are_refused():
+    problem = hidden_springs(1, 0.02, detection_limit=0.02)
+    bare = tuple(
+        replace(e, outputs=tuple(replace(o, sigma=1.0) for o in e.outputs))
+        for e in problem.experiments
+    )
+    with pytest.raises(ProblemError, match="must have a sigma where it has a detection_limit"):
+        ce.fit(replace(problem, experiments=bare))
+    with pytest.raises(ProblemError, match="must go with the cost sse"):
+        ce.fit(replace(problem, cost=HuberCost()))
+    with pytest.raises(ProblemError, match="must go with the cost sse"):
+        ce.fit(replace(observed(free_scale=True), cost=HuberCost()))

@@ -6,8 +6,7 @@ int model_equations(Model *m)
 {
     const double f[9] = {M(f1), M(f2), M(f3), M(f4), M(f5), M(f6), M(f7), M(f8), M(f9)};
     const double place = (M(x) + 1.0) / 0.25;
-    int i = (int)place;
-    i = place < 0.0 ? 0 : i > 7 ? 7 : i;
+    const int i = place > 0.0 ? place < 8.0 ? (int)place : 7 : 0;
     const double force = f[i] + (place - i) * (f[i + 1] - f[i]);
     M(der_x) = M(v);
     M(der_v) = M(u) - force - 0.5 * M(v);
