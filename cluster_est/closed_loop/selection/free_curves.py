@@ -145,8 +145,10 @@ def _in_other_places(
 
     Far from the data many places look alike. Along a trajectory that is nearly right they do not.
     """
+    if not seen:
+        return []
     thresholds, records = workbench.thresholds.refinement, workbench.records
-    best = min(seen, key=lambda f: f.criterion(records), default=begun.model)
+    best = min(seen, key=lambda f: f.criterion(records))
     closed = begun.model.sse - best.sse
     if closed < thresholds.closes * (begun.model.sse - begun.floor) or not workbench.exchange:
         return []
