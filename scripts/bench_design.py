@@ -65,9 +65,9 @@ class RivalsScore:
 
     `before`, `designed` and `random` hold the names of the models within `NEAR` of the best;
     `alone` says whether the truth is the only one of them, `told` whether all others are such that
-    the design said that no input tells them apart, `simplest` whether all others are such, or have
-    more coefficients, so that they may hold the truth as a special case. `predicted` and `came` are
-    evidence for the true model against each rival.
+    the design said that it would not tell them apart, `simplest` whether all others are such, or
+    have more coefficients, so that they may hold the truth as a special case. `predicted` and
+    `came` are evidence for the true model against each rival.
     """
 
     name: str
@@ -162,7 +162,7 @@ def _rivals_of(case: Scenario) -> RivalsScore:
     loops = [again(problem, each) for each in (designed, drawn)]
     after, random_after = map(near, loops)
     same = {
-        row.rival for row in found.evidence if row.true_model in truth and row.best < TOLD_APART
+        row.rival for row in found.evidence if row.true_model in truth and row.evidence < TOLD_APART
     }
     predicted, came = evidence(loop, found, designed, truth[0])
     return RivalsScore(
@@ -305,7 +305,7 @@ def summarise(scores: Sequence[RivalsScore]) -> None:
     print(f"{len(scores)} cases, {len(failed)} failed, {len(rivals)} with the truth among rivals")
     for key, what in (
         ("alone", "truth named alone after the designed experiment"),
-        ("told", "the same but for rivals that no input tells apart, as the design said"),
+        ("told", "the same but for rivals that it would not tell, as the design said"),
         ("simplest", "the same, and for models with more coefficients"),
         ("random_alone", "truth named alone after a random experiment"),
         ("random_told", "the same but for those rivals"),

@@ -40,11 +40,11 @@ def evidence_sentence(
 ) -> str:
     """Say how clearly an experiment is expected to tell the first model from its nearest rival."""
     first = evidence[0].true_model
-    own = [row for row in evidence if row.true_model == first and row.best >= TOLD_APART]
+    own = [row for row in evidence if row.true_model == first and row.evidence >= TOLD_APART]
     if not own:
         return (
-            f"if {first} is right, none of the {looked_at} inputs that were looked at tells it "
-            f"from its rivals{_of_others(probabilities)}"
+            f"if {first} is right, the best of the {looked_at} inputs that were looked at does not "
+            f"tell it from its rivals{_of_others(probabilities)}"
         )
     nearest = min(own, key=lambda row: row.evidence)
     said = (
@@ -71,15 +71,15 @@ def _of_others(probabilities: Sequence[ExpectedProbability]) -> str:
 
 
 def alike_sentences(evidence: Sequence[ExpectedEvidence], looked_at: int) -> list[str]:
-    """Name the rivals that no input that was looked at tells from the first model."""
+    """Name the rivals that the best input does not tell from the first model."""
     first = evidence[0].true_model
-    alike = [r.rival for r in evidence if r.true_model == first and r.best < TOLD_APART]
+    alike = [r.rival for r in evidence if r.true_model == first and r.evidence < TOLD_APART]
     if not alike:
         return []
     return [
-        f"if {first} is right, none of the {looked_at} inputs that were looked at tells it from "
-        f"{in_a_row(alike)}: they predict nearly the same, or one holds the other as a special "
-        "case; wider limits or more candidates may tell them"
+        f"if {first} is right, the best of the {looked_at} inputs that were looked at does not "
+        f"tell it from {in_a_row(alike)}: they predict nearly the same, or one holds the other as "
+        "a special case; wider limits or more candidates may tell them"
     ]
 
 
