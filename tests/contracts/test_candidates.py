@@ -32,7 +32,8 @@ from workers.effects.forms import FORMS
 from workers.effects.site import parse_site
 
 NAMES = (
-    "mass_spring_damper", "pendulum", "cascaded_tanks", "two_mass_drive", "gantry_crane", "kiln"
+    "mass_spring_damper", "pendulum", "cascaded_tanks", "two_mass_drive", "gantry_crane", "kiln",
+    "ur5e",
 )  # fmt: skip
 LINEAR = ("mass_spring_damper", "two_mass_drive")
 """Where the response to a finite change is what a linear system says."""

@@ -236,7 +236,7 @@ _RATES = (
           _WIDTH),
          1, when=_OWN_OSCILLATES),
     EffectForm("asymmetric_coulomb", "friction", _DER,
-         "-forward * max(tanh(v / width), 0) - backward * min(tanh(v / width), 0)",
+         "-(forward * max(tanh(v / width), 0) + backward * min(tanh(v / width), 0))",
          (_drag("site", name="forward"), _drag("site", name="backward"), _WIDTH),
          1, when=_OWN_OSCILLATES, order=0.5),
     # pressed by a load, such as a brake's or a seal's
@@ -337,6 +337,41 @@ def _as_force(law: EffectForm) -> EffectForm:
 
 
 _FORCES = tuple(_as_force(law) for law in _RATES if law.kinds == _DER and law.name in _AS_FORCES)
+
+_AS_TERMS = (
+    "quadratic", "power", "coulomb", "stribeck", "asymmetric_coulomb", "product", "exponential",
+    "hinge", "hinge_below", "signed_root",
+)  # fmt: skip
+
+
+def _as_term(law: EffectForm) -> EffectForm:
+    """A function of inputs as a further term of an output that they act on directly.
+
+    Such an output is a balance, like the torque that a given motion needs. Its sign is the model's,
+    so that of a strength is open.
+    """
+    when = tuple(w for w in law.when if w is not FormCondition.OWN)
+    strengths = tuple(
+        replace(c, positive=False, if_own=False) if c.neutral == 0.0 else c
+        for c in law.coefficients
+    )
+    return replace(
+        law,
+        kinds=_OUT,
+        equation=f"s + {law.equation.removeprefix('-')}",
+        coefficients=strengths,
+        when=(*when, FormCondition.FEEDS),
+    )
+
+
+_TERMS = (
+    *(_as_term(law) for law in _RATES if law.kinds == _DER and law.name in _AS_TERMS),
+    # the names of their laws are those of what a sensor does to its own signal
+    EffectForm("square_feed_through", "coupling", _OUT, "s + k * v^2", (_k("site / v^2"),), 1,
+         when=(FormCondition.FEEDS,), order=0.5),
+    EffectForm("cubic_feed_through", "coupling", _OUT, "s + k * v^3", (_k("site / v^3"),), 1,
+         when=(FormCondition.FEEDS,), order=0.5),
+)  # fmt: skip
 
 _SIGNALS = (
     # an input that is not what was commanded, a sensor that does not show what it should
@@ -442,7 +477,9 @@ _VARIATIONS = (
 )  # fmt: skip
 
 FORMS: dict[tuple[SiteKind, str], EffectForm] = {
-    (kind, f.name): f for f in (*_RATES, *_SIGNALS, *_FORCES, *_VARIATIONS) for kind in f.kinds
+    (kind, f.name): f
+    for f in (*_RATES, *_SIGNALS, *_FORCES, *_TERMS, *_VARIATIONS)
+    for kind in f.kinds
 }
 """By kind of site and name."""
 

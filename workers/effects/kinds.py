@@ -91,6 +91,8 @@ class FormCondition(enum.Enum):
     or have been there before."""
     DRIVEN = "driven"
     """Its variable is an input or a measured signal."""
+    FEEDS = "feeds"
+    """Its variables are inputs that act on the output at once, and not by way of states."""
 
 
 FREE_FAMILY = "table"

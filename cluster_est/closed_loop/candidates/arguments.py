@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -59,6 +60,9 @@ class OpenArguments:
         For each state the differences of itself, or of its integral, and an input of one unit that
         acts on its derivative: what a spring between a wheel and the road does to the wheel's speed
         is a function of its deflection.
+    feeds
+        For each output the inputs that act on it at once, and not by way of states: what is missing
+        in such an output may be one more term of a balance.
     """
 
     states: tuple[str, ...]
@@ -69,6 +73,7 @@ class OpenArguments:
     speeds: Mapping[str, str]
     surroundings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     relative: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    feeds: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def at(self, site: EffectSite) -> list[str]:
         """Return the arguments of functions of one variable at a site.
@@ -132,6 +137,8 @@ class OpenArguments:
             return (argument == site.targets[0]) is (FormCondition.FIRST in form.when)
         if FormCondition.DRIVEN in form.when:
             return argument in self.driven
+        if FormCondition.FEEDS in form.when:
+            return argument in self.feeds.get(site.target, ())
         pushed = self.pushed_by(site)
         if FormCondition.FORCE in form.when and (len(pushed) < 2 or argument not in self.states):
             return False
@@ -171,6 +178,7 @@ def open_arguments(
         speeds=speeds,
         surroundings=_surroundings(around, pushed),
         relative=_relative(around, pushed, states, speeds),
+        feeds=_feeds(trajectories, description),
     )
 
 
@@ -213,6 +221,27 @@ def _relative(
         if own:
             found[state] = tuple(own)
     return found
+
+
+def _feeds(
+    trajectories: Sequence[LinearisedTrajectory], description: ModelDescription
+) -> dict[str, tuple[str, ...]]:
+    """The inputs that act on each output at once: as simulated, in co-simulation as declared.
+
+    Where an output's dependencies are not declared, all inputs do if the model has no states.
+    """
+    driven = trajectories[0].driven
+    exchange = any(offer.interface == "model_exchange" for offer in description.offers)
+    anything = driven if exchange and not description.states else ()
+    declared = {d.name: d.on for d in description.dependencies if d.role == "output"}
+    acting = {y: set(anything if on is None else on) for y, on in declared.items()}
+    linear = [each.linear for each in trajectories if each.linear is not None]
+    if linear:
+        acting = defaultdict(set)
+    for each in linear:
+        for i, j in np.argwhere(np.abs(each.D).max(axis=0) > 0.0).tolist():
+            acting[each.output_names[i]].add(each.input_names[j])
+    return {y: tuple(u for u in driven if u in inputs) for y, inputs in acting.items()}
 
 
 def _pushed(
@@ -263,4 +292,6 @@ def variables_of(
     if FormCondition.OWN in form.when:
         others = arguments.beside(site, names)
         return [(own, other) for own in arguments.pushed_by(site) for other in others]
+    if FormCondition.FEEDS in form.when:
+        names = [name for name in names if arguments.takes(form, site, name)]
     return list(itertools.combinations(arguments.single(names), 2))

@@ -97,6 +97,8 @@ def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments
     if form.variables == 2 and FormCondition.OWN in form.when:
         return len(arguments.pushed_by(site)) * len(arguments.beside(site, names))
     if form.variables == 2:
+        if FormCondition.FEEDS in form.when:
+            names = [name for name in names if arguments.takes(form, site, name)]
         single = len(arguments.single(names))
         return single * (single - 1) // 2
     return sum(arguments.takes(form, site, name) for name in names)
@@ -106,4 +108,4 @@ def _acting(trajectories: Sequence[LinearisedTrajectory]) -> np.ndarray:
     """(x, x) booleans: whether the second state acts on the first, anywhere along the data."""
     linear = [each.linear for each in trajectories if each.linear is not None]
     sizes = np.max([each.A.largest() for each in linear], axis=0)
-    return np.asarray(sizes > ACTS * sizes.max(axis=1, keepdims=True))
+    return np.asarray(sizes > ACTS * sizes.max(axis=1, keepdims=True, initial=0.0))

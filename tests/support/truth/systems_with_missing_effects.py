@@ -19,7 +19,10 @@ from workers.messages import FloatArray
 
 @dataclass(frozen=True)
 class System:
-    """An FMU with sensible parameters, and how it is driven: offset + swing * waves."""
+    """An FMU with sensible parameters, and how it is driven: offset + swing * waves.
+
+    Inputs that are driven `beside` take waves of another phase.
+    """
 
     parameters: dict[str, float]
     drive: str
@@ -29,6 +32,8 @@ class System:
     offset: float
     swing: float
     values: tuple[tuple[str, float], ...] = ()
+    beside: tuple[str, ...] = ()
+    folder: str = "configs/models"
 
 
 SYSTEMS = {
@@ -58,6 +63,11 @@ SYSTEMS = {
         {"Q": 7200.0, "R0": 0.05, "R1": 0.03, "C1": 3000.0},
         "current", ("voltage",), 2000.0, 10.0, 0.5, 1.5,
     ),
+    # without states: a motion is given, and the current that it needs is measured
+    "ur5e": System(
+        {"J": 0.2, "Fv": 0.3}, "qd", ("i",), 10.0, 0.02, 0.0, 0.6, beside=("qdd",),
+        folder="configs/league/models",
+    ),
 }  # fmt: skip
 
 
@@ -80,13 +90,20 @@ def missing_effect_problem(
     times = np.arange(0.0, system.stop + 0.5 * system.step, system.step)
     runs = []
     for e in range(experiments):
-        drive = system.offset + system.swing * (1.0 + 0.4 * e) * waves(times, float(e))
+        given = tuple(
+            Input(
+                name,
+                times,
+                system.offset + system.swing * (1.0 + 0.4 * e) * waves(times, e + 1.7 * i),
+            )
+            for i, name in enumerate((system.drive, *system.beside))
+        )
         runs.append(
             Experiment(
                 f"e{e}",
                 0.0,
                 float(times[-1]),
-                (Input(system.drive, times, drive),),
+                given,
                 tuple(
                     Output(o, times, np.zeros(len(times)), 0.5 + 0.2 * i)
                     for i, o in enumerate(system.outputs)
@@ -99,7 +116,7 @@ def missing_effect_problem(
         Parameter(n, v, v / 10.0, v * 10.0, per="experiment" if n in local else None)
         for n, v in system.parameters.items()
     )
-    path = ROOT / "configs/models" / f"{name}.fmu"
+    path = ROOT / system.folder / f"{name}.fmu"
     solver = Solver("dormand_prince", rtol=1e-9)
     if interface == "co_simulation":
         solver = Solver("fmu")
