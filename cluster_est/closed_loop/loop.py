@@ -200,7 +200,10 @@ def _report(
         rejected=() if keep else named,
         noise=workbench.noise_in_units(found.noise),
         sites=workbench.sites,
-        notes=_notes(workbench, judgement.verdict, kept, before, after),
+        notes=(
+            *_nothing_tried(workbench, found),
+            *_notes(workbench, judgement.verdict, kept, before, after),
+        ),
         simulations=workbench.meter.full,
         simulated=workbench.runner.simulations,
         evaluations=workbench.runner.evaluations,
@@ -267,6 +270,19 @@ def _disturbance(
         return (f"{begun[0].sentence}; see to that first",)
     said = f"if it is a disturbance that nobody measured, it makes {unexplained[0].sentence}"
     return (said, *dict.fromkeys(c for each in unexplained for c in each.columns))
+
+
+def _nothing_tried(workbench: LoopWorkbench, found: SelectionResult) -> tuple[str, ...]:
+    """Say that not one effect could be tried, where that is so."""
+    if not found.steps or found.steps[0].screening.ranking.trials:
+        return ()
+    settings = workbench.settings
+    forms = f"forms {', '.join(settings.forms)}" if settings.forms else "forms of the library"
+    return (
+        f"no effect was tried: none of the {forms} makes sense on these data at "
+        f"{', '.join(settings.sites or workbench.sites)} (some act at an output only where an "
+        "input acts on it at once); change closed_loop.effects or closed_loop.sites",
+    )
 
 
 def _notes(

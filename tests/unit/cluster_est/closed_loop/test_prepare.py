@@ -9,6 +9,7 @@ import pytest
 from support.loop_objects import made_bench, made_problem
 from support.truth.systems_with_missing_effects import measured, missing_effect_problem, opened
 
+from cluster_est.closed_loop.loop import close_loop
 from cluster_est.closed_loop.prepare import _short_notes, _weight_note, _weighted
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.errors import ProblemError
@@ -23,7 +24,7 @@ SPRING = missing_effect_problem("mass_spring_damper")
         ({"sites": ("der(w)",)}, r"does not offer the site 'der\(w\)'; did you mean 'der\("),
         ({"sites": ("input y",)}, r"closed_loop\.sites: mass_spring_damper\.fmu does not offer"),
         (
-            {"forms": ("coulomb",), "sites": ("output y",)},
+            {"forms": ("backlash",), "sites": ("output y",)},
             r"closed_loop\.effects: must name a form for one of the sites",
         ),
     ],
@@ -31,6 +32,15 @@ SPRING = missing_effect_problem("mass_spring_damper")
 def test_forms_and_sites_that_are_not_there(settings, sentence):
     with pytest.raises(ProblemError, match=sentence), opened(SPRING, LoopSettings(**settings)):
         pass
+
+
+def test_a_search_without_a_candidate_says_so():
+    settings = LoopSettings(forms=("coulomb",), sites=("output y",))
+    result = close_loop(SPRING, settings=settings)
+    assert not result.effects
+    assert result.notes[0].startswith(
+        "no effect was tried: none of the forms coulomb makes sense on these data at output y"
+    )
 
 
 def test_states_are_closed_in_co_simulation():
