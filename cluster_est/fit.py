@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.residual_diagnostics import diagnose_residuals
 from cluster_est.results.result import Result
+from cluster_est.results.segments import ShootingSummary
 from cluster_est.results.solver_error.measure import measure_solver_error
 from cluster_est.running.arguments import (
     check_multistart,
@@ -29,12 +31,21 @@ from cluster_est.running.arguments import (
     method_of,
 )
 from cluster_est.running.environment import Monitor, RunEnvironment, open_executor
-from cluster_est.running.multistart import Multistart, check_starts, search_from_starts
+from cluster_est.running.multistart import (
+    Multistart,
+    MultistartResult,
+    check_starts,
+    search_from_starts,
+)
 from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources, one_blas_thread
 from cluster_est.running.runner import Runner
+from cluster_est.shooting.settings import Shooting
+from cluster_est.shooting.shoot import ShotFit, check_shooting, shoot
+from cluster_est.shooting.whole_records import fit_whole_records
 from cluster_est.uncertainty import (
     UncertaintySettings,
+    assess,
     bootstrap,
     check_bootstrap,
     check_posterior,
@@ -65,12 +76,15 @@ class FitPlan:
         From how many starts.
     uncertainty
         Which intervals to compute by refits.
+    shooting
+        Whether the search goes through segments of the records first, and through which.
     """
 
     method: Method = field(default_factory=LeastSquares)
     seed: int = 0
     multistart: Multistart = field(default_factory=Multistart)
     uncertainty: UncertaintySettings = field(default_factory=UncertaintySettings)
+    shooting: Shooting | None = None
 
     def check(self) -> None:
         """Refuse what no config would be allowed to ask for.
@@ -83,6 +97,13 @@ class FitPlan:
         check_multistart(self.multistart)
         check_kind(self.uncertainty, UncertaintySettings, "uncertainty", ProblemError)
         check_number(self.seed, "method.seed", ProblemError, least=0, whole=True)
+        if self.shooting is not None:
+            check_kind(self.shooting, Shooting, "method.shooting", ProblemError)
+            if self.multistart.searches > 1:
+                raise ProblemError(
+                    "method.shooting: begins once, at the parameters' starts, but multistart asks "
+                    f"for {self.multistart.searches} starts; leave one of the two out"
+                )
 
 
 def fit(
@@ -96,6 +117,7 @@ def fit(
     note: Note | None = None,
     multistart: Multistart | None = None,
     uncertainty: UncertaintySettings | None = None,
+    shooting: Shooting | Mapping[str, Any] | None = None,
 ) -> Result:
     """Estimate all parameters of a problem from its training experiments, together.
 
@@ -119,6 +141,9 @@ def fit(
         From how many starts; from the parameters' own if None.
     uncertainty
         Which intervals to compute by refits; none if None.
+    shooting
+        Segments of the records that the search goes through first, for models that are chaotic,
+        unstable or drift, as {"segments": 20} or {"length": 0.5}; whole records alone if None.
 
     Raises
     ------
@@ -130,6 +155,7 @@ def fit(
         seed,
         Multistart() if multistart is None else multistart,
         UncertaintySettings() if uncertainty is None else uncertainty,
+        Shooting.of(shooting),
     )
     resources = Resources() if resources is None else resources
     check_problem(problem)
@@ -156,17 +182,32 @@ def fit_in(environment: RunEnvironment, problem: Problem, plan: FitPlan) -> Resu
     begin = time.monotonic()
     problem.describe()
     train = check_search(problem, plan)
-    with one_blas_thread(), environment.executor(problem) as executor:
-        runner = environment.runner(executor)
-        result = fit_on(runner, train, plan)
-    if not result.interrupted:
+    with one_blas_thread():
+        shot = _shoot(environment, train, plan)
+        if shot is not None:
+            environment = environment.left(shot.evaluations, time.monotonic() - begin)
+        with environment.executor(problem) as executor:
+            runner = environment.runner(executor)
+            result = fit_on(runner, train, plan, shot)
+    in_one_piece = result.shooting is None or result.shooting.joined
+    if not result.interrupted and in_one_piece:
         resources = environment.resources
         error = measure_solver_error(train, result.solution, result.simulations, resources, runner)
         result = replace(result, solver_error=error)
     return replace(result, seconds=time.monotonic() - begin)
 
 
-def fit_on(runner: Runner, train: SearchSpace, plan: FitPlan) -> Result:
+def _shoot(environment: RunEnvironment, train: SearchSpace, plan: FitPlan) -> ShotFit | None:
+    """Fit in segments, if that is asked for."""
+    if plan.shooting is None:
+        return None
+    assert isinstance(plan.method, LeastSquares)
+    return shoot(environment, train, plan.method, plan.shooting, plan.seed)
+
+
+def fit_on(
+    runner: Runner, train: SearchSpace, plan: FitPlan, shot: ShotFit | None = None
+) -> Result:
     """Fit on workers that are there already; linear algebra must be in one thread.
 
     Parameters
@@ -177,15 +218,22 @@ def fit_on(runner: Runner, train: SearchSpace, plan: FitPlan) -> Result:
         As `check_search` gave it.
     plan
         How to fit.
+    shot
+        What segments have found, if the search goes through them.
     """
     begin = time.monotonic()
     problem, method, seed = train.problem, plan.method, plan.seed
     units = {name: each.unit for name, each in problem.describe().variables.items()}
+    runner.interrupted = shot is not None and shot.interrupted
     before = simulate_all(runner, problem, {})
-    found = search_from_starts(runner, train, method, plan.multistart, seed)
+    found, summary = _search(runner, train, plan, shot)
+    in_segments = shot is not None and summary is not None and not summary.joined
+    segmented = shot.simulations if shot is not None and in_segments else ()
     solution, known = found.best, None
     linear = solution
-    if not runner.interrupted:
+    if segmented:
+        known = assess(train, solution)
+    elif not runner.interrupted:
         linear = linearise(runner, train, solution)
         known = examine(runner, train, linear)
     result = complete(
@@ -198,15 +246,33 @@ def fit_on(runner: Runner, train: SearchSpace, plan: FitPlan) -> Result:
         seed=seed,
         begin=begin,
         uncertainty=known,
+        segmented=segmented,
     )
     starts, minima = rows.starts_and_minima(train, found)
     left = diagnose_residuals(train, linear, result.simulations)
-    result = replace(result, starts=starts, minima=minima, diagnostics=left)
-    if problem.effects and not runner.interrupted:
-        result = with_shapes(runner, train, result)
-    if solution.ending.success and not runner.interrupted:
-        result = refine(runner, train, result, plan)
+    result = replace(result, starts=starts, minima=minima, diagnostics=left, shooting=summary)
+    if not segmented and not runner.interrupted:
+        if problem.effects:
+            result = with_shapes(runner, train, result)
+        if solution.ending.success:
+            result = refine(runner, train, result, plan)
+    if shot is not None:
+        result = replace(
+            result,
+            evaluations=result.evaluations + shot.evaluations,
+            simulated=result.simulated + shot.simulated,
+            failures=result.failures + shot.failures,
+        )
     return replace(result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin)
+
+
+def _search(
+    runner: Runner, train: SearchSpace, plan: FitPlan, shot: ShotFit | None
+) -> tuple[MultistartResult, ShootingSummary | None]:
+    if shot is None:
+        return search_from_starts(runner, train, plan.method, plan.multistart, plan.seed), None
+    whole = fit_whole_records(runner, train, plan.method, shot, plan.seed)
+    return whole.found, whole.summary
 
 
 def with_shapes(runner: Runner, train: SearchSpace, result: Result) -> Result:
@@ -279,6 +345,8 @@ def check_search(problem: Problem, plan: FitPlan) -> SearchSpace:
         check_bootstrap(train)
     if plan.uncertainty.posterior:
         check_posterior(train, plan.uncertainty.walkers)
+    if plan.shooting is not None:
+        check_shooting(train, plan.method, plan.shooting)
     return train
 
 

@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from cluster_est.problem.continuity import StateContinuity
 from cluster_est.problem.parameter_constraints import ConstraintSpec, evaluate, expand, label_of
 from cluster_est.problem.prior_rows import KnownPrior, PriorRows
 from cluster_est.problem.problem import Problem
@@ -50,6 +51,8 @@ class SearchSpace:
         number for each output in their place.
     known_priors
         Priors of unknowns that are fixed here, as along a profile: they still count.
+    continuity
+        Where experiments are segments of records: how one begins as the one before ended.
     """
 
     problem: Problem
@@ -58,6 +61,7 @@ class SearchSpace:
     base: FloatArray = field(repr=False)
     reduced: bool = False
     known_priors: tuple[KnownPrior, ...] = ()
+    continuity: StateContinuity | None = None
 
     @property
     def size(self) -> int:
@@ -205,10 +209,19 @@ class SearchSpace:
     def acting(self) -> tuple[IntArray, ...]:
         """For each experiment the unknowns that can move its residuals, in their order."""
         found: list[list[int]] = [[] for _ in self.experiments]
-        for i, unknown in enumerate(self.unknowns):
-            for e in unknown.experiments:
+        for i, touched in enumerate(self._touched):
+            for e in touched:
                 found[e].append(i)
         return tuple(np.array(each, dtype=np.intp) for each in found)
+
+    @cached_property
+    def _touched(self) -> list[tuple[int, ...]]:
+        """For each unknown the experiments whose residuals it can move."""
+        touched = [set(unknown.experiments) for unknown in self.unknowns]
+        if self.continuity is not None:
+            for end in self.continuity.ends:
+                touched[end.unknown].add(end.experiment)
+        return [tuple(sorted(each)) for each in touched]
 
     @property
     def acts_on(self) -> npt.NDArray[np.bool_]:
@@ -223,14 +236,14 @@ class SearchSpace:
         """Unknowns that share no experiment, colour after colour; each unknown has one colour."""
         taken: list[set[int]] = []
         members: list[list[int]] = []
-        for i, unknown in enumerate(self.unknowns):
+        for i, touched in enumerate(self._touched):
             for colour, used in enumerate(taken):
-                if used.isdisjoint(unknown.experiments):
-                    used.update(unknown.experiments)
+                if used.isdisjoint(touched):
+                    used.update(touched)
                     members[colour].append(i)
                     break
             else:
-                taken.append(set(unknown.experiments))
+                taken.append(set(touched))
                 members.append([i])
         return tuple(np.array(group, dtype=np.intp) for group in members)
 

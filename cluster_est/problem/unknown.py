@@ -33,6 +33,8 @@ class Unknown:
         Positions, in the space, of the experiments that it acts on.
     start
         Physical value that the search starts from.
+    size
+        Of a noticeable change, where something better is known than the start's own size; else 0.
     """
 
     label: str
@@ -40,6 +42,7 @@ class Unknown:
     column: int
     experiments: tuple[int, ...]
     start: float
+    size: float = 0.0
 
     @property
     def scope(self) -> str:
@@ -84,6 +87,8 @@ class Unknown:
         """
         if self.log:
             return 1.0
+        if self.size > 0.0:
+            return self.size
         if self.start != 0.0:
             return abs(self.start)
         width = self.parameter.upper - self.parameter.lower

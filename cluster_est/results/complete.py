@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,7 @@ def complete(
     seed: int,
     begin: float,
     uncertainty: Uncertainty | None = None,
+    segmented: Sequence[Simulation] = (),
 ) -> Result:
     """Make the result of a search on the training experiments.
 
@@ -53,6 +55,8 @@ def complete(
         Of the run; `begin` is a reading of the monotonic clock.
     uncertainty
         The solution's; from its Jacobian alone if None.
+    segmented
+        Of experiments that are not simulated in one piece.
     """
     problem = train.problem
     units = units | rows.coefficient_units(problem)
@@ -61,7 +65,7 @@ def complete(
     known = train.estimates(solution.x)
     if test_solution is not None:
         known |= test.estimates(test_solution.x)
-    after = simulate_all(runner, problem, known)
+    after = simulate_all(runner, problem, known, segmented)
     solution = _whole(train, solution, method, after)
     if test_solution is not None:
         test_solution = _whole(test, test_solution, method, after)
@@ -110,14 +114,24 @@ def _fit_test_records(
     return solution
 
 
-def simulate_all(runner: Runner, problem: Problem, known: dict[str, float]) -> list[Simulation]:
-    """Every experiment once, at values given by label, else at the start values."""
-    everything = tuple(range(len(problem.experiments)))
-    space = make_space(problem, everything, known)
+def simulate_all(
+    runner: Runner,
+    problem: Problem,
+    known: dict[str, float],
+    segmented: Sequence[Simulation] = (),
+) -> list[Simulation]:
+    """Every experiment once, at values given by label, else at the start values.
+
+    Those that are there already, from segments, are not simulated again.
+    """
+    there = {each.experiment: each for each in segmented}
+    missing = [e for e in range(len(problem.experiments)) if e not in there]
+    space = make_space(problem, tuple(range(len(problem.experiments))), known)
     name = "after" if known else "before"
-    values = space.physical(space.start)
-    outcomes = runner.simulate(values, everything, "trajectory", name, problem.effects)
-    return [Simulation(e, outcome) for e, outcome in zip(everything, outcomes, strict=True)]
+    values = space.physical(space.start)[missing]
+    outcomes = runner.simulate(values, missing, "trajectory", name, problem.effects)
+    there |= {e: Simulation(e, outcome) for e, outcome in zip(missing, outcomes, strict=True)}
+    return [there[e] for e in range(len(problem.experiments))]
 
 
 def _whole(

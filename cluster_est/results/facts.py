@@ -45,6 +45,8 @@ def fit_notes(result: Result) -> tuple[str, ...]:
     """Sentences about the simulations, the residuals and the uncertainty."""
     problem = result.problem
     notes = [*problem.notes(), *silent_notes(problem, problem.describe())]
+    if result.shooting is not None:
+        notes += result.shooting.sentences
     notes += initial_notes(problem, result.simulations)
     if result.diagnostics is not None:
         notes += residual_sentences(result.diagnostics)

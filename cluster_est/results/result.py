@@ -33,6 +33,7 @@ from cluster_est.results.row_types import (
     PointValue,
     StartResult,
 )
+from cluster_est.results.segments import ShootingSummary
 from cluster_est.results.shapes.effect_table import curve_table
 from cluster_est.results.solver_error.measure import SolverError
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
@@ -104,6 +105,8 @@ class Result:
         What half the solver's step changes; None where no step decides, see `measure_solver_error`.
     shapes
         Of the effects that the problem declares.
+    shooting
+        What segments of the records led to; None where the search did not go through them.
     interrupted
         Whether the user or the budget ended it.
     seed
@@ -135,6 +138,7 @@ class Result:
     diagnostics: ResidualDiagnostics | None = field(default=None, repr=False)
     solver_error: SolverError | None = field(default=None, repr=False)
     shapes: tuple[EffectCurve, ...] = field(default=(), repr=False)
+    shooting: ShootingSummary | None = field(default=None, repr=False)
     interrupted: bool = False
     seed: int = 0
     before: tuple[Simulation, ...] = field(default=(), repr=False)
@@ -339,6 +343,7 @@ class Result:
             "bootstrap": [] if drawn is None else bootstrap_rows(drawn),
             "intervals": interval_rows(self.profiles, drawn, self.posterior),
             "scales": observed_scales(self.problem, self.simulations),
+            "segments": () if self.shooting is None else self.shooting.states,
         }
 
     def rmse(self, role: Role) -> float:

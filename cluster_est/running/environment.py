@@ -5,16 +5,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from cluster_est.executors import Executor, WorkerPool
 from cluster_est.executors.base import OutcomeSource
 from cluster_est.executors.log_replay import LogReplayExecutor
 from cluster_est.problem.problem import Problem
-from cluster_est.running.records import Note, Record, Show
+from cluster_est.running.records import Budget, Note, Record, Show, TaskOrigin
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
 from cluster_est.running.trials.reset_policy import ResetDecision, open_with_reset
+from workers.messages import Outcome
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,38 @@ class RunEnvironment:
                 return
             log = self.earlier.outcomes
             yield LogReplayExecutor(pool, problem.model, problem.experiments, log)
+
+    def left(self, evaluations: int, seconds: float) -> RunEnvironment:
+        """Return the environment with what a step before has left of the budget.
+
+        Parameters
+        ----------
+        evaluations, seconds
+            What that took.
+        """
+        budget = self.resources.budget
+        points, time = budget.evaluations, budget.seconds
+        if points is not None:
+            points = max(points - evaluations, 0)
+        if time is not None:
+            time = max(time - seconds, 0.0)
+        rest = replace(self.resources, budget=Budget(points, time))
+        return replace(self, resources=rest)
+
+    def record_of(self, problem: Problem) -> Record | None:
+        """Return the monitor's record, told which experiment of a problem is meant.
+
+        For a step whose experiments are not those of the run.
+        """
+        record = self.monitor.record
+        if record is None:
+            return None
+
+        def told(origin: TaskOrigin, outcome: Outcome) -> None:
+            experiment = problem.experiments[origin.experiment]
+            record(replace(origin, installed=(experiment.id, experiment.key)), outcome)
+
+        return told
 
     def runner(
         self, executor: Executor, *, record: Record | None = None, whole: bool = False

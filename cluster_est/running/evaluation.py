@@ -48,6 +48,13 @@ def with_priors(space: SearchSpace, x: FloatArray, e: int, outcome: Outcome) -> 
     return replace(outcome, residuals=np.concatenate([known, space.priors.residuals(e, x)]))
 
 
+def with_continuity(space: SearchSpace, x: FloatArray, e: int, outcome: Outcome) -> Outcome:
+    """Return the outcome of a segment with the differences between its end and the next start."""
+    if space.continuity is None or not outcome.ok or outcome.residuals is None:
+        return outcome
+    return replace(outcome, residuals=space.continuity.applied(e, x, outcome.residuals))
+
+
 def violation(constraints: FloatArray, equality: npt.NDArray[np.bool_]) -> float:
     """The largest violation; 0 where all are satisfied, infinite where one has no value."""
     if np.isnan(constraints).any():

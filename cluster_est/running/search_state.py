@@ -8,7 +8,7 @@ import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.problem.space import SearchSpace
-from cluster_est.running.evaluation import assemble_evaluation, with_priors
+from cluster_est.running.evaluation import assemble_evaluation, with_continuity, with_priors
 from workers.messages import Effect, FloatArray, Outcome, Want
 
 MEMORY_BYTES = 256 * 2**20
@@ -88,14 +88,13 @@ class SearchState:
         point = self.pending.get(index)
         if point is None:  # dropped, or the search has ended
             return
-        point.outcomes[e] = with_priors(self.request.space, point.x, e, outcome)
+        space, x = self.request.space, point.x
+        point.outcomes[e] = with_priors(space, x, e, with_continuity(space, x, e, outcome))
         point.missing -= 1
         if point.missing == 0:
             del self.pending[index]
             outcomes = tuple(o for o in point.outcomes if o is not None)
-            self.answers.append(
-                (assemble_evaluation(self.request.space, point.x, outcomes, index), point.x)
-            )
+            self.answers.append((assemble_evaluation(space, x, outcomes, index), x))
 
     def take_answers(self) -> list[Evaluation]:
         """The evaluations that it is sent, in the order in which it asked for them."""

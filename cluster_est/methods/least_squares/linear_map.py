@@ -11,6 +11,7 @@ from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import ResidualJacobian
 from cluster_est.methods.least_squares.block_step import BlockStepSolver
 from cluster_est.methods.least_squares.bounded_step import StepSolver
+from cluster_est.methods.least_squares.chain_step import ChainStepSolver, links
 from workers.messages import FloatArray
 
 
@@ -32,7 +33,7 @@ class LinearMap(ABC):
     @abstractmethod
     def solver(
         self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
-    ) -> StepSolver | BlockStepSolver:
+    ) -> StepSolver | BlockStepSolver | ChainStepSolver:
         """Return a solver of steps; see `StepSolver`."""
 
 
@@ -79,5 +80,6 @@ class _BlockMap(LinearMap):
 
     def solver(
         self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
-    ) -> BlockStepSolver:
-        return BlockStepSolver(self._matrix, residuals, scale, lower, upper)
+    ) -> BlockStepSolver | ChainStepSolver:
+        kind = ChainStepSolver if links(self._matrix).any() else BlockStepSolver
+        return kind(self._matrix, residuals, scale, lower, upper)

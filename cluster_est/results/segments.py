@@ -1,0 +1,99 @@
+"""What multiple shooting did, for tables and notes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class SegmentState:
+    """One state at the start of one segment, a row of segments.parquet.
+
+    `guess` is what the search began with, `value` what it found, and `jump` what lies between the
+    end of the segment before and that, in the state's unit; `relative_jump` is over the state's
+    spread along the records.
+    """
+
+    experiment: str
+    segment: int
+    time: float
+    state: str
+    unit: str
+    guess: float
+    value: float
+    jump: float
+    relative_jump: float
+
+
+@dataclass(frozen=True)
+class ShootingSummary:
+    """How a fit went through segments.
+
+    Attributes
+    ----------
+    segments
+        Their number in all training records.
+    joined
+        Whether the fit was finished on whole records; else all errors are those of the segments.
+    largest_jump
+        Between two segments, over the spread of the state; NaN if nothing could be simulated.
+    cost
+        Of the segments, without their jumps.
+    whole_cost
+        Of the records as a whole at what the segments found; NaN where one could not be simulated.
+    promised
+        The least ratio of a standard error by the derivatives of whole records to that of the
+        segments.
+    reason
+        Why the segments led nowhere; "" if they did not fail.
+    states
+        At the start of each segment but the first of each record.
+    """
+
+    segments: int
+    joined: bool
+    largest_jump: float
+    cost: float
+    whole_cost: float
+    promised: float = 1.0
+    reason: str = ""
+    states: tuple[SegmentState, ...] = ()
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What a user should know of it."""
+        if self.reason:
+            return (
+                f"multiple shooting on {self.segments} segments led nowhere ({self.reason}); the "
+                "fit began at the declared start",
+            )
+        if self.joined:
+            return (
+                f"the fit began at what multiple shooting found on {self.segments} segments, whose "
+                f"cost was {self.cost:.6g}",
+            )
+        return (
+            f"estimates, errors and curves are those of {self.segments} segments, each begun at "
+            f"estimated states (segments.parquet); the largest jump between two is "
+            f"{self.largest_jump:.2g} of a state's spread; test records are simulated in one "
+            "piece, and profiles, bootstrap and posterior were left out",
+            self._whole,
+        )
+
+    @property
+    def _whole(self) -> str:
+        """Why the segments were not joined."""
+        if not np.isfinite(self.whole_cost):
+            return "a training record cannot be simulated in one piece: the model is unstable"
+        if self.promised < 1.0:
+            return (
+                "in one piece, records would promise standard errors down to "
+                f"{self.promised:.2g} of those of the segments, as where a model is chaotic: that "
+                "is the width of one minimum among very many, so it is not believed"
+            )
+        return (
+            f"in one piece, from its start, the cost is {self.whole_cost:.3g} instead of "
+            f"{self.cost:.3g}, as where a model is chaotic or unstable"
+        )

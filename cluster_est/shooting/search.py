@@ -1,0 +1,138 @@
+"""Searches on segments whose continuity counts more from one to the next.
+
+While it counts little, each segment follows its data and the parameters are those that suit all of
+them; there are few local minima, because no error of a parameter adds up over the record. Then the
+states are drawn together until the segments are one trajectory (the penalty method; J. Nocedal,
+S. J. Wright, Numerical Optimization (2006), doi:10.1007/978-0-387-40065-5, chapter 17). Orthogonal
+factorisation solves for the steps, so large weights cost no accuracy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluster_est.methods.base import Ending, Solution
+from cluster_est.methods.derivatives.differences import Differences
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.space import SearchSpace
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
+from cluster_est.shooting.first_states import FirstStates, spread_of_states
+from cluster_est.shooting.segment_solution import SegmentSolution
+from cluster_est.shooting.segments import SegmentedProblem
+from cluster_est.shooting.space import states_alone, weighted, with_states
+from workers.messages import FloatArray
+
+WEIGHTS = tuple(10.0**k for k in range(-1, 7))
+"""Of a difference as large as the spread of a state, over that of a sample as large as the spread
+of an output."""
+LOOSE = 1e-3
+"""`ftol` of all searches but the last ones."""
+CONTINUOUS = 1e-6
+"""Largest difference between segments, over the spread of the state, that is none."""
+UNNOTICED = 0.04
+"""Change of the sum of squares, over the variance of the residuals, that is none."""
+
+
+def search_segments(
+    runner: Runner,
+    segmented: SegmentedProblem,
+    space: SearchSpace,
+    first: FirstStates,
+    method: LeastSquares,
+    seed: int,
+) -> SegmentSolution:
+    """Search with one weight after the other, until the segments are one trajectory.
+
+    Parameters
+    ----------
+    runner
+        Its executor has the segments.
+    segmented, space
+        The problem, and its space.
+    first
+        What the space begins with.
+    method, seed
+        As for whole records.
+    """
+    searches = _Searches(runner, segmented, seed)
+    unit, spread = signal_to_noise(segmented.original), first.spread
+    loose = replace(method, ftol=max(method.ftol, LOOSE), differences="forward")
+    strict = replace(method, differences=_without_sensitivities(method))
+    space = searches.fitted_states(weighted(space, unit * WEIGHTS[0], spread), loose)
+    found: SegmentSolution | None = None
+    for weight in WEIGHTS:
+        before = found
+        space = weighted(space, unit * weight, spread)
+        found = searches.run(space, spread, loose, f"segments, continuity counts {weight:g}")
+        space = found.space
+        if runner.interrupted or not found.works:
+            return found
+        if before is not None and _settled(before, found):
+            break
+        spread = _spread(segmented, found, first)
+        if found.solution.ending is Ending.STALLED:  # short differences see noise alone
+            loose = replace(loose, differences="auto")
+    return searches.run(space, spread, strict, "segments, at the end")
+
+
+@dataclass(frozen=True)
+class _Searches:
+    """Runs searches of one problem in segments."""
+
+    runner: Runner
+    segmented: SegmentedProblem
+    seed: int
+
+    def run(
+        self, space: SearchSpace, spread: FloatArray, method: LeastSquares, name: str
+    ) -> SegmentSolution:
+        """Search a space of segments."""
+        return SegmentSolution.of(space, self._solution(space, method, name), spread)
+
+    def fitted_states(self, space: SearchSpace, method: LeastSquares) -> SearchSpace:
+        """Return the space from states that suit the data while the parameters stay.
+
+        What is not measured has nothing better to begin with than a simulation; without this, the
+        parameters would move to make up for it.
+        """
+        alone = states_alone(self.segmented, space)
+        solution = self._solution(alone, method, "segments, states alone")
+        return with_states(self.segmented, space, solution.x)
+
+    def _solution(self, space: SearchSpace, method: LeastSquares, name: str) -> Solution:
+        self.runner.display.phase = name
+        (solution,) = self.runner.run([SearchRequest(name, method, space, self.seed)])
+        return solution
+
+
+def _spread(segmented: SegmentedProblem, found: SegmentSolution, first: FirstStates) -> FloatArray:
+    """The spread of the states, where those that are not measured are found now."""
+    columns = [segmented.problem.parameters.index(p) for p in segmented.states.parameters]
+    starts = np.asarray(found.space.physical(found.solution.x)[:, columns])
+    return spread_of_states(segmented, starts, first.measured)
+
+
+def _settled(before: SegmentSolution, now: SegmentSolution) -> bool:
+    """Whether the segments are one trajectory, or a larger weight changes nothing any more."""
+    change = abs(now.data_cost - before.data_cost)
+    return now.largest_jump <= CONTINUOUS or change <= UNNOTICED * now.variance
+
+
+def _without_sensitivities(method: LeastSquares) -> Differences:
+    """Forward sensitivities know nothing of the ends of segments."""
+    return "auto" if method.differences == "sensitivities" else method.differences
+
+
+def signal_to_noise(problem: Problem) -> float:
+    """The root mean square, over outputs, of the spread of what was measured over its sigma."""
+    ratios = [
+        float(np.std(o.values)) / float(np.median(o.sigmas))
+        for e in problem.experiments
+        for o in e.outputs
+        if e.role == "train" and len(o.times)
+    ]
+    return float(np.sqrt(np.mean(np.square(ratios)))) or 1.0

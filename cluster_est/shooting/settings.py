@@ -1,0 +1,64 @@
+"""The settings of multiple shooting."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cluster_est.errors import ProblemError
+from workers.messages.checks import check_number, shown
+
+
+@dataclass(frozen=True)
+class Shooting:
+    """Into how many segments each training record is cut, or how long one is at most.
+
+    Attributes
+    ----------
+    segments
+        Their number in each record; fewer where a record has fewer measured times.
+    length
+        In seconds, instead of a number.
+    """
+
+    segments: int | None = None
+    length: float | None = None
+
+    @classmethod
+    def of(cls, given: Shooting | Mapping[str, Any] | None) -> Shooting | None:
+        """Return what is given, also as in a config: {"segments": 20}.
+
+        Raises
+        ------
+        ProblemError
+            If it is something else.
+        """
+        if given is None or isinstance(given, cls):
+            return given
+        if isinstance(given, Mapping) and set(given) <= {"segments", "length"}:
+            return cls(**dict(given))
+        raise ProblemError(
+            f"method.shooting: must have segments or length but is {shown(given)}; write "
+            '{"segments": 20}, or {"length": 0.5} for seconds'
+        )
+
+    def check(self) -> None:
+        """Refuse what is neither or both.
+
+        Raises
+        ------
+        ProblemError
+            With what to write.
+        """
+        where = "method.shooting"
+        if (self.segments is None) == (self.length is None):
+            given = "neither" if self.segments is None else "both"
+            raise ProblemError(
+                f"{where}: must have segments or length, but has {given}; write "
+                "{ segments = 20 }, or { length = 0.5 } for seconds"
+            )
+        if self.segments is not None:
+            check_number(self.segments, f"{where}.segments", ProblemError, least=2, whole=True)
+        if self.length is not None:
+            check_number(self.length, f"{where}.length", ProblemError, above=0.0)

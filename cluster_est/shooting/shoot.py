@@ -1,0 +1,158 @@
+"""The recipe of multiple shooting: cut, begin, search, join."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import Method, Solution
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.space import SearchSpace
+from cluster_est.results.output_errors import Simulation
+from cluster_est.results.segments import SegmentState, ShootingSummary
+from cluster_est.running.environment import RunEnvironment
+from cluster_est.shooting.first_states import FirstStates, first_states
+from cluster_est.shooting.joined import joined_simulations, joined_solution
+from cluster_est.shooting.search import search_segments
+from cluster_est.shooting.segment_solution import SegmentSolution
+from cluster_est.shooting.segments import SegmentedProblem, cut
+from cluster_est.shooting.settings import Shooting
+from cluster_est.shooting.space import make_segment_space
+
+
+@dataclass(frozen=True)
+class ShotFit:
+    """What multiple shooting found.
+
+    Attributes
+    ----------
+    solution
+        Of the fit, on segments; None where they led nowhere.
+    simulations
+        Of each training record, joined from its segments.
+    summary
+        For the result.
+    interrupted
+        Whether it was.
+    evaluations, simulated, failures
+        What it took.
+    """
+
+    solution: Solution | None
+    simulations: tuple[Simulation, ...] = field(repr=False)
+    summary: ShootingSummary
+    interrupted: bool
+    evaluations: int
+    simulated: int
+    failures: int
+
+
+def check_shooting(train: SearchSpace, method: Method, shooting: Shooting) -> SegmentedProblem:
+    """Refuse a fit that segments cannot help; return the segments.
+
+    Raises
+    ------
+    ProblemError
+        With what to change.
+    """
+    shooting.check()
+    if not isinstance(method, LeastSquares):
+        raise ProblemError(
+            f"method.shooting: needs method.name least_squares but it is {method.name}; change it, "
+            "or leave method.shooting out"
+        )
+    cost = train.problem.cost
+    if cost.name != "sse":
+        raise ProblemError(
+            'method.shooting: needs cost.name = "sse", against which the continuity of states is '
+            f"weighed, but it is {cost.name!r}; change it, or leave method.shooting out"
+        )
+    return cut(train.problem, shooting)
+
+
+def shoot(
+    environment: RunEnvironment,
+    train: SearchSpace,
+    method: LeastSquares,
+    shooting: Shooting,
+    seed: int,
+) -> ShotFit:
+    """Fit the training records in segments.
+
+    Parameters
+    ----------
+    environment
+        Workers, budget and listeners.
+    train
+        The space of the fit.
+    method, shooting, seed
+        How to search.
+
+    Raises
+    ------
+    ClusterEstError
+        If the model does not allow it, or there are no workers.
+    """
+    segmented = check_shooting(train, method, shooting)
+    problem = segmented.problem
+    with environment.executor(problem) as executor:
+        runner = environment.runner(executor, record=environment.record_of(problem))
+        runner.display.phase = "states at the starts of segments"
+        first = first_states(runner, segmented, train)
+        space = make_segment_space(segmented, train, first.starts, first.spread)
+        found = search_segments(runner, segmented, space, first, method, seed)
+        simulations = joined_simulations(runner, segmented, found) if found.works else []
+        works = found.works and all(each.outcome.ok for each in simulations)
+        return ShotFit(
+            joined_solution(segmented, train, found, simulations) if works else None,
+            tuple(simulations),
+            _summary(segmented, first, found, works),
+            runner.interrupted,
+            runner.evaluations,
+            runner.simulations,
+            runner.failures,
+        )
+
+
+def _summary(
+    segmented: SegmentedProblem, first: FirstStates, found: SegmentSolution, works: bool
+) -> ShootingSummary:
+    solution = found.solution
+    return ShootingSummary(
+        segments=len(segmented.segments),
+        joined=False,
+        largest_jump=found.largest_jump,
+        cost=found.data_cost,
+        whole_cost=np.nan,
+        reason="" if works else solution.message or str(solution.ending),
+        states=_states(segmented, first, found) if works else (),
+    )
+
+
+def _states(
+    segmented: SegmentedProblem, first: FirstStates, found: SegmentSolution
+) -> tuple[SegmentState, ...]:
+    units = {p.target: p.unit for p in segmented.states.parameters}
+    known = found.space.continuity
+    assert known is not None
+    values, count = found.solution.x, len(segmented.states.names)
+    rows = []
+    for i, (end, jump) in enumerate(zip(known.ends, found.jumps.tolist(), strict=True)):
+        position = end.experiment + 1
+        segment, state = segmented.segments[position], i % count
+        rows.append(
+            SegmentState(
+                experiment=segmented.original.experiments[segment.record].id,
+                segment=segment.number + 1,
+                time=segment.experiment.start,
+                state=segmented.states.names[state],
+                unit=units.get(segmented.states.names[state], ""),
+                guess=float(first.starts[position, state]),
+                value=float(values[end.unknown]),
+                jump=jump,
+                relative_jump=jump / float(found.spread[state]),
+            )
+        )
+    return tuple(rows)
