@@ -22,6 +22,7 @@ from cluster_est.config.settings import (
     build_resources,
     build_sensitivity,
     build_settings,
+    build_shooting,
     build_uncertainty,
 )
 from cluster_est.errors import BudgetError, ProblemError
@@ -193,8 +194,13 @@ def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) ->
         check_bounds(problem)
         return ConfiguredSensitivity(identity, config, build_sensitivity(config))
     plan = FitPlan(
-        build_method(config), identity.seed, build_multistart(config), build_uncertainty(config)
+        build_method(config),
+        identity.seed,
+        build_multistart(config),
+        build_uncertainty(config),
+        build_shooting(config),
     )
+    plan.check()
     check_search(problem, plan)
     make_space(problem, problem.indices("test"))
     return ConfiguredFit(identity, config, plan)

@@ -9,6 +9,7 @@ from cluster_est.running.multistart import Multistart
 from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
 from cluster_est.sensitivity.settings import SensitivitySettings
+from cluster_est.shooting.settings import Shooting
 from cluster_est.uncertainty import UncertaintySettings
 from workers.effects.site import parse_site
 from workers.messages import Limits
@@ -38,6 +39,12 @@ def build_multistart(config: Config) -> Multistart:
     """From how many starts."""
     section = config.multistart
     return Multistart(points=tuple(section.points), **section.model_dump(exclude={"points"}))
+
+
+def build_shooting(config: Config) -> Shooting | None:
+    """Through which segments of the records."""
+    section = config.method.shooting
+    return None if section is None else Shooting(section.segments, section.length)
 
 
 def build_uncertainty(config: Config) -> UncertaintySettings:

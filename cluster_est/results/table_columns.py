@@ -594,6 +594,26 @@ TABLES = (
         ),
     ),
     TableMeaning(
+        "segments",
+        "state at the start of a segment of a record",
+        "where method.shooting is given",
+        (
+            ColumnDescription("experiment", TEXT, "", "id of the record"),
+            ColumnDescription("segment", WHOLE, "", "its place in the record, counted from 1"),
+            ColumnDescription("time", NUMBER, "s", "at which it begins"),
+            ColumnDescription("state", TEXT, "", "of the FMU"),
+            ColumnDescription("unit", TEXT, "", "of the state"),
+            ColumnDescription("guess", NUMBER, "the state's", "that the search began with"),
+            ColumnDescription("value", NUMBER, "the state's", "that the segment begins with"),
+            ColumnDescription(
+                "jump", NUMBER, "the state's", "from the end of the segment before to that"
+            ),
+            ColumnDescription(
+                "relative_jump", NUMBER, "", "the same over the state's spread along the records"
+            ),
+        ),
+    ),
+    TableMeaning(
         "candidates",
         "input that was looked at",
         IN_DESIGNS,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Method, Solution
+from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.space import SearchSpace
 from cluster_est.results.output_errors import Simulation
@@ -20,6 +20,10 @@ from cluster_est.shooting.segment_solution import SegmentSolution
 from cluster_est.shooting.segments import SegmentedProblem, cut
 from cluster_est.shooting.settings import Shooting
 from cluster_est.shooting.space import make_segment_space
+
+
+JOINED = 1e-3
+"""Largest jump between segments, over the spread of the state, of a solution."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +109,9 @@ def shoot(
         found = search_segments(runner, segmented, space, first, method, seed)
         simulations = joined_simulations(runner, segmented, found) if found.works else []
         works = found.works and all(each.outcome.ok for each in simulations)
+        solution = joined_solution(segmented, train, found, simulations) if works else None
         return ShotFit(
-            joined_solution(segmented, train, found, simulations) if works else None,
+            None if solution is None else _honest(solution, found),
             tuple(simulations),
             _summary(segmented, first, found, works),
             runner.interrupted,
@@ -114,6 +119,17 @@ def shoot(
             runner.simulations,
             runner.failures,
         )
+
+
+def _honest(solution: Solution, found: SegmentSolution) -> Solution:
+    """A solution whose segments do not follow each other is none."""
+    if found.largest_jump <= JOINED or not solution.ending.success:
+        return solution
+    message = (
+        f"the segments do not join: the largest jump between two is {found.largest_jump:.2g} of a "
+        "state's spread; start closer, or take shorter segments"
+    )
+    return replace(solution, ending=Ending.STALLED, message=message)
 
 
 def _summary(

@@ -125,12 +125,26 @@ class ConstraintSection(ConfigSection):
     )
 
 
+class ShootingSection(ConfigSection):
+    """Keys of multiple shooting."""
+
+    segments: int | None = Field(
+        None, ge=2, description="parts that each training record is cut into"
+    )
+    length: Finite | None = Field(None, gt=0.0, description="seconds of a part at most, instead")
+
+
 class MethodSection(ConfigSection):
     """Keys of the method."""
 
     name: str = Field("least_squares", description="see the documentation: which method when")
     options: dict[str, Any] = Field(default_factory=dict, description="of the method")
     seed: Count = Field(0, description="of the method's random generator")
+    shooting: ShootingSection | None = Field(
+        None,
+        description="{ segments = 20 } or { length = 0.5 }: go through parts of the records first, "
+        "each from states that are estimated too; for models that are chaotic, unstable or drift",
+    )
 
 
 _STARTS, _REFITS = Multistart(), UncertaintySettings()
