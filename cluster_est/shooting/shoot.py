@@ -21,7 +21,6 @@ from cluster_est.shooting.segments import SegmentedProblem, cut
 from cluster_est.shooting.settings import Shooting
 from cluster_est.shooting.space import make_segment_space
 
-
 JOINED = 1e-3
 """Largest jump between segments, over the spread of the state, of a solution."""
 

@@ -1,4 +1,4 @@
-"""Draw the pictures of three pages: costs and limits, a run on a cluster, an input that is held.
+"""Draw the pictures of four pages: costs and limits, a cluster, an input that is held, segments.
 
     python scripts/docs/page_pictures.py
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from docs import cluster_picture, cost_picture, step_picture
+from docs import cluster_picture, cost_picture, shooting_picture, step_picture
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "cluster_est" / "docs"
@@ -21,6 +21,7 @@ PICTURES = {
     "costs_and_limits": cost_picture.picture,
     "cluster_layout": cluster_picture.picture,
     "held_input": step_picture.picture,
+    "multiple_shooting": shooting_picture.picture,
 }
 """By the names of their files."""
 

@@ -131,6 +131,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
         ("loop", loop, "close-loop"),
         ("ranked", {"sensitivity": {"groups": 4}}, "sensitivity"),
         ("scaled", {"experiments": [scaled]}, "fit"),
+        ("shot", {"method": {"shooting": {"segments": 3}}}, "fit"),
     ):
         (folder / f"{name}.toml").write_text(to_toml(base | extra))
         code = main([command, str(folder / f"{name}.toml"), "--out", str(folder / name)])

@@ -1,4 +1,4 @@
-"""The pictures of three pages are what the library makes of costs, limits and a held input."""
+"""The pictures of four pages are what the library makes of costs, limits, inputs and segments."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ PAGES = {
     "costs_and_limits": "costs_and_constraints.md",
     "cluster_layout": "on_a_cluster.md",
     "held_input": "exported_fmus.md",
+    "multiple_shooting": "multiple_shooting.md",
 }
 AT_SIX = {
     "sse": 36.0,
