@@ -43,6 +43,8 @@ class ShootingSummary:
         Of the segments, without their jumps.
     whole_cost
         Of the records as a whole at what the segments found; NaN where one could not be simulated.
+    asked
+        For how many the settings had asked.
     promised
         The least ratio of a standard error by the derivatives of whole records to that of the
         segments.
@@ -57,6 +59,7 @@ class ShootingSummary:
     largest_jump: float
     cost: float
     whole_cost: float
+    asked: int = 0
     promised: float = 1.0
     reason: str = ""
     states: tuple[SegmentState, ...] = ()
@@ -64,6 +67,16 @@ class ShootingSummary:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What a user should know of it."""
+        if self.segments > self.asked > 0:
+            shorter = (
+                f"records were cut into {self.segments} segments instead of {self.asked}, which "
+                "were too long to follow their data from the declared start",
+            )
+            return (*shorter, *self._ended)
+        return self._ended
+
+    @property
+    def _ended(self) -> tuple[str, ...]:
         if self.reason:
             return (
                 f"multiple shooting on {self.segments} segments led nowhere ({self.reason}); the "

@@ -16,11 +16,11 @@ import numpy as np
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.methods.derivatives.differences import Differences
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.shooting.first_states import FirstStates, spread_of_states
+from cluster_est.shooting.measured_spread import cost_of_constants, signal_to_noise
 from cluster_est.shooting.segment_solution import SegmentSolution
 from cluster_est.shooting.segments import SegmentedProblem
 from cluster_est.shooting.space import states_alone, weighted, with_states
@@ -29,12 +29,39 @@ from workers.messages import FloatArray
 WEIGHTS = tuple(10.0**k for k in range(-1, 7))
 """Of a difference as large as the spread of a state, over that of a sample as large as the spread
 of an output."""
+JOINED = 1e-3
+"""Largest difference between segments, over the spread of the state, of segments that join."""
 LOOSE = 1e-3
 """`ftol` of all searches but the last ones."""
 CONTINUOUS = 1e-6
 """Largest difference between segments, over the spread of the state, that is none."""
 UNNOTICED = 0.04
 """Change of the sum of squares, over the variance of the residuals, that is none."""
+
+
+FOLLOWS = 0.05
+"""Cost of segments whose states are free, over that of constants, above which they are too long to
+follow what was measured."""
+FLOOR = 0.3
+"""Part of the largest difference between segments that is left at a weight ten times as large,
+above which the rest is the error of the solver."""
+
+
+@dataclass(frozen=True)
+class SegmentSearch:
+    """The end of the searches on segments.
+
+    Attributes
+    ----------
+    found
+        The last solution.
+    too_long
+        Whether they were given up, because segments do not follow their data even from the best
+        states.
+    """
+
+    found: SegmentSolution
+    too_long: bool = False
 
 
 def search_segments(
@@ -44,7 +71,9 @@ def search_segments(
     first: FirstStates,
     method: LeastSquares,
     seed: int,
-) -> SegmentSolution:
+    *,
+    last: bool,
+) -> SegmentSearch:
     """Search with one weight after the other, until the segments are one trajectory.
 
     Parameters
@@ -57,26 +86,33 @@ def search_segments(
         What the space begins with.
     method, seed
         As for whole records.
+    last
+        Whether there are no shorter segments.
     """
     searches = _Searches(runner, segmented, seed)
     unit, spread = signal_to_noise(segmented.original), first.spread
     loose = replace(method, ftol=max(method.ftol, LOOSE), differences="forward")
     strict = replace(method, differences=_without_sensitivities(method))
     space = searches.fitted_states(weighted(space, unit * WEIGHTS[0], spread), loose)
-    found: SegmentSolution | None = None
+    before: SegmentSolution | None = None
     for weight in WEIGHTS:
-        before = found
         space = weighted(space, unit * weight, spread)
         found = searches.run(space, spread, loose, f"segments, continuity counts {weight:g}")
-        space = found.space
         if runner.interrupted or not found.works:
-            return found
+            return SegmentSearch(found)
+        if before is None and not last:
+            most = FOLLOWS * cost_of_constants(segmented.original)
+            if found.data_cost > most:
+                return SegmentSearch(found, too_long=True)
+        if before is not None and _at_floor(before, found):
+            found = before
+            break
         if before is not None and _settled(before, found):
             break
-        spread = _spread(segmented, found, first)
+        before, space, spread = found, found.space, _spread(segmented, found, first)
         if found.solution.ending is Ending.STALLED:  # short differences see noise alone
             loose = replace(loose, differences="auto")
-    return searches.run(space, spread, strict, "segments, at the end")
+    return SegmentSearch(searches.run(found.space, found.spread, strict, "segments, at the end"))
 
 
 @dataclass(frozen=True)
@@ -122,17 +158,12 @@ def _settled(before: SegmentSolution, now: SegmentSolution) -> bool:
     return now.largest_jump <= CONTINUOUS or change <= UNNOTICED * now.variance
 
 
+def _at_floor(before: SegmentSolution, now: SegmentSolution) -> bool:
+    """Whether what is left of the differences does not shrink with the weight."""
+    small = before.largest_jump <= JOINED
+    return small and now.largest_jump > FLOOR * before.largest_jump
+
+
 def _without_sensitivities(method: LeastSquares) -> Differences:
     """Forward sensitivities know nothing of the ends of segments."""
     return "auto" if method.differences == "sensitivities" else method.differences
-
-
-def signal_to_noise(problem: Problem) -> float:
-    """The root mean square, over outputs, of the spread of what was measured over its sigma."""
-    ratios = [
-        float(np.std(o.values)) / float(np.median(o.sigmas))
-        for e in problem.experiments
-        for o in e.outputs
-        if e.role == "train" and len(o.times)
-    ]
-    return float(np.sqrt(np.mean(np.square(ratios)))) or 1.0

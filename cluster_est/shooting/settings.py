@@ -7,7 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from cluster_est.errors import ProblemError
+from cluster_est.problem.problem import Problem
 from workers.messages.checks import check_number, shown
+
+LEAST_SAMPLES = 4
+"""Of a segment that is cut in halves."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,24 @@ class Shooting:
             f"method.shooting: must have segments or length but is {shown(given)}; write "
             '{"segments": 20}, or {"length": 0.5} for seconds'
         )
+
+    def halved(self, problem: Problem) -> Shooting | None:
+        """Return the settings for segments half as long; None if they had too few samples."""
+        longest = max(
+            (e.stop - e.start) / max((len(o.times) for o in e.outputs), default=1)
+            for e in problem.experiments
+            if e.role == "train"
+        )
+        shortest = min(
+            (e.stop - e.start) / self.segments if self.segments else self.length or 0.0
+            for e in problem.experiments
+            if e.role == "train"
+        )
+        if 0.5 * shortest < LEAST_SAMPLES * longest:
+            return None
+        if self.segments:
+            return Shooting(segments=2 * self.segments)
+        return Shooting(length=0.5 * (self.length or 0.0))
 
     def check(self) -> None:
         """Refuse what is neither or both.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,14 +16,11 @@ from cluster_est.results.segments import SegmentState, ShootingSummary
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.shooting.first_states import FirstStates, first_states
 from cluster_est.shooting.joined import joined_simulations, joined_solution
-from cluster_est.shooting.search import search_segments
+from cluster_est.shooting.search import JOINED, search_segments
 from cluster_est.shooting.segment_solution import SegmentSolution
 from cluster_est.shooting.segments import SegmentedProblem, cut
 from cluster_est.shooting.settings import Shooting
 from cluster_est.shooting.space import make_segment_space
-
-JOINED = 1e-3
-"""Largest jump between segments, over the spread of the state, of a solution."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +39,8 @@ class ShotFit:
         Whether it was.
     evaluations, simulated, failures
         What it took.
+    too_long
+        Whether segments could not follow their data, and shorter ones may.
     """
 
     solution: Solution | None
@@ -50,6 +50,7 @@ class ShotFit:
     evaluations: int
     simulated: int
     failures: int
+    too_long: bool = False
 
 
 def check_shooting(train: SearchSpace, method: Method, shooting: Shooting) -> SegmentedProblem:
@@ -82,7 +83,7 @@ def shoot(
     shooting: Shooting,
     seed: int,
 ) -> ShotFit:
-    """Fit the training records in segments.
+    """Fit the training records in segments; in shorter ones, where those do not follow their data.
 
     Parameters
     ----------
@@ -99,15 +100,51 @@ def shoot(
         If the model does not allow it, or there are no workers.
     """
     segmented = check_shooting(train, method, shooting)
+    asked, begin = len(segmented.segments), time.monotonic()
+    taken: list[ShotFit] = []
+    while True:
+        used = sum(shot.evaluations for shot in taken)
+        shorter = shooting.halved(train.problem)
+        shot = _shoot(
+            environment.left(used, time.monotonic() - begin),
+            train,
+            segmented,
+            (method, seed),
+            last=shorter is None,
+        )
+        taken.append(shot)
+        if shorter is None or not shot.too_long:
+            break
+        shooting, segmented = shorter, cut(train.problem, shorter)
+    return replace(
+        shot,
+        summary=replace(shot.summary, asked=asked),
+        evaluations=sum(shot.evaluations for shot in taken),
+        simulated=sum(shot.simulated for shot in taken),
+        failures=sum(shot.failures for shot in taken),
+    )
+
+
+def _shoot(
+    environment: RunEnvironment,
+    train: SearchSpace,
+    segmented: SegmentedProblem,
+    how: tuple[LeastSquares, int],
+    *,
+    last: bool,
+) -> ShotFit:
+    """Fit in these segments, by a method and from a seed."""
     problem = segmented.problem
     with environment.executor(problem) as executor:
         runner = environment.runner(executor, record=environment.record_of(problem))
         runner.display.phase = "states at the starts of segments"
         first = first_states(runner, segmented, train)
         space = make_segment_space(segmented, train, first.starts, first.spread)
-        found = search_segments(runner, segmented, space, first, method, seed)
-        simulations = joined_simulations(runner, segmented, found) if found.works else []
-        works = found.works and all(each.outcome.ok for each in simulations)
+        search = search_segments(runner, segmented, space, first, *how, last=last)
+        found = search.found
+        goes_on = found.works and not search.too_long
+        simulations = joined_simulations(runner, segmented, found) if goes_on else []
+        works = goes_on and all(each.outcome.ok for each in simulations)
         solution = joined_solution(segmented, train, found, simulations) if works else None
         return ShotFit(
             None if solution is None else _honest(solution, found),
@@ -117,6 +154,7 @@ def shoot(
             runner.evaluations,
             runner.simulations,
             runner.failures,
+            search.too_long,
         )
 
 

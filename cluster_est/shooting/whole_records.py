@@ -13,6 +13,7 @@ from cluster_est.results.segments import ShootingSummary
 from cluster_est.running.multistart import Multistart, MultistartResult, search_from_starts
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
+from cluster_est.shooting.measured_spread import cost_of_constants
 from cluster_est.shooting.shoot import ShotFit
 from cluster_est.uncertainty import intervals
 from cluster_est.uncertainty.spaces import with_start
@@ -63,7 +64,7 @@ def fit_whole_records(
     (at,) = runner.run([SearchRequest("whole records", GivenPoints(x[None, :], "whole"), train)])
     cost = at.evaluations[0].cost if at.evaluations else np.nan
     summary = replace(summary, whole_cost=float(cost))
-    constants = _cost_of_constants(train)
+    constants = cost_of_constants(train.problem)
     if runner.interrupted or cost < WORTH_TRYING * constants:
         begun = with_start(train, x)
         found = search_from_starts(runner, begun, method, Multistart(), seed)
@@ -84,15 +85,3 @@ def _promised(train: SearchSpace, whole: Solution, segments: Solution) -> float:
     ]
     there = (known[0] > 0.0) & (known[1] > 0.0)
     return float(np.min(known[0][there] / known[1][there], initial=1.0))
-
-
-def _cost_of_constants(train: SearchSpace) -> float:
-    """The sum of squares of constants in the place of all outputs."""
-    chosen = [train.problem.experiments[e] for e in train.experiments]
-    parts = [
-        float(np.sum(((o.values - np.mean(o.values)) / o.sigmas) ** 2))
-        for e in chosen
-        for o in e.outputs
-        if len(o.times)
-    ]
-    return float(sum(parts))

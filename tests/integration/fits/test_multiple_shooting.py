@@ -157,7 +157,7 @@ def test_a_chaotic_model_is_found_where_whole_records_lead_astray():
 
 @pytest.fixture(scope="module")
 def standing() -> ce.Result:
-    return ce.fit(standing_rod(), shooting={"segments": 16})
+    return ce.fit(standing_rod(), shooting={"segments": 32})
 
 
 def test_an_unstable_model_is_fitted_in_segments_and_says_so(standing):
@@ -166,7 +166,7 @@ def test_an_unstable_model_is_fitted_in_segments_and_says_so(standing):
     assert not standing.shooting.joined
     assert [e.normalised_after for e in standing.errors] == pytest.approx([1.0, 1.0], abs=0.1)
     said = " ".join(standing.notes)
-    assert "are those of 16 segments" in said
+    assert "are those of 32 segments" in said
     assert "in one piece, from its start, the cost is" in said
 
 
@@ -183,11 +183,11 @@ def test_the_curves_of_segments_are_one(standing):
 
 def test_each_segment_has_its_states_in_a_table(standing):
     rows = standing.table("segments").to_pylist()
-    assert len(rows) == 15 * 4
+    assert len(rows) == 31 * 4
     assert {row["state"] for row in rows} == {"position", "angle", "velocity", "speed"}
     assert max(abs(row["relative_jump"]) for row in rows) == standing.shooting.largest_jump < 1e-5
     position = [row for row in rows if row["state"] == "position"]
-    assert [row["segment"] for row in position] == list(range(2, 17))
+    assert [row["segment"] for row in position] == list(range(2, 33))
     output = standing.problem.experiments[0].outputs[0]
     measured = [np.interp(row["time"], output.times, output.values) for row in position]
     np.testing.assert_allclose([row["guess"] for row in position], measured)
@@ -196,10 +196,17 @@ def test_each_segment_has_its_states_in_a_table(standing):
 def test_workers_and_their_order_change_no_bit(standing):
     problem = standing.problem
     again = ce.fit(
-        problem, resources=ce.Resources("processes", workers=2), shooting={"segments": 16}
+        problem, resources=ce.Resources("processes", workers=2), shooting={"segments": 32}
     )
     assert again.x == standing.x
     assert again.cost == standing.cost
+
+
+def test_segments_that_are_too_long_are_cut_in_halves_and_that_is_said():
+    result = ce.fit(standing_rod(), shooting={"segments": 8})
+    assert near(result, ROD)
+    assert result.shooting.segments > result.shooting.asked == 8
+    assert any("instead of 8, which were too long" in note for note in result.notes)
 
 
 def test_segments_that_lead_nowhere_are_said():
