@@ -15,6 +15,7 @@ from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.observed_outputs import check_observed_outputs
 from cluster_est.problem.prior_weights import check_priors
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import check_process_noise
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.results import rows
 from cluster_est.results.complete import complete, simulate_all
@@ -337,6 +338,7 @@ def check_search(problem: Problem, plan: FitPlan) -> SearchSpace:
     """
     check_priors(problem)
     check_observed_outputs(problem)
+    check_process_noise(problem)
     train = make_space(problem, problem.indices("train"))
     check_method(plan.method, train)
     check_starts(train, plan.multistart)

@@ -139,6 +139,8 @@ class Evaluator:
         result = simulations.get(batch.want, self._simulator.run)(experiment, values, batch.effects)
         simulated = SimulatedOutputs(bound.grid.times, bound.outputs, result.outputs, values)
         comparison = self._comparisons[experiment].compare(simulated)
+        if result.innovations:
+            comparison = comparison._replace(residuals=_as_innovations(comparison, result))
         seconds = (time.perf_counter() - start) / len(ids)
         evaluation = _BatchEvaluation(bound, result, comparison, batch.want)
         outcomes = [
@@ -216,6 +218,14 @@ class _BatchEvaluation:
             return Status.NOT_FINITE, _where_not_finite(self.bound, result.outputs[p])
         not_linear = _where_not_linear(result.linearisations.get(p))
         return None if not_linear is None else (Status.NOT_FINITE, not_linear)
+
+
+def _as_innovations(comparison: BatchComparison, result: SimulationBatch) -> FloatArray:
+    """The residuals, with innovations in the place of those of points that have them."""
+    residuals = comparison.residuals.copy()
+    for p, innovations in result.innovations.items():
+        residuals[p] = innovations
+    return residuals
 
 
 def _reduced(experiment: Experiment, outcome: Outcome, want: Want) -> Outcome:

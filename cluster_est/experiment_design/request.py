@@ -13,6 +13,7 @@ from cluster_est.experiment_design.limits import ExperimentLimits
 from cluster_est.experiment_design.models import CandidateModel
 from cluster_est.experiment_design.settings import DesignSettings
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.problem.space import make_space
 from cluster_est.problem.unknown import Unknown
 from workers.fmu.description import ModelDescription, nearest
@@ -180,6 +181,7 @@ def _check_comparable(problem: Problem) -> None:
             f"design: must plan with a cost that has weights, such as sse, but the run's is "
             f"{problem.cost.name}; fit once more with sse and design from that"
         )
+    refuse_process_noise(problem, "design")
     for experiment in problem.experiments:
         if experiment.curve is not None or experiment.cost_function is not None:
             raise ProblemError(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from cluster_est.problem.idle_inputs import silent_notes
+from cluster_est.problem.process_noise import process_noise_notes
 from cluster_est.results.initial_errors import initial_notes
 from cluster_est.results.observation import observation_notes
 from cluster_est.results.output_errors import worse_than_constants
@@ -45,6 +46,7 @@ def fit_notes(result: Result) -> tuple[str, ...]:
     """Sentences about the simulations, the residuals and the uncertainty."""
     problem = result.problem
     notes = [*problem.notes(), *silent_notes(problem, problem.describe())]
+    notes += process_noise_notes(problem)
     if result.shooting is not None:
         notes += result.shooting.sentences
     notes += initial_notes(problem, result.simulations)

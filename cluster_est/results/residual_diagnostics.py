@@ -8,6 +8,7 @@ import numpy as np
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods.base import Ending, Solution
+from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.space import SearchSpace
 from cluster_est.results.observation import has_censored_values
 from cluster_est.results.output_errors import Simulation, output_residuals
@@ -68,13 +69,23 @@ def diagnose_residuals(
     if not known or len(known) < len(parts):
         return None
     residuals, records = np.concatenate(known), make_records(experiments)
+    declared = _declared(space, records)
+    if noise_names(problem):  # innovations are white over their own spread, which is no sigma
+        residuals, declared = _innovations(space, solution), (False,) * len(declared)
     if not np.isfinite(residuals).all():
         return None
-    declared = _declared(space, records)
     exact = _exact(space, residuals, records)
     basis = _basis(space, solution, len(residuals))
     tests = ResidualTests(residuals, records, basis, declared, exact)
     return ResidualDiagnostics(*tests.run(), converged=ending.success)
+
+
+def _innovations(space: SearchSpace, solution: Solution) -> FloatArray:
+    """The residuals of a fit with process noise, without those of priors; NaN if it has none."""
+    at = solution.at
+    if at is None or not at.ok:
+        return np.full(1, np.nan)
+    return np.asarray(at.residuals[~space.priors.among(space.rows)])
 
 
 def _declared(space: SearchSpace, records: StackedRecords) -> tuple[bool, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.shooting.settings import Shooting
 from cluster_est.shooting.states import SegmentStates, segment_states
 from workers.fmu.description import ModelDescription
@@ -116,6 +117,7 @@ def _check_effects(problem: Problem, description: ModelDescription) -> None:
     """Refuse effects that remember: a segment does not know what came before it."""
     if not problem.effects:
         return
+    refuse_process_noise(problem, "method.shooting")
     from workers.effects.definition import define  # needs SymPy, which is slow to import
 
     signals = {given.variable for e in problem.experiments for given in e.signals}

@@ -16,6 +16,7 @@ from dataclasses import replace
 
 from workers.effects.kinds import (
     FREE_FAMILY,
+    NOISE_FAMILY,
     EffectForm,
     FormCoefficient,
     FormCondition,
@@ -113,6 +114,10 @@ _ZERO = FormCoefficient(
 )
 _LATE = FormCoefficient(
     "tau", positive=True, scale=GridScale.STEP, grid=(1.0, 4.0, 12.0), unit="second"
+)
+_COLOURED = (
+    FormCoefficient("q", positive=True, unit="site / second^0.5"),
+    _shape("tau", "second", GridScale.STEP, 10.0),
 )
 _RATE = FormCoefficient(
     "rate",
@@ -476,6 +481,22 @@ _VARIATIONS = (
     ),
 )  # fmt: skip
 
+_NOISES = (
+    EffectForm("diffusion", NOISE_FAMILY, _DER, "0",
+         (FormCoefficient("q", positive=True, unit="site second^0.5"),)),
+    EffectForm("coloured_noise", NOISE_FAMILY, _DER, "z", _COLOURED, 0,
+         (OwnState("z", "-z / tau", "0"),)),
+    EffectForm("coloured_noise", NOISE_FAMILY, _IN, "s + z", _COLOURED, 0,
+         (OwnState("z", "-z / tau", "0"),)),
+)  # fmt: skip
+
+PROCESS_NOISE: dict[tuple[SiteKind, str], EffectForm] = {
+    (kind, f.name): f for f in _NOISES for kind in f.kinds
+}
+"""White noise q dW, at the derivative itself or at that of a state z of its own, which makes it an
+Ornstein-Uhlenbeck process. Where one is there, an extended Kalman filter takes the place of a
+simulation. A search does not try them."""
+
 FORMS: dict[tuple[SiteKind, str], EffectForm] = {
     (kind, f.name): f
     for f in (*_RATES, *_SIGNALS, *_FORCES, *_TERMS, *_VARIATIONS)
@@ -492,6 +513,8 @@ def form(kind: SiteKind, name: str, where: str) -> EffectForm:
     EffectError
         If there is none of that name for that kind of site.
     """
+    if (kind, name) in PROCESS_NOISE:
+        return PROCESS_NOISE[kind, name]
     if (kind, name) not in FORMS:
         known = [n for k, n in FORMS if k == kind]
         raise EffectError(

@@ -97,6 +97,8 @@ class FormCondition(enum.Enum):
 
 FREE_FAMILY = "table"
 """The family of free curves."""
+NOISE_FAMILY = "process noise"
+"""The family of noise that acts on states."""
 
 
 @dataclass(frozen=True)
@@ -201,6 +203,11 @@ class EffectForm:
     def free(self) -> bool:
         """It is a free curve: it fits anything, and explains nothing."""
         return self.family == FREE_FAMILY
+
+    @property
+    def is_noise(self) -> bool:
+        """It is noise that acts on a state, with its first coefficient as its strength."""
+        return self.family == NOISE_FAMILY
 
     @property
     def of_time_alone(self) -> bool:

@@ -127,12 +127,12 @@ def linearise(  # type: ignore[no-untyped-def]
         status = record_outputs(c, references, hooks, grid, i, time, work, outputs[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), time
-        status = _linearise_at(c, references, hooks, offsets, grid, i, work, perturbed, result)
+        status = linearise_at(c, references, hooks, offsets, grid, i, work, perturbed, result)
         if status >= DISCARD:
             return failed(LINEARISATION, status), time
         if i + 1 == len(times):
             break
-        code, time, proposed, steps_left = _step_on_grid(
+        code, time, proposed, steps_left = step_on_grid(
             stepping, c, references, settings, hooks, grid, i, time, proposed, steps_left, work,
             result,
         )  # fmt: skip
@@ -140,7 +140,7 @@ def linearise(  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _step_on_grid(  # type: ignore[no-untyped-def]
+def step_on_grid(  # type: ignore[no-untyped-def]
     stepping, c, references, settings, hooks, grid, i, time, proposed, steps_left, work, result
 ):
     """Step to grid time i + 1. Returns what `adaptive_steps` does."""
@@ -163,7 +163,7 @@ def _step_on_grid(  # type: ignore[no-untyped-def]
 
 
 @subroutine
-def _linearise_at(c, references, hooks, offsets, grid, i, work, perturbed, result):  # type: ignore[no-untyped-def]
+def linearise_at(c, references, hooks, offsets, grid, i, work, perturbed, result):  # type: ignore[no-untyped-def]
     """Take all derivatives at grid time i, which the FMU is set to. Returns the worst status."""
     time, x = grid.times[i], work.states
     status = current_derivatives(c, hooks, time, x, work, result.derivatives[i])

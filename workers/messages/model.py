@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import PurePosixPath
-from typing import Self, get_args
+from typing import ClassVar, Self, get_args
 
 from workers.errors import EffectError, ModelError
 from workers.messages.checks import (
@@ -90,6 +90,9 @@ class Effect:
         first's.
     """
 
+    NOISE: ClassVar[tuple[str, ...]] = ("diffusion", "coloured_noise")
+    """The forms that are process noise."""
+
     name: str
     site: str
     form: str = ""
@@ -97,6 +100,11 @@ class Effect:
     equation: str = ""
     coefficients: tuple[tuple[str, float | None], ...] = ()
     reaction: str = ""
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether it is noise that acts on a state, which a Kalman filter takes into account."""
+        return self.form in self.NOISE
 
     def __post_init__(self) -> None:
         check_name(self.name, "effect.name", EffectError)

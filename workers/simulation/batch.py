@@ -27,6 +27,9 @@ class SimulationBatch:
     sensitivities
         (parameters, times, outputs) by point, where sensitivities were asked for and to be had;
         NaN for parameters by which there are none.
+    innovations
+        (residuals,) by point, where there is process noise: they take the place of the residuals,
+        and `outputs` are predictions from one measured time to the next.
     """
 
     outputs: FloatArray
@@ -35,6 +38,7 @@ class SimulationBatch:
     steps: IntArray
     linearisations: dict[int, Linearisation] = field(default_factory=dict)
     sensitivities: dict[int, FloatArray] = field(default_factory=dict)
+    innovations: dict[int, FloatArray] = field(default_factory=dict)
 
     @classmethod
     def empty(cls, points: int, times: int, outputs: int) -> SimulationBatch:

@@ -120,8 +120,10 @@ class Simulator:
             run = self._run_with_effects(experiment, values[rows], coefficients[rows], active)
             batch.outputs[rows], batch.codes[rows] = run.outputs, run.codes
             batch.steps[rows] = run.steps
-            for row, message in zip(rows.tolist(), run.messages, strict=True):
-                batch.messages[row] = message
+            for position, row in enumerate(rows.tolist()):
+                batch.messages[row] = run.messages[position]
+                if position in run.innovations:
+                    batch.innovations[row] = run.innovations[position]
         return batch
 
     def linearise(
@@ -272,6 +274,9 @@ class Simulator:
     ) -> SimulationBatch:
         """Simulate a group of points on which the same effects act."""
         without_effects = self._bound[experiment]
+        noise = [each for each in active if each[0].form.is_noise]
+        if noise:
+            return self._run_filtered(experiment, values, coefficients, active, noise)
         if not active:
             return self._integrator.run(without_effects, values, no_hooks(len(values)))
         bound_effects, bound = self._bindings.bind(experiment, active)
@@ -298,6 +303,41 @@ class Simulator:
             batch.outputs[chunk] = run.outputs[:, kept, : len(without_effects.outputs)]
             batch.codes[chunk], batch.steps[chunk] = run.codes, run.steps
             batch.messages[chunk] = run.messages
+        return batch
+
+    def _run_filtered(
+        self,
+        experiment: int,
+        values: FloatArray,
+        coefficients: FloatArray,
+        active: list[tuple[EffectDefinition, int]],
+        noise: list[tuple[EffectDefinition, int]],
+    ) -> SimulationBatch:
+        """Simulate points behind a Kalman filter, with the noise of some of the effects."""
+        from workers.simulation.filtering import (
+            StateNoise,
+            prepare_filter,
+        )  # compiles a loop of its own
+
+        without_effects = self._bound[experiment]
+        acting = [each for each in active if not each[0].form.is_noise or each[0].states]
+        effects, bound = self._bindings.bind(experiment, acting)
+        own = [str(z) for d in effects.definitions if d.site.kind != "output" for z in d.states]
+        states = (*self._description.states, *own)
+        batch = SimulationBatch.empty(
+            len(values), len(without_effects.grid.times), len(without_effects.outputs)
+        )
+        kept = np.searchsorted(bound.grid.times, without_effects.grid.times)
+        for p in range(len(values)):
+            one = slice(p, p + 1)
+            hooks = effects.hooks(values[one], coefficients[one], self._model, self._description)
+            found = [StateNoise.of(d, coefficients[p, first:]) for d, first in noise]
+            chosen = prepare_filter(self._model, self._description, bound, states, found)
+            run = self._integrator.run(bound, values[one], hooks, len(own), chosen)
+            batch.outputs[p] = run.outputs[0, kept, : len(without_effects.outputs)]
+            batch.codes[p], batch.messages[p] = run.codes[0], run.messages[0]
+            if run.codes[0] == failure.FINISHED:
+                batch.innovations[p] = chosen.standardised(bound.grid)
         return batch
 
 

@@ -100,7 +100,8 @@ def _definitions(result: Result, description: ModelDescription) -> list[EffectDe
     problem = result.problem
     signals = tuple({s.variable: None for e in problem.experiments for s in e.signals})
     interface = problem.model.interface
-    return [define(effect, description, interface, signals) for effect in problem.effects]
+    shown = (effect for effect in problem.effects if not effect.is_noise)
+    return [define(effect, description, interface, signals) for effect in shown]
 
 
 def _none(definition: EffectDefinition, why: str) -> EffectCurve:

@@ -1,0 +1,114 @@
+"""Process noise: noise that acts on the states, so that a simulation becomes a Kalman filter."""
+
+from __future__ import annotations
+
+from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.errors import ProblemError
+from cluster_est.problem.problem import Problem
+from workers.messages import Effect, Experiment
+
+FILTERED = (
+    "process noise ({names}): errors, curves and residuals are those of predictions from each "
+    "measured time to the next, by an extended Kalman filter, and not of a simulation that goes "
+    "its own way"
+)
+
+
+def noise_names(problem: Problem) -> list[str]:
+    """Return the names of the effects that are process noise."""
+    return [effect.name for effect in problem.effects if effect.is_noise]
+
+
+def process_noise_notes(problem: Problem) -> tuple[str, ...]:
+    """Say what errors mean where there is process noise."""
+    names = noise_names(problem)
+    return (FILTERED.format(names=", ".join(names)),) if names else ()
+
+
+def refuse_process_noise(problem: Problem, where: str) -> None:
+    """Refuse process noise for what works on simulations that go their own way.
+
+    Parameters
+    ----------
+    problem
+        Whose effects are looked at.
+    where
+        Opens the message.
+
+    Raises
+    ------
+    ProblemError
+        With what to change.
+    """
+    names = noise_names(problem)
+    if names:
+        raise ProblemError(
+            f"{where}: cannot be used with process noise, but effect {names[0]!r} is some; leave "
+            "one of the two out"
+        )
+
+
+def check_process_noise(problem: Problem) -> None:
+    """Refuse process noise where a Kalman filter cannot be used, or would mean something else.
+
+    Raises
+    ------
+    ProblemError
+        With what to change.
+    """
+    names = noise_names(problem)
+    if not names:
+        return
+    where = f"effect {names[0]!r}: is process noise, which"
+    model = problem.model
+    if model.interface != "model_exchange":
+        raise ProblemError(
+            f"{where} needs the states and their derivatives, so model.interface must be "
+            f"model_exchange but is {model.interface}; change it, or leave the effect out"
+        )
+    if model.solver.name == "cvode":
+        raise ProblemError(
+            f"{where} corrects the states at every measured time, so model.solver must be "
+            "dormand_prince or rk4 but is cvode; change it, or leave the effect out"
+        )
+    if not isinstance(problem.cost, SumSquared):
+        raise ProblemError(
+            f'{where} needs cost.name = "sse", with which residuals are those of the likelihood, '
+            f"but it is {problem.cost.name!r}; change one of the two"
+        )
+    for experiment in problem.experiments:
+        _check_experiment(experiment, where)
+    for effect in problem.effects:
+        _check_beside(effect, problem, where)
+
+
+def _check_experiment(experiment: Experiment, where: str) -> None:
+    others = {
+        "a curve": experiment.curve is not None,
+        "a cost function": experiment.cost_function is not None,
+        "bounds on signals": bool(experiment.bounds),
+        "constraint functions": bool(experiment.constraint_functions),
+        "an output with a free scale or offset, or a detection limit": any(
+            not output.is_plain for output in experiment.outputs
+        ),
+        "an output without a sigma": any(not output.has_sigma for output in experiment.outputs),
+    }
+    for what, there in others.items():
+        if there:
+            raise ProblemError(
+                f"{where} is weighed against the noise of each measured value, but experiment "
+                f"{experiment.id!r} has {what}; change it, or leave the effect out"
+            )
+
+
+def _check_beside(effect: Effect, problem: Problem, where: str) -> None:
+    """Refuse effects that change a signal as a whole, or what is measured."""
+    from workers.effects.definition import define  # needs SymPy, which is slow to import
+
+    signals = {given.variable for e in problem.experiments for given in e.signals}
+    found = define(effect, problem.describe(), problem.model.interface, tuple(sorted(signals)))
+    if found.site.kind == "output" or found.form.memory:
+        raise ProblemError(
+            f"{where} cannot stand beside effect {effect.name!r} at {effect.site}, which changes a "
+            "signal after or before the simulation; leave one of the two out"
+        )

@@ -1,0 +1,261 @@
+"""Fits by prediction errors, against Kalman filters written down here and exact linear systems."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.problems.springs import ROOT
+from support.truth.kalman_filter import Filter, discrete, pushed, runge_kutta
+
+import cluster_est as ce
+from cluster_est.cli import main
+from cluster_est.costs.robust import HuberCost
+from cluster_est.errors import ProblemError
+from cluster_est.problem.space import make_space
+from cluster_est.running.environment import RunEnvironment
+from workers.effects.forms import PROCESS_NOISE
+from workers.messages import Effect
+
+MODELS = ROOT / "configs" / "models"
+TRUE = {"m": 1.2, "k": 30.0, "c": 0.6}
+STEP, SIGMA = 0.02, 0.02
+
+
+def dynamics(m: float, k: float, c: float) -> np.ndarray:
+    return np.array([[0.0, 1.0], [-k / m, -c / m]])
+
+
+def shaken(seed: int, q: float = 0.5, samples: int = 250, outputs: int = 1) -> ce.Experiment:
+    """A spring whose mass is driven by a held force and by white noise."""
+    generator = np.random.default_rng(seed)
+    system = dynamics(**TRUE)
+    transition, noise = discrete(system, np.diag([0.0, q * q]), STEP)
+    by_force = pushed(system, np.array([0.0, 1.0 / TRUE["m"]]), STEP)
+    root = np.linalg.cholesky(noise + 1e-20 * np.eye(2))
+    times = STEP * np.arange(samples)
+    force = 3.0 * np.sign(np.sin(4.0 * times))
+    state, path = np.array([0.1, 0.0]), []
+    for each in force:
+        path.append(state)
+        state = transition @ state + by_force * each + root @ generator.normal(size=2)
+    noisy = np.array(path) + SIGMA * np.array([1.0, 5.0]) * generator.normal(size=(samples, 2))
+    seen = [ce.Output("y", times, noisy[:, 0], sigma=SIGMA)]
+    if outputs == 2:  # less often
+        seen.append(ce.Output("v", times[::3], noisy[::3, 1], sigma=5.0 * SIGMA))
+    return ce.Experiment(
+        f"e{seed}", 0.0, times[-1], (ce.Input("F", times, force, "hold"),), tuple(seen), {"x": 0.1}
+    )
+
+
+def spring(experiments, q: float = 0.5, effect: Effect | None = None, **model) -> ce.Problem:
+    read = ce.read_model(MODELS / "mass_spring_damper.fmu", ["m", "k", "c"], **model)
+    effect = effect or ce.Effect("noise", "der(v)", "diffusion")
+    parameters = [
+        ce.Parameter("m", 1.0, 0.1, 10.0),
+        ce.Parameter("k", 25.0, 1.0, 200.0),
+        ce.Parameter("c", 0.4, 0.0, 10.0),
+        ce.Parameter("noise.q", q, 0.0, 100.0),
+    ]
+    return ce.Problem(read, tuple(parameters), tuple(experiments), effects=(effect,))
+
+
+def residuals_at(problem: ce.Problem, values: dict[str, float]) -> np.ndarray:
+    space = make_space(problem, problem.indices("train"), values)
+    with RunEnvironment().executor(problem) as executor:
+        runner = RunEnvironment().runner(executor)
+        outcomes = runner.simulate(
+            space.physical(space.start), space.experiments, "residuals", "test", problem.effects
+        )
+    return np.concatenate([outcome.residuals for outcome in outcomes])
+
+
+def kalman(run: ce.Experiment, q: float) -> np.ndarray:
+    """What the residuals must be, from the exact discretisation of the spring."""
+    system = dynamics(**TRUE)
+    transition, noise = discrete(system, np.diag([0.0, q * q]), STEP)
+    by_force = pushed(system, np.array([0.0, 1.0 / TRUE["m"]]), STEP)
+    found = Filter(np.array([0.1, 0.0]))
+    for time, force in zip(run.inputs[0].times, run.inputs[0].values, strict=True):
+        for index, output in enumerate(run.outputs):
+            for value in output.values[output.times == time]:
+                found.correct(index, float(value), output.sigma)
+        found.carry(lambda x, f=force: transition @ x + by_force * f, transition, noise)
+    return found.standardised(range(len(run.outputs)))
+
+
+@pytest.mark.parametrize("solver", ["dormand_prince", "rk4"])
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_residuals_are_the_innovations_of_a_kalman_filter(solver, outputs):
+    run = shaken(1, outputs=outputs)
+    step = 0.002 if solver == "rk4" else None
+    problem = spring([run], solver=ce.Solver(solver, step=step))
+    found = residuals_at(problem, TRUE | {"noise.q": 0.5})
+    np.testing.assert_allclose(found, kalman(run, 0.5), rtol=1e-5, atol=1e-6)
+
+
+def test_noise_of_no_strength_is_a_simulation():
+    run = shaken(2)
+    quiet = residuals_at(spring([run], q=0.0), TRUE | {"noise.q": 0.0})
+    faint = residuals_at(spring([run]), TRUE | {"noise.q": 1e-7})
+    plain = spring([run])
+    plain = replace(plain, effects=(), parameters=plain.parameters[:3])
+    np.testing.assert_array_equal(quiet, residuals_at(plain, TRUE))
+    np.testing.assert_allclose(faint, quiet, rtol=1e-6, atol=1e-6)
+
+
+def test_a_nonlinear_model_is_filtered_along_its_own_linearisation():
+    """A pendulum, against a filter with its own equations."""
+    generator = np.random.default_rng(3)
+    values = {"J": 0.1, "G": 2.0, "b": 0.04, "n.q": 0.6}
+    inertia, gravity, friction, q = values.values()
+    step, fine, sigma = 0.02, 200, 0.02
+
+    def rate(x: np.ndarray) -> np.ndarray:
+        return np.array([x[1], (-gravity * np.sin(x[0]) - friction * x[1]) / inertia])
+
+    times, state, path = step * np.arange(150), np.array([1.5, 0.0]), []
+    for _ in times:
+        path.append(state[0])
+        for _ in range(fine):
+            state = state + rate(state) * step / fine
+            state[1] += q * np.sqrt(step / fine) * generator.normal()
+    measured = np.array(path) + sigma * generator.normal(size=len(times))
+    output = ce.Output("y", times, measured, sigma=sigma)
+    run = ce.Experiment("a", 0.0, times[-1], (), (output,), {"angle": 1.5})
+    model = ce.read_model(MODELS / "pendulum.fmu", ["J", "G", "b"])
+    parameters = tuple(ce.Parameter(name, value) for name, value in values.items())
+    effect = ce.Effect("n", "der(speed)", "diffusion")
+    problem = ce.Problem(model, parameters, (run,), effects=(effect,))
+
+    found = Filter(np.array([1.5, 0.0]))
+    for y in measured:
+        found.correct(0, float(y), sigma)
+        stiffness = -gravity * np.cos(found.state[0]) / inertia
+        linear = np.array([[0.0, 1.0], [stiffness, -friction / inertia]])
+        transition, noise = discrete(linear, np.diag([0.0, q * q]), step)
+        found.carry(lambda x: runge_kutta(rate, x, step, 20), transition, noise)
+    residuals = residuals_at(problem, values)
+    np.testing.assert_allclose(residuals, found.standardised([0]), rtol=1e-6, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def fitted() -> ce.Result:
+    return ce.fit(spring([shaken(seed, samples=400) for seed in (11, 12, 13)], q=0.2))
+
+
+def test_a_fit_finds_the_parameters_and_the_strength_of_the_noise(fitted):
+    assert fitted.success
+    for each in fitted.estimates:
+        true = (TRUE | {"noise.q": 0.5})[each.label]
+        assert abs(each.value - true) < 3.0 * each.std_error < 0.6 * true
+    assert fitted.diagnostics is not None
+    notes = " ".join(fitted.notes)
+    assert "predictions from each measured time to the next" in notes
+    assert "autocorrelated" not in notes
+    assert "sigma is probably" not in notes
+
+
+def test_output_errors_on_the_same_data_are_worse(fitted):
+    problem = fitted.problem
+    plain = ce.fit(replace(problem, effects=(), parameters=problem.parameters[:3]))
+    far = [max(abs(r.x[n] / TRUE[n] - 1.0) for n in TRUE) for r in (fitted, plain)]
+    assert far[0] < far[1]
+    assert any("autocorrelated" in note for note in plain.notes)
+
+
+def test_workers_change_no_bit(fitted):
+    again = ce.fit(fitted.problem, resources=ce.Resources("processes", workers=2))
+    assert again.x == fitted.x
+
+
+def test_an_ornstein_uhlenbeck_force_has_a_strength_and_a_time(fitted):
+    effect = ce.Effect("noise", "input F", "coloured_noise")
+    problem = fitted.problem
+    parameters = (*problem.parameters[:3], ce.Parameter("noise.q", 1.0, 1e-3, 1e3, "log"),
+                  ce.Parameter("noise.tau", 0.05, 1e-3, 10.0, "log"))  # fmt: skip
+    coloured = ce.fit(replace(problem, parameters=parameters, effects=(effect,)))
+    assert coloured.success
+    # white noise at the derivative is one of no time: its strength is q tau / m
+    strength = coloured.x["noise.q"] * coloured.x["noise.tau"] / coloured.x["m"]
+    assert coloured.x["noise.tau"] < 0.05
+    assert strength == pytest.approx(fitted.x["noise.q"], rel=0.1)
+
+
+def test_its_names_are_those_of_the_library():
+    assert {name for _, name in PROCESS_NOISE} == set(Effect.NOISE)
+
+
+def refused(problem: ce.Problem, sentence: str) -> None:
+    with pytest.raises(ProblemError, match=sentence):
+        ce.fit(problem)
+
+
+def test_where_a_filter_cannot_be_is_one_sentence():
+    run = shaken(1)
+    force = ce.Effect("noise", "input F", "coloured_noise")
+    model = {"interface": "co_simulation", "solver": ce.Solver("fmu")}
+    tau = ce.Parameter("noise.tau", 0.1, 0.01, 1.0)
+    problem = spring([run])
+    for_force = (*problem.parameters, tau)
+    made = ce.Problem(
+        ce.read_model(MODELS / "mass_spring_damper.fmu", ["m", "k", "c"], **model),
+        for_force, problem.experiments, effects=(force,),
+    )  # fmt: skip
+    refused(made, "needs the states and their derivatives, so model.interface must be")
+    refused(spring([run], solver=ce.Solver("cvode")), "must be dormand_prince or rk4 but is cvode")
+    refused(replace(problem, cost=HuberCost()), 'needs cost.name = "sse"')
+    unknown = replace(run, outputs=(replace(run.outputs[0], sigma=1.0),))
+    refused(spring([unknown]), "experiment 'e1' has an output without a sigma")
+    late = ce.Effect("late", "output y", "lag")
+    beside = replace(problem, effects=(*problem.effects, late), parameters=(
+        *problem.parameters, ce.Parameter("late.tau", 0.1, 0.01, 1.0)))  # fmt: skip
+    refused(beside, "cannot stand beside effect 'late' at output y")
+
+
+def test_what_needs_free_simulations_is_refused():
+    problem = spring([shaken(1)])
+    with pytest.raises(ProblemError, match="close-loop: cannot be used with process noise"):
+        ce.close_loop(problem)
+    with pytest.raises(ProblemError, match=r"method\.shooting: cannot be used with process noise"):
+        ce.fit(problem, shooting={"segments": 4})
+
+
+CONFIG = """
+[model]
+fmu = "{fmu}"
+[parameters]
+m = {{ start = 1.0, bounds = [0.1, 10.0] }}
+k = {{ start = 25.0, bounds = [1.0, 200.0] }}
+c = {{ start = 0.4, bounds = [0.0, 10.0] }}
+[[effects]]
+name = "noise"
+site = "der(v)"
+form = "diffusion"
+[effects.parameters]
+q = {{ start = 0.2 }}
+[[experiments]]
+id = "a"
+data = "data.csv"
+time = "time"
+inputs = {{ F = {{ column = "F", interpolation = "hold" }} }}
+outputs = {{ y = "y" }}
+sigma = {{ y = 0.02 }}
+values = {{ x = 0.1 }}
+"""
+
+
+def test_a_config_names_it_like_any_effect(tmp_path, capsys):
+    run = shaken(5, samples=400)
+    columns = [run.inputs[0].times, run.inputs[0].values, run.outputs[0].values]
+    np.savetxt(tmp_path / "data.csv", np.column_stack(columns), delimiter=",", header="time,F,y",
+               comments="")  # fmt: skip
+    config = tmp_path / "fit.toml"
+    config.write_text(CONFIG.format(fmu=MODELS / "mass_spring_damper.fmu"), encoding="utf-8")
+    assert main(["fit", str(config), "--out", str(tmp_path / "run")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "noise.q" in printed
+    assert "m/s^2 s^0.5" in printed
+    assert "process noise (noise): errors, curves and residuals" in printed
+    assert (tmp_path / "run" / "report.html").exists()

@@ -1,0 +1,172 @@
+"""Simulations behind an extended Kalman filter: arguments and results of the compiled loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from workers.effects.definition import EffectDefinition
+from workers.fmu.description import ModelDescription
+from workers.grid import SignalGrid
+from workers.kernels.fmi.arguments import KernelArguments
+from workers.kernels.kalman import KalmanArrays, filter_states
+from workers.kernels.linearise import (
+    ADAPTIVE,
+    FIXED,
+    LinearisationArrays,
+    PerturbationRange,
+    PerturbedVariables,
+)
+from workers.messages import FloatArray, Model
+from workers.simulation.bind_experiment import BoundExperiment
+
+
+@dataclass(frozen=True)
+class FilterPass:
+    """One point of an experiment. Takes the place of a solver's batch function."""
+
+    stepping: int
+    perturbed: PerturbedVariables
+    arrays: LinearisationArrays
+    kalman: KalmanArrays
+
+    def __call__(self, arguments: KernelArguments) -> int:
+        """Simulate one point. Always returns 1."""
+        arguments.codes[0], arguments.stopped_at[0] = filter_states(
+            self.stepping, *arguments[:6], arguments.points[0], arguments.work, self.perturbed,
+            self.arrays, self.kalman, arguments.outputs[0],
+        )  # fmt: skip
+        return 1
+
+    def standardised(self, grid: SignalGrid) -> FloatArray:
+        """Return (residuals,): innovations whose sum of squares has its least at the likelihood's.
+
+        With relative variances s = S / sigma^2 and their geometric mean g^2 the residuals are
+        g e / (sigma sqrt(s)): the likelihood with a common factor of all variances, at the best
+        such factor (C. F. Ansley, Biometrika 66 (1979) 59-65, doi:10.1093/biomet/66.1.59).
+        """
+        innovations = self.kalman.innovations.ravel()[grid.gather] / grid.sigmas
+        relative = self.kalman.spreads.ravel()[grid.gather] / grid.sigmas**2
+        if not len(relative):
+            return innovations
+        mean = np.exp(0.5 * np.mean(np.log(relative)))
+        return np.asarray(mean * innovations / np.sqrt(relative))
+
+
+@dataclass(frozen=True)
+class StateNoise:
+    """White noise at the derivative of a state.
+
+    Attributes
+    ----------
+    state
+        Its name, that of an effect's own state among them.
+    density
+        q^2.
+    variance
+        Of the state at the start, besides: that of an Ornstein-Uhlenbeck process that has gone on
+        for long.
+    """
+
+    state: str
+    density: float
+    variance: float = 0.0
+
+    @classmethod
+    def of(cls, definition: EffectDefinition, coefficients: FloatArray) -> StateNoise:
+        """Return the noise of an effect, from where its coefficients begin."""
+        density = float(coefficients[0]) ** 2
+        if not definition.states:
+            return cls(definition.site.target, density)
+        return cls(str(definition.states[0]), density, 0.5 * density * float(coefficients[1]))
+
+
+def prepare_filter(
+    model: Model,
+    description: ModelDescription,
+    bound: BoundExperiment,
+    states: Sequence[str],
+    noise: Sequence[StateNoise],
+) -> FilterPass:
+    """Prepare one point of an experiment.
+
+    Parameters
+    ----------
+    model, description, bound
+        The FMU and the experiment, with the effects that act on it.
+    states
+        Of the FMU, then the own ones of those effects.
+    noise
+        On some of them.
+    """
+    grid, count = bound.grid, len(states)
+    n, y = len(grid.times), len(bound.outputs)
+    diffusion, covariance = np.zeros(count), np.zeros((count, count))
+    for each in noise:
+        state = states.index(each.state)
+        diffusion[state] += each.density
+        covariance[state, state] += each.variance
+    measured, variances = np.full(n * y, np.nan), np.ones(n * y)
+    measured[grid.gather] = grid.measured
+    variances[grid.gather] = grid.sigmas**2
+    square = (count, count)
+    kalman = KalmanArrays(
+        diffusion=diffusion,
+        measured=measured.reshape(n, y),
+        variances=variances.reshape(n, y),
+        innovations=np.zeros((n, y)),
+        spreads=np.ones((n, y)),
+        covariance=covariance,
+        transition=np.zeros(square),
+        noise=np.zeros(square),
+        product=np.zeros(square),
+        other=np.zeros(square),
+        change=np.zeros(count),
+        gain=np.zeros(count),
+    )
+    stepping = ADAPTIVE if model.solver.name == "dormand_prince" else FIXED
+    perturbed = _perturbed_states(description, count - len(description.states))
+    return FilterPass(stepping, perturbed, _states_alone(n, count, y), kalman)
+
+
+def _perturbed_states(description: ModelDescription, n_effect_states: int) -> PerturbedVariables:
+    known = [description.variables[name] for name in description.states]
+    nothing, none = np.zeros(0), np.ones(n_effect_states)
+    lows = [-np.inf if v.low is None else v.low for v in known]
+    highs = [np.inf if v.high is None else v.high for v in known]
+    empty = PerturbationRange(nothing, nothing, nothing)
+    return PerturbedVariables(
+        states=PerturbationRange(
+            np.concatenate([np.array([v.nominal for v in known], np.float64), none]),
+            np.concatenate([np.array(lows, np.float64), -np.inf * none]),
+            np.concatenate([np.array(highs, np.float64), np.inf * none]),
+        ),
+        inputs=empty,
+        parameters=empty,
+        references=np.zeros(0, np.uint32),
+        values=nothing,
+        effect_positions=np.zeros(0, np.int64),
+        input_offsets=0,
+    )
+
+
+def _states_alone(n: int, states: int, outputs: int) -> LinearisationArrays:
+    nothing = np.zeros((n, states, 0))
+    return LinearisationArrays(
+        states=np.zeros((n, states)),
+        derivatives=np.zeros((n, states)),
+        effective_inputs=np.zeros((n, 0)),
+        A=np.zeros((n, states, states)),
+        B=nothing,
+        P=nothing,
+        C=np.zeros((n, outputs, states)),
+        D=np.zeros((n, outputs, 0)),
+        Q=np.zeros((n, outputs, 0)),
+        upper_derivatives=np.zeros(states),
+        lower_derivatives=np.zeros(states),
+        upper_outputs=np.zeros(outputs),
+        lower_outputs=np.zeros(outputs),
+        value=np.zeros(1),
+    )
