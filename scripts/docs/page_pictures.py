@@ -1,4 +1,4 @@
-"""Draw the pictures of four pages: costs and limits, a cluster, an input that is held, segments.
+"""Draw the pictures of five pages: costs, a cluster, a held input, segments, process noise.
 
     python scripts/docs/page_pictures.py
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from docs import cluster_picture, cost_picture, shooting_picture, step_picture
+from docs import cluster_picture, cost_picture, noise_picture, shooting_picture, step_picture
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "cluster_est" / "docs"
@@ -22,6 +22,7 @@ PICTURES = {
     "cluster_layout": cluster_picture.picture,
     "held_input": step_picture.picture,
     "multiple_shooting": shooting_picture.picture,
+    "process_noise": noise_picture.picture,
 }
 """By the names of their files."""
 

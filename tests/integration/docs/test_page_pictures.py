@@ -1,4 +1,4 @@
-"""The pictures of four pages are what the library makes of costs, limits, inputs and segments."""
+"""The pictures of five pages are what the library makes of costs, limits, inputs and segments."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ PAGES = {
     "cluster_layout": "on_a_cluster.md",
     "held_input": "exported_fmus.md",
     "multiple_shooting": "multiple_shooting.md",
+    "process_noise": "process_noise.md",
 }
 AT_SIX = {
     "sse": 36.0,
