@@ -9,6 +9,9 @@ from workers.messages import Outcome, Task
 from workers.wire import TaskBatch
 
 BATCH_SECONDS = 0.1
+FEW, FEW_SECONDS = 5, 0.5
+"""So many tasks travel together though they take longer than a batch, up to these seconds: where
+simulations take a tenth of a second, a message for each costs a small machine more than they do."""
 LEAST_SECONDS = 0.005
 """A batch of less is not worth the trip, even if other workers are idle."""
 FIRST_GUESS = 0.005
@@ -62,17 +65,24 @@ class TaskBacklog:
         return found
 
     def take(self) -> TaskBatch:
-        """Remove the next batch: about 0.1 s of work, all of it wanting the same."""
+        """Remove the next batch: about 0.1 s of work or a few tasks, all of it wanting the same."""
         most = max(1, -(-len(self._tasks) // self._shares))
         batch: list[Task] = []
         seconds = 0.0
-        while self._tasks and seconds < (BATCH_SECONDS if len(batch) < most else LEAST_SECONDS):
+        while self._tasks and self._takes_more(len(batch), seconds, most):
             if batch and not _alike(self._tasks[0], batch[0]):
                 break
             task = self._tasks.popleft()
             batch.append(task)
             seconds += self._seconds.get(task.experiment, FIRST_GUESS)
         return TaskBatch.of(batch)
+
+    def _takes_more(self, count: int, seconds: float, most: int) -> bool:
+        """Whether the next task joins a batch of so many, which take so long."""
+        if count >= most:
+            return seconds < LEAST_SECONDS
+        few = 0 < count < FEW and seconds + self.next_seconds <= FEW_SECONDS
+        return seconds < BATCH_SECONDS or few
 
     def learn(self, batch: TaskBatch, outcomes: Sequence[Outcome]) -> None:
         """Remember how long the simulations of a batch took."""

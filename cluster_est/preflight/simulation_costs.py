@@ -48,7 +48,10 @@ def _few_simulations(seconds: float) -> list[CheckFinding]:
         "a simulation takes long, and least_squares asks for more of them than it must, so that "
         "many workers have something to do: on the embedded example for 189 in place of 99"
     )
-    do = 'with few workers method.options = { trials = 1, differences = "forward" }'
+    do = (
+        'with few workers method.options = { trials = 1, differences = "forward" }, and with ten '
+        "unknowns or more secant_updates = 20 beside them"
+    )
     return [CheckFinding(CheckVerdict.OK, "few simulations", said, do)]
 
 

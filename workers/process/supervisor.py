@@ -34,6 +34,10 @@ from workers.wire import TaskBatch
 
 LOOK_SECONDS = 0.1
 """How often the memory and the progress of a running simulation are looked at."""
+SELDOM_SECONDS = 1.0
+"""The same where no limit is so narrow that it matters: a look costs a tenth of a millisecond."""
+WIDE = 20.0
+"""Times `SELDOM_SECONDS`, from which on a limit is not narrow."""
 TRIES, LOST = 2, 10
 """How often a simulation may fail, and how often it may be killed from outside."""
 CAREFUL = 500
@@ -173,10 +177,15 @@ class SupervisedEvaluator:
 
     def _wait(self, child: int, connection: Connection) -> ProcessFailure | None:
         """Wait for an answer; why not, if it stands still, or time or memory ran out."""
+        limits = self._limits
+        wide = min(limits.seconds, limits.stall) >= WIDE * SELDOM_SECONDS
+        pause = SELDOM_SECONDS if wide and limits.memory == float("inf") else LOOK_SECONDS
+        if connection.poll(pause):  # most answers are there before the first look
+            return None
         watch = ProgressWatch(child, self._forks.progress)
-        while not connection.poll(LOOK_SECONDS):
+        while not connection.poll(pause):
             watch.look()
-            failure = too_late(watch, self._limits) or too_large(child, self._limits)
+            failure = too_late(watch, limits) or too_large(child, limits)
             if failure is not None:
                 return failure
         return None

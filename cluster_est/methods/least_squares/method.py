@@ -41,6 +41,7 @@ from cluster_est.methods.least_squares.iteration import (
     enough_to_notice,
 )
 from cluster_est.methods.least_squares.local_model import LocalModel
+from cluster_est.methods.least_squares.secant_update import secant_update
 from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
@@ -89,6 +90,10 @@ class LeastSquares(Method):
         quicker; nothing else takes them.
     relative_step
         Relative step of the differences; 0 takes the one that suits the solver's noise.
+    secant_updates
+        How many times in a row the derivatives of the next point may be those of the last one,
+        corrected by what its step has shown, in place of new ones: for dear simulations on few
+        workers. Derivatives are computed anew where they do not suit, and before it ends.
     """
 
     name: ClassVar[str] = "least_squares"
@@ -102,6 +107,7 @@ class LeastSquares(Method):
     gtol: float = field(default=1e-10, metadata={"least": 0.0})
     differences: Differences = "auto"
     relative_step: float = field(default=0.0, metadata={"least": 0.0})
+    secant_updates: int = field(default=0, metadata={"least": 0})
 
     @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
@@ -136,15 +142,29 @@ class LeastSquares(Method):
         compared: ResidualJacobian | None = None
         before: _End | None = None  # where shorter differences ended
         ended = Ending.CONVERGED
+        secant, updates, most = None, 0, self.secant_updates
         while True:
             scaled = _with_current_sizes(space, state.x)
-            jacobian = yield from provider.jacobian(scaled, state.x, state.at, state.progress)
+            jacobian = secant or (
+                yield from provider.jacobian(scaled, state.x, state.at, state.progress)
+            )
             doubtful = compared is not None and _disagree(scaled, state, compared, jacobian)
             end = _End(state, jacobian, ended, provider.note)
             if not (doubtful and provider.lengthen()):
-                state, ending = yield from self._iterate(space, state, jacobian, provider.exact)
+                exact = provider.exact and secant is None
+                last, (state, ending) = (
+                    state,
+                    (yield from self._iterate(space, state, jacobian, exact)),
+                )
                 if ending is None:
                     compared = None
+                    updates = 0 if secant is None else updates
+                    secant = secant_update(jacobian, last, state) if updates < most else None
+                    updates += 1
+                    continue
+                if secant is not None:  # an end must be one by the derivatives of its own point
+                    secant, compared, most = None, None, 0
+                    state = replace(state, damping=min(state.damping, INITIAL_DAMPING))
                     continue
                 ended = ending
                 if ending in DOUBTED and provider.refine():
