@@ -106,6 +106,12 @@ class ParameterReader:
             definition = define(effect, self.description, interface, signals)
             own = parameters[at : at + len(definition.coefficients)]
             at += len(own)
+            if effect.is_noise:
+                notes.append(
+                    f"effect {effect.name!r} is process noise and is left out: the run's errors "
+                    "are those of predictions, and a simulation of the exported model has others"
+                )
+                continue
             units = coefficient_units(definition, self.description)
             values = tuple(
                 self._find(p, unit) or EstimatedValue(p.name, unit, p.start)

@@ -314,6 +314,12 @@ class Simulator:
         noise: list[tuple[EffectDefinition, int]],
     ) -> SimulationBatch:
         """Simulate points behind a Kalman filter, with the noise of some of the effects."""
+        solver = self._model.solver.name
+        if self._model.interface != "model_exchange" or solver == "cvode":
+            raise ModelError(
+                f"{self._model.name}: process noise needs model.interface model_exchange and the "
+                f"solver dormand_prince or rk4, but they are {self._model.interface} and {solver}"
+            )
         from workers.simulation.filtering import (
             StateNoise,
             prepare_filter,

@@ -259,3 +259,8 @@ def test_a_config_names_it_like_any_effect(tmp_path, capsys):
     assert "m/s^2 s^0.5" in printed
     assert "process noise (noise): errors, curves and residuals" in printed
     assert (tmp_path / "run" / "report.html").exists()
+
+
+def test_an_export_leaves_it_out_and_says_so(fitted, tmp_path):
+    exported = fitted.export(ssv=tmp_path / "found.ssv")
+    assert any("effect 'noise' is process noise and is left out" in note for note in exported.notes)
